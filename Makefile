@@ -1,0 +1,47 @@
+# The two commands of a new machine are `make run` and `make test`; both set up what is missing first.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+SCENARIO ?= mockup-tumbling
+ARGS ?=
+
+.PHONY: help run test check format lint types layers bench setup clean
+
+help: ## List the targets
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
+
+setup: $(READY) ## Virtual environment, dependencies, Open3D's system libraries
+
+$(READY): pyproject.toml constraints.txt deploy/setup.sh
+	bash deploy/setup.sh $(VENV)
+	@touch $@
+
+run: $(READY) ## Play a scenario: make run SCENARIO=mockup-oblique
+	$(BIN)/rpod run $(SCENARIO) $(ARGS)
+
+test: $(READY) ## The tests
+	$(BIN)/python -m pytest $(ARGS)
+
+check: format lint types layers test ## All that CI checks
+
+format: $(READY) ## Formatting, checked
+	$(BIN)/ruff format --check
+
+lint: $(READY) ## Lint
+	$(BIN)/ruff check
+
+types: $(READY) ## mypy strict and pyright
+	$(BIN)/mypy
+	$(BIN)/pyright
+
+layers: $(READY) ## Import layers
+	$(BIN)/lint-imports
+
+bench: $(READY) ## Measured speed of this machine
+	$(BIN)/python -m rpod bench $(ARGS)
+
+clean: ## Remove the virtual environment and caches
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

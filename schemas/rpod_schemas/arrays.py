@@ -1,0 +1,43 @@
+"""Checked array types for pydantic models: shape, kind and finiteness, never a copy."""
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import PlainSerializer, PlainValidator
+
+Array = NDArray[Any]
+FloatArray = NDArray[np.float64]
+
+
+def _checked(shape: tuple[int | None, ...], *, finite: bool) -> Callable[[Any], FloatArray]:
+    def check(value: Any) -> FloatArray:
+        array = np.asarray(value, dtype=np.float64)
+        fits = array.ndim == len(shape) and all(
+            want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+        )
+        if not fits:
+            wanted = " x ".join("N" if size is None else str(size) for size in shape)
+            raise ValueError(f"has shape {array.shape}, needs {wanted}")
+        if finite and not np.isfinite(array).all():
+            raise ValueError("holds a value that is not finite")
+        return array
+
+    return check
+
+
+def _array(*shape: int | None, finite: bool = True) -> Any:
+    return PlainValidator(_checked(shape, finite=finite))
+
+
+_LISTED = PlainSerializer(lambda array: array.tolist(), return_type=list)
+
+Vector3 = Annotated[FloatArray, _array(3), _LISTED]
+"""Shape (3,), finite."""
+Matrix3 = Annotated[FloatArray, _array(3, 3), _LISTED]
+"""Shape (3, 3), finite."""
+Matrix6 = Annotated[FloatArray, _array(6, 6), _LISTED]
+"""Shape (6, 6), finite."""
+VectorN = Annotated[FloatArray, _array(None), _LISTED]
+"""Shape (N,), finite."""

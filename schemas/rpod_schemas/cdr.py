@@ -1,0 +1,66 @@
+"""CDR on rosbags: bytes in, messages of views out, and back.
+
+Messages are rosbags' dataclasses for the ROS 2 types and the project's own. Decoding a
+``memoryview`` leaves image and point data as read-only views of it.
+"""
+
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from rpod_schemas.errors import MessageRejectedError, Reason
+
+
+@cache
+def typestore() -> Typestore:
+    """Return the type store: ROS 2 Humble's types, equal to Jazzy's and Kilted's here, and rpod_msgs."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    own: dict[str, Any] = {}
+    for file in sorted(resources.files("rpod_msgs").joinpath("msg").iterdir(), key=lambda item: item.name):
+        own |= get_types_from_msg(file.read_text("utf-8"), f"rpod_msgs/msg/{file.name.removesuffix('.msg')}")
+    store.register(own)
+    return store
+
+
+@cache
+def message_class(type_name: str) -> Any:
+    """Return the dataclass of a message type, as ``std_msgs/msg/Header``."""
+    return typestore().types[type_name]
+
+
+@cache
+def type_hash(type_name: str) -> str:
+    """Return the RIHS01 hash of a type."""
+    return typestore().hash_rihs01(type_name)
+
+
+@cache
+def definition(type_name: str) -> str:
+    """Return the ``ros2msg`` definition of a type with all that it needs, for logs."""
+    text, _ = typestore().generate_msgdef(type_name, ros_version=2)
+    return text
+
+
+def encode(message: Any) -> bytearray:
+    """Return the little-endian CDR bytes of a message, with its encapsulation header."""
+    return typestore().serialize_cdr(message, message.__msgtype__).obj  # type: ignore[return-value]
+
+
+def decode(payload: bytes | memoryview, type_name: str) -> Any:
+    """Return the message of its CDR bytes; its arrays are views of ``payload``.
+
+    Raises:
+        MessageRejectedError: the bytes are truncated, malformed, or big-endian beyond what is read.
+    """
+    if len(payload) < 4 or payload[0] != 0 or payload[1] not in (0, 1):
+        raise MessageRejectedError(Reason.MALFORMED, f"no CDR encapsulation header in {len(payload)} bytes")
+    try:
+        return typestore().deserialize_cdr(payload, type_name)
+    except Exception as error:  # the generated reader raises whatever the bytes provoke
+        text = str(error) or type(error).__name__
+        raise MessageRejectedError(
+            Reason.MALFORMED, f"{type_name} of {len(payload)} bytes: {text}"
+        ) from error

@@ -1,0 +1,68 @@
+"""What every configuration shares: strict models, and files that name what is wrong in them."""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from rpod_schemas.errors import ConfigurationError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
+
+
+class Config(BaseModel):
+    """Frozen; an unknown field is an error; docstrings under fields are their descriptions."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", arbitrary_types_allowed=True, use_attribute_docstrings=True
+    )
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Read a YAML, JSON or TOML file as a dictionary.
+
+    Raises:
+        ConfigurationError: the file is missing, unreadable, or no mapping.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(path, "", f"cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(path, "", "is not UTF-8 text") from error
+    try:
+        document = tomllib.loads(text) if path.suffix == ".toml" else yaml.safe_load(text)
+    except (tomllib.TOMLDecodeError, yaml.YAMLError) as error:
+        raise ConfigurationError(path, "", " ".join(str(error).split())) from error
+    if not isinstance(document, dict):
+        raise ConfigurationError(path, "", "needs named fields at its top level")
+    return document
+
+
+def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
+    """Validate a document against a model.
+
+    Raises:
+        ConfigurationError: names the source, the first field that is wrong, and why.
+    """
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]
+        field = ".".join(str(part) for part in problem["loc"])
+        reason = problem["msg"].removeprefix("Value error, ")
+        more = error.error_count() - 1
+        raise ConfigurationError(source, field, reason + (f" (and {more} more)" if more else "")) from error
+
+
+def load(model: type[Model], path: Path) -> Model:
+    """Read and validate a configuration file. Raises ``ConfigurationError``."""
+    return check(model, read_document(path), source=path)

@@ -1,0 +1,87 @@
+"""The control plane: requests and replies of the JSON queries (ICD section 4)."""
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from rpod_schemas.arrays import Matrix6
+from rpod_schemas.config.base import Config, NonNegative
+from rpod_schemas.poses import Pose
+
+
+class Empty(Config):
+    """A request without fields."""
+
+
+class Accepted(Config):
+    """The reply to a command."""
+
+    accepted: Literal[True] = True
+
+
+class ErrorReply(Config):
+    """The reply to a query that failed."""
+
+    error: str
+    """Class of the error."""
+    message: str
+    """What is wrong and what to do."""
+
+
+class StatusReply(Config):
+    """What a service says of itself."""
+
+    name: str
+    """Instance."""
+    version: str
+    """Version of the software."""
+    state: Literal["starting", "ready", "running", "finished", "stopping", "failed"]
+    """Where the service is in its life."""
+    uptime_s: NonNegative
+    """Seconds since the process said that it was there."""
+    counters: dict[str, int]
+    """Everything counted: frames, rejections by reason, messages by topic."""
+    configuration: dict[str, Any]
+    """As resolved."""
+
+
+class ResetRequest(Config):
+    """Start the estimator anew, from nothing or from a given pose."""
+
+    pose: Pose | None = None
+    """T_frame_target."""
+    frame_id: str = "chaser"
+    """The frame of the pose."""
+    stamp_ns: int | None = None
+    """When the pose held; now, where left out."""
+    covariance: Matrix6 | None = None
+    """Of (dp, dtheta), ICD section 1."""
+
+
+class LogRequest(Config):
+    """Start, stop or split a log."""
+
+    name: str | None = Field(default=None, pattern=r"^[A-Za-z0-9._-]+$")
+    """Stem of the file's name."""
+
+
+class LogReply(Config):
+    """The log that is, or was, written."""
+
+    path: str
+    """Of the file."""
+    messages: int
+    """Written to it."""
+    bytes: int
+    """Of payload written to it."""
+
+
+class FaultRequest(Config):
+    """Make the emulated sensors fail for a while."""
+
+    fault: Literal["dropout", "blackout", "silence"]
+    """dropout loses 60 % of the pixels or returns in patches, blackout all; silence publishes nothing."""
+    start_s: NonNegative = 0.0
+    """From now."""
+    duration_s: NonNegative
+    """How long."""

@@ -1,0 +1,40 @@
+"""The errors of this package: what is wrong, where, and why."""
+
+from enum import StrEnum
+from pathlib import Path
+
+
+class SchemaError(Exception):
+    """Root of the errors that this package raises."""
+
+
+class ConfigurationError(SchemaError):
+    """A configuration that cannot be used: names the source, the field and the reason, in one line."""
+
+    def __init__(self, source: Path | str, field: str, reason: str) -> None:
+        self.source, self.field, self.reason = str(source), field, reason
+        where = f"{source}: {field}" if field else str(source)
+        super().__init__(f"{where}: {reason}")
+
+
+class Reason(StrEnum):
+    """Why a message was rejected, as counted in ``diagnostics``."""
+
+    MALFORMED = "malformed"
+    WRONG_TYPE = "wrong_type"
+    WRONG_SIZE = "wrong_size"
+    NOT_FINITE = "not_finite"
+    EMPTY = "empty"
+    DUPLICATE = "duplicate"
+    LATE = "late"
+    FUTURE = "future"
+    UNKNOWN_FRAME = "unknown_frame"
+    OLD_ATTACHMENT = "old_attachment"
+
+
+class MessageRejectedError(SchemaError):
+    """A message that cannot be used, with the reason under which it is counted."""
+
+    def __init__(self, reason: Reason, text: str) -> None:
+        self.reason = reason
+        super().__init__(f"{reason}: {text}")

@@ -1,0 +1,57 @@
+"""From ROS messages to the domain types and back: the edge where everything is checked.
+
+``read_*`` take a decoded message and return a domain type, or raise ``MessageRejectedError`` with
+the reason under which the message is counted. ``write_*`` are their inverses. Arrays stay views.
+"""
+
+from rpod_schemas.messages.geometry import (
+    read_odometry,
+    read_pose,
+    read_transforms,
+    read_vector_stamped,
+    write_clock,
+    write_odometry,
+    write_pose,
+    write_pose_stamped,
+    write_transforms,
+    write_vector_stamped,
+)
+from rpod_schemas.messages.header import read_stamp, write_header, write_stamp
+from rpod_schemas.messages.health import read_diagnostics, read_status, write_diagnostics, write_status
+from rpod_schemas.messages.images import (
+    read_amplitude,
+    read_camera,
+    read_depth,
+    read_image,
+    write_camera,
+    write_image,
+)
+from rpod_schemas.messages.points import read_points, write_points
+
+__all__ = [
+    "read_amplitude",
+    "read_camera",
+    "read_depth",
+    "read_diagnostics",
+    "read_image",
+    "read_odometry",
+    "read_points",
+    "read_pose",
+    "read_stamp",
+    "read_status",
+    "read_transforms",
+    "read_vector_stamped",
+    "write_camera",
+    "write_clock",
+    "write_diagnostics",
+    "write_header",
+    "write_image",
+    "write_odometry",
+    "write_points",
+    "write_pose",
+    "write_pose_stamped",
+    "write_stamp",
+    "write_status",
+    "write_transforms",
+    "write_vector_stamped",
+]

@@ -1,0 +1,152 @@
+"""Poses, transforms and odometry."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_schemas.cdr import message_class
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.messages.header import build, read_stamp, write_header, write_stamp
+from rpod_schemas.types import Odometry
+
+
+def _vector(value: NDArray[np.float64]) -> Any:
+    return message_class("geometry_msgs/msg/Vector3")(x=float(value[0]), y=float(value[1]), z=float(value[2]))
+
+
+def _numbers(value: Any, names: str = "xyz") -> NDArray[np.float64]:
+    return np.array([getattr(value, name) for name in names])
+
+
+def _read_rotation(quaternion: Any) -> Rotation:
+    numbers = _numbers(quaternion, "xyzw")
+    if not np.isfinite(numbers).all():
+        raise MessageRejectedError(Reason.NOT_FINITE, "orientation")
+    if abs(np.linalg.norm(numbers) - 1.0) > 1e-3:
+        raise MessageRejectedError(
+            Reason.MALFORMED, f"orientation of norm {np.linalg.norm(numbers):.4f}, needs 1"
+        )
+    return Rotation.from_quat(numbers)
+
+
+def _read_translation(vector: Any) -> NDArray[np.float64]:
+    numbers = _numbers(vector)
+    if not np.isfinite(numbers).all():
+        raise MessageRejectedError(Reason.NOT_FINITE, "position")
+    return numbers
+
+
+def _write_quaternion(rotation: Rotation) -> Any:
+    x, y, z, w = rotation.as_quat()
+    return message_class("geometry_msgs/msg/Quaternion")(x=float(x), y=float(y), z=float(z), w=float(w))
+
+
+def write_pose(pose: RigidTransform) -> Any:
+    """Return a geometry_msgs/Pose."""
+    x, y, z = pose.translation
+    point = message_class("geometry_msgs/msg/Point")(x=float(x), y=float(y), z=float(z))
+    return message_class("geometry_msgs/msg/Pose")(
+        position=point, orientation=_write_quaternion(pose.rotation)
+    )
+
+
+def read_pose(message: Any) -> RigidTransform:
+    """Read a geometry_msgs/Pose."""
+    return RigidTransform.from_components(
+        _read_translation(message.position), _read_rotation(message.orientation)
+    )
+
+
+def read_vector_stamped(message: Any) -> tuple[int, NDArray[np.float64]]:
+    """Return stamp, ns, and vector, shape (3,), of a Vector3Stamped."""
+    return read_stamp(message.header), _read_translation(message.vector)
+
+
+def write_vector_stamped(stamp_ns: int, frame_id: str, vector: NDArray[np.float64]) -> Any:
+    """Return a geometry_msgs/Vector3Stamped."""
+    return message_class("geometry_msgs/msg/Vector3Stamped")(
+        header=write_header(stamp_ns, frame_id), vector=_vector(vector)
+    )
+
+
+def write_clock(stamp_ns: int) -> Any:
+    """Return a rosgraph_msgs/Clock."""
+    return message_class("rosgraph_msgs/msg/Clock")(clock=write_stamp(stamp_ns))
+
+
+def write_transforms(stamp_ns: int, transforms: Iterable[tuple[str, str, RigidTransform]]) -> Any:
+    """Return a tf2_msgs/TFMessage of (parent, child, T_parent_child)."""
+    return message_class("tf2_msgs/msg/TFMessage")(
+        transforms=[
+            message_class("geometry_msgs/msg/TransformStamped")(
+                header=write_header(stamp_ns, parent),
+                child_frame_id=child,
+                transform=message_class("geometry_msgs/msg/Transform")(
+                    translation=_vector(pose.translation), rotation=_write_quaternion(pose.rotation)
+                ),
+            )
+            for parent, child, pose in transforms
+        ]
+    )
+
+
+def read_transforms(message: Any) -> list[tuple[int, str, str, RigidTransform]]:
+    """Return (stamp_ns, parent, child, T_parent_child) of a TFMessage."""
+    return [
+        (
+            read_stamp(item.header),
+            item.header.frame_id,
+            item.child_frame_id,
+            RigidTransform.from_components(
+                _read_translation(item.transform.translation), _read_rotation(item.transform.rotation)
+            ),
+        )
+        for item in message.transforms
+    ]
+
+
+def read_odometry(message: Any) -> Odometry:
+    """Read a nav_msgs/Odometry."""
+    twist = message.twist.twist
+    return build(
+        Odometry,
+        stamp_ns=read_stamp(message.header),
+        frame_id=message.header.frame_id,
+        child_frame_id=message.child_frame_id,
+        pose=read_pose(message.pose.pose),
+        linear_m_s=_numbers(twist.linear),
+        angular_rad_s=_numbers(twist.angular),
+        pose_covariance=message.pose.covariance.reshape(6, 6),
+        twist_covariance=message.twist.covariance.reshape(6, 6),
+    )
+
+
+def write_odometry(odometry: Odometry) -> Any:
+    """Return a nav_msgs/Odometry."""
+    twist = message_class("geometry_msgs/msg/Twist")(
+        linear=_vector(odometry.linear_m_s), angular=_vector(odometry.angular_rad_s)
+    )
+    return message_class("nav_msgs/msg/Odometry")(
+        header=write_header(odometry.stamp_ns, odometry.frame_id),
+        child_frame_id=odometry.child_frame_id,
+        pose=_pose_with_covariance(odometry),
+        twist=message_class("geometry_msgs/msg/TwistWithCovariance")(
+            twist=twist, covariance=odometry.twist_covariance.ravel()
+        ),
+    )
+
+
+def write_pose_stamped(odometry: Odometry) -> Any:
+    """Return the pose of an odometry as geometry_msgs/PoseWithCovarianceStamped."""
+    return message_class("geometry_msgs/msg/PoseWithCovarianceStamped")(
+        header=write_header(odometry.stamp_ns, odometry.frame_id), pose=_pose_with_covariance(odometry)
+    )
+
+
+def _pose_with_covariance(odometry: Odometry) -> Any:
+    return message_class("geometry_msgs/msg/PoseWithCovariance")(
+        pose=write_pose(odometry.pose), covariance=odometry.pose_covariance.ravel()
+    )

@@ -1,0 +1,88 @@
+"""What the services say of themselves: the estimator's status, diagnostics."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rpod_schemas.cdr import message_class
+from rpod_schemas.messages.geometry import read_pose, write_pose
+from rpod_schemas.messages.header import build, read_stamp, write_header
+from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Hypothesis, Mode, Source
+
+
+def read_status(message: Any) -> EstimatorStatus:
+    """Read an rpod_msgs/EstimatorStatus."""
+    return build(
+        EstimatorStatus,
+        stamp_ns=read_stamp(message.header),
+        frame_id=message.header.frame_id,
+        mode=Mode(message.mode),
+        source=Source(message.source),
+        sensor=message.sensor,
+        accepted=message.accepted,
+        reason=message.reason,
+        cost_m2=message.cost_m2,
+        nis=message.nis,
+        inliers=message.inliers,
+        inlier_share=message.inlier_share,
+        processing_s=message.processing_s,
+        ambiguous=message.ambiguous,
+        hypotheses=tuple(
+            Hypothesis(pose=read_pose(pose), weight=weight)
+            for pose, weight in zip(message.hypotheses, message.hypothesis_weights, strict=True)
+        ),
+    )
+
+
+def write_status(status: EstimatorStatus) -> Any:
+    """Return an rpod_msgs/EstimatorStatus."""
+    return message_class("rpod_msgs/msg/EstimatorStatus")(
+        header=write_header(status.stamp_ns, status.frame_id),
+        mode=int(status.mode),
+        source=int(status.source),
+        sensor=status.sensor,
+        accepted=status.accepted,
+        reason=status.reason,
+        cost_m2=status.cost_m2,
+        nis=status.nis,
+        inliers=status.inliers,
+        inlier_share=status.inlier_share,
+        processing_s=status.processing_s,
+        ambiguous=status.ambiguous,
+        hypotheses=[write_pose(item.pose) for item in status.hypotheses],
+        hypothesis_weights=np.array([item.weight for item in status.hypotheses], np.float64),
+    )
+
+
+def read_diagnostics(message: Any) -> list[Diagnostic]:
+    """Read a diagnostic_msgs/DiagnosticArray."""
+    stamp_ns = read_stamp(message.header)
+    return [
+        Diagnostic(
+            stamp_ns=stamp_ns,
+            name=item.name,
+            level=Health(item.level),
+            message=item.message,
+            values={pair.key: pair.value for pair in item.values},
+        )
+        for item in message.status
+    ]
+
+
+def write_diagnostics(diagnostics: Sequence[Diagnostic]) -> Any:
+    """Return a diagnostic_msgs/DiagnosticArray; all of one stamp."""
+    pair = message_class("diagnostic_msgs/msg/KeyValue")
+    return message_class("diagnostic_msgs/msg/DiagnosticArray")(
+        header=write_header(diagnostics[0].stamp_ns, ""),
+        status=[
+            message_class("diagnostic_msgs/msg/DiagnosticStatus")(
+                level=int(item.level),
+                name=item.name,
+                message=item.message,
+                hardware_id="",
+                values=[pair(key=key, value=value) for key, value in item.values.items()],
+            )
+            for item in diagnostics
+        ],
+    )

@@ -1,0 +1,126 @@
+"""Images and the camera that made them."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_schemas.cdr import message_class
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.messages.header import build, write_header
+from rpod_schemas.types import Camera
+
+_ENCODINGS: dict[str, tuple[str, int]] = {
+    "32FC1": ("<f4", 1),
+    "16UC1": ("<u2", 1),
+    "mono16": ("<u2", 1),
+    "mono8": ("u1", 1),
+    "16UC4": ("<u2", 4),
+}
+
+
+def read_image(message: Any) -> NDArray[Any]:
+    """Return the pixels of a sensor_msgs/Image, (height, width) or (height, width, channels), a view."""
+    if message.encoding not in _ENCODINGS:
+        known = ", ".join(_ENCODINGS)
+        raise MessageRejectedError(Reason.WRONG_TYPE, f"encoding {message.encoding!r}, known are {known}")
+    code, channels = _ENCODINGS[message.encoding]
+    dtype = np.dtype(code)
+    if message.is_bigendian and dtype.itemsize > 1:
+        dtype = dtype.newbyteorder(">")
+    row = message.width * channels * dtype.itemsize
+    if (
+        message.step < row
+        or message.data.size != message.step * message.height
+        or 0 in (message.width, message.height)
+    ):
+        raise MessageRejectedError(
+            Reason.WRONG_SIZE,
+            f"{message.width} x {message.height} {message.encoding}, step {message.step}, in {message.data.size} bytes",
+        )
+    shape = (message.height, message.width) if channels == 1 else (message.height, message.width, channels)
+    strides = (message.step, channels * dtype.itemsize, dtype.itemsize)[: len(shape)]
+    return np.ndarray(shape, dtype, buffer=message.data, strides=strides)
+
+
+def read_depth(message: Any) -> NDArray[np.float32]:
+    """Return z-depth, m, float32, NaN where there is none, of a ``32FC1`` or ``16UC1`` image.
+
+    An image without one finite pixel is rejected.
+    """
+    image = read_image(message)
+    if message.encoding == "16UC1":
+        image = np.where(image > 0, image.astype(np.float32) * np.float32(1e-3), np.float32(np.nan))
+    elif message.encoding != "32FC1":
+        raise MessageRejectedError(Reason.WRONG_TYPE, f"depth in {message.encoding}, needs 32FC1 or 16UC1")
+    if not np.isfinite(image).any():
+        raise MessageRejectedError(Reason.NOT_FINITE, "no finite pixel in the depth image")
+    return image.astype(np.float32, copy=False)
+
+
+def read_amplitude(message: Any) -> NDArray[Any]:
+    """Return the amplitude, shape (height, width), of a ``mono16``, ``mono8`` or ``32FC1`` image."""
+    if message.encoding not in ("mono16", "mono8", "32FC1", "16UC1"):
+        raise MessageRejectedError(Reason.WRONG_TYPE, f"amplitude in {message.encoding}")
+    return read_image(message)
+
+
+def write_image(stamp_ns: int, frame_id: str, image: NDArray[Any], encoding: str) -> Any:
+    """Return a sensor_msgs/Image of a C-contiguous array, without a copy."""
+    return message_class("sensor_msgs/msg/Image")(
+        header=write_header(stamp_ns, frame_id),
+        height=image.shape[0],
+        width=image.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=image.strides[0],
+        data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
+    )
+
+
+def read_camera(message: Any) -> Camera:
+    """Read a sensor_msgs/CameraInfo with plumb_bob distortion, or none."""
+    if message.distortion_model not in ("", "plumb_bob"):
+        raise MessageRejectedError(
+            Reason.WRONG_TYPE, f"distortion model {message.distortion_model!r}, needs plumb_bob"
+        )
+    distortion = np.zeros(5)
+    if len(message.d) > 5:
+        raise MessageRejectedError(
+            Reason.WRONG_SIZE, f"{len(message.d)} distortion coefficients, plumb_bob has 5"
+        )
+    distortion[: len(message.d)] = message.d
+    K = message.k
+    if not np.isfinite(K).all():
+        raise MessageRejectedError(Reason.NOT_FINITE, "camera matrix")
+    return build(
+        Camera,
+        width=message.width,
+        height=message.height,
+        fx=K[0],
+        fy=K[4],
+        cx=K[2],
+        cy=K[5],
+        distortion=distortion,
+    )
+
+
+def write_camera(stamp_ns: int, frame_id: str, camera: Camera) -> Any:
+    """Return a sensor_msgs/CameraInfo."""
+    projection = np.hstack([camera.K, np.zeros((3, 1))])
+    roi = message_class("sensor_msgs/msg/RegionOfInterest")(
+        x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+    )
+    return message_class("sensor_msgs/msg/CameraInfo")(
+        header=write_header(stamp_ns, frame_id),
+        height=camera.height,
+        width=camera.width,
+        distortion_model="plumb_bob",
+        d=camera.distortion,
+        k=camera.K.ravel(),
+        r=np.eye(3).ravel(),
+        p=projection.ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=roi,
+    )

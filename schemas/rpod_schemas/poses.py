@@ -1,0 +1,63 @@
+"""Poses: scipy's ``RigidTransform``, with the few conventions that the ICD adds.
+
+``T_A_B`` maps coordinates in B into A. Angles are radians, lengths metres.
+"""
+
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import PlainSerializer, PlainValidator
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_schemas.arrays import FloatArray
+
+
+def make_pose(*, rotation: Rotation | None = None, translation_m: Any = (0.0, 0.0, 0.0)) -> RigidTransform:
+    """Return the pose of a rotation and a translation, shape (3,)."""
+    return RigidTransform.from_components(np.asarray(translation_m, float), rotation or Rotation.identity())
+
+
+def pose_error(T_truth: RigidTransform, T_estimate: RigidTransform) -> tuple[FloatArray, FloatArray]:
+    """Return attitude error Log(R_truth^T R_estimate), rad, target axes, and position error, m, parent axes.
+
+    Source: ICD section 1.
+    """
+    attitude_rad = (T_truth.rotation.inv() * T_estimate.rotation).as_rotvec()
+    return attitude_rad, T_estimate.translation - T_truth.translation
+
+
+def _checked_pose(value: Any) -> RigidTransform:
+    if isinstance(value, RigidTransform):
+        return value
+    if not isinstance(value, dict) or not set(value) <= {"translation_m", "quaternion_xyzw", "euler_321_deg"}:
+        raise ValueError("needs translation_m and quaternion_xyzw, or euler_321_deg (yaw, pitch, roll)")
+    if "quaternion_xyzw" in value and "euler_321_deg" in value:
+        raise ValueError("has both quaternion_xyzw and euler_321_deg; give one")
+    translation = np.asarray(value.get("translation_m", (0.0, 0.0, 0.0)), float)
+    if translation.shape != (3,) or not np.isfinite(translation).all():
+        raise ValueError("translation_m needs three finite numbers")
+    return RigidTransform.from_components(translation, _checked_rotation(value))
+
+
+def _checked_rotation(value: dict[str, Any]) -> Rotation:
+    if "euler_321_deg" in value:
+        angles = np.asarray(value["euler_321_deg"], float)
+        if angles.shape != (3,) or not np.isfinite(angles).all():
+            raise ValueError("euler_321_deg needs three finite numbers: yaw, pitch, roll")
+        return Rotation.from_euler("ZYX", angles, degrees=True)
+    quaternion = np.asarray(value.get("quaternion_xyzw", (0.0, 0.0, 0.0, 1.0)), float)
+    if quaternion.shape != (4,) or not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
+        raise ValueError("quaternion_xyzw needs four numbers of unit norm")
+    return Rotation.from_quat(quaternion)
+
+
+def _plain_pose(pose: RigidTransform) -> dict[str, list[float]]:
+    return {"translation_m": pose.translation.tolist(), "quaternion_xyzw": pose.rotation.as_quat().tolist()}
+
+
+Pose = Annotated[
+    RigidTransform,
+    PlainValidator(_checked_pose),
+    PlainSerializer(_plain_pose, return_type=dict[str, list[float]]),
+]
+"""A pose in a model: as a transform, or as ``{translation_m, quaternion_xyzw | euler_321_deg}``."""

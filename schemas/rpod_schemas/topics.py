@@ -1,0 +1,116 @@
+"""The topic registry: every topic of the ICD, its type, and how its key is built.
+
+Nothing else in the project writes a topic name, a key expression or a quality of service as a
+string. A test holds this table equal to the one in ``schemas/ICD.md``.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+from rpod_schemas.cdr import type_hash
+
+SENSOR_CACHE = 90
+"""Samples that a publisher keeps for receivers that missed them."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of the data plane; ``name`` may hold ``<camera>`` or ``<lidar>`` for the sensor's name."""
+
+    name: str
+    type: str
+    """ROS 2 type, as ``sensor_msgs/msg/Image``."""
+    latched: bool = False
+    """RELIABLE, TRANSIENT_LOCAL, KEEP_LAST 1."""
+
+    def of(self, sensor: str) -> "Topic":
+        """Return this topic for a sensor: ``<camera>/camera_info`` of ``pmd`` is ``pmd/camera_info``."""
+        if not self.name.startswith("<"):
+            raise ValueError(f"{self.name} belongs to no sensor")
+        return Topic(f"{sensor}/{self.name.split('/', 1)[1]}", self.type, self.latched)
+
+    @property
+    def qos(self) -> str:
+        """Quality of service as rmw_zenoh writes it into liveliness tokens."""
+        return ":1:,1:,:,:,," if self.latched else "::,10:,:,:,,"
+
+    @property
+    def wire_type(self) -> str:
+        """Type as DDS names it: ``sensor_msgs::msg::dds_::Image_``."""
+        package, _, name = self.type.split("/")
+        return f"{package}::msg::dds_::{name}_"
+
+
+TRUTH = Topic("truth/odometry", "nav_msgs/msg/Odometry")
+REFERENCE = Topic("motion/reference", "nav_msgs/msg/Odometry")
+SUN = Topic("environment/sun", "geometry_msgs/msg/Vector3Stamped", latched=True)
+TF_STATIC = Topic("tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+TF = Topic("tf", "tf2_msgs/msg/TFMessage")
+CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock")
+DEPTH = Topic("<camera>/depth/image_raw", "sensor_msgs/msg/Image")
+AMPLITUDE = Topic("<camera>/amplitude/image_raw", "sensor_msgs/msg/Image")
+CAMERA_INFO = Topic("<camera>/camera_info", "sensor_msgs/msg/CameraInfo")
+PHASE = Topic("<camera>/phase/image_raw", "sensor_msgs/msg/Image")
+PMD_INFO = Topic("<camera>/info", "rpod_msgs/msg/PmdInfo", latched=True)
+POINTS = Topic("<lidar>/points", "sensor_msgs/msg/PointCloud2")
+LIDAR_INFO = Topic("<lidar>/info", "rpod_msgs/msg/LidarInfo", latched=True)
+ESTIMATE = Topic("estimate/odometry", "nav_msgs/msg/Odometry")
+ESTIMATE_POSE = Topic("estimate/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+STATUS = Topic("estimate/status", "rpod_msgs/msg/EstimatorStatus")
+COMMAND = Topic("guidance/command", "geometry_msgs/msg/TwistStamped")
+IMU = Topic("chaser/imu", "sensor_msgs/msg/Imu")
+DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+
+TOPICS: tuple[Topic, ...] = (
+    TRUTH, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, CAMERA_INFO, PHASE, PMD_INFO,
+    POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, STATUS, COMMAND, IMU, DIAGNOSTICS,
+)  # fmt: skip
+"""In the order of the ICD's table."""
+
+TRUTH_TOPICS: tuple[Topic, ...] = (TRUTH, REFERENCE, TF)
+"""What an estimator must never read: the facility's truth in any form."""
+
+CHASER, TARGET, TARGET_ESTIMATE = "chaser", "target", "target_estimate"
+"""Frame names (ICD section 1)."""
+
+
+def optical_frame(sensor: str) -> str:
+    """Return the optical frame of a camera."""
+    return f"{sensor}_optical"
+
+
+@dataclass(frozen=True)
+class Namespace:
+    """Where in the key space a facility lives."""
+
+    domain: int = 0
+    prefix: str = ""
+    """ROS namespace without slashes at its ends; may be empty."""
+
+    @property
+    def root(self) -> str:
+        """``<domain>/<namespace>``, no trailing slash."""
+        return f"{self.domain}/{self.prefix}" if self.prefix else str(self.domain)
+
+    def key(self, topic: Topic) -> str:
+        """Return the key on which a topic is published."""
+        return f"{self.root}/{topic.name}/{topic.wire_type}/{type_hash(topic.type)}"
+
+    def selector(self, topic: Topic) -> str:
+        """Return the key expression by which a topic is subscribed: any type hash."""
+        return f"{self.root}/{topic.name}/{topic.wire_type}/*"
+
+    def control(self, instance: str, verb: str) -> str:
+        """Return the key of a control-plane query (ICD section 4)."""
+        return f"{self.root}/rpod/{instance}/{verb}"
+
+    def topic_of(self, key: str) -> str:
+        """Return the topic's name of a data-plane key."""
+        return key.removeprefix(f"{self.root}/").rsplit("/", 2)[0]
+
+
+@cache
+def type_of_wire(wire_type: str) -> str:
+    """Return the ROS 2 type of a DDS type: the inverse of ``Topic.wire_type``."""
+    package, kind, _, name = wire_type.split("::")
+    return f"{package}/{kind}/{name.removesuffix('_')}"

@@ -1,0 +1,201 @@
+"""The domain types: what a service works with once a message has passed the edge.
+
+Arrays are views of the received bytes wherever the layout allows it, so they may be read-only.
+Stamps are nanoseconds of UTC since the Unix epoch (ICD section 1).
+"""
+
+from enum import IntEnum
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
+
+from rpod_schemas.arrays import Matrix6, Vector3, VectorN
+from rpod_schemas.poses import Pose
+
+Float32Array = NDArray[np.float32]
+ZERO_6X6 = np.zeros((6, 6))
+
+
+def _as_float32(value: Any) -> Float32Array:
+    if not isinstance(value, np.ndarray) or value.dtype != np.float32:
+        raise ValueError("needs a float32 array")
+    return value
+
+
+def _as_image(value: Any) -> NDArray[Any]:
+    if not isinstance(value, np.ndarray) or value.ndim != 2:
+        raise ValueError("needs a two-dimensional array")
+    return value
+
+
+Floats = Annotated[Float32Array, PlainValidator(_as_float32)]
+Image = Annotated[NDArray[Any], PlainValidator(_as_image)]
+
+
+class Model(BaseModel):
+    """Frozen, closed, and with numpy fields."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+
+
+class Stamped(Model):
+    """Something measured or estimated at a time, in a frame."""
+
+    stamp_ns: Annotated[int, Field(ge=0)]
+    frame_id: str
+
+
+class Camera(Model):
+    """Pinhole intrinsics with plumb_bob distortion; pixel centres at integers (ICD section 1)."""
+
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    fx: Annotated[float, Field(gt=0)]
+    fy: Annotated[float, Field(gt=0)]
+    cx: float
+    cy: float
+    distortion: VectorN = Field(default_factory=lambda: np.zeros(5))
+    """k1, k2, p1, p2, k3."""
+
+    @property
+    def K(self) -> NDArray[np.float64]:  # noqa: N802 - the camera matrix's name
+        """Camera matrix, shape (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+class PmdFrame(Stamped):
+    """One exposure of a PMD camera; ``frame_id`` is the optical frame."""
+
+    depth_m: Floats
+    """z-depth, shape (height, width), NaN where there is none."""
+    amplitude: Image | None
+    """Received amplitude, shape (height, width), uint8, uint16 or float32; None where not sent."""
+    camera: Camera
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> Self:
+        size = (self.camera.height, self.camera.width)
+        if self.depth_m.shape != size:
+            raise ValueError(f"depth image is {self.depth_m.shape}, camera_info says {size}")
+        if self.amplitude is not None and self.amplitude.shape != size:
+            raise ValueError(f"amplitude image is {self.amplitude.shape}, camera_info says {size}")
+        return self
+
+
+class LidarScan(Stamped):
+    """One scan of a LIDAR."""
+
+    points_m: Floats
+    """Shape (rows, columns, 3) where organised, else (N, 3); NaN where no return."""
+    intensity: Floats | None = None
+    """Shape of ``points_m`` without its last axis."""
+    time_s: Floats | None = None
+    """Seconds from the stamp, shape of ``points_m`` without its last axis."""
+
+    @model_validator(mode="after")
+    def _shapes_agree(self) -> Self:
+        shape = self.points_m.shape
+        if len(shape) not in (2, 3) or shape[-1] != 3:
+            raise ValueError(f"points have shape {shape}, need (rows, columns, 3) or (N, 3)")
+        for name in ("intensity", "time_s"):
+            array = getattr(self, name)
+            if array is not None and array.shape != shape[:-1]:
+                raise ValueError(f"{name} has shape {array.shape}, need {shape[:-1]}")
+        return self
+
+    @property
+    def organised(self) -> bool:
+        """Whether rows and columns of the scan pattern are kept."""
+        return self.points_m.ndim == 3
+
+    @property
+    def returns_m(self) -> Float32Array:
+        """The finite points, shape (N, 3)."""
+        points = self.points_m.reshape(-1, 3)
+        return points[np.isfinite(points).all(axis=1)]
+
+
+class Odometry(Stamped):
+    """Pose and twist of ``child_frame_id`` in ``frame_id`` (ICD section 1)."""
+
+    child_frame_id: str
+    pose: Pose
+    """T_frame_child."""
+    linear_m_s: Vector3
+    """Velocity of the child's origin, R^T dp/dt, child axes."""
+    angular_rad_s: Vector3
+    """Rotation rate, vee(R^T dR/dt), child axes."""
+    pose_covariance: Matrix6 = Field(default_factory=lambda: ZERO_6X6)
+    """Of (dp, dtheta) in the fixed axes of ``frame_id``: m2, m rad, rad2."""
+    twist_covariance: Matrix6 = Field(default_factory=lambda: ZERO_6X6)
+    """Of (linear, angular) in child axes."""
+
+
+class Mode(IntEnum):
+    """State of the navigator (EstimatorStatus.msg)."""
+
+    ACQUIRING = 0
+    VERIFYING = 1
+    TRACKING = 2
+    LOST = 3
+
+
+class Source(IntEnum):
+    """What measured the pose (EstimatorStatus.msg)."""
+
+    NONE = 0
+    LIDAR = 1
+    PMD_DEPTH = 2
+    PMD_AMPLITUDE = 3
+    PMD_JOINT = 4
+
+
+class Hypothesis(Model):
+    """One of several poses that explain a measurement."""
+
+    pose: Pose
+    """T_chaser_target."""
+    weight: Annotated[float, Field(ge=0, le=1)]
+
+
+class EstimatorStatus(Stamped):
+    """What the estimator made of one frame (EstimatorStatus.msg)."""
+
+    mode: Mode
+    source: Source = Source.NONE
+    sensor: str = ""
+    accepted: bool = False
+    reason: str = ""
+    """Why the measurement was rejected; empty if accepted."""
+    cost_m2: float = float("nan")
+    """f_CONV, the mean squared residual, m2."""
+    nis: float = float("nan")
+    inliers: Annotated[int, Field(ge=0)] = 0
+    inlier_share: float = float("nan")
+    processing_s: float = float("nan")
+    """From the arrival of the frame's last part to publication."""
+    ambiguous: bool = False
+    hypotheses: tuple[Hypothesis, ...] = ()
+    """Best first; weights sum to 1."""
+
+
+class Health(IntEnum):
+    """Level of a diagnostic (diagnostic_msgs/DiagnosticStatus)."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Diagnostic(Model):
+    """Health of one service: also its heartbeat."""
+
+    stamp_ns: int
+    name: str
+    """The service's instance."""
+    level: Health
+    message: str
+    values: dict[str, str]

@@ -1,0 +1,79 @@
+"""What rmw_zenoh puts beside a message: the attachment, and liveliness tokens.
+
+Source: rmw_zenoh of Humble 0.1.2, Jazzy 0.2.5, Kilted 0.6 and later (ICD section 2).
+"""
+
+import struct
+from dataclasses import dataclass
+from typing import Literal
+
+from rpod_schemas.cdr import type_hash
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.topics import Namespace, Topic
+
+_ATTACHMENT = struct.Struct("<qqB16s")
+GID_BYTES = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """Sequence number from 1, source stamp, and the publisher's identity."""
+
+    sequence: int
+    stamp_ns: int
+    gid: bytes
+
+    def pack(self) -> bytes:
+        """Return the 33 bytes of the wire."""
+        return _ATTACHMENT.pack(self.sequence, self.stamp_ns, GID_BYTES, self.gid)
+
+
+def unpack_attachment(data: bytes | None) -> Attachment:
+    """Read an attachment.
+
+    Raises:
+        MessageRejectedError: there is none, it is of the older labelled form, or it is damaged.
+    """
+    if data is None:
+        raise MessageRejectedError(Reason.MALFORMED, "no attachment; is the publisher rmw_zenoh or rpod?")
+    if b"sequence_number" in data:
+        raise MessageRejectedError(
+            Reason.OLD_ATTACHMENT,
+            "labelled attachment of an rmw_zenoh before Humble 0.1.2 / Jazzy 0.2.5; update the publisher",
+        )
+    if len(data) != _ATTACHMENT.size:
+        raise MessageRejectedError(
+            Reason.MALFORMED, f"attachment of {len(data)} bytes, needs {_ATTACHMENT.size}"
+        )
+    sequence, stamp_ns, size, gid = _ATTACHMENT.unpack(data)
+    if size != GID_BYTES or sequence < 1:
+        raise MessageRejectedError(Reason.MALFORMED, f"attachment with gid size {size}, sequence {sequence}")
+    return Attachment(sequence, stamp_ns, gid)
+
+
+def _mangled(name: str) -> str:
+    return name.replace("/", "%") or "%"
+
+
+@dataclass(frozen=True)
+class GraphNode:
+    """A node of the ROS graph, as its liveliness tokens show it."""
+
+    namespace: Namespace
+    session_id: str
+    name: str
+
+    def _head(self, entity: int, kind: str) -> str:
+        prefix = f"/{self.namespace.prefix}" if self.namespace.prefix else ""
+        session = f"@ros2_lv/{self.namespace.domain}/{self.session_id}"
+        return f"{session}/0/{entity}/{kind}/%/{_mangled(prefix)}/{self.name}"
+
+    def node_token(self) -> str:
+        """Return the token of the node itself."""
+        return self._head(0, "NN")
+
+    def endpoint_token(self, kind: Literal["MP", "MS"], entity: int, topic: Topic) -> str:
+        """Return the token of a publisher (MP) or subscriber (MS)."""
+        prefix = f"/{self.namespace.prefix}" if self.namespace.prefix else ""
+        name = _mangled(f"{prefix}/{topic.name}")
+        return f"{self._head(entity, kind)}/{name}/{topic.wire_type}/{type_hash(topic.type)}/{topic.qos}"
