@@ -36,7 +36,7 @@ def read_image(message: Any) -> NDArray[Any]:
     ):
         raise MessageRejectedError(
             Reason.WRONG_SIZE,
-            f"{message.width} x {message.height} {message.encoding}, step {message.step}, in {message.data.size} bytes",
+            f"{message.width} x {message.height} {message.encoding} by {message.step} in {message.data.size} bytes",
         )
     shape = (message.height, message.width) if channels == 1 else (message.height, message.width, channels)
     strides = (message.step, channels * dtype.itemsize, dtype.itemsize)[: len(shape)]

@@ -1,0 +1,76 @@
+"""What every service's configuration has: its name and the bus."""
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from rpod_schemas.config.base import Config, Name, Positive
+from rpod_schemas.topics import Namespace
+
+
+class BusConfig(Config):
+    """How a service reaches the bus."""
+
+    connect: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|tls|quic|unixsock-stream)/.+")
+    """Zenoh endpoint of the router."""
+    domain: int = Field(default=0, ge=0, le=232)
+    """ROS domain."""
+    namespace: str = Field(default="", pattern=r"^([A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*)?$")
+    """ROS namespace without slashes at its ends: one target a namespace."""
+    zenoh_id: str | None = Field(default=None, pattern=r"^[0-9a-f]{1,32}$")
+    """Identity under which the router's access rules know this client; random where left out."""
+    connect_timeout_s: Positive = 5.0
+    """How long to try to reach the router before giving up."""
+    wait: bool = False
+    """Wait for the router as long as it takes."""
+
+    @property
+    def keys(self) -> Namespace:
+        """Where in the key space the facility lives."""
+        return Namespace(self.domain, self.namespace)
+
+
+class ServiceConfig(Config):
+    """What every service needs."""
+
+    instance: Name
+    """Name of this process on the bus and in its log lines."""
+    bus: BusConfig = BusConfig()
+    """The bus."""
+    time_source: Literal["wall", "clock"] = "wall"
+    """Against what late and future are judged: this machine's clock, or the topic ``clock``."""
+
+
+class RouterConfig(Config):
+    """The bus itself, and who may not read what."""
+
+    instance: Name = "router"
+    """Name of this process in its log lines."""
+    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|tls|quic|unixsock-stream)/.+")
+    """Zenoh endpoint to listen on."""
+    bus: BusConfig = BusConfig()
+    """Domain and namespace of the facility, for the access rules."""
+    estimators: tuple[str, ...] = ("e57a7e",)
+    """Zenoh identities that may not read the truth."""
+
+
+class LoggerConfig(ServiceConfig):
+    """The MCAP writer."""
+
+    instance: Name = "logger"
+    """Name on the bus."""
+    directory: Path = Path("runs")
+    """Where logs go; made where it is missing."""
+    name: str | None = Field(default=None, pattern=r"^[A-Za-z0-9._-]+$")
+    """Stem of the file's name; the time of the start where left out."""
+    compression: Literal["lz4", "zstd", "none"] = "lz4"
+    """Of the chunks."""
+    chunk_bytes: int = Field(default=1 << 20, ge=1 << 12, le=1 << 24)
+    """Size of a chunk."""
+    sync_interval_s: Positive = 1.0
+    """How often the open chunk is flushed and synced to the disk."""
+    queue_bytes: int = Field(default=256 << 20, ge=1 << 20)
+    """Bound of the queue between bus and disk."""
+    record_extra: tuple[str, ...] = ()
+    """Key expressions to record beside the ICD's topics."""

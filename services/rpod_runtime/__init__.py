@@ -1,0 +1,20 @@
+"""What every service stands on: session, publishers, subscriptions, health, clock, life cycle."""
+
+from rpod_runtime.clock import BusClock, Clock, WallClock
+from rpod_runtime.errors import BusError, NoRouterError, QueryFailedError
+from rpod_runtime.node import Node
+from rpod_runtime.publisher import Publisher
+from rpod_runtime.received import Inbox, Received
+
+__all__ = [
+    "BusClock",
+    "BusError",
+    "Clock",
+    "Inbox",
+    "NoRouterError",
+    "Node",
+    "Publisher",
+    "QueryFailedError",
+    "Received",
+    "WallClock",
+]

@@ -1,0 +1,37 @@
+"""Time sources: this machine's clock, or the topic ``clock`` (ICD section 1)."""
+
+import time
+from typing import Protocol
+
+from rpod_schemas.messages import read_stamp
+
+
+class Clock(Protocol):
+    """Where now comes from."""
+
+    def now_ns(self) -> int:
+        """Return nanoseconds of UTC since the Unix epoch."""
+        ...
+
+
+class WallClock:
+    """This machine's clock."""
+
+    def now_ns(self) -> int:
+        """Return nanoseconds of UTC since the Unix epoch."""
+        return time.time_ns()
+
+
+class BusClock:
+    """The last message of ``clock``; 0 until there was one. Never runs backwards."""
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+
+    def set(self, message: object) -> None:
+        """Take a rosgraph_msgs/Clock."""
+        self._now_ns = max(self._now_ns, read_stamp(message))
+
+    def now_ns(self) -> int:
+        """Return the time of the last clock message."""
+        return self._now_ns

@@ -1,0 +1,65 @@
+"""Counters and health of a service, and the diagnostics that carry them."""
+
+from collections import Counter
+from threading import Lock
+
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.types import Diagnostic, Health
+
+
+class HealthBook:
+    """What a service counts and how it feels. Safe from several threads.
+
+    Counters are named ``group/what``: ``rejected/pmd/depth/image_raw/late``, ``published/pmd/...``.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._lock = Lock()
+        self._counters: Counter[str] = Counter()
+        self._level, self._message = Health.OK, "starting"
+        self._changed = True
+
+    def count(self, name: str, amount: int = 1) -> None:
+        """Add to a counter."""
+        with self._lock:
+            self._counters[name] += amount
+
+    def put(self, name: str, value: int) -> None:
+        """Set a counter that is kept elsewhere."""
+        with self._lock:
+            self._counters[name] = value
+
+    def reject(self, topic: str, rejection: MessageRejectedError | Reason) -> bool:
+        """Count a rejected message by topic and reason; return whether it is the first of its kind."""
+        reason = rejection if isinstance(rejection, Reason) else rejection.reason
+        name = f"rejected/{topic}/{reason}"
+        with self._lock:
+            self._counters[name] += 1
+            first = self._counters[name] == 1
+            self._changed |= first
+        return first
+
+    def report(self, level: Health, message: str) -> None:
+        """Say how the service is; a change is published at once."""
+        with self._lock:
+            self._changed |= (level, message) != (self._level, self._message)
+            self._level, self._message = level, message
+
+    def take_change(self) -> bool:
+        """Return whether anything changed since the last call."""
+        with self._lock:
+            changed, self._changed = self._changed, False
+        return changed
+
+    def counters(self) -> dict[str, int]:
+        """Return a copy of all counters."""
+        with self._lock:
+            return dict(sorted(self._counters.items()))
+
+    def diagnostic(self, stamp_ns: int) -> Diagnostic:
+        """Return the diagnostic of this moment."""
+        values = {name: str(value) for name, value in self.counters().items()}
+        return Diagnostic(
+            stamp_ns=stamp_ns, name=self.name, level=self._level, message=self._message, values=values
+        )

@@ -1,0 +1,72 @@
+"""From start to end of a process: log lines, signals, exit codes.
+
+The first SIGINT or SIGTERM drains and finalises, the second forces the exit. A supervised
+process also ends when its supervisor is gone.
+"""
+
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from types import FrameType
+
+from rpod_runtime.errors import BusError
+from rpod_schemas.errors import ConfigurationError
+
+log = logging.getLogger(__name__)
+
+EXIT_OK, EXIT_FAILURE, EXIT_USAGE = 0, 1, 2
+SUPERVISED = "RPOD_SUPERVISED"
+"""Set by a supervisor that holds the other end of standard input."""
+
+
+def configure_logging(instance: str, level: int = logging.INFO) -> None:
+    """Send log lines to standard error: time, level, instance, sentence."""
+    logging.basicConfig(
+        level=level,
+        stream=sys.stderr,
+        format=f"%(asctime)s %(levelname)-7s {instance}: %(message)s",
+        force=True,
+    )
+
+
+def run(instance: str, body: Callable[[threading.Event], None]) -> int:
+    """Run a service's body until it returns or is stopped; return the exit code.
+
+    The body gets the event that says "stop". What it raises is logged here, once.
+    """
+    configure_logging(instance)
+    stop = threading.Event()
+    _stop_on_signals(stop)
+    if os.environ.get(SUPERVISED):
+        threading.Thread(target=_stop_with_supervisor, args=(stop,), daemon=True).start()
+    try:
+        body(stop)
+    except ConfigurationError as error:
+        log.error("%s", error)
+        return EXIT_USAGE
+    except BusError as error:
+        log.error("%s", error)
+        return EXIT_OK if stop.is_set() else EXIT_FAILURE
+    except Exception:
+        log.exception("failed")
+        return EXIT_FAILURE
+    log.info("stopped")
+    return EXIT_OK
+
+
+def _stop_on_signals(stop: threading.Event) -> None:
+    def handle(number: int, _: FrameType | None) -> None:
+        if stop.is_set():
+            os._exit(128 + number)
+        stop.set()
+
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, handle)
+
+
+def _stop_with_supervisor(stop: threading.Event) -> None:
+    sys.stdin.buffer.read()  # returns when the other end closes
+    stop.set()

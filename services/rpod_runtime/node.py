@@ -1,0 +1,246 @@
+"""A service on the bus: its session, endpoints, liveliness, health and control plane.
+
+``with Node(...) as node:`` holds all of them; they are undeclared in reverse order, the session
+last, since a subscriber that outlives its session hangs the interpreter.
+"""
+
+import logging
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from threading import Event, Thread
+from types import TracebackType
+from typing import Literal, Self, TypeVar
+
+import zenoh
+import zenoh.ext
+from pydantic import BaseModel, ValidationError
+
+from rpod_runtime.accounting import Arrival, SequenceAccount
+from rpod_runtime.clock import BusClock, Clock, WallClock
+from rpod_runtime.errors import QueryFailedError
+from rpod_runtime.health import HealthBook
+from rpod_runtime.publisher import Publisher
+from rpod_runtime.received import Received
+from rpod_runtime.session import open_client
+from rpod_schemas.config.service import ServiceConfig
+from rpod_schemas.control import Accepted, Empty, ErrorReply, StatusReply
+from rpod_schemas.errors import MessageRejectedError, Reason, SchemaError
+from rpod_schemas.messages import write_diagnostics
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Topic
+from rpod_schemas.types import Health
+from rpod_schemas.wire import GraphNode, unpack_attachment
+
+log = logging.getLogger(__name__)
+
+RequestT = TypeVar("RequestT", bound=BaseModel)
+ReplyT = TypeVar("ReplyT", bound=BaseModel)
+State = Literal["starting", "ready", "running", "finished", "stopping", "failed"]
+
+_DIAGNOSTICS_PERIOD_S = 1.0
+_CHANGE_POLL_S = 0.1
+
+
+class Node:
+    """One process's presence on the bus."""
+
+    def __init__(self, config: ServiceConfig, *, version: str, stop: Event | None = None) -> None:
+        self.config = config
+        self.version = version
+        self.stop = stop or Event()
+        self.state: State = "starting"
+        self.health = HealthBook(config.instance)
+        self.account = SequenceAccount()
+        self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
+        self._keys = config.bus.keys
+        self._started_s = time.monotonic()
+        self._entities = 0
+        self._publishers: list[Publisher] = []
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        self._session = self._stack.enter_context(open_client(self.config.bus, self.stop))
+        self._graph = GraphNode(self._keys, str(self._session.zid()), self.config.instance)
+        self._token(self._graph.node_token())
+        self._diagnostics = self.publisher(DIAGNOSTICS)
+        self.serve("status", Empty, lambda _: self.status())
+        self.serve("shutdown", Empty, self._shut_down)
+        if isinstance(self.clock, BusClock):
+            bus_clock = self.clock
+            self.subscribe(CLOCK, lambda received: bus_clock.set(received.decode()), recover=True)
+        self._heart = Thread(target=self._beat, name="diagnostics", daemon=True)
+        self._heart.start()
+        self._stack.callback(self._last_beat)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.state = "failed" if kind else "stopping"
+        self.stop.set()
+        self._stack.close()
+
+    # --- endpoints ---
+
+    def publisher(self, topic: Topic) -> Publisher:
+        """Declare a publisher that lives as long as the node."""
+        publisher = self._stack.enter_context(Publisher(self._session, self._keys, topic))
+        self._publishers.append(publisher)
+        self._token(self._graph.endpoint_token("MP", self._entity(), topic))
+        return publisher
+
+    def subscribe(self, topic: Topic, sink: Callable[[Received], None], *, recover: bool = False) -> None:
+        """Subscribe a topic; ``sink`` runs in the bus's thread and must only enqueue.
+
+        Duplicates and messages without a usable attachment are counted and not handed over. With
+        ``recover`` missed samples are asked for again, and a latched topic's last one is fetched.
+        """
+        history = (
+            zenoh.ext.HistoryConfig(
+                detect_late_publishers=True, max_samples=1 if topic.latched else SENSOR_CACHE
+            )
+            if recover or topic.latched
+            else None
+        )
+        recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if recover else None
+        subscriber = zenoh.ext.declare_advanced_subscriber(
+            self._session,
+            self._keys.selector(topic),
+            lambda sample: self._take(topic, sample, sink),
+            history=history,
+            recovery=recovery,
+        )
+        self._stack.callback(subscriber.undeclare)
+        self._token(self._graph.endpoint_token("MS", self._entity(), topic))
+
+    def _take(self, topic: Topic, sample: zenoh.Sample, sink: Callable[[Received], None]) -> None:
+        key = str(sample.key_expr)
+        try:
+            attachment = unpack_attachment(sample.attachment.to_bytes() if sample.attachment else None)
+            if self.account.take(key, attachment) is Arrival.DUPLICATE:
+                raise MessageRejectedError(Reason.DUPLICATE, f"sequence {attachment.sequence}")
+            payload = memoryview(sample.payload.to_bytes())
+            sink(Received(topic, key, payload, attachment, time.time_ns()))
+        except MessageRejectedError as error:
+            self.reject(topic.name, error)
+
+    def reject(self, topic: str, error: MessageRejectedError) -> None:
+        """Count a rejected message; log the first of its kind."""
+        if self.health.reject(topic, error):
+            log.warning("rejected a message on %s: %s (counted from here on, see diagnostics)", topic, error)
+
+    def _entity(self) -> int:
+        self._entities += 1
+        return self._entities
+
+    def _token(self, key: str) -> None:
+        token = self._session.liveliness().declare_token(key)
+        self._stack.callback(token.undeclare)
+
+    # --- control plane ---
+
+    def serve(self, verb: str, request: type[RequestT], handler: Callable[[RequestT], BaseModel]) -> None:
+        """Answer a control-plane query with a model; what the handler raises becomes an error reply."""
+
+        def answer(query: zenoh.Query) -> None:
+            with query:
+                payload = query.payload.to_bytes() if query.payload else b"{}"
+                try:
+                    reply = handler(request.model_validate_json(payload))
+                    query.reply(query.key_expr, reply.model_dump_json())
+                except Exception as error:  # noqa: BLE001 - whatever it is, the asker must hear of it
+                    query.reply_err(error_reply(error).model_dump_json())
+
+        queryable = self._session.declare_queryable(self._keys.control(self.config.instance, verb), answer)
+        self._stack.callback(queryable.undeclare)
+
+    def ask(
+        self,
+        instance: str,
+        verb: str,
+        reply: type[ReplyT],
+        request: BaseModel | None = None,
+        *,
+        timeout_s: float = 2.0,
+    ) -> ReplyT:
+        """Query another service's control plane.
+
+        Raises:
+            QueryFailedError: no answer in time, or an error reply.
+        """
+        key = self._keys.control(instance, verb)
+        payload = (request or Empty()).model_dump_json()
+        for answer in self._session.get(key, payload=payload, timeout=timeout_s):
+            if answer.ok:
+                return reply.model_validate_json(answer.ok.payload.to_bytes())
+            if answer.err:
+                raise QueryFailedError(key, _error_text(answer.err.payload.to_bytes()))
+        raise QueryFailedError(key, f"no answer within {timeout_s:g} s")
+
+    def status(self) -> StatusReply:
+        """Return what this service says of itself."""
+        self._update_counters()
+        return StatusReply(
+            name=self.config.instance,
+            version=self.version,
+            state=self.state,
+            uptime_s=time.monotonic() - self._started_s,
+            counters=self.health.counters(),
+            configuration=self.config.model_dump(mode="json"),
+        )
+
+    def _shut_down(self, _: Empty) -> Accepted:
+        self.stop.set()
+        return Accepted()
+
+    # --- life ---
+
+    def ready(self, message: str) -> None:
+        """Say that the service does its work from now on."""
+        self.state = "ready"
+        self.health.report(Health.OK, message)
+        log.info("ready: %s", message)
+
+    def _beat(self) -> None:
+        next_s = time.monotonic()
+        while not self.stop.is_set():
+            if self.health.take_change() or time.monotonic() >= next_s:
+                self._publish_health()
+                next_s = time.monotonic() + _DIAGNOSTICS_PERIOD_S
+            self.stop.wait(_CHANGE_POLL_S)
+
+    def _last_beat(self) -> None:
+        self.stop.set()
+        self._heart.join(timeout=2.0)
+        self._publish_health()
+
+    def _publish_health(self) -> None:
+        self._update_counters()
+        self._diagnostics.publish(write_diagnostics([self.health.diagnostic(time.time_ns())]))
+
+    def _update_counters(self) -> None:
+        for publisher in self._publishers:
+            self.health.put(f"published/{publisher.topic.name}", publisher.published)
+        for key, count in list(self.account.counts.items()):
+            topic = self._keys.topic_of(key)
+            self.health.put(f"received/{topic}", count.received)
+            self.health.put(f"missed/{topic}", count.missed)
+
+
+def error_reply(error: Exception) -> ErrorReply:
+    """Return the reply that names an error."""
+    if isinstance(error, ValidationError):
+        problem = error.errors(include_url=False)[0]
+        field = ".".join(str(part) for part in problem["loc"]) or "request"
+        return ErrorReply(error="BadRequest", message=f"{field}: {problem['msg']}")
+    if not isinstance(error, SchemaError):
+        log.error("a query failed", exc_info=error)
+    return ErrorReply(error=type(error).__name__, message=str(error))
+
+
+def _error_text(payload: bytes) -> str:
+    try:
+        reply = ErrorReply.model_validate_json(payload)
+    except ValidationError:
+        return payload.decode(errors="replace")
+    return f"{reply.error}: {reply.message}"
