@@ -1,0 +1,238 @@
+"""What a sensor's rays meet: one caster for the camera and for the LIDAR.
+
+All rays start in the sensor's origin, so a triangle needs only four numbers a ray. Its corners v0, v1, v2
+and the ray d give ``s_i = d . (v_i x v_j)``, the sides of the three planes through the origin and an edge;
+the ray passes through the triangle where all have the sign of ``v0 . (v1 x v2)``, and it meets the plane at
+``v0 . (v1 x v2) / (s_0 + s_1 + s_2)``, since the three cross products add up to the face's normal. Two
+triangles that share an edge compute the same product with opposite signs: no ray slips through between them.
+"""
+
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Camera, Float32Array
+
+NEAR_M = 0.05
+"""A triangle with a corner nearer than this along the boresight is tried on every ray."""
+_NEWTON_STEPS = 8
+_NEWTON_TOLERANCE = 1e-9
+
+
+class SimSensorError(Exception):
+    """Root of the errors that this package raises."""
+
+
+class DistortionError(SimSensorError):
+    """A lens distortion that maps two directions onto one pixel, or none."""
+
+    def __init__(self, column: float, row: float) -> None:
+        super().__init__(f"the lens distortion has no inverse at pixel ({column:.1f}, {row:.1f})")
+
+
+@dataclass(frozen=True, eq=False)
+class RayGrid:
+    """Rays of a sensor, in rows and columns, with what bounds a triangle in rows and columns.
+
+    Build it by ``pinhole`` or ``azimuth_elevation``. A triangle is tried on a block of the grid only; the
+    block is found by the slopes x/z and y/z that its columns and rows span, so columns from left to right
+    and rows from top to bottom are fast, and any order is right.
+    """
+
+    components: FloatArray
+    """x, y, z of the unit rays in sensor axes (x right, y down, z boresight), shape (3, rows, columns)."""
+    _columns: tuple[FloatArray, FloatArray] = field(init=False, repr=False)
+    _rows: tuple[FloatArray, FloatArray] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        x, y, z = self.components
+        forward = z > 0.0
+        slope = np.divide((x, y), z, where=forward, out=np.full((2, *z.shape), np.nan))
+        object.__setattr__(self, "_columns", _envelope(slope[0].T))
+        object.__setattr__(self, "_rows", _envelope(slope[1]))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.components.shape[1], self.components.shape[2]
+
+    @property
+    def directions(self) -> FloatArray:
+        """Unit rays in sensor axes, shape (rows, columns, 3); a view."""
+        return np.moveaxis(self.components, 0, -1)
+
+    @classmethod
+    def pinhole(cls, camera: Camera, samples: int = 1) -> Self:
+        """Return ``samples`` x ``samples`` rays a pixel, evenly spread over it, without the lens distortion.
+
+        Raises:
+            DistortionError: the lens distortion cannot be inverted within the image.
+        """
+        offsets = (np.arange(samples) + 0.5) / samples - 0.5
+        column = (np.arange(camera.width)[:, None] + offsets).ravel()
+        row = (np.arange(camera.height)[:, None] + offsets).ravel()
+        x, y = np.meshgrid((column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy)
+        x, y = undistort(np.stack((x, y)), camera)
+        rays = np.stack((x, y, np.ones_like(x)))
+        return cls(np.ascontiguousarray(rays / np.linalg.norm(rays, axis=0)))
+
+    @classmethod
+    def azimuth_elevation(cls, azimuth_rad: FloatArray, elevation_rad: FloatArray) -> Self:
+        """Return rays (sin az cos el, sin el, cos az cos el); rows are elevation, columns azimuth."""
+        elevation, azimuth = np.meshgrid(elevation_rad, azimuth_rad, indexing="ij")
+        across = np.cos(elevation)
+        return cls(np.stack((np.sin(azimuth) * across, np.sin(elevation), np.cos(azimuth) * across)))
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What each ray of a grid meets first."""
+
+    range_m: Float32Array
+    """Distance along the ray, shape (rows, columns), inf where it meets nothing."""
+    triangle: NDArray[np.int32]
+    """Index of the triangle, shape (rows, columns), -1 where it meets nothing."""
+
+    @classmethod
+    def of(cls, grid: RayGrid) -> Self:
+        """Return buffers for the hits of a grid, without any hit."""
+        return cls(np.full(grid.shape, np.inf, np.float32), np.full(grid.shape, -1, np.int32))
+
+
+def cast(
+    grid: RayGrid,
+    triangles_m: FloatArray,
+    T_sensor_target: RigidTransform,
+    *,
+    out: Hits | None = None,
+    cull_back_faces: bool = False,
+) -> Hits:
+    """Return the first hit of every ray.
+
+    Args:
+        grid: the sensor's rays.
+        triangles_m: shape (T, 3, 3), target axes, counter-clockwise from outside.
+        T_sensor_target: pose of the target in the sensor.
+        out: buffers to write into and to return; new ones where left out.
+        cull_back_faces: skip triangles seen from behind, which are hidden anyway where the bodies are closed.
+    """
+    hits = Hits.of(grid) if out is None else out
+    corners = T_sensor_target.apply(triangles_m.reshape(-1, 3)).reshape(-1, 3, 3)
+    sides = np.cross(corners, np.roll(corners, -1, axis=1))  # v_i x v_j, shape (T, 3, 3)
+    volume = np.einsum("ti,ti->t", corners[:, 0], sides[:, 1])  # negative where seen from outside
+    usable = (volume < 0.0) if cull_back_faces else (volume != 0.0)
+    blocks = np.where(usable[:, None], _blocks(grid, corners), 0)
+    sides *= np.sign(volume)[:, None, None]
+    nearness = np.divide(1.0, np.abs(volume), where=usable, out=np.zeros_like(volume))
+    _cast(grid.components, sides, nearness, blocks, hits.range_m, hits.triangle)
+    return hits
+
+
+def distort(slopes: FloatArray, camera: Camera) -> FloatArray:
+    """Return where the lens images the slopes x/z, y/z, shape (2, ...): plumb_bob, as in CameraInfo."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = slopes
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        (
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        )
+    )
+
+
+def undistort(distorted: FloatArray, camera: Camera) -> FloatArray:
+    """Return the slopes x/z, y/z, shape (2, ...), that the lens images at ``distorted``.
+
+    Newton's method, since the fixed-point iteration in use elsewhere stalls on strong distortion.
+
+    Raises:
+        DistortionError: the distortion folds the image over itself there.
+    """
+    if not camera.distortion.any():
+        return distorted
+    slopes = distorted
+    for _ in range(_NEWTON_STEPS):
+        slopes = slopes - _newton_step(slopes, distorted, camera)[0]
+    step, upright = _newton_step(slopes, distorted, camera)
+    wrong = ~(upright & (np.abs(step).max(axis=0) < _NEWTON_TOLERANCE))
+    if wrong.any():
+        x, y = distorted[:, wrong][:, 0]
+        raise DistortionError(x * camera.fx + camera.cx, y * camera.fy + camera.cy)
+    return slopes
+
+
+@np.errstate(all="ignore")  # what diverges is found by its last step
+def _newton_step(
+    slopes: FloatArray, distorted: FloatArray, camera: Camera
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the step towards ``distorted`` and whether the Jacobian is positive definite."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = slopes
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    growth = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))  # d radial / dx = growth x
+    xx = radial + growth * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+    xy = growth * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+    yy = radial + growth * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+    determinant = xx * yy - xy * xy
+    dx, dy = distort(slopes, camera) - distorted
+    step = np.stack((yy * dx - xy * dy, xx * dy - xy * dx)) / determinant
+    return step, (determinant > 0.0) & (xx > 0.0)
+
+
+def _envelope(slope: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return non-decreasing lower and upper bounds of the slopes in each line, shape (lines, rays)."""
+    behind = np.isnan(slope).any(axis=1)
+    lower = np.where(behind, -np.inf, slope.min(axis=1))
+    upper = np.where(behind, np.inf, slope.max(axis=1))
+    return np.minimum.accumulate(lower[::-1])[::-1].copy(), np.maximum.accumulate(upper)
+
+
+def _blocks(grid: RayGrid, corners: FloatArray) -> NDArray[np.intp]:
+    """Return the cells that may meet each triangle, shape (T, 4): first and last + 1 of rows and columns."""
+    depth = corners[..., 2:]
+    crossing = depth.min(axis=1) < NEAR_M
+    slope = corners[..., :2] / np.maximum(depth, NEAR_M)
+    low = np.where(crossing, -np.inf, slope.min(axis=1))
+    high = np.where(crossing, np.inf, slope.max(axis=1))
+    return np.stack(
+        (
+            np.searchsorted(grid._rows[1], low[:, 1], side="left"),
+            np.searchsorted(grid._rows[0], high[:, 1], side="right"),
+            np.searchsorted(grid._columns[1], low[:, 0], side="left"),
+            np.searchsorted(grid._columns[0], high[:, 0], side="right"),
+        ),
+        axis=1,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _cast(rays, sides, nearness, blocks, range_m, triangle):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Fill ``range_m`` and ``triangle``; the innermost loop has no branch, so that it is vectorised."""
+    x, y, z = rays
+    inverse = range_m  # 1 / range until the end: the largest wins, and nothing is divided
+    inverse[:] = 0.0
+    triangle[:] = -1
+    for index in range(sides.shape[0]):
+        top, bottom, left, right = blocks[index]
+        (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = sides[index, 0], sides[index, 1], sides[index, 2]
+        scale = nearness[index]
+        for row in range(top, bottom):
+            dx, dy, dz = x[row, left:right], y[row, left:right], z[row, left:right]
+            best, owner = inverse[row, left:right], triangle[row, left:right]
+            for k in range(best.size):
+                s0 = a0 * dx[k] + a1 * dy[k] + a2 * dz[k]
+                s1 = b0 * dx[k] + b1 * dy[k] + b2 * dz[k]
+                s2 = c0 * dx[k] + c1 * dy[k] + c2 * dz[k]
+                near = np.float32((s0 + s1 + s2) * scale)
+                wins = (s0 >= 0.0) & (s1 >= 0.0) & (s2 >= 0.0) & (near > best[k])
+                best[k] = near if wins else best[k]
+                owner[k] = np.int32(index) if wins else owner[k]
+    range_m[:] = 1.0 / inverse
