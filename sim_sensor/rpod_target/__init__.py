@@ -1,0 +1,20 @@
+"""What the target is: shape, materials, wireframe, model points, distance field and mass properties.
+
+A target is written as a parameter file; three kinds ship with the package. Building one takes
+seconds and Open3D; the result is cached by digest, so that a service starts in milliseconds
+without it.
+"""
+
+from rpod_target.errors import TargetError
+from rpod_target.loading import load_target, shipped_targets
+from rpod_target.target import DistanceField, Material, Symmetry, Target
+
+__all__ = [
+    "DistanceField",
+    "Material",
+    "Symmetry",
+    "Target",
+    "TargetError",
+    "load_target",
+    "shipped_targets",
+]

@@ -1,0 +1,145 @@
+"""Loading a target by name or from a parameter file: checked, then out of the cache, else built."""
+
+import contextlib
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from rpod_schemas.arrays import Array
+from rpod_schemas.config.base import check, read_document
+from rpod_schemas.errors import ConfigurationError
+from rpod_target import cache as store
+from rpod_target.errors import TargetError
+from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
+from rpod_target.target import DistanceField, Material, Symmetry, Target
+
+_SHIPPED = Path(__file__).parent / "targets"
+_BUILDER_VERSION = 1
+"""Raised whenever the same parameters make other arrays, so that old cache files are not taken."""
+
+
+def shipped_targets() -> tuple[str, ...]:
+    """Return the names of the targets that ship with the package, sorted."""
+    return tuple(sorted(file.stem for file in _SHIPPED.glob("*.yaml")))
+
+
+def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Target:
+    """Return a target, built if no cached one has its digest.
+
+    Args:
+        name_or_path: name of a shipped target, or path of a parameter file (YAML, JSON or TOML).
+        cache: directory of the built targets; by default $RPOD_CACHE, $XDG_CACHE_HOME/rpod or ~/.cache/rpod.
+
+    Raises:
+        TargetError: names the file, the field and the reason.
+    """
+    path = _parameter_file(name_or_path)
+    parameters = _read_parameters(path)
+    meshes = _read_meshes(parameters, path)
+    digest = _digest(parameters, meshes)
+    file = (cache or store.default_directory()) / f"target-{digest}.npz"
+    arrays = store.read(file)
+    if arrays is None:
+        arrays = _build(parameters, meshes, path)
+        with contextlib.suppress(OSError):  # a full or read-only disk costs the next start time, nothing more
+            store.write(file, arrays)
+    return _assemble(parameters, arrays, source=path, digest=digest)
+
+
+def _parameter_file(name_or_path: str | Path) -> Path:
+    path = Path(name_or_path)
+    if path.suffix or len(path.parts) > 1:
+        return path
+    if str(name_or_path) not in shipped_targets():
+        known = ", ".join(shipped_targets())
+        raise TargetError(
+            "target", str(name_or_path), f"is unknown; known are {known}, or the path of a file"
+        )
+    return _SHIPPED / f"{name_or_path}.yaml"
+
+
+def _read_parameters(path: Path) -> TargetParameters:
+    try:
+        parameters = check(TargetParameters, read_document(path), source=path)
+    except ConfigurationError as error:
+        # pydantic puts a union's tag into the location, which is no field of the file
+        field = re.sub(r"^(parts\.\d+)\.(box|prism|frustum|cylinder|mesh)\b", r"\1", error.field)
+        raise TargetError(error.source, field, error.reason) from error
+    for index, part in enumerate(parameters.parts):
+        for field, material in _named_materials(part):
+            if material not in parameters.materials:
+                known = ", ".join(parameters.materials)
+                raise TargetError(
+                    path, f"parts.{index}.{field}", f"material {material!r} is unknown; known are {known}"
+                )
+    return parameters
+
+
+def _named_materials(part: PartParameters) -> Iterator[tuple[str, str]]:
+    yield "material", part.material
+    if isinstance(part, PrismParameters):
+        for field in ("top_materials", "base_materials", "side_materials"):
+            for index, material in enumerate(getattr(part, field)):
+                yield f"{field}.{index}", material
+
+
+def _read_meshes(parameters: TargetParameters, path: Path) -> dict[str, bytes]:
+    meshes = {}
+    for index, part in enumerate(parameters.parts):
+        if isinstance(part, MeshParameters):
+            file = path.parent / part.file
+            try:
+                meshes[part.file] = file.read_bytes()
+            except OSError as error:
+                reason = f"mesh {file} cannot be read ({error.strerror})"
+                raise TargetError(path, f"parts.{index}.file", reason) from error
+    return meshes
+
+
+def _digest(parameters: TargetParameters, meshes: Mapping[str, bytes]) -> str:
+    content = {
+        "builder": _BUILDER_VERSION,
+        "parameters": parameters.model_dump(mode="json"),
+        "meshes": {name: hashlib.sha256(mesh).hexdigest() for name, mesh in meshes.items()},
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _build(parameters: TargetParameters, meshes: Mapping[str, bytes], path: Path) -> dict[str, Array]:
+    try:
+        from rpod_target.building import build_arrays  # noqa: PLC0415 - a warm start must not pay for Open3D
+    except ImportError as error:
+        reason = f"is not in the cache yet, and building it needs Open3D: install rpod[target] ({error})"
+        raise TargetError(path, "", reason) from error
+    return build_arrays(parameters, meshes, source=str(path))
+
+
+def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source: Path, digest: str) -> Target:
+    field = None
+    if "field_values" in arrays:
+        spacing_m = parameters.distance_field.spacing_m
+        field = DistanceField(arrays.pop("field_origin_m"), spacing_m, arrays.pop("field_values"))
+    not_closed = str(arrays.pop("not_closed", ""))
+    return Target(
+        name=parameters.name,
+        source=str(source),
+        digest=digest,
+        materials=tuple(
+            Material(name=name, **material.model_dump()) for name, material in parameters.materials.items()
+        ),
+        parts=tuple(part.name for part in parameters.parts),
+        field=field,
+        not_closed=not_closed,
+        centre_of_mass_m=parameters.centre_of_mass_m,
+        inertia_kg_m2=parameters.inertia_kg_m2,
+        radius_m=float(np.linalg.norm(arrays["triangles_m"], axis=-1).max()),
+        symmetries=tuple(
+            Symmetry(axis=tuple(symmetry.axis.tolist()), order=symmetry.order)
+            for symmetry in parameters.symmetries
+        ),
+        **arrays,
+    )

@@ -1,0 +1,97 @@
+"""The target as sensors and estimators see it. All coordinates are in target axes, metres."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_schemas.arrays import FloatArray
+from rpod_target.errors import TargetError
+
+Int32Array = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface answers to light."""
+
+    name: str
+    reflectivity: float
+    """Lambertian reflectivity at the LIDAR's wavelength, 0 to 1."""
+    diffuse: float
+    """Diffuse albedo at the PMD camera's wavelength, 0 to 1."""
+    f0: float
+    """Specular reflectance at normal incidence (Schlick), 0 to 1."""
+    roughness: float
+    """Roughness of the specular lobe, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """A turn about an axis through the target's origin that nearly maps the target onto itself."""
+
+    axis: tuple[float, float, float]
+    """Unit vector."""
+    order: int
+    """The turn is by 360 degrees over the order, and its multiples."""
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceField:
+    """Signed distance on a regular grid, negative inside: the minimum over the closed parts."""
+
+    origin_m: FloatArray
+    """Position of node (0, 0, 0), shape (3,)."""
+    spacing_m: float
+    values: NDArray[np.float32]
+    """Distance at ``origin_m + spacing_m * (i, j, k)``, shape (nx, ny, nz), m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A target, ready for use; equal digests mean equal targets."""
+
+    name: str
+    source: str
+    """The parameter file that it was read from."""
+    digest: str
+    """SHA-256 of the resolved parameters, the mesh files' bytes and the builder's version."""
+    triangles_m: FloatArray
+    """Shape (T, 3, 3), counter-clockwise seen from outside."""
+    normals: FloatArray
+    """Outward unit normals of the triangles, shape (T, 3)."""
+    triangle_material: Int32Array
+    """Index into ``materials``, shape (T,)."""
+    triangle_part: Int32Array
+    """Index into ``parts``, shape (T,)."""
+    materials: tuple[Material, ...]
+    parts: tuple[str, ...]
+    edges_m: FloatArray
+    """Wireframe segments: creases and open boundaries of each part, shape (E, 2, 3)."""
+    edge_normals: FloatArray
+    """Normals of the two faces beside each segment, shape (E, 2, 3); at an open boundary n and -n."""
+    model_points_m: FloatArray
+    """Even samples of the visible surface, shape (N, 3)."""
+    model_normals: FloatArray
+    """Outward unit normals at the model points, shape (N, 3)."""
+    field: DistanceField | None
+    """None where a part is not closed."""
+    not_closed: str
+    """Why there is no field; empty if there is one."""
+    centre_of_mass_m: FloatArray
+    """Shape (3,)."""
+    inertia_kg_m2: FloatArray
+    """About the centre of mass, target axes, shape (3, 3)."""
+    radius_m: float
+    """Radius of the bounding sphere about the origin."""
+    symmetries: tuple[Symmetry, ...]
+
+    def require_field(self) -> DistanceField:
+        """Return the distance field.
+
+        Raises:
+            TargetError: a part is not closed, so that it has no inside; names the part and its open edges.
+        """
+        if self.field is None:
+            raise TargetError(self.source, "distance_field", self.not_closed)
+        return self.field

@@ -1,0 +1,90 @@
+"""Which triangles share corners and edges: closedness, separate surfaces and creases."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from rpod_schemas.arrays import FloatArray
+
+_WELD = 1e-6
+"""Corners closer than this share of the surface's extent are one."""
+
+Indices = NDArray[np.int64]
+
+
+def unit_normals(triangles_m: FloatArray) -> FloatArray:
+    """Return the outward unit normals of triangles, shape (T, 3)."""
+    spanned = _spanned(triangles_m)
+    unit: FloatArray = spanned / np.linalg.norm(spanned, axis=1, keepdims=True)
+    return unit
+
+
+def areas_m2(triangles_m: FloatArray) -> FloatArray:
+    """Return the areas of triangles, shape (T,), m2."""
+    areas: FloatArray = 0.5 * np.linalg.norm(_spanned(triangles_m), axis=1)
+    return areas
+
+
+def volume_m3(triangles_m: FloatArray) -> float:
+    """Return the volume inside closed triangles (divergence theorem), m3; negative if they face inwards."""
+    a, b, c = np.moveaxis(triangles_m - triangles_m.mean(axis=(0, 1)), 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def welded(triangles_m: FloatArray) -> Indices:
+    """Return corner indices, shape (T, 3): equal corners have equal indices."""
+    corners = triangles_m.reshape(-1, 3)
+    step_m = _WELD * np.ptp(corners, axis=0).max()
+    _, index = np.unique(np.rint(corners / step_m).astype(np.int64), axis=0, return_inverse=True)
+    return index.reshape(-1, 3).astype(np.int64)
+
+
+def open_edges(triangles_m: FloatArray) -> int:
+    """Return how many edges no neighbour runs along in the other direction; 0 where the surface is closed."""
+    edges = _directed_edges(welded(triangles_m))
+    low_first = edges[:, 0] < edges[:, 1]
+    _, inverse = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    balance = np.bincount(inverse.reshape(-1), weights=np.where(low_first, 1.0, -1.0))
+    return int(np.abs(balance).sum())
+
+
+def separate_surfaces(triangles_m: FloatArray) -> list[FloatArray]:
+    """Split triangles into surfaces that share no corner."""
+    index = welded(triangles_m)
+    edges = _directed_edges(index)
+    size = int(index.max()) + 1
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(size, size))
+    count, label = connected_components(graph, directed=False)
+    surface_of_triangle = label[index[:, 0]]
+    return [triangles_m[surface_of_triangle == number] for number in range(count)]
+
+
+def creases(triangles_m: FloatArray, *, angle_rad: float) -> tuple[FloatArray, FloatArray]:
+    """Return the segments where faces meet at more than an angle, and those with one face only.
+
+    Returns:
+        Segments, shape (E, 2, 3), and the normals of the two faces, shape (E, 2, 3); with one face n and -n.
+    """
+    normals = unit_normals(triangles_m)
+    edges = _directed_edges(welded(triangles_m))
+    unique, first, inverse, count = np.unique(
+        np.sort(edges, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    last = np.empty(len(unique), np.int64)
+    last[inverse.reshape(-1)] = np.arange(len(edges))  # the last writer wins
+    n_first, n_last = normals[first // 3], normals[last // 3]
+    n_last = np.where((count == 1)[:, None], -n_first, n_last)
+    sharp = np.einsum("ij,ij->i", n_first, n_last) < np.cos(angle_rad)
+    triangle, corner = first // 3, first % 3
+    segments = np.stack([triangles_m[triangle, corner], triangles_m[triangle, (corner + 1) % 3]], axis=1)
+    return segments[sharp], np.stack([n_first, n_last], axis=1)[sharp]
+
+
+def _spanned(triangles_m: FloatArray) -> FloatArray:
+    return np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
+
+
+def _directed_edges(index: Indices) -> Indices:
+    """Row 3 t + c runs from corner c of triangle t to the next one; shape (3 T, 2)."""
+    return np.stack([index, np.roll(index, -1, axis=1)], axis=2).reshape(-1, 2)
