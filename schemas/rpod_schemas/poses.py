@@ -51,6 +51,18 @@ def _checked_rotation(value: dict[str, Any]) -> Rotation:
     return Rotation.from_quat(quaternion)
 
 
+def _checked_attitude(value: Any) -> Rotation:
+    if isinstance(value, Rotation):
+        return value
+    if not isinstance(value, dict) or set(value) not in ({"quaternion_xyzw"}, {"euler_321_deg"}):
+        raise ValueError("needs quaternion_xyzw, or euler_321_deg (yaw, pitch, roll)")
+    return _checked_rotation(value)
+
+
+def _plain_attitude(rotation: Rotation) -> dict[str, list[float]]:
+    return {"quaternion_xyzw": rotation.as_quat().tolist()}
+
+
 def _plain_pose(pose: RigidTransform) -> dict[str, list[float]]:
     return {"translation_m": pose.translation.tolist(), "quaternion_xyzw": pose.rotation.as_quat().tolist()}
 
@@ -61,3 +73,10 @@ Pose = Annotated[
     PlainSerializer(_plain_pose, return_type=dict[str, list[float]]),
 ]
 """A pose in a model: as a transform, or as ``{translation_m, quaternion_xyzw | euler_321_deg}``."""
+
+Attitude = Annotated[
+    Rotation,
+    PlainValidator(_checked_attitude),
+    PlainSerializer(_plain_attitude, return_type=dict[str, list[float]]),
+]
+"""An attitude in a model: as a rotation, or as ``{quaternion_xyzw | euler_321_deg}``."""

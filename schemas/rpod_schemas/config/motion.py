@@ -1,0 +1,135 @@
+"""How chaser and target move: the trajectory, the target's attitude, and the sun.
+
+Chaser axes: z is the direction of approach and the sensors' boresight, x points right, y down.
+Everything that is given at the epoch is given in the chaser's axes of that moment.
+"""
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from rpod_schemas.arrays import FloatArray, Vector3
+from rpod_schemas.config.base import Config, NonNegative, Positive
+from rpod_schemas.poses import Attitude
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _with_direction(vector: FloatArray) -> FloatArray:
+    if not vector.any():
+        raise ValueError("is the zero vector, which has no direction")
+    return vector
+
+
+Direction = Annotated[Vector3, AfterValidator(_with_direction)]
+"""Shape (3,), not zero; its length does not matter."""
+
+FACING = Rotation.from_quat([0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
+"""The target's x axis, out of the front of the mock-up, points at the chaser; its y axis points right."""
+
+
+class ApproachConfig(Config):
+    """The target's origin moves on a straight line in chaser axes; the chaser holds its inertial attitude."""
+
+    kind: Literal["approach"] = "approach"
+    """Selects this trajectory."""
+    start_m: Vector3 = Field(default_factory=lambda: np.array([0.0, 0.0, 7.0]))
+    """Target's origin at the epoch, chaser axes."""
+    end_m: Vector3 = Field(default_factory=lambda: np.array([0.0, 0.0, 2.0]))
+    """Target's origin at the end, chaser axes."""
+    ramp_share: Annotated[float, Field(ge=0, le=0.5)] = 0.1
+    """Share of the duration to gather speed in, and again to lose it; 0 is constant velocity."""
+
+    @model_validator(mode="after")
+    def _is_a_line_in_front(self) -> Self:
+        if self.start_m[2] <= 0 or self.end_m[2] <= 0:
+            raise ValueError(
+                "start_m and end_m need a positive third component, the range along the boresight"
+            )
+        if np.array_equal(self.start_m, self.end_m):
+            raise ValueError("start_m equals end_m: an approach needs two positions")
+        return self
+
+
+class StationKeepingConfig(Config):
+    """The chaser circles the target's centre of mass on a safety ellipse and keeps its z axis on it."""
+
+    kind: Literal["station_keeping"] = "station_keeping"
+    """Selects this trajectory."""
+    least_range_m: Positive = 20.0
+    """Semi-minor axis of the ellipse, along the radius of the orbit."""
+    greatest_range_m: Positive = 50.0
+    """Semi-major axis of the ellipse, along and across the track."""
+    phase_deg: Finite = 0.0
+    """At the epoch: 0 is straight below the target, at the least range; 90 ahead of it, at the greatest."""
+    semi_major_axis_m: Annotated[float, Field(gt=6.4e6, allow_inf_nan=False)] = 7.144e6
+    """Of the target's circular orbit; the default is ENVISAT's, with a period of 100.2 min."""
+
+    @model_validator(mode="after")
+    def _clears_the_track(self) -> Self:
+        if self.greatest_range_m <= 2.0 * self.least_range_m:
+            raise ValueError(
+                f"greatest_range_m is {self.greatest_range_m:g}, needs more than twice least_range_m "
+                f"({self.least_range_m:g}): a relative orbit is twice as long along the track as along the "
+                "radius, and what is beyond that keeps it clear of the track"
+            )
+        return self
+
+
+class FixedAttitudeConfig(Config):
+    """A stabilised target: its attitude relative to the chaser is constant."""
+
+    kind: Literal["fixed"] = "fixed"
+    """Selects this attitude motion."""
+    R_chaser_target: Attitude = FACING
+    """Throughout."""
+
+
+class SpinConfig(Config):
+    """The target turns at a constant rate about an axis that is fixed in its body and in inertial space."""
+
+    kind: Literal["spin"] = "spin"
+    """Selects this attitude motion."""
+    R_chaser_target: Attitude = FACING
+    """At the epoch."""
+    axis: Direction = Field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
+    """Of the rotation, target axes."""
+    rate_deg_s: Finite = 5.0
+    """About the axis, relative to inertial space."""
+
+
+class TumbleConfig(Config):
+    """The target is a rigid body free of torque, with the inertia of its target file."""
+
+    kind: Literal["tumble"] = "tumble"
+    """Selects this attitude motion."""
+    R_chaser_target: Attitude = FACING
+    """At the epoch."""
+    rate_deg_s: Vector3
+    """Rotation rate at the epoch relative to inertial space, target axes."""
+
+
+class SunConfig(Config):
+    """The sun stands still in inertial space."""
+
+    direction: Direction
+    """To the sun, in the chaser's axes at the epoch."""
+    irradiance_W_m2: NonNegative = 1361.0
+    """Over the whole spectrum; the default is that of space at one astronomical unit."""
+
+
+TrajectoryConfig = Annotated[ApproachConfig | StationKeepingConfig, Field(discriminator="kind")]
+AttitudeConfig = Annotated[FixedAttitudeConfig | SpinConfig | TumbleConfig, Field(discriminator="kind")]
+
+
+class MotionConfig(Config):
+    """What moves, and how."""
+
+    trajectory: TrajectoryConfig = Field(default_factory=ApproachConfig)
+    """Of the target relative to the chaser."""
+    attitude: AttitudeConfig = Field(default_factory=FixedAttitudeConfig)
+    """Of the target."""
+    sun: SunConfig | None = None
+    """Left out: darkness."""

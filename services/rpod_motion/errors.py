@@ -1,0 +1,5 @@
+"""The errors of this package."""
+
+
+class MotionError(Exception):
+    """Root of the errors that this package raises: a motion that cannot be built, or a time outside it."""

@@ -1,0 +1,144 @@
+"""The relative motion of chaser and target as a function of time alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_motion.approach import Approach
+from rpod_motion.attitude import FixedAttitude, Spin, TargetAttitude, integrate_tumble
+from rpod_motion.errors import MotionError
+from rpod_motion.station_keeping import StationKeeping
+from rpod_motion.trajectory import Trajectory
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.motion import (
+    ApproachConfig,
+    AttitudeConfig,
+    FixedAttitudeConfig,
+    MotionConfig,
+    SpinConfig,
+    SunConfig,
+    TrajectoryConfig,
+)
+
+MARGIN_S = 1.0
+"""How far beyond epoch and end the motion is defined: exposures and scans reach there."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MotionState:
+    """Pose and twist of the target relative to the chaser (ICD section 1)."""
+
+    T_chaser_target: RigidTransform
+    linear_m_s: FloatArray
+    """Velocity of the target's origin, R^T dp/dt, target axes, shape (3,)."""
+    angular_rad_s: FloatArray
+    """Rotation rate relative to the chaser, vee(R^T dR/dt), target axes, shape (3,)."""
+    chaser_angular_rad_s: FloatArray
+    """Rotation rate of the chaser relative to inertial space, chaser axes, shape (3,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Truth over time; ``build_motion`` makes it."""
+
+    trajectory: Trajectory
+    attitude: TargetAttitude
+    sun_E_W_m2: FloatArray
+    """Unit vector to the sun times its irradiance, epoch axes, shape (3,); zero for darkness."""
+    duration_s: float
+
+    def state(self, time_s: float) -> MotionState:
+        """Return pose and twist at a time from the epoch, -1 s to 1 s beyond the duration.
+
+        The trajectory moves the target's anchor c, its origin or its centre of mass; the origin follows
+        from the attitude: p = p_c - R c, so that R^T dp/dt = R^T dp_c/dt - omega x c.
+
+        Raises:
+            MotionError: the time lies outside.
+        """
+        self._require_inside(time_s)
+        chaser = self.trajectory.state(time_s)
+        R_chaser_target, angular_rad_s = self.attitude.relative(time_s, chaser)
+        anchor_m = self.trajectory.anchor_m
+        return MotionState(
+            T_chaser_target=_pose(R_chaser_target, chaser.position_m - R_chaser_target @ anchor_m),
+            linear_m_s=R_chaser_target.T @ chaser.velocity_m_s - np.cross(angular_rad_s, anchor_m),
+            angular_rad_s=angular_rad_s,
+            chaser_angular_rad_s=chaser.chaser_angular_rad_s,
+        )
+
+    def sun_W_m2(self, time_s: float) -> FloatArray:  # noqa: N802 - watt
+        """Return unit vector to the sun times irradiance, chaser axes, shape (3,); zero for darkness."""
+        self._require_inside(time_s)
+        return self.trajectory.state(time_s).R_epoch_chaser.T @ self.sun_E_W_m2
+
+    def _require_inside(self, time_s: float) -> None:
+        if not -MARGIN_S <= time_s <= self.duration_s + MARGIN_S:
+            raise MotionError(
+                f"{time_s:g} s lies outside the motion, {-MARGIN_S:g} to {self.duration_s + MARGIN_S:g} s"
+            )
+
+
+def build_motion(
+    config: MotionConfig, *, centre_of_mass_m: FloatArray, inertia_kg_m2: FloatArray, duration_s: float
+) -> Motion:
+    """Build the motion of a target over a duration.
+
+    Args:
+        config: trajectory, attitude, sun.
+        centre_of_mass_m: target axes, shape (3,).
+        inertia_kg_m2: about the centre of mass, target axes, shape (3, 3); used by a tumbling target.
+        duration_s: from the epoch to the end.
+
+    Raises:
+        MotionError: the duration is not positive, or the inertia is not that of a rigid body.
+    """
+    if not (np.isfinite(duration_s) and duration_s > 0.0):
+        raise MotionError(f"the duration is {duration_s:g} s, needs a positive time")
+    return Motion(
+        trajectory=_trajectory(config.trajectory, centre_of_mass_m, duration_s),
+        attitude=_attitude(config.attitude, inertia_kg_m2, duration_s),
+        sun_E_W_m2=_sun(config.sun),
+        duration_s=duration_s,
+    )
+
+
+def _trajectory(config: TrajectoryConfig, centre_of_mass_m: FloatArray, duration_s: float) -> Trajectory:
+    if isinstance(config, ApproachConfig):
+        return Approach(config.start_m, config.end_m, duration_s, config.ramp_share)
+    return StationKeeping(
+        anchor_m=centre_of_mass_m,
+        least_range_m=config.least_range_m,
+        greatest_range_m=config.greatest_range_m,
+        phase_rad=np.deg2rad(config.phase_deg).item(),
+        semi_major_axis_m=config.semi_major_axis_m,
+    )
+
+
+def _attitude(config: AttitudeConfig, inertia_kg_m2: FloatArray, duration_s: float) -> TargetAttitude:
+    rotation: Rotation = config.R_chaser_target
+    if isinstance(config, FixedAttitudeConfig):
+        return FixedAttitude(rotation.as_matrix())
+    if isinstance(config, SpinConfig):
+        return Spin(rotation.as_matrix(), _unit(config.axis), np.deg2rad(config.rate_deg_s).item())
+    return integrate_tumble(
+        quaternion_xyzw=rotation.as_quat(),
+        rate_rad_s=np.deg2rad(config.rate_deg_s),
+        inertia_kg_m2=inertia_kg_m2,
+        span_s=(-MARGIN_S, duration_s + MARGIN_S),
+    )
+
+
+def _sun(config: SunConfig | None) -> FloatArray:
+    return np.zeros(3) if config is None else config.irradiance_W_m2 * _unit(config.direction)
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return vector / np.linalg.norm(vector)
+
+
+def _pose(R: FloatArray, translation_m: FloatArray) -> RigidTransform:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = R, translation_m
+    return RigidTransform.from_matrix(matrix)

@@ -1,0 +1,37 @@
+"""What a trajectory is: the chaser's attitude, and the path of the target's *anchor* in chaser axes.
+
+The anchor is the point of the target that the trajectory moves; the rest follows from the attitude.
+Inertial space is represented by the *epoch axes*: the chaser's at the epoch, which keep their attitude.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from rpod_schemas.arrays import FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TrajectoryState:
+    """Where chaser and target's point are at one time."""
+
+    R_epoch_chaser: FloatArray
+    """Attitude of the chaser, shape (3, 3)."""
+    chaser_angular_rad_s: FloatArray
+    """Rate of the chaser relative to inertial space, chaser axes, shape (3,)."""
+    position_m: FloatArray
+    """Of the anchor in chaser axes, shape (3,)."""
+    velocity_m_s: FloatArray
+    """Time derivative of ``position_m``, shape (3,)."""
+
+
+class Trajectory(Protocol):
+    """A path through time, defined also shortly before the epoch and after the end."""
+
+    @property
+    def anchor_m(self) -> FloatArray:
+        """The point of the target whose path this is, origin or centre of mass; target axes, shape (3,)."""
+        ...
+
+    def state(self, time_s: float) -> TrajectoryState:
+        """Return the state at a time from the epoch."""
+        ...
