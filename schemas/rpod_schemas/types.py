@@ -117,6 +117,27 @@ class LidarScan(Stamped):
         return points[np.isfinite(points).all(axis=1)]
 
 
+class PmdInfo(Model):
+    """What a PMD camera says of itself beside its images (PmdInfo.msg)."""
+
+    modulation_frequency_hz: VectorN
+    """In the order of the phase images."""
+    integration_time_s: Annotated[float, Field(gt=0)]
+    electrons_per_count: Annotated[float, Field(gt=0)]
+    saturation_count: Annotated[float, Field(gt=0)]
+
+
+class LidarInfo(Model):
+    """What a LIDAR says of itself beside its points (LidarInfo.msg)."""
+
+    azimuth_rad: VectorN
+    """Of the scan pattern; direction (sin az cos el, sin el, cos az cos el)."""
+    elevation_rad: VectorN
+    scan_time_s: Annotated[float, Field(ge=0)]
+    rows_are_elevation: bool = True
+    sigma_range_m: Annotated[float, Field(ge=0)]
+
+
 class Odometry(Stamped):
     """Pose and twist of ``child_frame_id`` in ``frame_id`` (ICD section 1)."""
 

@@ -6,6 +6,7 @@ last, since a subscriber that outlives its session hangs the interpreter.
 
 import logging
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from threading import Event, Thread
@@ -59,7 +60,9 @@ class Node:
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
-        self._session = self._stack.enter_context(open_client(self.config.bus, self.stop))
+        self._session = self._stack.enter_context(
+            open_client(self.config.bus, zenoh_id=self.config.zenoh_id, stop=self.stop)
+        )
         self._graph = GraphNode(self._keys, str(self._session.zid()), self.config.instance)
         self._token(self._graph.node_token())
         self._diagnostics = self.publisher(DIAGNOSTICS)
@@ -219,12 +222,15 @@ class Node:
         self._diagnostics.publish(write_diagnostics([self.health.diagnostic(time.time_ns())]))
 
     def _update_counters(self) -> None:
+        totals: Counter[str] = Counter()  # several publishers, or type hashes, may share a topic
         for publisher in self._publishers:
-            self.health.put(f"published/{publisher.topic.name}", publisher.published)
+            totals[f"published/{publisher.topic.name}"] += publisher.published
         for key, count in list(self.account.counts.items()):
             topic = self._keys.topic_of(key)
-            self.health.put(f"received/{topic}", count.received)
-            self.health.put(f"missed/{topic}", count.missed)
+            totals[f"received/{topic}"] += count.received
+            totals[f"missed/{topic}"] += count.missed
+        for name, total in totals.items():
+            self.health.put(name, total)
 
 
 def error_reply(error: Exception) -> ErrorReply:

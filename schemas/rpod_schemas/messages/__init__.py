@@ -16,7 +16,7 @@ from rpod_schemas.messages.geometry import (
     write_transforms,
     write_vector_stamped,
 )
-from rpod_schemas.messages.header import read_stamp, write_header, write_stamp
+from rpod_schemas.messages.header import NANOSECONDS, build, read_stamp, write_header, write_stamp
 from rpod_schemas.messages.health import read_diagnostics, read_status, write_diagnostics, write_status
 from rpod_schemas.messages.images import (
     read_amplitude,
@@ -26,15 +26,25 @@ from rpod_schemas.messages.images import (
     write_camera,
     write_image,
 )
+from rpod_schemas.messages.info import (
+    read_lidar_info,
+    read_pmd_info,
+    write_lidar_info,
+    write_pmd_info,
+)
 from rpod_schemas.messages.points import read_points, write_points
 
 __all__ = [
+    "NANOSECONDS",
+    "build",
     "read_amplitude",
     "read_camera",
     "read_depth",
     "read_diagnostics",
     "read_image",
+    "read_lidar_info",
     "read_odometry",
+    "read_pmd_info",
     "read_points",
     "read_pose",
     "read_stamp",
@@ -46,7 +56,9 @@ __all__ = [
     "write_diagnostics",
     "write_header",
     "write_image",
+    "write_lidar_info",
     "write_odometry",
+    "write_pmd_info",
     "write_points",
     "write_pose",
     "write_pose_stamped",

@@ -1,0 +1,106 @@
+"""Publishing as a sensor: the one piece of code behind every driver and the emulator (ICD section 2).
+
+A sensor announces itself once, with its latched info and its mount; its frames follow, the parts of
+a frame under one stamp. The publisher names the frame of reference; the ``frame_id`` of what it is
+given does not matter.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_runtime.node import Node
+from rpod_runtime.publisher import Publisher
+from rpod_schemas.messages import (
+    write_camera,
+    write_image,
+    write_lidar_info,
+    write_pmd_info,
+    write_points,
+    write_transforms,
+)
+from rpod_schemas.topics import (
+    AMPLITUDE,
+    CAMERA_INFO,
+    CHASER,
+    DEPTH,
+    LIDAR_INFO,
+    PHASE,
+    PMD_INFO,
+    POINTS,
+    TF_STATIC,
+    optical_frame,
+)
+from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo
+
+_AMPLITUDE_ENCODING = {"uint8": "mono8", "uint16": "mono16", "float32": "32FC1"}
+
+
+class CameraPublisher:
+    """A PMD camera on the bus. Announces itself when made; lives as long as the node."""
+
+    def __init__(
+        self, node: Node, name: str, *, T_chaser_sensor: RigidTransform, info: PmdInfo | None = None
+    ) -> None:
+        self.frame_id = optical_frame(name)
+        self._node = node
+        self._phase_topic = PHASE.of(name)
+        self._phase: Publisher | None = None
+        _announce_mount(node, self.frame_id, T_chaser_sensor)
+        if info is not None:
+            node.publisher(PMD_INFO.of(name)).publish(
+                write_pmd_info(node.clock.now_ns(), self.frame_id, info)
+            )
+        self._camera_info = node.publisher(CAMERA_INFO.of(name))
+        self._depth = node.publisher(DEPTH.of(name))
+        self._amplitude = node.publisher(AMPLITUDE.of(name))
+
+    def publish(self, frame: PmdFrame, samples: NDArray[np.uint16] | None = None) -> None:
+        """Publish a frame: camera_info, depth, amplitude where there is one, and the raw samples if given.
+
+        Args:
+            frame: one exposure.
+            samples: Q1..Q4 with offset 32768, shape (height, width, 4), or (frequencies, height, width,
+                4) in the order of the info.
+        """
+        self._camera_info.publish(write_camera(frame.stamp_ns, self.frame_id, frame.camera))
+        self._image(self._depth, frame.stamp_ns, frame.depth_m, "32FC1")
+        if frame.amplitude is not None:
+            encoding = _AMPLITUDE_ENCODING[frame.amplitude.dtype.name]
+            self._image(self._amplitude, frame.stamp_ns, frame.amplitude, encoding)
+        if samples is not None:
+            self._phase = self._phase or self._node.publisher(self._phase_topic)
+            for image in samples.reshape(-1, *samples.shape[-3:]):
+                self._image(self._phase, frame.stamp_ns, image, "16UC4")
+
+    def _image(self, publisher: Publisher, stamp_ns: int, image: NDArray[np.generic], encoding: str) -> None:
+        publisher.publish(write_image(stamp_ns, self.frame_id, np.ascontiguousarray(image), encoding))
+
+
+class LidarPublisher:
+    """A LIDAR on the bus. Announces itself when made; lives as long as the node."""
+
+    def __init__(
+        self, node: Node, name: str, *, T_chaser_sensor: RigidTransform, info: LidarInfo | None = None
+    ) -> None:
+        self.frame_id = name
+        _announce_mount(node, self.frame_id, T_chaser_sensor)
+        if info is not None:
+            node.publisher(LIDAR_INFO.of(name)).publish(
+                write_lidar_info(node.clock.now_ns(), self.frame_id, info)
+            )
+        self._points = node.publisher(POINTS.of(name))
+
+    def publish(self, scan: LidarScan) -> None:
+        """Publish a scan; rows and columns are kept where it has them."""
+        x_m, y_m, z_m = np.moveaxis(scan.points_m, -1, 0)
+        intensity = np.zeros_like(x_m) if scan.intensity is None else scan.intensity
+        fields = {"x": x_m, "y": y_m, "z": z_m, "intensity": intensity}
+        if scan.time_s is not None:
+            fields["t"] = scan.time_s
+        self._points.publish(write_points(scan.stamp_ns, self.frame_id, fields))
+
+
+def _announce_mount(node: Node, frame_id: str, T_chaser_sensor: RigidTransform) -> None:
+    mount = (CHASER, frame_id, T_chaser_sensor)
+    node.publisher(TF_STATIC).publish(write_transforms(node.clock.now_ns(), [mount]))
