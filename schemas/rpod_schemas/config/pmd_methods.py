@@ -1,0 +1,149 @@
+"""Parameters of the methods that estimate a pose from PMD depth images."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+
+Count = Annotated[int, Field(gt=0)]
+
+
+class DepthComparisonConfig(Config):
+    """How a pose's rendered depth is compared with the measured one: the self-check of all methods."""
+
+    stride_px: Count = 4
+    """Every how many pixels, across and down, a ray is cast and compared."""
+    tolerance_m: Positive = 0.12
+    """Measured and rendered depth agree within this; it must cover the camera's wiggling error and noise."""
+    missing_weight: Share = 0.25
+    """Weight of a pixel without depth where the model predicts surface: glints and dark parts lose depth, so
+    it says less than a measured surface that the model contradicts (weight 1)."""
+
+
+class DepthErrorConfig(Config):
+    """The errors of the depth that the covariance of a registration assumes."""
+
+    noise_m: Positive = 0.02
+    """Least standard deviation of one depth residual; the residuals' own spread where that is larger."""
+    effective_points: Count = 400
+    """Most residuals counted as independent: neighbours share their errors."""
+    bias_m: NonNegative = 0.02
+    """Standard deviation of an error that all pixels share, along the line of sight (wiggling)."""
+    bias_rad: NonNegative = 0.005
+    """Standard deviation of the attitude error that an uneven depth error leaves, about each axis."""
+
+
+class IcpReverseCalibrationConfig(Config):
+    """ICP with reverse calibration: matches are looked up in the depth image around the projected model."""
+
+    kind: Literal["icp_reverse_calibration"] = "icp_reverse_calibration"
+    metric: Literal["point_to_plane", "point_to_point"] = "point_to_plane"
+    """point_to_point is the 2018 paper's: every visible model point goes to its nearest neighbour, with equal
+    weights. point_to_plane slides along the model's faces and keeps point to point at outlines only."""
+    radius_px: Count = 25
+    """Radius of the neighbour search around a model point's pixel, at first."""
+    direct_m: Positive = 0.24
+    """The depth under a model point's pixel is its match where it is this near, at first; else, and always in
+    point_to_point, the radius is searched."""
+    scale_m: Positive = 0.15
+    """Geman-McClure scale of the residuals, at first (point_to_plane only)."""
+    final_share: Annotated[float, Field(gt=0, le=1)] = 0.33
+    """Radius, direct match and scale narrow to this share of their first values (point_to_plane only)."""
+    gate_m: Positive = 0.3
+    """Longest match; a model point farther from every measurement has none."""
+    cover_points: Annotated[int, Field(ge=0)] = 600
+    """Measured points used in the opposite direction, by the target's distance field: they pull the model
+    over what it leaves uncovered (point_to_plane only); 0 for none."""
+    iterations: Count = 15
+    """Most iterations."""
+    error_m2: NonNegative = 0.0
+    """The iterations end where the mean squared residual falls below this (the paper's threshold)."""
+    step_m: Positive = 0.002
+    """The iterations end where a step moves the target's surface by less than this."""
+    unsettled_m: Positive = 0.02
+    """A last step larger than this means that the iterations did not converge."""
+    min_pixels: Count = 60
+    """Fewer measured pixels are no image of the target."""
+    min_matches: Annotated[int, Field(ge=6)] = 30
+    """Fewer matched model points are no registration."""
+    comparison: DepthComparisonConfig = DepthComparisonConfig()
+    """The self-check."""
+    errors: DepthErrorConfig = DepthErrorConfig()
+    """What the covariance assumes."""
+
+
+class SignedDistanceConfig(Config):
+    """Depth points in the target's distance field: no matches are searched."""
+
+    kind: Literal["signed_distance"] = "signed_distance"
+    points: Count = 2000
+    """Measured points used, evenly drawn from the image."""
+    scale_m: Positive = 0.10
+    """Geman-McClure scale in the first iteration."""
+    final_scale_m: Positive = 0.03
+    """Geman-McClure scale in the last iteration."""
+    iterations: Annotated[int, Field(ge=2)] = 12
+    """Iterations, over which the scale narrows geometrically."""
+    min_pixels: Count = 60
+    """Fewer measured pixels are no image of the target."""
+    unsettled_m: Positive = 0.02
+    """A last step larger than this means that the iterations did not converge."""
+    comparison: DepthComparisonConfig = DepthComparisonConfig()
+    """The self-check."""
+    errors: DepthErrorConfig = DepthErrorConfig()
+    """What the covariance assumes."""
+
+    @model_validator(mode="after")
+    def _narrows(self) -> Self:
+        if self.final_scale_m > self.scale_m:
+            raise ValueError("final_scale_m must not exceed scale_m: the weights narrow")
+        return self
+
+
+PmdTrackingConfig = Annotated[IcpReverseCalibrationConfig | SignedDistanceConfig, Field(discriminator="kind")]
+"""The tracking of depth images: one method of several, told by ``kind``."""
+
+
+class PmdAcquisitionConfig(Config):
+    """Search over views and rolls for the target in one depth image."""
+
+    kind: Literal["view_search"] = "view_search"
+    views: Count = 150
+    """Directions from which the target is seen, evenly over the sphere."""
+    rolls: Count = 24
+    """Turns about each line of sight."""
+    coarse_points: Count = 300
+    """Measured points in the coarse search."""
+    coarse_iterations: Annotated[int, Field(ge=2)] = 4
+    """Gauss-Newton steps from each view and roll."""
+    kept: Count = 48
+    """Distinct poses that are refined."""
+    fine_points: Count = 1500
+    """Measured points in the refinement."""
+    fine_iterations: Annotated[int, Field(ge=2)] = 12
+    """Gauss-Newton steps of the refinement."""
+    coarse_scale_m: Positive = 0.5
+    """Geman-McClure scale at the start of the coarse search."""
+    fine_scale_m: Positive = 0.10
+    """Geman-McClure scale at the end of the coarse search and the start of the refinement."""
+    final_scale_m: Positive = 0.03
+    """Geman-McClure scale at the end of the refinement."""
+    distinct_rad: Positive = 0.2
+    """Poses whose attitudes differ by less are the same."""
+    turned: Count = 4
+    """Best poses whose turns by the target's near-symmetries are tried too."""
+    candidates: Count = 5
+    """Most candidates returned."""
+    min_points: Annotated[int, Field(ge=6)] = 60
+    """Fewer measured points within the target's radius are no image of it."""
+    comparison: DepthComparisonConfig = DepthComparisonConfig()
+    """Render and compare, which ranks the candidates."""
+
+    @model_validator(mode="after")
+    def _narrows(self) -> Self:
+        if not self.coarse_scale_m >= self.fine_scale_m >= self.final_scale_m:
+            raise ValueError(
+                "coarse_scale_m, fine_scale_m and final_scale_m must not rise: the weights narrow"
+            )
+        return self

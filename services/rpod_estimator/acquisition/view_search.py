@@ -1,0 +1,153 @@
+"""Acquisition from one depth image, without a guess: all views and rolls are tried, the best compared.
+
+1. The measured points within the target's radius of their centre are its image; the rest is background.
+2. For each view and roll the model's visible centroid is laid on theirs, and a few Gauss-Newton steps in the
+   target's distance field draw the model to some of the points.
+3. The best distinct poses are refined on more points. The distance field does not see what a pose predicts
+   and the image lacks, so it cannot rank them: each is rendered and compared with the image.
+4. The turns of the best by the target's near-symmetries are tried too: small details alone tell them apart.
+"""
+
+import numpy as np
+from numba import njit
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_estimator.ports import Candidate
+from rpod_estimator.tracking.depth_view import DepthImage
+from rpod_estimator.tracking.signed_distance import field_arrays, refine
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_methods import PmdAcquisitionConfig
+from rpod_schemas.types import PmdFrame
+from rpod_target import Target
+
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+BORESIGHT = np.array([0.0, 0.0, 1.0])
+SEGMENTATION_ROUNDS = 5
+
+
+class ViewSearch:
+    """Finds the target in a depth image: ports.Acquisition[PmdFrame].
+
+    Raises:
+        rpod_target.TargetError: the target has no distance field.
+    """
+
+    def __init__(self, config: PmdAcquisitionConfig, target: Target) -> None:
+        self._config, self._target, self._field = config, target, field_arrays(target)
+        directions = even_directions(config.views)
+        rolls = Rotation.from_rotvec(
+            np.outer(2.0 * np.pi * np.arange(config.rolls) / config.rolls, BORESIGHT)
+        )
+        views = [Rotation.align_vectors(-BORESIGHT, direction)[0] for direction in directions]
+        self._attitudes = Rotation.concatenate([rolls * view for view in views])
+        self._turns = symmetry_turns(target)
+        self._centroids_m = np.repeat(visible_centroids(target, directions), config.rolls, axis=0)
+
+    def acquire(self, measurement: PmdFrame) -> list[Candidate]:
+        """Return distinct candidates, best by render and compare first; empty where no target is in sight."""
+        config = self._config
+        image = DepthImage.of(measurement, config.comparison.stride_px)
+        measured_m = self._segmented(image.points(config.fine_points))
+        if len(measured_m) < config.min_points:
+            return []
+        coarse_m = measured_m[:: max(1, len(measured_m) // config.coarse_points)]
+        scales_m = np.geomspace(config.coarse_scale_m, config.fine_scale_m, config.coarse_iterations)
+        poses, costs = self._refined(coarse_m, self._first_guesses(measured_m), scales_m)
+        best = self._compared(image, measured_m, poses[self._distinct(poses, costs)[: config.kept]])
+        turns = [
+            best[k].T_sensor_target * turn
+            for k in range(min(config.turned, len(best)))
+            for turn in self._turns
+        ]
+        if turns:
+            best = best + self._compared(image, measured_m, RigidTransform.concatenate(turns))
+        costs = np.array([candidate.cost_m2 for candidate in best])
+        poses = RigidTransform.concatenate([candidate.T_sensor_target for candidate in best])
+        return [best[k] for k in self._distinct(poses, costs)[: config.candidates]]
+
+    def _segmented(self, points_m: FloatArray) -> FloatArray:
+        """Return the points within the target's radius of their centre, found anew from those within."""
+        near = points_m
+        for _ in range(SEGMENTATION_ROUNDS if len(points_m) else 0):
+            distances_m = np.linalg.norm(points_m - np.median(near, axis=0), axis=1)
+            near = points_m[distances_m < self._target.radius_m]
+            if not len(near):
+                break
+        return near
+
+    def _first_guesses(self, measured_m: FloatArray) -> RigidTransform:
+        """Return every view and roll about the line of sight to the points, laid on their centroid."""
+        centroid_m = measured_m.mean(axis=0)
+        to_sight = Rotation.align_vectors(centroid_m / np.linalg.norm(centroid_m), BORESIGHT)[0]
+        attitudes = to_sight * self._attitudes
+        return RigidTransform.from_components(centroid_m - attitudes.apply(self._centroids_m), attitudes)
+
+    def _refined(
+        self, points_m: FloatArray, poses: RigidTransform, scales_m: FloatArray
+    ) -> tuple[RigidTransform, FloatArray]:
+        """Return the poses after a step for each scale, and their mean Geman-McClure costs, m2."""
+        matrices, translations, costs = refine_all(
+            points_m, poses.rotation.as_matrix(), poses.translation, self._field, scales_m
+        )
+        return RigidTransform.from_components(translations, Rotation.from_matrix(matrices)), costs
+
+    def _compared(self, image: DepthImage, points_m: FloatArray, poses: RigidTransform) -> list[Candidate]:
+        """Return the poses, refined, with their costs of render and compare, best first."""
+        config = self._config
+        scales_m = np.geomspace(config.fine_scale_m, config.final_scale_m, config.fine_iterations)
+        refined, _ = self._refined(points_m, poses, scales_m)
+        triangles_m = self._target.triangles_m
+        candidates = [
+            Candidate(pose, image.compare(triangles_m, pose, config.comparison).cost_m2) for pose in refined
+        ]
+        return sorted(candidates, key=lambda candidate: candidate.cost_m2)
+
+    def _distinct(self, poses: RigidTransform, costs: FloatArray) -> list[int]:
+        """Return the indices of poses with distinct attitudes, the cheapest of each, cheapest first."""
+        attitudes = poses.rotation.as_quat()
+        nearest = np.cos(self._config.distinct_rad / 2.0)
+        kept: list[int] = []
+        for index in np.argsort(costs, kind="stable"):
+            if not (np.abs(attitudes[kept] @ attitudes[index]) > nearest).any():
+                kept.append(int(index))
+        return kept
+
+
+@njit(cache=True)
+def refine_all(points, matrices, translations, field, scales):  # type: ignore[no-untyped-def]
+    """Return ``refine`` of each pose: R, shape (N, 3, 3), t, shape (N, 3), and costs, shape (N,)."""
+    costs = np.empty(matrices.shape[0])
+    refined, moved = np.empty(matrices.shape), np.empty(translations.shape)
+    for n in range(matrices.shape[0]):
+        refined[n], moved[n], costs[n] = refine(points, matrices[n], translations[n], field, scales)
+    return refined, moved, costs
+
+
+def even_directions(count: int) -> FloatArray:
+    """Return unit vectors spread evenly over the sphere (a Fibonacci lattice), shape (count, 3)."""
+    index = np.arange(count)
+    z = 1.0 - (2.0 * index + 1.0) / count
+    across = np.sqrt(1.0 - z * z)
+    return np.column_stack((across * np.cos(GOLDEN_ANGLE * index), across * np.sin(GOLDEN_ANGLE * index), z))
+
+
+def visible_centroids(target: Target, directions: FloatArray) -> FloatArray:
+    """Return the centroid of the pixels that show the target from each direction, shape (N, 3), target axes.
+
+    Model points count by the cosine under which they are seen; what hides behind other parts is let in, since
+    the refinement corrects it.
+    """
+    weights = np.maximum(directions @ target.model_normals.T, 0.0)
+    centroids_m: FloatArray = weights @ target.model_points_m / weights.sum(axis=1, keepdims=True)
+    return centroids_m
+
+
+def symmetry_turns(target: Target) -> list[RigidTransform]:
+    """Return the turns by the target's near-symmetries, without the identity."""
+    return [
+        RigidTransform.from_rotation(
+            Rotation.from_rotvec(2.0 * np.pi * k / symmetry.order * np.array(symmetry.axis))
+        )
+        for symmetry in target.symmetries
+        for k in range(1, symmetry.order)
+    ]

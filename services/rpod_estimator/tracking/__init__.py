@@ -1,0 +1,1 @@
+"""Trackers: they register one measurement from a predicted pose (``ports.Tracker``). No bus, no clock."""
