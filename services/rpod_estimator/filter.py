@@ -128,7 +128,7 @@ def update(
 
     S = state.covariance[POSE, POSE] + noise
     nis = float(innovation @ np.linalg.solve(S, innovation))
-    if not nis <= config.gate_nis:
+    if not 0.0 <= nis <= config.gate_nis:  # negative: the covariance is not one
         return Update(state, nis, accepted=False)
 
     gain = np.linalg.solve(S, state.covariance[POSE]).T

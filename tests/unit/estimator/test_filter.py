@@ -191,6 +191,14 @@ def test_a_measurement_without_a_finite_covariance_is_rejected(bad: float) -> No
     assert outcome.state is state
 
 
+def test_a_measurement_whose_covariance_is_not_one_is_rejected() -> None:
+    state = tracked_state()
+    pose = turned(np.zeros(3), np.full(3, 0.01), state.T_chaser_target)
+    outcome = update(state, pose, -np.eye(6), config=FilterConfig())
+    assert not outcome.accepted
+    assert outcome.state is state
+
+
 def test_floor_and_inflation_keep_the_filter_from_believing_too_much() -> None:
     config = FilterConfig(position_floor_m=0.002, attitude_floor_deg=0.15, correlation_inflation=2.0)
     state = start(make_pose(), np.zeros((6, 6)), 0, config=config)

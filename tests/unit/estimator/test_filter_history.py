@@ -126,3 +126,9 @@ def test_the_prediction_at_a_stamp_comes_from_what_was_measured_up_to_it() -> No
         assert predicted is not None
         assert_same(predicted, predict(known.state, stamp_ns, CONFIG))
     assert after(newest, measurement(2.0)).at(round(0.9 * SECOND_NS), CONFIG) is None
+
+
+def test_measurements_of_one_stamp_stay_in_the_order_of_arrival() -> None:
+    one, other = measurement(0.5), measurement(0.5, offset_m=0.01)
+    steps = after(measurement(0.7), one, other).steps
+    assert [step.measurement for step in steps][:2] == [one, other]
