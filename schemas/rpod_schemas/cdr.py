@@ -4,6 +4,7 @@ Messages are rosbags' dataclasses for the ROS 2 types and the project's own. Dec
 ``memoryview`` leaves image and point data as read-only views of it.
 """
 
+import struct
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -12,6 +13,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rpod_schemas.errors import MessageRejectedError, Reason
+
+_STAMP = struct.Struct("<iI")
 
 
 @cache
@@ -23,6 +26,11 @@ def typestore() -> Typestore:
         own |= get_types_from_msg(file.read_text("utf-8"), f"rpod_msgs/msg/{file.name.removesuffix('.msg')}")
     store.register(own)
     return store
+
+
+def is_known(type_name: str) -> bool:
+    """Return whether messages of a type can be encoded and decoded."""
+    return type_name in typestore().types
 
 
 @cache
@@ -64,3 +72,15 @@ def decode(payload: bytes | memoryview, type_name: str) -> Any:
         raise MessageRejectedError(
             Reason.MALFORMED, f"{type_name} of {len(payload)} bytes: {text}"
         ) from error
+
+
+def peek_stamp(payload: bytes | memoryview) -> int:
+    """Return the stamp, ns, of a little-endian message that begins with a std_msgs/Header, undecoded.
+
+    Raises:
+        MessageRejectedError: the bytes are too few.
+    """
+    if len(payload) < 12:
+        raise MessageRejectedError(Reason.MALFORMED, f"no header in {len(payload)} bytes")
+    seconds, nanoseconds = _STAMP.unpack_from(payload, 4)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)

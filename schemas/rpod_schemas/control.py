@@ -43,6 +43,15 @@ class StatusReply(Config):
     """Everything counted: frames, rejections by reason, messages by topic."""
     configuration: dict[str, Any]
     """As resolved."""
+    target_digest: str | None = None
+    """Of the target that the service works with, where it has one."""
+
+
+class StartRequest(Config):
+    """Begin a scenario whose time counts from an epoch."""
+
+    epoch_ns: int = Field(gt=0)
+    """UTC since the Unix epoch."""
 
 
 class ResetRequest(Config):

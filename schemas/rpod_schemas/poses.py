@@ -26,6 +26,13 @@ def pose_error(T_truth: RigidTransform, T_estimate: RigidTransform) -> tuple[Flo
     return attitude_rad, T_estimate.translation - T_truth.translation
 
 
+def between(first: RigidTransform, second: RigidTransform, share: float) -> RigidTransform:
+    """Return the pose at a share of the way: linear in position, on the shortest arc in attitude."""
+    step = (first.rotation.inv() * second.rotation).as_rotvec()
+    position = (1.0 - share) * first.translation + share * second.translation
+    return RigidTransform.from_components(position, first.rotation * Rotation.from_rotvec(share * step))
+
+
 def _checked_pose(value: Any) -> RigidTransform:
     if isinstance(value, RigidTransform):
         return value

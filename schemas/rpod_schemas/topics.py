@@ -7,7 +7,7 @@ string. A test holds this table equal to the one in ``schemas/ICD.md``.
 from dataclasses import dataclass
 from functools import cache
 
-from rpod_schemas.cdr import type_hash
+from rpod_schemas.cdr import is_known, type_hash
 
 SENSOR_CACHE = 90
 """Samples that a publisher keeps for receivers that missed them."""
@@ -28,6 +28,19 @@ class Topic:
         if not self.name.startswith("<"):
             raise ValueError(f"{self.name} belongs to no sensor")
         return Topic(f"{sensor}/{self.name.split('/', 1)[1]}", self.type, self.latched)
+
+    def under(self, prefix: str) -> "Topic":
+        """Return an estimate's topic under a configured prefix: ``estimate/pose`` under ``b`` is ``b/pose``."""
+        return Topic(f"{prefix}/{self.name.split('/', 1)[1]}", self.type, self.latched)
+
+    def covers(self, other: "Topic") -> bool:
+        """Return whether a topic is this one, or fits it where this one has ``*`` for a part of its name."""
+        mine, theirs = self.name.split("/"), other.name.split("/")
+        return (
+            self.type == other.type
+            and len(mine) == len(theirs)
+            and all(pattern in ("*", part) for pattern, part in zip(mine, theirs, strict=True))
+        )
 
     @property
     def qos(self) -> str:
@@ -107,6 +120,14 @@ class Namespace:
     def topic_of(self, key: str) -> str:
         """Return the topic's name of a data-plane key."""
         return key.removeprefix(f"{self.root}/").rsplit("/", 2)[0]
+
+    def topic_at(self, key: str) -> Topic:
+        """Return the topic of any key; without a type where it is not of the data plane, or not known."""
+        relative = key.removeprefix(f"{self.root}/")
+        *name, wire_type, _ = relative.rsplit("/", 2) if relative.count("/") > 1 else ("", "")
+        if name and "::msg::dds_::" in wire_type and is_known(type_of_wire(wire_type)):
+            return Topic(name[0], type_of_wire(wire_type))
+        return Topic(relative, "")
 
 
 @cache

@@ -9,7 +9,7 @@ from typing import Literal
 
 from rpod_schemas.cdr import type_hash
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.topics import Namespace, Topic
+from rpod_schemas.topics import Namespace, Topic, type_of_wire
 
 _ATTACHMENT = struct.Struct("<qqB16s")
 GID_BYTES = 16
@@ -77,3 +77,17 @@ class GraphNode:
         prefix = f"/{self.namespace.prefix}" if self.namespace.prefix else ""
         name = _mangled(f"{prefix}/{topic.name}")
         return f"{self._head(entity, kind)}/{name}/{topic.wire_type}/{type_hash(topic.type)}/{topic.qos}"
+
+
+def publisher_tokens(namespace: Namespace) -> str:
+    """Return the key expression of the tokens of all publishers in a domain."""
+    return f"@ros2_lv/{namespace.domain}/*/*/*/MP/*/*/*/*/*/*/*"
+
+
+def topic_of_token(token: str, namespace: Namespace) -> Topic | None:
+    """Return the topic that an endpoint's token names; None where it is not of this namespace."""
+    name, wire_type = token.split("/")[9:11]
+    prefix = _mangled(f"/{namespace.prefix}/" if namespace.prefix else "/")
+    if not name.startswith(prefix) or "::msg::dds_::" not in wire_type:
+        return None
+    return Topic(name.removeprefix(prefix).replace("%", "/"), type_of_wire(wire_type))

@@ -5,12 +5,13 @@ measurement in its sensor's axes and the target's model, and neither bus, clock 
 """
 
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.verification import VerificationConfig
 from rpod_schemas.types import LidarScan, PmdFrame, Source
 
 MeasurementT_contra = TypeVar("MeasurementT_contra", LidarScan, PmdFrame, contravariant=True)
@@ -39,7 +40,7 @@ class Registration:
     inlier_share: float = float("nan")
     """Inliers over the points that could have matched."""
     explained_share: float = float("nan")
-    """Self-check: of the pixels or rays where model or measurement say "surface", the share where they agree."""
+    """Self-check: share of the pixels or rays that agree, of those where model or measurement say "surface"."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     """Of (dp, dtheta) in the sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1); shape (6, 6)."""
     iterations: int = 0
@@ -59,3 +60,12 @@ class Tracker(Protocol, Generic[MeasurementT_contra]):
     def track(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration; never raises on data, says why instead. Deterministic."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class Methods:
+    """One sensor's acquisition and tracker, and when their results are believed."""
+
+    acquisition: Acquisition[Any]
+    tracker: Tracker[Any]
+    verification: VerificationConfig

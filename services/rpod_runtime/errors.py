@@ -35,3 +35,7 @@ class LockstepError(BusError):
     def __init__(self, service: str, waited_for: str, waited_s: float) -> None:
         self.service = service
         super().__init__(f"{service} did not deliver {waited_for} within {waited_s:.0f} s of lockstep")
+
+
+class RefusedError(BusError):
+    """A command that cannot be carried out now; says why and what to do instead."""

@@ -1,6 +1,7 @@
 """Counters and health of a service, and the diagnostics that carry them."""
 
 from collections import Counter
+from collections.abc import Callable
 from threading import Lock
 
 from rpod_schemas.errors import MessageRejectedError, Reason
@@ -18,6 +19,7 @@ class HealthBook:
         self._lock = Lock()
         self._counters: Counter[str] = Counter()
         self._level, self._message = Health.OK, "starting"
+        self._check: Callable[[], tuple[Health, str]] | None = None
         self._changed = True
 
     def count(self, name: str, amount: int = 1) -> None:
@@ -46,6 +48,10 @@ class HealthBook:
             self._changed |= (level, message) != (self._level, self._message)
             self._level, self._message = level, message
 
+    def watch(self, check: Callable[[], tuple[Health, str]]) -> None:
+        """Ask ``check`` for level and message at each diagnostic: so a main loop that hangs is told too."""
+        self._check = check
+
     def take_change(self) -> bool:
         """Return whether anything changed since the last call."""
         with self._lock:
@@ -59,7 +65,6 @@ class HealthBook:
 
     def diagnostic(self, stamp_ns: int) -> Diagnostic:
         """Return the diagnostic of this moment."""
+        level, message = self._check() if self._check else (self._level, self._message)
         values = {name: str(value) for name, value in self.counters().items()}
-        return Diagnostic(
-            stamp_ns=stamp_ns, name=self.name, level=self._level, message=self._message, values=values
-        )
+        return Diagnostic(stamp_ns=stamp_ns, name=self.name, level=level, message=message, values=values)

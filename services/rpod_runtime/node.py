@@ -7,8 +7,9 @@ last, since a subscriber that outlives its session hangs the interpreter.
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import replace
 from threading import Event, Thread
 from types import TracebackType
 from typing import Literal, Self, TypeVar
@@ -23,14 +24,22 @@ from rpod_runtime.errors import QueryFailedError
 from rpod_runtime.health import HealthBook
 from rpod_runtime.publisher import Publisher
 from rpod_runtime.received import Received
+from rpod_runtime.replies import error_reply, error_text
 from rpod_runtime.session import open_client
 from rpod_schemas.config.service import ServiceConfig
-from rpod_schemas.control import Accepted, Empty, ErrorReply, StatusReply
-from rpod_schemas.errors import MessageRejectedError, Reason, SchemaError
+from rpod_schemas.control import Accepted, Empty, StatusReply
+from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import write_diagnostics
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Topic
 from rpod_schemas.types import Health
-from rpod_schemas.wire import GraphNode, unpack_attachment
+from rpod_schemas.wire import (
+    GID_BYTES,
+    Attachment,
+    GraphNode,
+    publisher_tokens,
+    topic_of_token,
+    unpack_attachment,
+)
 
 log = logging.getLogger(__name__)
 
@@ -50,6 +59,7 @@ class Node:
         self.version = version
         self.stop = stop or Event()
         self.state: State = "starting"
+        self.target_digest: str | None = None
         self.health = HealthBook(config.instance)
         self.account = SequenceAccount()
         self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
@@ -98,6 +108,32 @@ class Node:
         Duplicates and messages without a usable attachment are counted and not handed over. With
         ``recover`` missed samples are asked for again, and a latched topic's last one is fetched.
         """
+        self._subscribe(topic, sink, recover=recover)
+        self._token(self._graph.endpoint_token("MS", self._entity(), topic))
+
+    def subscribe_all(self, patterns: Sequence[Topic], sink: Callable[[Received], None]) -> None:
+        """Subscribe, with recovery, all topics that fit patterns (``*`` for a part of the name).
+
+        Tokens carry no wildcards, so one is declared for each topic as its first publisher appears:
+        newer rmw_zenoh publishers of images and point clouds are silent without it.
+        """
+        for pattern in patterns:
+            self._subscribe(pattern, sink, recover=True)
+        shown: set[Topic] = set()
+
+        def show(token: zenoh.Sample) -> None:
+            topic = topic_of_token(str(token.key_expr), self._keys)
+            if topic in shown or topic is None or not any(pattern.covers(topic) for pattern in patterns):
+                return
+            shown.add(topic)
+            self._token(self._graph.endpoint_token("MS", self._entity(), topic))
+
+        watcher = self._session.liveliness().declare_subscriber(
+            publisher_tokens(self._keys), show, history=True
+        )
+        self._stack.callback(watcher.undeclare)
+
+    def _subscribe(self, topic: Topic, sink: Callable[[Received], None], *, recover: bool) -> None:
         history = (
             zenoh.ext.HistoryConfig(
                 detect_late_publishers=True, max_samples=1 if topic.latched else SENSOR_CACHE
@@ -114,10 +150,11 @@ class Node:
             recovery=recovery,
         )
         self._stack.callback(subscriber.undeclare)
-        self._token(self._graph.endpoint_token("MS", self._entity(), topic))
 
     def _take(self, topic: Topic, sample: zenoh.Sample, sink: Callable[[Received], None]) -> None:
         key = str(sample.key_expr)
+        if "*" in topic.name:
+            topic = replace(topic, name=self._keys.topic_of(key))
         try:
             attachment = unpack_attachment(sample.attachment.to_bytes() if sample.attachment else None)
             if self.account.take(key, attachment) is Arrival.DUPLICATE:
@@ -126,6 +163,20 @@ class Node:
             sink(Received(topic, key, payload, attachment, time.time_ns()))
         except MessageRejectedError as error:
             self.reject(topic.name, error)
+
+    def listen(self, key_expression: str, sink: Callable[[Received], None]) -> None:
+        """Subscribe keys of any form. What is no known ROS topic comes without type and attachment."""
+
+        def take(sample: zenoh.Sample) -> None:
+            key = str(sample.key_expr)
+            topic = self._keys.topic_at(key)
+            if topic.type:
+                self._take(topic, sample, sink)
+            else:
+                nobody = Attachment(0, 0, bytes(GID_BYTES))
+                sink(Received(topic, key, memoryview(sample.payload.to_bytes()), nobody, time.time_ns()))
+
+        self._stack.callback(self._session.declare_subscriber(key_expression, take).undeclare)
 
     def reject(self, topic: str, error: MessageRejectedError) -> None:
         """Count a rejected message; log the first of its kind."""
@@ -177,8 +228,24 @@ class Node:
             if answer.ok:
                 return reply.model_validate_json(answer.ok.payload.to_bytes())
             if answer.err:
-                raise QueryFailedError(key, _error_text(answer.err.payload.to_bytes()))
+                raise QueryFailedError(key, error_text(answer.err.payload.to_bytes()))
         raise QueryFailedError(key, f"no answer within {timeout_s:g} s")
+
+    def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:
+        """Query every service that answers a verb; who is silent or answers otherwise is left out."""
+        answers = self._session.get(
+            self._keys.control("*", verb),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            payload=Empty().model_dump_json(),
+            timeout=timeout_s,
+        )
+        replies = []
+        for answer in answers:
+            with suppress(ValidationError):
+                if answer.ok:
+                    replies.append(reply.model_validate_json(answer.ok.payload.to_bytes()))
+        return replies
 
     def status(self) -> StatusReply:
         """Return what this service says of itself."""
@@ -190,6 +257,7 @@ class Node:
             uptime_s=time.monotonic() - self._started_s,
             counters=self.health.counters(),
             configuration=self.config.model_dump(mode="json"),
+            target_digest=self.target_digest,
         )
 
     def _shut_down(self, _: Empty) -> Accepted:
@@ -231,22 +299,3 @@ class Node:
             totals[f"missed/{topic}"] += count.missed
         for name, total in totals.items():
             self.health.put(name, total)
-
-
-def error_reply(error: Exception) -> ErrorReply:
-    """Return the reply that names an error."""
-    if isinstance(error, ValidationError):
-        problem = error.errors(include_url=False)[0]
-        field = ".".join(str(part) for part in problem["loc"]) or "request"
-        return ErrorReply(error="BadRequest", message=f"{field}: {problem['msg']}")
-    if not isinstance(error, SchemaError):
-        log.error("a query failed", exc_info=error)
-    return ErrorReply(error=type(error).__name__, message=str(error))
-
-
-def _error_text(payload: bytes) -> str:
-    try:
-        reply = ErrorReply.model_validate_json(payload)
-    except ValidationError:
-        return payload.decode(errors="replace")
-    return f"{reply.error}: {reply.message}"

@@ -43,7 +43,10 @@ class Publisher:
 
     def publish(self, message: Any) -> None:
         """Encode and publish a message of the topic's type."""
-        payload = encode(message)
+        self.put(encode(message))
+
+    def put(self, payload: bytearray) -> None:
+        """Publish the CDR bytes of a message of the topic's type."""
         with self._lock:
             self._sequence += 1
             attachment = Attachment(self._sequence, time.time_ns(), self._gid)

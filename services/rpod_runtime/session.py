@@ -30,13 +30,13 @@ def _zenoh_config(**settings: Any) -> zenoh.Config:
     return zenoh.Config.from_json5(json.dumps(common | settings))
 
 
-def open_client(bus: BusConfig, stop: Event | None = None) -> zenoh.Session:
-    """Open a client session to the router.
+def open_client(bus: BusConfig, *, zenoh_id: str | None = None, stop: Event | None = None) -> zenoh.Session:
+    """Open a client session to the router, under an identity of its own or a random one.
 
     Raises:
         NoRouterError: nobody answered in time, or ``stop`` was set while waiting.
     """
-    identity = {"id": bus.zenoh_id} if bus.zenoh_id else {}
+    identity = {"id": zenoh_id} if zenoh_id else {}
     config = _zenoh_config(
         mode="client",
         connect={"endpoints": [bus.connect], "timeout_ms": 0},

@@ -8,6 +8,9 @@ from pydantic import Field
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.topics import Namespace
 
+ESTIMATOR_ID = "e57a7e"
+"""Zenoh identity of an estimator unless configured; the router keeps the truth from it."""
+
 
 class BusConfig(Config):
     """How a service reaches the bus."""
@@ -18,8 +21,6 @@ class BusConfig(Config):
     """ROS domain."""
     namespace: str = Field(default="", pattern=r"^([A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*)?$")
     """ROS namespace without slashes at its ends: one target a namespace."""
-    zenoh_id: str | None = Field(default=None, pattern=r"^[0-9a-f]{1,32}$")
-    """Identity under which the router's access rules know this client; random where left out."""
     connect_timeout_s: Positive = 5.0
     """How long to try to reach the router before giving up."""
     wait: bool = False
@@ -38,6 +39,8 @@ class ServiceConfig(Config):
     """Name of this process on the bus and in its log lines."""
     bus: BusConfig = BusConfig()
     """The bus."""
+    zenoh_id: str | None = Field(default=None, pattern=r"^[0-9a-f]{1,32}$")
+    """Identity under which the router's access rules know this client; random where left out."""
     time_source: Literal["wall", "clock"] = "wall"
     """Against what late and future are judged: this machine's clock, or the topic ``clock``."""
 
@@ -51,7 +54,7 @@ class RouterConfig(Config):
     """Zenoh endpoint to listen on."""
     bus: BusConfig = BusConfig()
     """Domain and namespace of the facility, for the access rules."""
-    estimators: tuple[str, ...] = ("e57a7e",)
+    estimators: tuple[str, ...] = (ESTIMATOR_ID,)
     """Zenoh identities that may not read the truth."""
 
 

@@ -1,0 +1,114 @@
+"""The estimator's configuration: sensors, their methods, verification, filter."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from rpod_schemas.arrays import VectorN
+from rpod_schemas.config.base import Config, Name, NonNegative, Positive
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.lidar_methods import LidarAcquisitionConfig, LidarTrackingConfig
+from rpod_schemas.config.pmd_methods import (
+    IcpReverseCalibrationConfig,
+    PmdAcquisitionConfig,
+    PmdTrackingConfig,
+)
+from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
+from rpod_schemas.config.verification import VerificationConfig
+from rpod_schemas.poses import Pose
+
+
+class LidarInput(Config):
+    """A LIDAR and the methods for it."""
+
+    kind: Literal["lidar"] = "lidar"
+    """Which methods."""
+    name: Name = "lidar"
+    """Of the sensor: the first part of its topics."""
+    T_chaser_sensor: Pose | None = None
+    """Mount, where tf_static does not tell."""
+    azimuth_rad: VectorN | None = None
+    """Scan pattern, where the latched info does not tell."""
+    elevation_rad: VectorN | None = None
+    """Scan pattern, where the latched info does not tell."""
+    acquisition: LidarAcquisitionConfig = Field(default_factory=LidarAcquisitionConfig)
+    """Without a prior pose."""
+    tracking: LidarTrackingConfig = Field(default_factory=LidarTrackingConfig)
+    """From a predicted pose."""
+    verification: VerificationConfig = VerificationConfig(max_cost_m2=0.003, min_explained_share=0.75)
+    """When a registration is believed."""
+
+
+class PmdInput(Config):
+    """A PMD camera and the methods for it."""
+
+    kind: Literal["pmd"] = "pmd"
+    """Which methods."""
+    name: Name = "pmd"
+    """Of the sensor: the first part of its topics."""
+    T_chaser_sensor: Pose | None = None
+    """Mount, where tf_static does not tell."""
+    acquisition: PmdAcquisitionConfig = Field(default_factory=PmdAcquisitionConfig)
+    """Without a prior pose."""
+    tracking: PmdTrackingConfig = Field(default_factory=IcpReverseCalibrationConfig)
+    """From a predicted pose."""
+    verification: VerificationConfig = VerificationConfig(max_cost_m2=0.01, min_explained_share=0.7)
+    """When a registration is believed."""
+
+
+SensorInput = Annotated[LidarInput | PmdInput, Field(discriminator="kind")]
+"""A sensor that the estimator listens to, told by ``kind``."""
+
+
+class NavigatorConfig(Config):
+    """The state machine."""
+
+    confirmations: Annotated[int, Field(ge=0)] = 1
+    """Frames after the acquisition's own that must verify it before TRACKING."""
+    candidates: Annotated[int, Field(ge=1)] = 3
+    """Most candidates of an acquisition that are refined and verified."""
+    rejection_timeout_s: Positive = 1.5
+    """Measurements rejected for longer than this: LOST."""
+    rejected_frames: Annotated[int, Field(ge=1)] = 3
+    """Least number of rejections in a row before LOST, for slow sensors."""
+    silence_timeout_s: Positive = 2.5
+    """No measurement for longer than this: LOST."""
+    near_search_s: NonNegative = 3.0
+    """How long after a loss the prediction is tried before a search over everything."""
+
+
+class EstimatorSettings(Config):
+    """How poses are estimated; part of a scenario."""
+
+    sensors: tuple[SensorInput, ...] = Field(min_length=1)
+    """What the estimator listens to."""
+    initial_pose: Pose | None = None
+    """T_chaser_target at the first frame, where it is given as in the 2018 paper; else it is searched."""
+    navigator: NavigatorConfig = NavigatorConfig()
+    """The state machine."""
+    filter: FilterConfig = Field(default_factory=FilterConfig)
+    """The error-state Kalman filter."""
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        names = [sensor.name for sensor in self.sensors]
+        if len(set(names)) < len(names):
+            raise ValueError("two sensors have the same name")
+        return self
+
+
+class EstimatorConfig(ServiceConfig, EstimatorSettings):
+    """The estimator daemon."""
+
+    instance: Name = "estimator"
+    """Name on the bus."""
+    zenoh_id: str = Field(default=ESTIMATOR_ID, pattern=r"^[0-9a-f]{1,32}$")
+    """Identity that the router keeps from the truth."""
+    target: str
+    """Name or file of the target."""
+    prefix: Name = "estimate"
+    """First part of the topics of the estimates, so that two estimators run side by side."""
+    max_age_s: Positive = 1.0
+    """Frames older than this on arrival are late."""
+    max_future_s: NonNegative = 0.05
+    """Frames stamped further ahead than this are from the future."""

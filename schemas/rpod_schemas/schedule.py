@@ -1,0 +1,37 @@
+"""When frames are due: one rule for the emulator, for lockstep, and for whoever counts frames.
+
+A frame's number is ``round((stamp - epoch) * rate)`` (ICD section 4).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rpod_schemas.config.emulator import SensorConfig
+from rpod_schemas.messages import NANOSECONDS
+
+
+@dataclass(frozen=True, order=True)
+class DueFrame:
+    """One frame of one sensor; ordered by stamp, then by the sensor's name."""
+
+    stamp_ns: int
+    sensor: str
+    number: int
+    available_ns: int
+    """When the sensor hands it out: stamp, half the exposure or scan, read-out."""
+
+
+def frame_at(sensor: SensorConfig, number: int, *, epoch_ns: int) -> DueFrame:
+    """Return a sensor's frame by its number."""
+    stamp_ns = epoch_ns + round(number * NANOSECONDS / sensor.rate_hz)
+    return DueFrame(stamp_ns, sensor.name, number, stamp_ns + round(sensor.latency_s * NANOSECONDS))
+
+
+def due_frames(sensors: Sequence[SensorConfig], *, epoch_ns: int, duration_s: float) -> Iterator[DueFrame]:
+    """Yield all frames with stamps in (epoch, epoch + duration], in order."""
+    frames = [
+        frame_at(sensor, number, epoch_ns=epoch_ns)
+        for sensor in sensors
+        for number in range(1, int(duration_s * sensor.rate_hz + 1e-9) + 1)
+    ]
+    yield from sorted(frames)

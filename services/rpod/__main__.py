@@ -1,0 +1,184 @@
+"""The command line: parses, loads configurations, runs, and turns errors into exit codes."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, TypeVar
+
+import typer
+from pydantic import BaseModel
+
+from rpod import __version__
+from rpod_runtime.lifecycle import EXIT_USAGE
+from rpod_runtime.lifecycle import run as run_service
+from rpod_schemas.config.base import check, read_document
+from rpod_schemas.errors import ConfigurationError
+
+ConfigT = TypeVar("ConfigT", bound=BaseModel)
+
+app = typer.Typer(
+    name="rpod",
+    help="A rendezvous laboratory in software, behind a message bus.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", help="Configuration file: YAML, TOML or JSON.")
+]
+ConnectOption = Annotated[str | None, typer.Option("--connect", help="Zenoh endpoint of the router.")]
+WaitOption = Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")]
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+def _refuse(error: ConfigurationError) -> NoReturn:
+    """Say in one line which field is wrong, and why."""
+    print(f"rpod: {error}", file=sys.stderr)
+    raise typer.Exit(EXIT_USAGE)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"rpod {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say it.")
+    ] = False,
+) -> None:
+    """A rendezvous laboratory in software, behind a message bus."""
+
+
+def _serve(
+    verb: str, model: type[ConfigT], body: Callable[..., None], *, config: Path | None, **bus: Any
+) -> NoReturn:
+    """Load a service's configuration, with what the command line says of the bus on top, and run it."""
+    try:
+        document = read_document(config) if config else {}
+        overrides = {key: value for key, value in bus.items() if value}
+        if overrides:
+            document["bus"] = dict(document.get("bus") or {}) | overrides
+        checked = check(model, document, source=config or f"rpod {verb}")
+    except ConfigurationError as error:
+        _refuse(error)
+    raise typer.Exit(run_service(verb, lambda stop: body(checked, version=__version__, stop=stop)))
+
+
+@app.command()
+def router(
+    config: ConfigOption = None,
+    listen: Annotated[str | None, typer.Option("--listen", help="Zenoh endpoint to listen on.")] = None,
+) -> None:
+    """The bus: a Zenoh router that keeps the truth from the estimators."""
+    from rpod_runtime import router as daemon
+    from rpod_schemas.config.service import RouterConfig
+
+    try:
+        document = read_document(config) if config else {}
+        document |= {"listen": listen} if listen else {}
+        checked = check(RouterConfig, document, source=config or "rpod router")
+    except ConfigurationError as error:
+        _refuse(error)
+    raise typer.Exit(run_service("router", lambda stop: daemon.run(checked, stop=stop)))
+
+
+@app.command()
+def motion(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+    """Trajectories: publishes the truth."""
+    from rpod_motion import daemon
+    from rpod_schemas.config.emulator import MotionServiceConfig
+
+    _serve("motion", MotionServiceConfig, daemon.run, config=config, connect=connect, wait=wait)
+
+
+@app.command()
+def emulator(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+    """The sensors: truth in, sensor messages out."""
+    from rpod_emulator import daemon
+    from rpod_schemas.config.emulator import EmulatorConfig
+
+    _serve("emulator", EmulatorConfig, daemon.run, config=config, connect=connect, wait=wait)
+
+
+@app.command()
+def estimator(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+    """Poses from sensor messages."""
+    from rpod_estimator import daemon
+    from rpod_schemas.config.estimator import EstimatorConfig
+
+    _serve("estimator", EstimatorConfig, daemon.run, config=config, connect=connect, wait=wait)
+
+
+@app.command()
+def logger(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+    """Everything on the bus into MCAP."""
+    from rpod_logger import daemon
+    from rpod_schemas.config.service import LoggerConfig
+
+    _serve("logger", LoggerConfig, daemon.run, config=config, connect=connect, wait=wait)
+
+
+@app.command()
+def scenarios() -> None:
+    """List what can be run."""
+    from rpod.scenarios import find, shipped
+
+    for name in shipped():
+        print(f"{name:18} {find(name).title}")
+
+
+@app.command()
+def run(
+    scenario: Annotated[str, typer.Argument(help="Name or file; see 'rpod scenarios'.")] = "mockup-tumbling",
+    duration: Annotated[
+        float | None, typer.Option("--duration", min=0.5, help="Seconds of scenario time.")
+    ] = None,
+    speed: Annotated[str, typer.Option("--speed", help="1 by the wall clock, max in lockstep.")] = "1",
+    seed: Annotated[int | None, typer.Option("--seed", min=0, help="Of all noise.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="Where the run's folder is made.")] = Path("runs"),
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the summary as one JSON object only.")
+    ] = False,
+) -> None:
+    """Play a scenario through all services, and score it."""
+    from rpod.command_run import run_command
+
+    raise typer.Exit(
+        run_command(scenario, duration_s=duration, speed=speed, seed=seed, out=out, as_json=as_json)
+    )
+
+
+@app.command()
+def report(
+    logs: Annotated[list[Path], typer.Argument(help="MCAP files.")],
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the summary as one JSON object only.")
+    ] = False,
+) -> None:
+    """Score a log: HTML and summary.json beside it."""
+    from rpod.command_report import report_command
+
+    raise typer.Exit(report_command(logs, as_json=as_json))
+
+
+@app.command()
+def bench(
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+) -> None:
+    """Measure the speed of this machine."""
+    from rpod.bench import bench_command
+
+    raise typer.Exit(bench_command(as_json=as_json))
+
+
+if __name__ == "__main__":
+    main()

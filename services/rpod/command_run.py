@@ -1,0 +1,78 @@
+"""``rpod run`` from its arguments to its exit code."""
+
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rpod_analysis.report import write_report
+
+from rpod.errors import InterruptedRunError, RunError
+from rpod.facility import Speed
+from rpod.progress import Progress
+from rpod.run import Options, Played, play, write_scenario
+from rpod.scenarios import find
+from rpod.summary_table import print_summary
+from rpod_runtime import BusError
+from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
+from rpod_schemas.config.base import check
+from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.summary import Summary
+from rpod_target import load_target
+
+EXIT_INTERRUPTED = 130
+
+
+def run_command(
+    name: str, *, duration_s: float | None, speed: str, seed: int | None, out: Path, as_json: bool
+) -> int:
+    """Play, score, and say where everything is; return the exit code."""
+    configure_logging("supervisor")
+    try:
+        scenario, pace = _scenario(name, duration_s=duration_s, seed=seed), _speed(speed)
+        load_target(scenario.target)  # built once here, so that the services find it in the cache
+        with Progress(quiet=as_json) as progress:
+            played = play(scenario, Options(pace, out), progress)
+            progress.say("writing the report")
+            write_scenario(scenario, played.directory)
+            paths = write_report([played.log])
+    except ConfigurationError as error:
+        return _fail(error, EXIT_USAGE)
+    except InterruptedRunError as error:
+        return _fail(error, EXIT_INTERRUPTED)
+    except (RunError, BusError, OSError) as error:
+        return _fail(error, EXIT_FAILURE)
+    summary = Summary.model_validate_json(paths.summary.read_text("utf-8"))
+    if as_json:
+        print(summary.model_dump_json(indent=2))
+    else:
+        _tell(summary, played, paths.html)
+    return EXIT_OK
+
+
+def _scenario(name: str, *, duration_s: float | None, seed: int | None) -> Scenario:
+    """Return the scenario with what the command line says on top."""
+    scenario = find(name)
+    changes = {"duration_s": duration_s, "seed": seed}
+    document = dict(scenario) | {key: value for key, value in changes.items() if value is not None}
+    return check(Scenario, document, source=name)
+
+
+def _speed(speed: str) -> Speed:
+    if speed == "1":
+        return "1"
+    if speed == "max":
+        return "max"
+    raise ConfigurationError("rpod run", "--speed", f"is {speed!r}, needs 1 or max")
+
+
+def _tell(summary: Summary, played: Played, report: Path) -> None:
+    console = Console()
+    print_summary(summary, console)
+    console.print(f"log      {played.log}", soft_wrap=True, highlight=False)
+    console.print(f"report   {report}", soft_wrap=True, highlight=False)
+
+
+def _fail(error: Exception, code: int) -> int:
+    print(f"rpod run: {error}", file=sys.stderr)
+    return code

@@ -1,0 +1,28 @@
+"""The errors of the command line and the supervisor."""
+
+from pathlib import Path
+
+
+class RunError(Exception):
+    """Root of the errors that this package raises."""
+
+
+class ServiceDiedError(RunError):
+    """A service ended when it should not have."""
+
+    def __init__(self, name: str, code: int, tail: list[str], log: Path) -> None:
+        self.name = name
+        how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+        lines = "".join(f"\n    {line}" for line in tail)
+        super().__init__(f"service {name} {how}; its last lines ({log}):{lines or ' none'}")
+
+
+class NotReadyError(RunError):
+    """A service did not get ready in time."""
+
+    def __init__(self, name: str, waited_s: float, log: Path) -> None:
+        super().__init__(f"service {name} is not ready after {waited_s:.0f} s; see {log}")
+
+
+class InterruptedRunError(RunError):
+    """The operator ended the run."""

@@ -1,0 +1,83 @@
+"""From a scenario to the configurations of all services of a run."""
+
+import secrets
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel
+
+from rpod_runtime.session import free_endpoint
+from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
+from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings, LidarInput
+from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.config.service import BusConfig, LoggerConfig, RouterConfig, ServiceConfig
+
+Speed = Literal["1", "max"]
+
+
+@dataclass(frozen=True)
+class Facility:
+    """One configuration a service; the supervisor's own for its client."""
+
+    router: RouterConfig
+    services: dict[str, BaseModel]
+    """By verb, in the order in which they stop: who feeds others first."""
+    supervisor: ServiceConfig
+
+
+def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
+    """Return what every service of a run is told; each run has its own endpoint and estimator identity."""
+    endpoint = free_endpoint()
+    bus = BusConfig(connect=endpoint)
+    estimator_id = secrets.token_hex(8).lstrip("0") or "e"
+    time_source: Literal["wall", "clock"] = "clock" if speed == "max" else "wall"
+    return Facility(
+        router=RouterConfig(listen=endpoint, bus=bus, estimators=(estimator_id,)),
+        services={
+            "motion": MotionServiceConfig(
+                bus=bus,
+                target=scenario.target,
+                motion=scenario.motion,
+                duration_s=scenario.duration_s,
+                sensors=scenario.sensors,
+                await_start=True,
+                speed=speed,
+            ),
+            "emulator": EmulatorConfig(
+                bus=bus,
+                target=scenario.target,
+                sensors=scenario.sensors,
+                seed=scenario.seed,
+                await_start=True,
+                time_source=time_source,
+            ),
+            "estimator": EstimatorConfig(
+                bus=bus,
+                zenoh_id=estimator_id,
+                target=scenario.target,
+                time_source=time_source,
+                **dict(_settings(scenario)),
+            ),
+            "logger": LoggerConfig(bus=bus, directory=directory, name=scenario.name),
+        },
+        supervisor=ServiceConfig(instance="supervisor", bus=bus),
+    )
+
+
+def _settings(scenario: Scenario) -> EstimatorSettings:
+    """Return the estimator's settings with the LIDARs' patterns, so that it is warm before the first scan."""
+    patterns = {sensor.name: sensor for sensor in scenario.sensors if isinstance(sensor, LidarConfig)}
+    sensors = tuple(
+        sensor.model_copy(
+            update={
+                "azimuth_rad": patterns[sensor.name].azimuth_rad,
+                "elevation_rad": patterns[sensor.name].elevation_rad,
+            }
+        )
+        if isinstance(sensor, LidarInput)
+        else sensor
+        for sensor in scenario.estimator.sensors
+    )
+    return scenario.estimator.model_copy(update={"sensors": sensors})

@@ -1,0 +1,158 @@
+"""What an operator sees during a run: scenario time, frame rates, state, current error.
+
+Listens to ``tf`` at 25 Hz, the statuses and the diagnostics; it costs the facility next to nothing.
+"""
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+from scipy.spatial.transform import RigidTransform
+
+from rpod_runtime import Inbox, Node, Received
+from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.messages import NANOSECONDS, read_diagnostics, read_status, read_transforms
+from rpod_schemas.poses import between, pose_error
+from rpod_schemas.topics import DIAGNOSTICS, STATUS, TARGET, TARGET_ESTIMATE, TF
+from rpod_schemas.types import Mode
+
+_STYLES = {Mode.TRACKING: "green", Mode.VERIFYING: "yellow", Mode.ACQUIRING: "yellow", Mode.LOST: "red"}
+_PLAIN_PERIOD_S = 5.0
+
+
+@dataclass
+class _Seen:
+    """The last words of the services."""
+
+    truth: deque[tuple[int, RigidTransform]] = field(default_factory=lambda: deque(maxlen=50))
+    first_truth_ns: int | None = None
+    mode: Mode | None = None
+    frames: int = 0
+    accepted: int = 0
+    attitude_deg: float = float("nan")
+    position_m: float = float("nan")
+    rates_hz: dict[str, float] = field(default_factory=dict)
+    counted: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+
+class Progress:
+    """A line that lives while the run does: on a terminal redrawn, else one now and then."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._console = Console(stderr=True, quiet=quiet)
+        self._live: Live | None = None
+        self._seen = _Seen()
+        self._inbox = Inbox()
+        self._scenario: Scenario | None = None
+        self._said = ""
+        self._plain_s = 0.0
+
+    def __enter__(self) -> "Progress":
+        if self._console.is_terminal and not self._console.quiet:
+            self._live = Live(console=self._console, refresh_per_second=8, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live:
+            self._live.stop()
+
+    def say(self, text: str) -> None:
+        """Say what is going on."""
+        if text == self._said:
+            return
+        self._said = text
+        if self._live:
+            self._live.update(Text(f"  {text} ...", style="dim"))
+        else:
+            self._console.print(f"{text} ...", style="dim")
+
+    def watch(self, node: Node, scenario: Scenario) -> None:
+        """Listen from now on."""
+        self._scenario = scenario
+        for topic in (TF, STATUS, DIAGNOSTICS):
+            node.subscribe(topic, self._inbox.put)
+
+    def update(self) -> None:
+        """Take in what was said and show it."""
+        for received in self._inbox.wait(0.0):
+            try:
+                self._take(received)
+            except MessageRejectedError:
+                continue
+        if self._live:
+            self._live.update(self._table())
+        elif time.monotonic() - self._plain_s > _PLAIN_PERIOD_S:
+            self._plain_s = time.monotonic()
+            self._console.print("  ".join(text.plain for text in self._cells()))
+
+    def _take(self, received: Received) -> None:
+        message = received.decode()
+        if received.topic == TF:
+            for stamp_ns, _, child, pose in read_transforms(message):
+                self._take_transform(stamp_ns, child, pose)
+        elif received.topic == STATUS:
+            status = read_status(message)
+            self._seen.mode = status.mode
+            self._seen.frames += 1
+            self._seen.accepted += status.accepted
+        else:
+            for diagnostic in read_diagnostics(message):
+                self._take_counters(diagnostic.stamp_ns, diagnostic.values)
+
+    def _take_transform(self, stamp_ns: int, child: str, pose: RigidTransform) -> None:
+        seen = self._seen
+        if child == TARGET:
+            seen.first_truth_ns = seen.first_truth_ns or stamp_ns
+            seen.truth.append((stamp_ns, pose))
+        elif child == TARGET_ESTIMATE:
+            truth = self._truth_at(stamp_ns)
+            if truth is not None:
+                attitude_rad, position_m = pose_error(truth, pose)
+                seen.attitude_deg = float(np.rad2deg(np.linalg.norm(attitude_rad)))
+                seen.position_m = float(np.linalg.norm(position_m))
+
+    def _truth_at(self, stamp_ns: int) -> RigidTransform | None:
+        samples = list(self._seen.truth)
+        for (first_ns, first), (second_ns, second) in pairwise(samples):
+            if first_ns <= stamp_ns <= second_ns:
+                return between(first, second, (stamp_ns - first_ns) / (second_ns - first_ns))
+        return None
+
+    def _take_counters(self, stamp_ns: int, values: dict[str, str]) -> None:
+        for name, value in values.items():
+            if not name.startswith("frames/"):
+                continue
+            sensor, count = name.removeprefix("frames/"), int(value)
+            before_ns, before = self._seen.counted.get(sensor, (stamp_ns, count))
+            if stamp_ns > before_ns:
+                self._seen.rates_hz[sensor] = (count - before) * NANOSECONDS / (stamp_ns - before_ns)
+            self._seen.counted[sensor] = stamp_ns, count
+
+    def _cells(self) -> list[Text]:
+        seen, scenario = self._seen, self._scenario
+        elapsed_s = (seen.truth[-1][0] - (seen.first_truth_ns or 0)) / NANOSECONDS if seen.truth else 0.0
+        duration_s = scenario.duration_s if scenario else 0.0
+        mode = seen.mode.name if seen.mode is not None else "-"
+        rates = (
+            "  ".join(f"{sensor} {rate:.1f} Hz" for sensor, rate in seen.rates_hz.items()) or "no frames yet"
+        )
+        return [
+            Text(f"{min(elapsed_s, duration_s):5.1f} / {duration_s:g} s"),
+            Text(rates),
+            Text(f"{mode:9}", style=_STYLES.get(seen.mode, "dim") if seen.mode is not None else "dim"),
+            Text(f"{seen.accepted}/{seen.frames} accepted"),
+            Text(f"error {seen.attitude_deg:.2f} deg  {1e3 * seen.position_m:.0f} mm" if seen.truth else ""),
+        ]
+
+    def _table(self) -> Table:
+        grid = Table.grid(padding=(0, 2))
+        grid.add_row(*self._cells())
+        return grid

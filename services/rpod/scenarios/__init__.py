@@ -1,0 +1,30 @@
+"""The scenarios that ship, and how one is found by name or file."""
+
+from importlib import resources
+from pathlib import Path
+
+from rpod_schemas.config.base import load
+from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.errors import ConfigurationError
+
+DEFAULT = "mockup-tumbling"
+
+
+def shipped() -> dict[str, Path]:
+    """Return the files of the scenarios that ship, by name."""
+    folder = Path(str(resources.files(__package__)))
+    return {file.stem: file for file in sorted(folder.glob("*.yaml"))}
+
+
+def find(name: str) -> Scenario:
+    """Return a scenario that ships, by its name, or one of a YAML or TOML file.
+
+    Raises:
+        ConfigurationError: there is none, or it is wrong.
+    """
+    files = shipped()
+    if name in files:
+        return load(Scenario, files[name])
+    if Path(name).suffix in (".yaml", ".yml", ".toml", ".json"):
+        return load(Scenario, Path(name))
+    raise ConfigurationError("scenario", name, f"not known; known are {', '.join(files)}, or give a file")

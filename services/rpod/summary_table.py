@@ -1,0 +1,81 @@
+"""The summary of a run on a terminal."""
+
+from rich.console import Console
+from rich.table import Table
+
+from rpod_schemas.summary import ErrorSummary, Summary
+
+
+def print_summary(summary: Summary, console: Console) -> None:
+    """Print what an operator asks first: did it hold the target, how well, was anything lost."""
+    table = Table(
+        title=f"{summary.scenario or summary.log}, {summary.duration_s:.0f} s", title_justify="left"
+    )
+    table.add_column("", style="dim")
+    table.add_column("")
+    for name, value in _rows(summary):
+        table.add_row(name, value)
+    console.print(table)
+
+
+def _rows(summary: Summary) -> list[tuple[str, str]]:
+    estimates, modes = summary.estimates, summary.modes
+    missed = sum(frame.missed for frame in summary.frames.values())
+    published = sum(frame.published for frame in summary.frames.values())
+    rows = [
+        (
+            "tracking",
+            f"{_percent(modes.tracking_share)} of the frames after {_seconds(modes.first_tracking_s)}",
+        ),
+        *_error_rows(summary.error),
+        ("worse than 10 deg or 0.3 m", _percent(modes.worse_than_10deg_or_0_3m_share)),
+        (
+            "frames",
+            f"{estimates.accepted} accepted, {estimates.rejected} rejected, {estimates.dropped} dropped, "
+            f"{estimates.unscored} unscored",
+        ),
+    ]
+    if summary.latency_s:
+        rows.append(
+            (
+                "latency",
+                f"{1e3 * summary.latency_s.p50:.0f} ms median, {1e3 * summary.latency_s.p99:.0f} ms p99",
+            )
+        )
+    if summary.processing_s:
+        times = summary.processing_s
+        rows.append(("processing", f"{1e3 * times.p50:.1f} ms median, {1e3 * times.p99:.1f} ms p99"))
+    if summary.consistency:
+        nees = summary.consistency
+        rows.append(("NEES", f"{nees.nees_mean:.1f} mean, {_percent(nees.nees_share_in_95)} within 95 %"))
+    rows.append(("messages", f"{published} published, {missed} missed by the log"))
+    return rows
+
+
+def _error_rows(error: ErrorSummary | None) -> list[tuple[str, str]]:
+    if error is None:
+        return [("error", "not known: no tracked frame with truth")]
+    attitude, position = error.attitude_deg, error.position_m
+    return [
+        ("attitude", f"{attitude.rms:.2f} deg RMS, {attitude.p95:.2f} p95, {attitude.max:.2f} max"),
+        (
+            "roll, pitch, yaw",
+            f"{error.roll_deg_rms:.2f}, {error.pitch_deg_rms:.2f}, {error.yaw_deg_rms:.2f} deg RMS",
+        ),
+        (
+            "position",
+            f"{1e3 * position.rms:.0f} mm RMS, {1e3 * position.p95:.0f} p95, {1e3 * position.max:.0f} max",
+        ),
+        (
+            "x, y, z",
+            f"{1e3 * error.x_m_rms:.0f}, {1e3 * error.y_m_rms:.0f}, {1e3 * error.z_m_rms:.0f} mm RMS",
+        ),
+    ]
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"
+
+
+def _seconds(time_s: float | None) -> str:
+    return "-" if time_s is None else f"{time_s:.1f} s"

@@ -1,0 +1,1 @@
+"""The sensor emulator: truth in, sensor messages out."""

@@ -1,0 +1,126 @@
+"""One emulated sensor from pose to messages: a channel for each kind, alike to the daemon."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from rpod_schemas.config.lidar import LidarConfig
+from rpod_sim_sensor.lidar import LidarEmulator
+from scipy.spatial.transform import RigidTransform
+
+from rpod_emulator.faults import Kind, lost_cells
+from rpod_runtime import Node
+from rpod_runtime.sensors import CameraPublisher, LidarPublisher
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.schedule import DueFrame
+from rpod_schemas.topics import optical_frame
+from rpod_schemas.types import LidarScan, PmdFrame
+from rpod_sim_sensor.pmd import PmdEmulator
+from rpod_target import Target
+
+
+class Channel(Protocol):
+    """An emulated sensor on the bus."""
+
+    @property
+    def sensor(self) -> SensorConfig:
+        """Its configuration."""
+        ...
+
+    def emulate(
+        self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
+    ) -> None:
+        """Make a frame from T_sensor_target at the sensor's pose times; the sun in chaser axes."""
+        ...
+
+    def publish(self) -> None:
+        """Publish the frame that was made last."""
+        ...
+
+
+class PmdChannel:
+    """An emulated PMD camera."""
+
+    def __init__(self, node: Node, config: EmulatorConfig, sensor: PmdConfig, target: Target) -> None:
+        self.sensor = sensor
+        self._seed = config.seed
+        self._with_samples = config.publish_samples
+        self._emulator = PmdEmulator(sensor, target, seed=config.seed)
+        self._publisher = CameraPublisher(
+            node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
+        )
+
+    def emulate(
+        self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
+    ) -> None:
+        """Expose, and lose what the fault takes: depth always, the amplitude only in a blackout."""
+        sun = self.sensor.T_chaser_sensor.rotation.inv().apply(sun_W_m2)
+        exposure = self._emulator.expose(poses, sun_W_m2=sun, frame=frame.number)
+        depth_m, amplitude = exposure.depth_m, exposure.amplitude
+        lost = lost_cells(fault, depth_m.shape, seed=self._seed, number=frame.number)
+        if lost is not None:
+            depth_m = np.where(lost, np.float32(np.nan), depth_m)
+            amplitude = np.zeros_like(amplitude) if fault == "blackout" else amplitude
+        self._samples = exposure.samples if self._with_samples else None
+        self._frame = PmdFrame(
+            stamp_ns=frame.stamp_ns,
+            frame_id=optical_frame(self.sensor.name),
+            depth_m=depth_m,
+            amplitude=amplitude,
+            camera=self.sensor.camera,
+        )
+
+    def publish(self) -> None:
+        """Publish depth, amplitude and camera_info under one stamp."""
+        self._publisher.publish(self._frame, samples=self._samples)
+
+
+class LidarChannel:
+    """An emulated scanning LIDAR."""
+
+    def __init__(self, node: Node, config: EmulatorConfig, sensor: LidarConfig, target: Target) -> None:
+        self.sensor = sensor
+        self._seed = config.seed
+        self._emulator = LidarEmulator(sensor, target, seed=config.seed)
+        self._publisher = LidarPublisher(
+            node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
+        )
+
+    def emulate(
+        self,
+        poses: Sequence[RigidTransform],
+        sun_W_m2: FloatArray,  # noqa: ARG002 - the detector's background is in its own configuration
+        frame: DueFrame,
+        fault: Kind | None,
+    ) -> None:
+        """Scan, and lose what the fault takes."""
+        returns = self._emulator.scan(poses, frame=frame.number)
+        points_m = returns.points_m
+        lost = lost_cells(fault, points_m.shape[:2], seed=self._seed, number=frame.number)
+        if lost is not None:
+            points_m = np.where(lost[..., None], np.float32(np.nan), points_m)
+        self._scan = LidarScan(
+            stamp_ns=frame.stamp_ns,
+            frame_id=self.sensor.name,
+            points_m=points_m,
+            intensity=returns.intensity,
+            time_s=returns.time_s,
+        )
+
+    def publish(self) -> None:
+        """Publish the scan."""
+        self._publisher.publish(self._scan)
+
+
+def open_channel(node: Node, config: EmulatorConfig, sensor: SensorConfig, target: Target) -> Channel:
+    """Return the channel of a sensor, warmed up: its first frame is as fast as any other."""
+    if isinstance(sensor, PmdConfig):
+        channel: Channel = PmdChannel(node, config, sensor, target)
+    else:
+        channel = LidarChannel(node, config, sensor, target)
+    away = RigidTransform.from_translation([0.0, 0.0, 2.0 * target.radius_m + 1.0])
+    poses = [away] * len(sensor.pose_times_s())
+    channel.emulate(poses, np.zeros(3), DueFrame(0, sensor.name, 0, 0), None)
+    return channel

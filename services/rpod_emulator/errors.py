@@ -1,0 +1,12 @@
+"""The errors of the emulator."""
+
+
+class EmulatorError(Exception):
+    """Root of the errors that this package raises."""
+
+
+class TruthGapError(EmulatorError):
+    """The truth does not cover a frame's exposure."""
+
+    def __init__(self, stamp_ns: int, gap_s: float) -> None:
+        super().__init__(f"no truth within {gap_s * 1e3:.1f} ms around stamp {stamp_ns} ns")

@@ -1,0 +1,55 @@
+"""Faults on request: what a real sensor does at the worst moment."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Kind = Literal["dropout", "blackout", "silence"]
+
+_DROPOUT_SHARE = 0.6
+_PATCHES = 12
+"""Patches along each side of the image: dropout comes in areas, not in single pixels."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault and when it holds."""
+
+    kind: Kind
+    start_ns: int
+    end_ns: int
+
+
+@dataclass
+class Faults:
+    """The faults that were asked for."""
+
+    _faults: list[Fault] = field(default_factory=list)
+
+    def add(self, fault: Fault) -> None:
+        """Plan a fault."""
+        self._faults.append(fault)
+
+    def at(self, stamp_ns: int) -> Kind | None:
+        """Return the fault that holds at a stamp; the one asked for last wins."""
+        for fault in reversed(self._faults):
+            if fault.start_ns <= stamp_ns < fault.end_ns:
+                return fault.kind
+        return None
+
+
+def lost_cells(
+    kind: Kind | None, shape: tuple[int, ...], *, seed: int, number: int
+) -> NDArray[np.bool_] | None:
+    """Return which cells of an image or scan a fault takes, shape as given; None for none of them."""
+    if kind is None or kind == "silence":
+        return None
+    if kind == "blackout":
+        return np.ones(shape, np.bool_)
+    generator = np.random.default_rng([seed, number, 0xFA17])
+    lost = generator.random((_PATCHES, _PATCHES)) < _DROPOUT_SHARE
+    rows = np.arange(shape[0]) * _PATCHES // shape[0]
+    columns = np.arange(shape[1]) * _PATCHES // shape[1]
+    return lost[np.ix_(rows, columns)]

@@ -1,0 +1,69 @@
+"""The last seconds of truth, and poses between its samples."""
+
+from bisect import bisect_left
+from collections import deque
+from dataclasses import dataclass, field
+
+from scipy.spatial.transform import RigidTransform
+
+from rpod_emulator.errors import TruthGapError
+from rpod_runtime import Received
+from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.messages import NANOSECONDS, read_pose
+from rpod_schemas.poses import between
+
+MAX_GAP_S = 0.008
+"""Two samples of truth further apart than this leave what is between them unknown (ICD section 1)."""
+
+
+@dataclass
+class TruthBuffer:
+    """Truth messages in order of their stamps, decoded only where a pose is asked for."""
+
+    keep_s: float = 3.0
+    _stamps_ns: deque[int] = field(default_factory=deque)
+    _messages: deque[Received] = field(default_factory=deque)
+
+    @property
+    def first_ns(self) -> int | None:
+        """Stamp of the oldest sample."""
+        return self._stamps_ns[0] if self._stamps_ns else None
+
+    @property
+    def last_ns(self) -> int:
+        """Stamp of the newest sample; -1 where there is none."""
+        return self._stamps_ns[-1] if self._stamps_ns else -1
+
+    def add(self, received: Received) -> bool:
+        """Take a message; return False where its stamp is not newer than the last one's."""
+        stamp_ns = peek_stamp(received.payload)
+        if stamp_ns <= self.last_ns:
+            return False
+        self._stamps_ns.append(stamp_ns)
+        self._messages.append(received)
+        while stamp_ns - self._stamps_ns[0] > self.keep_s * NANOSECONDS:
+            self._stamps_ns.popleft()
+            self._messages.popleft()
+        return True
+
+    def pose(self, stamp_ns: int) -> RigidTransform:
+        """Return T_chaser_target at a stamp: linear in position, spherical in attitude.
+
+        Raises:
+            TruthGapError: the samples around the stamp are too far apart, or missing.
+            MessageRejectedError: a sample cannot be decoded.
+        """
+        after = bisect_left(self._stamps_ns, stamp_ns)
+        if after < len(self._stamps_ns) and self._stamps_ns[after] == stamp_ns:
+            return self._decoded(after)
+        if not 0 < after < len(self._stamps_ns):
+            raise TruthGapError(stamp_ns, MAX_GAP_S)
+        before_ns, after_ns = self._stamps_ns[after - 1], self._stamps_ns[after]
+        if after_ns - before_ns > MAX_GAP_S * NANOSECONDS:
+            raise TruthGapError(stamp_ns, (after_ns - before_ns) / NANOSECONDS)
+        return between(
+            self._decoded(after - 1), self._decoded(after), (stamp_ns - before_ns) / (after_ns - before_ns)
+        )
+
+    def _decoded(self, index: int) -> RigidTransform:
+        return read_pose(self._messages[index].decode().pose.pose)

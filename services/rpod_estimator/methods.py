@@ -1,0 +1,88 @@
+"""From configuration to methods: what each sensor is acquired and tracked with."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_estimator.acquisition.template_matching import OnlineTemplateMatching
+from rpod_estimator.acquisition.view_search import ViewSearch
+from rpod_estimator.ports import Methods, Tracker
+from rpod_estimator.tracking.icp_nearest_neighbour import NearestNeighbourIcp
+from rpod_estimator.tracking.icp_reverse_calibration import ReverseCalibrationIcp
+from rpod_estimator.tracking.signed_distance import SignedDistanceTracker
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.estimator import LidarInput, PmdInput, SensorInput
+from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Camera, LidarScan, PmdFrame
+from rpod_sim_sensor.geometry import RayGrid, cast
+from rpod_target import Target
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPattern:
+    """Directions of an organised scan."""
+
+    azimuth_rad: FloatArray
+    elevation_rad: FloatArray
+
+    def equals(self, other: "ScanPattern") -> bool:
+        """Return whether two patterns are the same."""
+        return np.array_equal(self.azimuth_rad, other.azimuth_rad) and np.array_equal(
+            self.elevation_rad, other.elevation_rad
+        )
+
+
+def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
+    """Return the methods for a PMD camera."""
+    tracker: Tracker[PmdFrame]
+    if isinstance(sensor.tracking, IcpReverseCalibrationConfig):
+        tracker = ReverseCalibrationIcp(sensor.tracking, target)
+    else:
+        tracker = SignedDistanceTracker(sensor.tracking, target)
+    return Methods(ViewSearch(sensor.acquisition, target), tracker, sensor.verification)
+
+
+def lidar_methods(sensor: LidarInput, target: Target, pattern: ScanPattern) -> Methods:
+    """Return the methods for a LIDAR with a known scan pattern."""
+    acquisition = OnlineTemplateMatching(
+        sensor.acquisition, target, azimuth_rad=pattern.azimuth_rad, elevation_rad=pattern.elevation_rad
+    )
+    tracker = NearestNeighbourIcp(
+        sensor.tracking, target, azimuth_rad=pattern.azimuth_rad, elevation_rad=pattern.elevation_rad
+    )
+    return Methods(acquisition, tracker, sensor.verification)
+
+
+def configured_pattern(sensor: SensorInput) -> ScanPattern | None:
+    """Return the scan pattern that the configuration tells."""
+    if not isinstance(sensor, LidarInput) or sensor.azimuth_rad is None or sensor.elevation_rad is None:
+        return None
+    return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad)
+
+
+def warm_up(methods: Methods, target: Target, pattern: ScanPattern | None) -> None:
+    """Run the methods once on an ideal view, so that compiled code is loaded before the first frame."""
+    away_m = 3.0 * target.radius_m + 1.0
+    T_sensor_target = make_pose(translation_m=[0.0, 0.0, away_m])
+    data = _ideal_scan(target, T_sensor_target, pattern) if pattern else _ideal_frame(target, T_sensor_target)
+    methods.acquisition.acquire(data)
+    methods.tracker.track(data, T_sensor_target)
+
+
+def _ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> LidarScan:
+    grid = RayGrid.azimuth_elevation(pattern.azimuth_rad, pattern.elevation_rad)
+    hits = cast(grid, target.triangles_m, T_lidar_target)
+    range_m = np.where(np.isfinite(hits.range_m), hits.range_m, np.nan)
+    points_m = (range_m[..., None] * grid.directions).astype(np.float32)
+    return LidarScan(stamp_ns=0, frame_id="", points_m=points_m)
+
+
+def _ideal_frame(target: Target, T_optical_target: RigidTransform) -> PmdFrame:
+    camera = Camera(width=352, height=287, fx=682.75, fy=691.42, cx=175.5, cy=143.0)
+    grid = RayGrid.pinhole(camera)
+    hits = cast(grid, target.triangles_m, T_optical_target)
+    range_m = np.where(np.isfinite(hits.range_m), hits.range_m, np.nan)
+    depth_m = (range_m * grid.directions[..., 2]).astype(np.float32)
+    return PmdFrame(stamp_ns=0, frame_id="", depth_m=depth_m, amplitude=None, camera=camera)

@@ -1,0 +1,262 @@
+"""The navigator: a pure state machine from measurements to estimates.
+
+ACQUIRING  --a refined candidate is believed-->             VERIFYING
+VERIFYING  --the next frames agree-->                       TRACKING
+TRACKING   --rejections or silence for too long-->          LOST
+LOST       --believed near the prediction, or searched-->   VERIFYING
+
+``step(state, measurement) -> (state, output)`` knows neither bus nor clock: the daemon, a replay
+of a log and a Monte-Carlo campaign run this very function.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_estimator.filter import FilterState, predict, start, to_odometry
+from rpod_estimator.history import History, PoseMeasurement, apply
+from rpod_estimator.measurement import Measurement, Tick
+from rpod_estimator.ports import Methods, Registration
+from rpod_estimator.verification import doubt
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
+from rpod_schemas.types import EstimatorStatus, Mode, Odometry, Source
+
+_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.05
+"""Of a given first pose whose covariance is not given."""
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPose:
+    """A pose from outside to start from, taken as of the first frame where it has no stamp."""
+
+    T_chaser_target: RigidTransform
+    covariance: FloatArray
+    stamp_ns: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class NavigatorState:
+    """All that the navigator remembers between two steps."""
+
+    mode: Mode = Mode.ACQUIRING
+    history: History | None = None
+    """The filter's state and its recent past."""
+    given: GivenPose | None = None
+    accepted_ns: int = 0
+    """Stamp of the last accepted measurement."""
+    rejections: int = 0
+    """In a row."""
+    confirmations: int = 0
+    """Frames that agreed since the acquisition."""
+
+
+@dataclass(frozen=True, eq=False)
+class Output:
+    """What a step has to say."""
+
+    status: EstimatorStatus
+    odometry: Odometry | None
+
+
+class Navigator:
+    """The transitions; its only state is its configuration."""
+
+    def __init__(self, settings: EstimatorSettings, methods: Mapping[str, Methods]) -> None:
+        self._settings = settings
+        self._limits = settings.navigator
+        self._methods = methods
+
+    def start(
+        self,
+        pose: RigidTransform | None = None,
+        *,
+        covariance: FloatArray | None = None,
+        stamp_ns: int | None = None,
+    ) -> NavigatorState:
+        """Return the first state: searching, or waiting for a frame to verify a given pose."""
+        if pose is None:
+            return NavigatorState()
+        if covariance is None:
+            covariance = np.diag([_GIVEN_SIGMA_M**2] * 3 + [_GIVEN_SIGMA_RAD**2] * 3)
+        return NavigatorState(mode=Mode.VERIFYING, given=GivenPose(pose, covariance, stamp_ns))
+
+    def step(self, state: NavigatorState, event: Measurement | Tick) -> tuple[NavigatorState, Output | None]:
+        """Return the next state and what is to be published; nothing for a tick that changes nothing."""
+        if isinstance(event, Tick):
+            return self._let_time_pass(state, event)
+        if state.given is not None:
+            state = self._start_at_given(state, event)
+        if state.mode == Mode.ACQUIRING or state.history is None:
+            return self._acquire(state, event)
+        predicted = state.history.at(event.stamp_ns, self._settings.filter)
+        if predicted is None:
+            return state, self._output(state, event, reason="late: older than max_delay_s")
+        if state.mode == Mode.LOST:
+            return self._recover(state, predicted, event)
+        return self._track(state, state.history, predicted, event)
+
+    # --- ACQUIRING ---
+
+    def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
+        """Search without a guess, refine the best candidates, believe the best of those that hold."""
+        methods = self._methods[event.sensor]
+        candidates = methods.acquisition.acquire(event.data)[: self._limits.candidates]
+        if not candidates:
+            return state, self._output(state, event, reason="acquisition found nothing to work on")
+        registrations = [methods.tracker.track(event.data, item.T_sensor_target) for item in candidates]
+        doubts = [doubt(registration, methods.verification) for registration in registrations]
+        believed = [item for item, why in zip(registrations, doubts, strict=True) if not why]
+        if not believed:
+            return state, self._output(state, event, registrations[0], reason=f"not believed: {doubts[0]}")
+        return self._begin(event, max(believed, key=_merit))
+
+    def _begin(self, event: Measurement, registration: Registration) -> tuple[NavigatorState, Output]:
+        pose, covariance = in_chaser(registration, event.T_chaser_sensor)
+        state = NavigatorState(
+            mode=Mode.VERIFYING if self._limits.confirmations else Mode.TRACKING,
+            history=History(start(pose, covariance, event.stamp_ns, config=self._settings.filter)),
+            accepted_ns=event.stamp_ns,
+        )
+        return state, self._output(state, event, registration)
+
+    def _start_at_given(self, state: NavigatorState, event: Measurement) -> NavigatorState:
+        given = state.given
+        assert given is not None  # noqa: S101 - told by the caller
+        stamp_ns = event.stamp_ns if given.stamp_ns is None else min(given.stamp_ns, event.stamp_ns)
+        begun = start(given.T_chaser_target, given.covariance, stamp_ns, config=self._settings.filter)
+        return NavigatorState(
+            mode=Mode.VERIFYING,
+            history=History(begun),
+            accepted_ns=stamp_ns,
+            confirmations=self._limits.confirmations - 1,
+        )
+
+    # --- VERIFYING and TRACKING ---
+
+    def _track(
+        self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
+    ) -> tuple[NavigatorState, Output]:
+        """Register from the prediction, believe or reject, update the filter."""
+        registration = self._register(event, predicted)
+        reason = doubt(registration, self._methods[event.sensor].verification)
+        if reason:
+            return self._reject(state, event, registration, reason=reason)
+        pose, covariance = in_chaser(registration, event.T_chaser_sensor)
+        measured = PoseMeasurement(event.stamp_ns, pose, covariance)
+        grown, nis, accepted = apply(history, measured, self._settings.filter)
+        if not accepted:
+            return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
+        confirmations = state.confirmations + 1
+        tracking = state.mode == Mode.TRACKING or confirmations >= self._limits.confirmations
+        state = NavigatorState(
+            mode=Mode.TRACKING if tracking else Mode.VERIFYING,
+            history=grown,
+            accepted_ns=grown.state.stamp_ns,
+            confirmations=confirmations,
+        )
+        return state, self._output(state, event, registration, nis=nis)
+
+    def _register(self, event: Measurement, predicted: FilterState) -> Registration:
+        T_sensor_target = event.T_chaser_sensor.inv() * predicted.T_chaser_target
+        return self._methods[event.sensor].tracker.track(event.data, T_sensor_target)
+
+    def _reject(
+        self,
+        state: NavigatorState,
+        event: Measurement,
+        registration: Registration,
+        *,
+        reason: str,
+        nis: float = float("nan"),
+    ) -> tuple[NavigatorState, Output]:
+        """Go on with the prediction; a hypothesis that fails its test is dropped, a track is lost in time."""
+        state = replace(state, rejections=state.rejections + 1)
+        if state.mode == Mode.VERIFYING:
+            state = NavigatorState()
+        elif state.mode == Mode.TRACKING and self._lost(state, event.stamp_ns):
+            state = replace(state, mode=Mode.LOST)
+        return state, self._output(state, event, registration, reason=reason, nis=nis)
+
+    def _lost(self, state: NavigatorState, stamp_ns: int) -> bool:
+        silent_s = (stamp_ns - state.accepted_ns) / NANOSECONDS
+        return (
+            silent_s > self._limits.rejection_timeout_s and state.rejections >= self._limits.rejected_frames
+        )
+
+    # --- LOST ---
+
+    def _recover(
+        self, state: NavigatorState, predicted: FilterState, event: Measurement
+    ) -> tuple[NavigatorState, Output]:
+        """Look near the prediction first, then everywhere."""
+        if (event.stamp_ns - state.accepted_ns) / NANOSECONDS <= self._limits.near_search_s:
+            registration = self._register(event, predicted)
+            if not doubt(registration, self._methods[event.sensor].verification):
+                return self._begin(event, registration)
+        return self._acquire(state, event)
+
+    def _let_time_pass(self, state: NavigatorState, tick: Tick) -> tuple[NavigatorState, Output | None]:
+        silent_s = (tick.stamp_ns - state.accepted_ns) / NANOSECONDS
+        if state.mode != Mode.TRACKING or silent_s <= self._limits.silence_timeout_s:
+            return state, None
+        state = replace(state, mode=Mode.LOST)
+        status = EstimatorStatus(
+            stamp_ns=tick.stamp_ns,
+            frame_id=CHASER,
+            mode=Mode.LOST,
+            reason=f"no accepted measurement for {silent_s:.1f} s",
+        )
+        return state, Output(status, None)
+
+    # --- results ---
+
+    def _output(
+        self,
+        state: NavigatorState,
+        event: Measurement,
+        registration: Registration | None = None,
+        *,
+        reason: str = "",
+        nis: float = float("nan"),
+    ) -> Output:
+        found = registration or Registration(Source.NONE)
+        status = EstimatorStatus(
+            stamp_ns=event.stamp_ns,
+            frame_id=CHASER,
+            mode=state.mode,
+            source=found.source,
+            sensor=event.sensor,
+            accepted=not reason,
+            reason=reason,
+            cost_m2=found.cost_m2,
+            nis=nis,
+            inliers=found.inliers,
+            inlier_share=found.inlier_share,
+        )
+        if state.mode != Mode.TRACKING or state.history is None:
+            return Output(status, None)
+        newest = state.history.state
+        shown = predict(newest, max(event.stamp_ns, newest.stamp_ns), self._settings.filter)
+        return Output(status, to_odometry(shown, frame_id=CHASER, child_frame_id=TARGET_ESTIMATE))
+
+
+def in_chaser(
+    registration: Registration, T_chaser_sensor: RigidTransform
+) -> tuple[RigidTransform, FloatArray]:
+    """Return pose and covariance of a registration in the chaser's axes (ICD section 1)."""
+    assert registration.T_sensor_target is not None  # noqa: S101 - told by the caller
+    R = T_chaser_sensor.rotation.as_matrix()
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = R
+    return T_chaser_sensor * registration.T_sensor_target, turn @ registration.covariance @ turn.T
+
+
+def _merit(registration: Registration) -> tuple[float, float]:
+    """Rank believed candidates: by what they explain, then by their cost."""
+    explained = registration.explained_share
+    return (0.0 if np.isnan(explained) else explained, -registration.cost_m2)

@@ -1,0 +1,92 @@
+"""The motion service: publishes the truth, by the wall clock or in lockstep."""
+
+import logging
+import time
+from collections.abc import Iterator
+from threading import Event
+
+from rpod_motion.lockstep import Lockstep
+from rpod_motion.motion import build_motion
+from rpod_motion.truth import TruthPublisher
+from rpod_runtime import Node
+from rpod_schemas.config.emulator import MotionServiceConfig
+from rpod_schemas.control import Accepted, StartRequest
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.types import Health
+from rpod_target import load_target
+
+log = logging.getLogger(__name__)
+
+_SPARE_S = 0.2
+"""Time between being told to start and the epoch: longer than the truth's preroll needs."""
+_TAIL_S = 0.1
+"""Truth after the end, so that exposures around it are covered."""
+
+
+def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
+    """Publish the scenario's truth from start to end, then return.
+
+    Raises:
+        LockstepError: in lockstep, a service did not keep up.
+    """
+    target = load_target(config.target)
+    motion = build_motion(
+        config.motion,
+        centre_of_mass_m=target.centre_of_mass_m,
+        inertia_kg_m2=target.inertia_kg_m2,
+        duration_s=config.duration_s,
+    )
+    with Node(config, version=version, stop=stop) as node:
+        epoch_ns = _epoch(node, config)
+        if epoch_ns is None:
+            return
+        truth = TruthPublisher(node, motion, epoch_ns=epoch_ns, rate_hz=config.rate_hz)
+        first, last = truth.tick(-config.preroll_s), truth.tick(config.duration_s + _TAIL_S)
+        node.state = "running"
+        node.health.report(Health.OK, f"playing {config.duration_s:g} s")
+        if config.speed == "max":
+            Lockstep(node, config, truth).play(first, last)
+        else:
+            _play_by_the_wall(node, truth, range(first, last + 1))
+        node.state = "finished"
+        node.health.report(Health.OK, "finished")
+        log.info("finished after %g s of scenario time", config.duration_s)
+        if config.await_start:
+            node.stop.wait()  # whoever started it asks for its state, then stops it
+
+
+def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
+    """Return the epoch once it is time to begin; None where the service is stopped before."""
+    if not config.await_start:
+        node.ready("playing at once")
+        return config.epoch_ns or time.time_ns() + round(_SPARE_S * NANOSECONDS)
+    started = Event()
+    requests: list[StartRequest] = []
+
+    def start(request: StartRequest) -> Accepted:
+        requests.append(request)
+        started.set()
+        return Accepted()
+
+    node.serve("start", StartRequest, start)
+    node.ready("waiting for the start query")
+    while not started.wait(0.05):
+        if node.stop.is_set():
+            return None
+    return requests[0].epoch_ns
+
+
+def _play_by_the_wall(node: Node, truth: TruthPublisher, ticks: range) -> None:
+    """Publish each tick when its time has come; ticks that are overdue follow without a pause."""
+    for tick in _paced(node.stop, truth, ticks):
+        truth.publish(tick)
+
+
+def _paced(stop: Event, truth: TruthPublisher, ticks: range) -> Iterator[int]:
+    for tick in ticks:
+        wait_s = (truth.stamp_ns(tick) - time.time_ns()) / NANOSECONDS
+        if wait_s > 0 and stop.wait(wait_s):
+            return
+        if stop.is_set():
+            return
+        yield tick

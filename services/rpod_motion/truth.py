@@ -1,0 +1,57 @@
+"""The truth on the bus: odometry at every tick, the sun, transforms for viewers."""
+
+from rpod_motion.motion import Motion
+from rpod_runtime import Node
+from rpod_schemas.cdr import encode
+from rpod_schemas.messages import (
+    NANOSECONDS,
+    write_odometry,
+    write_transforms,
+    write_vector_stamped,
+)
+from rpod_schemas.topics import CHASER, REFERENCE, SUN, TARGET, TF, TRUTH
+from rpod_schemas.types import Odometry
+
+_TF_HZ = 25.0
+_SUN_HZ = 1.0
+
+
+class TruthPublisher:
+    """Publishes the state of a motion, tick by tick; tick 0 is the epoch."""
+
+    def __init__(self, node: Node, motion: Motion, *, epoch_ns: int, rate_hz: float) -> None:
+        self._motion = motion
+        self._epoch_ns, self._rate_hz = epoch_ns, rate_hz
+        self._tf_every = max(1, round(rate_hz / _TF_HZ))
+        self._sun_every = max(1, round(rate_hz / _SUN_HZ))
+        self._truth, self._reference = node.publisher(TRUTH), node.publisher(REFERENCE)
+        self._tf, self._sun = node.publisher(TF), node.publisher(SUN)
+
+    def tick(self, time_s: float) -> int:
+        """Return the last tick at or before a time from the epoch."""
+        return int(time_s * self._rate_hz // 1)
+
+    def stamp_ns(self, tick: int) -> int:
+        """Return a tick's stamp."""
+        return self._epoch_ns + round(tick * NANOSECONDS / self._rate_hz)
+
+    def publish(self, tick: int) -> None:
+        """Publish the truth of a tick; the ideal robots are where they are told to be."""
+        stamp_ns = self.stamp_ns(tick)
+        state = self._motion.state(tick / self._rate_hz)
+        if tick % self._sun_every == 0:
+            sun = self._motion.sun_W_m2(tick / self._rate_hz)
+            self._sun.publish(write_vector_stamped(stamp_ns, CHASER, sun))
+        odometry = Odometry(
+            stamp_ns=stamp_ns,
+            frame_id=CHASER,
+            child_frame_id=TARGET,
+            pose=state.T_chaser_target,
+            linear_m_s=state.linear_m_s,
+            angular_rad_s=state.angular_rad_s,
+        )
+        payload = encode(write_odometry(odometry))
+        self._truth.put(payload)
+        self._reference.put(payload)
+        if tick % self._tf_every == 0:
+            self._tf.publish(write_transforms(stamp_ns, [(CHASER, TARGET, state.T_chaser_target)]))

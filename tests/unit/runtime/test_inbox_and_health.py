@@ -1,0 +1,54 @@
+from rpod_runtime.health import HealthBook
+from rpod_runtime.received import Inbox, Received
+from rpod_schemas.errors import Reason
+from rpod_schemas.topics import TRUTH
+from rpod_schemas.types import Health
+from rpod_schemas.wire import Attachment
+
+
+def received(number):
+    return Received(TRUTH, "k", memoryview(b""), Attachment(number, 0, bytes(16)), 0)
+
+
+def test_an_inbox_hands_out_all_in_order_of_arrival():
+    inbox = Inbox()
+    for number in (1, 2, 3):
+        inbox.put(received(number))
+    assert [item.attachment.sequence for item in inbox.wait(0.0)] == [1, 2, 3]
+    assert inbox.wait(0.0) == []
+
+
+def test_what_does_not_fit_an_inbox_is_counted():
+    inbox = Inbox(capacity=2)
+    for number in range(1, 6):
+        inbox.put(received(number))
+    assert inbox.overflowed == 3
+    assert len(inbox.wait(0.0)) == 2
+
+
+def test_rejections_are_counted_by_topic_and_reason_and_the_first_is_told():
+    health = HealthBook("estimator")
+    assert health.reject("pmd/depth/image_raw", Reason.LATE)
+    assert not health.reject("pmd/depth/image_raw", Reason.LATE)
+    assert health.reject("pmd/depth/image_raw", Reason.MALFORMED)
+    counters = health.counters()
+    assert counters["rejected/pmd/depth/image_raw/late"] == 2
+    assert counters["rejected/pmd/depth/image_raw/malformed"] == 1
+
+
+def test_a_change_of_health_is_seen_once():
+    health = HealthBook("logger")
+    health.take_change()
+    health.report(Health.ERROR, "disk full")
+    assert health.take_change()
+    health.report(Health.ERROR, "disk full")
+    assert not health.take_change()
+
+
+def test_a_diagnostic_carries_level_message_and_counters():
+    health = HealthBook("logger")
+    health.count("frames/pmd", 3)
+    health.report(Health.WARN, "slow disk")
+    diagnostic = health.diagnostic(5)
+    assert (diagnostic.name, diagnostic.level, diagnostic.message) == ("logger", Health.WARN, "slow disk")
+    assert diagnostic.values == {"frames/pmd": "3"}

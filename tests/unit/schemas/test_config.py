@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+from pydantic import Field
+
+from rpod_schemas.config.base import Config, Positive, check, load, read_document
+from rpod_schemas.config.service import LoggerConfig
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.poses import Pose
+
+
+class Inner(Config):
+    rate_hz: Positive
+    """Rate."""
+
+
+class Outer(Config):
+    inner: Inner
+    """Inner."""
+    names: tuple[str, ...] = Field(default=())
+    """Names."""
+    T_chaser_sensor: Pose | None = None
+    """Mount."""
+
+
+@pytest.mark.parametrize(
+    ("text", "suffix"),
+    [
+        ("inner: {rate_hz: 3}", "yaml"),
+        ("[inner]\nrate_hz = 3", "toml"),
+        ('{"inner": {"rate_hz": 3}}', "json"),
+    ],
+)
+def test_three_formats_read_alike(tmp_path, text, suffix):
+    file = tmp_path / f"config.{suffix}"
+    file.write_text(text)
+    assert load(Outer, file).inner.rate_hz == 3
+
+
+@pytest.mark.parametrize(
+    ("document", "field", "reason"),
+    [
+        ({"inner": {"rate_hz": -1}}, "inner.rate_hz", "greater than 0"),
+        ({"inner": {"rate_hz": 1}, "nmaes": []}, "nmaes", "not permitted"),
+        ({}, "inner", "required"),
+        (
+            {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"translation_m": [1, 2]}},
+            "T_chaser_sensor",
+            "three finite numbers",
+        ),
+        (
+            {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"quaternion_xyzw": [1, 1, 1, 1]}},
+            "T_chaser_sensor",
+            "unit norm",
+        ),
+    ],
+)
+def test_an_error_names_source_field_and_reason_in_one_line(document, field, reason):
+    with pytest.raises(ConfigurationError) as error:
+        check(Outer, document, source="lab.yaml")
+    text = str(error.value)
+    assert text.startswith(f"lab.yaml: {field}")
+    assert reason in text
+    assert "\n" not in text
+
+
+def test_several_errors_are_counted():
+    with pytest.raises(ConfigurationError, match="and 1 more"):
+        check(Outer, {"inner": {"rate_hz": -1}, "extra": 1}, source="x")
+
+
+@pytest.mark.parametrize(("text", "words"), [("a: [", "expected"), ("- 1", "named fields"), ("\xff", "")])
+def test_an_unreadable_file_is_named(tmp_path, text, words):
+    file = tmp_path / "bad.yaml"
+    file.write_text(text, "latin-1")
+    with pytest.raises(ConfigurationError, match=r"bad\.yaml") as error:
+        read_document(file)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"none\.yaml: cannot be read"):
+        read_document(tmp_path / "none.yaml")
+
+
+def test_a_pose_is_written_as_it_is_read():
+    outer = check(
+        Outer,
+        {
+            "inner": {"rate_hz": 1},
+            "T_chaser_sensor": {"euler_321_deg": [90, 0, 0], "translation_m": [1, 2, 3]},
+        },
+        source="x",
+    )
+    again = Outer.model_validate_json(outer.model_dump_json())
+    np.testing.assert_allclose(
+        again.T_chaser_sensor.as_matrix(), outer.T_chaser_sensor.as_matrix(), atol=1e-15
+    )
+
+
+def test_a_configuration_is_frozen():
+    config = LoggerConfig()
+    with pytest.raises(ValueError, match="frozen"):
+        config.instance = "other"

@@ -1,0 +1,58 @@
+import re
+from pathlib import Path
+
+import pytest
+
+from rpod_schemas.cdr import message_class, type_hash
+from rpod_schemas.topics import DEPTH, TOPICS, TRUTH, Namespace, type_of_wire
+
+ICD = Path(__file__).parents[3] / "schemas" / "ICD.md"
+
+
+def icd_rows():
+    rows = re.findall(r"^\| `([\w/<>]+)` \| (\w+)/(\w+)[^|]* \| ([^|]*) \|", ICD.read_text("utf-8"), re.M)
+    return [(name, f"{package}/msg/{kind}", "latched" in rate) for name, package, kind, rate in rows]
+
+
+def test_the_registry_equals_the_table_of_the_icd():
+    assert icd_rows() == [(topic.name, topic.type, topic.latched) for topic in TOPICS]
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_every_topic_has_a_type_that_the_codec_knows(topic):
+    assert message_class(topic.type)
+    assert re.fullmatch(r"RIHS01_[0-9a-f]{64}", type_hash(topic.type))
+    assert type_of_wire(topic.wire_type) == topic.type
+
+
+def test_a_key_is_that_of_rmw_zenoh():
+    key = Namespace(3, "lab/east").key(TRUTH)
+    assert key.startswith("3/lab/east/truth/odometry/nav_msgs::msg::dds_::Odometry_/RIHS01_")
+    assert Namespace(3, "lab/east").topic_of(key) == "truth/odometry"
+
+
+def test_a_subscription_takes_any_type_hash():
+    assert Namespace().selector(TRUTH) == "0/truth/odometry/nav_msgs::msg::dds_::Odometry_/*"
+
+
+def test_a_sensor_topic_carries_the_sensors_name():
+    assert DEPTH.of("pmd").name == "pmd/depth/image_raw"
+
+
+def test_a_topic_of_no_sensor_refuses_a_sensors_name():
+    with pytest.raises(ValueError, match="belongs to no sensor"):
+        TRUTH.of("pmd")
+
+
+def test_an_estimates_topic_moves_under_a_prefix():
+    from rpod_schemas.topics import ESTIMATE_POSE
+
+    assert ESTIMATE_POSE.under("second").name == "second/pose"
+
+
+@pytest.mark.parametrize("name", ["EstimatorStatus", "LidarInfo", "PmdInfo"])
+def test_the_message_files_equal_the_icd(name):
+    block = re.search(rf"```\n# {name}\.msg\n(.*?)```", ICD.read_text("utf-8"), re.S)
+    file = ICD.parent / "rpod_msgs" / "msg" / f"{name}.msg"
+    assert block is not None
+    assert file.read_text("utf-8") == block[1]
