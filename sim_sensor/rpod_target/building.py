@@ -23,7 +23,7 @@ from rpod_target.stl import read_stl
 from rpod_target.surfaces import Surface, box_surface, cylinder_surface, frustum_surface, prism_surface
 from rpod_target.topology import creases, open_edges, separate_surfaces, unit_normals, volume_m3
 
-_MOST_NODES = 50_000_000
+_MOST_NODES = 30_000_000
 _NUDGE = 1e-4
 """Share of the target's size by which a point is moved off its surface before asking what it lies in."""
 
@@ -84,7 +84,7 @@ def _placed(part: PartParameters, meshes: Mapping[str, bytes], *, source: str, f
         raise TargetError(
             source,
             f"{field}.file",
-            "a closed surface faces inwards: triangles run counter-clockwise seen from outside",
+            "a closed surface holds no volume, or its triangles run clockwise seen from outside",
         )
     return placed
 

@@ -24,7 +24,7 @@ def default_directory() -> Path:
 def read(file: Path) -> dict[str, Array] | None:
     """Return the arrays of a file; None where it is missing or damaged (its checksums tell)."""
     try:
-        with np.load(file, allow_pickle=False) as stored:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return dict(stored.items())
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from rpod_schemas.arrays import FloatArray
 from rpod_target.target import DistanceField
 
+_RAYS = 3
+"""Rays that vote on whether a point is inside: one alone errs where it meets an edge."""
+
 
 class Bodies:
     """Closed surfaces that may touch and overlap, each facing outwards; Open3D answers the queries."""
@@ -18,13 +21,13 @@ class Bodies:
         self._surfaces = surfaces
         self._scenes = [_scene(surface) for surface in surfaces]
 
-    def depth_m(self, points_m: FloatArray) -> NDArray[np.float32]:
+    def depth_m(self, points_m: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return how deep points, shape (N, 3), lie in the body that holds them deepest; 0 outside; (N,)."""
         deepest_m = np.zeros(len(points_m), np.float32)
         for surface, scene in zip(self._surfaces, self._scenes, strict=True):
             low, high = surface.min(axis=(0, 1)), surface.max(axis=(0, 1))
             near = np.flatnonzero(((points_m > low) & (points_m < high)).all(axis=1))
-            inside = near[scene.compute_occupancy(_query(points_m[near])).numpy() > 0.5]
+            inside = near[scene.compute_occupancy(_query(points_m[near]), nsamples=_RAYS).numpy() > 0.5]
             depth_m = scene.compute_distance(_query(points_m[inside])).numpy()
             deepest_m[inside] = np.maximum(deepest_m[inside], depth_m)
         return deepest_m
@@ -37,7 +40,10 @@ class Bodies:
         Outside all of them that is the distance to the nearest surface of any, one query for all;
         only the few nodes inside a body need that body's own distance.
         """
-        axes = [origin + spacing_m * np.arange(n) for origin, n in zip(origin_m, shape, strict=True)]
+        axes = [
+            (origin + spacing_m * np.arange(n)).astype(np.float32)
+            for origin, n in zip(origin_m, shape, strict=True)
+        ]
         nodes_m = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         outside_m = _scene(np.concatenate(self._surfaces)).compute_distance(_query(nodes_m)).numpy()
         depth_m = self.depth_m(nodes_m)
@@ -54,5 +60,5 @@ def _scene(triangles_m: FloatArray) -> o3d.t.geometry.RaycastingScene:
     return scene
 
 
-def _query(points_m: FloatArray) -> Any:  # mypy sees Open3D's tensors as Any, pyright does not
+def _query(points_m: NDArray[np.floating]) -> Any:  # mypy sees Open3D's tensors as Any, pyright does not
     return o3d.core.Tensor.from_numpy(np.ascontiguousarray(points_m, dtype=np.float32))

@@ -18,7 +18,7 @@ from rpod_target.parameters import MeshParameters, PartParameters, PrismParamete
 from rpod_target.target import DistanceField, Material, Symmetry, Target
 
 _SHIPPED = Path(__file__).parent / "targets"
-_BUILDER_VERSION = 1
+_BUILDER_VERSION = 2
 """Raised whenever the same parameters make other arrays, so that old cache files are not taken."""
 
 
@@ -55,10 +55,8 @@ def _parameter_file(name_or_path: str | Path) -> Path:
     if path.suffix or len(path.parts) > 1:
         return path
     if str(name_or_path) not in shipped_targets():
-        known = ", ".join(shipped_targets())
-        raise TargetError(
-            "target", str(name_or_path), f"is unknown; known are {known}, or the path of a file"
-        )
+        reason = f"is unknown; known are {', '.join(shipped_targets())}, or the path of a file"
+        raise TargetError(f"target {str(name_or_path)!r}", "", reason)
     return _SHIPPED / f"{name_or_path}.yaml"
 
 

@@ -1,4 +1,8 @@
-"""Even samples of a surface: centroidal Voronoi cells (Lloyd, IEEE Trans. Inf. Theory 28, 1982)."""
+"""Even samples of a surface: cells of equal area, rounded by Lloyd's algorithm.
+
+Source: S. P. Lloyd, Least squares quantization in PCM, IEEE Trans. Inf. Theory 28 (1982).
+Nothing here is random: the candidates are a low-discrepancy sequence, so the cells come out equal.
+"""
 
 from collections.abc import Callable
 
@@ -7,11 +11,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rpod_schemas.arrays import FloatArray
-from rpod_target.topology import areas_m2, unit_normals
+from rpod_target.topology import Indices, areas_m2, unit_normals
 
-_SEED = 2018
-_CANDIDATES_A_POINT = 16
-_ROUNDS = 12
+_CANDIDATES_A_POINT = 32
+_ROUNDS = 6
+_APART = 3.0
+"""Weight of the normals, in pitches, while cells are halved: opposite faces part before cells get small."""
+_PLASTIC = 1.32471795724474602596
+"""Root of x^3 = x + 1: its powers make the evenest known additive sequence in the plane (Roberts, 2018)."""
 
 
 def sample_evenly(
@@ -22,32 +29,48 @@ def sample_evenly(
     Each point stands for an equal share of the area that ``hidden(points, normals)`` leaves. Cells are
     formed in position and normal, so that the two faces of a thin panel do not share one.
     """
-    rng = np.random.default_rng(_SEED)
-    points_m, normals = _scatter(triangles_m, _CANDIDATES_A_POINT * count, rng)
+    points_m, normals = _candidates(triangles_m, _CANDIDATES_A_POINT * count)
     seen = ~hidden(points_m, normals)
     points_m, normals = points_m[seen], normals[seen]
     pitch_m = np.sqrt(areas_m2(triangles_m).sum() / count)
-    candidates = np.hstack([points_m, pitch_m * normals])
-    count = min(count, len(candidates))
-    centres = candidates[rng.choice(len(candidates), count, replace=False)]
-    for _ in range(_ROUNDS):
-        _, cell = cKDTree(centres).query(candidates)
-        size = np.bincount(cell, minlength=count)[:, None]
-        sums = np.stack(
-            [np.bincount(cell, weights=column, minlength=count) for column in candidates.T], axis=1
-        )
-        centres = np.where(size > 0, sums / np.maximum(size, 1), centres)
-    _, chosen = cKDTree(candidates).query(centres)
-    chosen = np.unique(chosen)
+    lifted = np.hstack([points_m, pitch_m * normals])
+    apart = np.hstack([points_m, _APART * pitch_m * normals])
+    cells = _equal_cells(apart, np.arange(len(apart)), min(count, len(apart)))
+    centres = _lloyd(np.stack([lifted[cell].mean(axis=0) for cell in cells]), lifted)
+    _, nearest = cKDTree(lifted).query(centres)
+    chosen = np.unique(nearest)
     return points_m[chosen], normals[chosen]
 
 
-def _scatter(triangles_m: FloatArray, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Points of uniform density: systematic over the triangles, random within each (shapes (count, 3))."""
+def _candidates(triangles_m: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return points of uniform density and their normals, shapes (count, 3)."""
     cumulative = np.cumsum(areas_m2(triangles_m))
-    position = (np.arange(count) + rng.random(count)) / count * cumulative[-1]
-    triangle = np.minimum(np.searchsorted(cumulative, position), len(triangles_m) - 1)
-    root, v = np.sqrt(rng.random(count)), rng.random(count)
-    weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
+    number = np.arange(count) + 0.5
+    triangle = np.searchsorted(cumulative, number / count * cumulative[-1])
+    u, v = np.mod(number / _PLASTIC, 1.0), np.mod(number / _PLASTIC**2, 1.0)
+    folded = u + v > 1.0  # the half of the unit square that lies beyond the triangle
+    u, v = np.where(folded, 1.0 - u, u), np.where(folded, 1.0 - v, v)
+    weights = np.stack([1.0 - u - v, u, v], axis=1)
     points_m = np.einsum("nc,ncd->nd", weights, triangles_m[triangle])
     return points_m, unit_normals(triangles_m)[triangle]
+
+
+def _equal_cells(points: FloatArray, members: Indices, count: int) -> list[Indices]:
+    """Split members of points, shape (M, D), into compact cells of equally many: halve the longest side."""
+    if count == 1:
+        return [members]
+    longest = np.argmax(np.ptp(points[members], axis=0))
+    members = members[np.argsort(points[members, longest], kind="stable")]
+    cut = round(len(members) * (count // 2) / count)
+    halves = (members[:cut], count // 2), (members[cut:], count - count // 2)
+    return [cell for half, share in halves for cell in _equal_cells(points, half, share)]
+
+
+def _lloyd(centres: FloatArray, points: FloatArray) -> FloatArray:
+    """Move each centre to the mean of the points nearest to it, some rounds; shapes (N, D), (M, D)."""
+    for _ in range(_ROUNDS):
+        _, cell = cKDTree(centres).query(points)
+        size = np.bincount(cell, minlength=len(centres))[:, None]
+        sums = [np.bincount(cell, weights=column, minlength=len(centres)) for column in points.T]
+        centres = np.where(size > 0, np.stack(sums, axis=1) / np.maximum(size, 1), centres)
+    return centres

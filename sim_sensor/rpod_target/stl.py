@@ -45,4 +45,7 @@ def _read_text(content: bytes) -> FloatArray:
     vertices = _VERTEX.findall(content)
     if not content.lstrip().startswith(b"solid") or len(vertices) % 3:
         raise ValueError("is neither a binary nor a text STL file")
-    return np.array(vertices).astype(np.float64).reshape(-1, 3, 3)
+    try:
+        return np.array(vertices).astype(np.float64).reshape(-1, 3, 3)
+    except ValueError as error:
+        raise ValueError("holds a coordinate that is no number") from error

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from rpod_schemas.arrays import FloatArray
 
@@ -35,14 +36,15 @@ def volume_m3(triangles_m: FloatArray) -> float:
 def welded(triangles_m: FloatArray) -> Indices:
     """Return corner indices, shape (T, 3): equal corners have equal indices."""
     corners = triangles_m.reshape(-1, 3)
-    step_m = _WELD * np.ptp(corners, axis=0).max()
-    _, index = np.unique(np.rint(corners / step_m).astype(np.int64), axis=0, return_inverse=True)
-    return index.reshape(-1, 3).astype(np.int64)
+    tolerance_m = _WELD * np.ptp(corners, axis=0).max()
+    pairs = cKDTree(corners).query_pairs(tolerance_m, output_type="ndarray")
+    return _components(pairs, size=len(corners)).reshape(-1, 3)
 
 
 def open_edges(triangles_m: FloatArray) -> int:
     """Return how many edges no neighbour runs along in the other direction; 0 where the surface is closed."""
     edges = _directed_edges(welded(triangles_m))
+    edges = edges[edges[:, 0] != edges[:, 1]]  # of slivers whose corners are one
     low_first = edges[:, 0] < edges[:, 1]
     _, inverse = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
     balance = np.bincount(inverse.reshape(-1), weights=np.where(low_first, 1.0, -1.0))
@@ -53,11 +55,8 @@ def separate_surfaces(triangles_m: FloatArray) -> list[FloatArray]:
     """Split triangles into surfaces that share no corner."""
     index = welded(triangles_m)
     edges = _directed_edges(index)
-    size = int(index.max()) + 1
-    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(size, size))
-    count, label = connected_components(graph, directed=False)
-    surface_of_triangle = label[index[:, 0]]
-    return [triangles_m[surface_of_triangle == number] for number in range(count)]
+    surface = _components(edges, size=int(index.max()) + 1)[index[:, 0]]
+    return [triangles_m[surface == number] for number in range(int(surface.max()) + 1)]
 
 
 def creases(triangles_m: FloatArray, *, angle_rad: float) -> tuple[FloatArray, FloatArray]:
@@ -79,6 +78,13 @@ def creases(triangles_m: FloatArray, *, angle_rad: float) -> tuple[FloatArray, F
     triangle, corner = first // 3, first % 3
     segments = np.stack([triangles_m[triangle, corner], triangles_m[triangle, (corner + 1) % 3]], axis=1)
     return segments[sharp], np.stack([n_first, n_last], axis=1)[sharp]
+
+
+def _components(pairs: Indices, *, size: int) -> Indices:
+    """Return the number of each node's component, shape (size,), in a graph of pairs, shape (P, 2)."""
+    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
+    _, component = connected_components(graph, directed=False)
+    return np.asarray(component, np.int64)
 
 
 def _spanned(triangles_m: FloatArray) -> FloatArray:

@@ -1,0 +1,284 @@
+"""Finding, caching and refusing parameter files."""
+
+import concurrent.futures
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import rpod_target
+from rpod_target import Target, TargetError, load_target, shipped_targets
+
+Build = Callable[..., Target]
+Write = Callable[[dict[str, Any]], Path]
+MISSING = object()
+
+
+def assert_same(first: Target, second: Target) -> None:
+    assert first.digest == second.digest
+    for name in ("triangles_m", "normals", "triangle_material", "edges_m", "model_points_m"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    np.testing.assert_array_equal(first.require_field().values, second.require_field().values)
+
+
+def test_the_digest_ignores_how_the_file_is_written(
+    document: dict[str, Any], write: Write, cache: Path
+) -> None:
+    file = write(document)
+    first = load_target(file, cache=cache)
+    file.write_text("# a remark\n" + yaml.safe_dump(document, default_flow_style=True, sort_keys=False))
+    assert load_target(file, cache=cache).digest == first.digest
+
+
+def test_the_digest_follows_every_parameter(build: Build) -> None:
+    digests = {
+        build().digest,
+        build(model_points=201).digest,
+        build(edge_crease_deg=31.0).digest,
+        build(centre_of_mass_m=[0.0, 0.0, 0.1]).digest,
+        build({"shape": "box", "size_m": [2.0, 1.0, 0.5001]}).digest,
+    }
+    assert len(digests) == 5
+
+
+def test_the_digest_follows_the_bytes_of_a_mesh(build: Build, write_stl: Callable[[str, Any], Path]) -> None:
+    triangles_m = build().triangles_m
+    part = {"shape": "mesh", "file": "hull.stl", "metres_per_unit": 1.0}
+    write_stl("hull.stl", triangles_m)
+    first = build(part)
+    write_stl("hull.stl", triangles_m * 1.001)
+    assert build(part).digest != first.digest
+
+
+def test_a_target_from_the_cache_equals_the_one_built(
+    document: dict[str, Any], write: Write, tmp_path: Path
+) -> None:
+    file = write(document)
+    built = load_target(file, cache=tmp_path / "one")
+    assert_same(load_target(file, cache=tmp_path / "one"), built)
+    assert_same(load_target(file, cache=tmp_path / "another"), built)
+    assert [path.suffix for path in (tmp_path / "one").iterdir()] == [".npz"]
+
+
+def test_a_warm_start_does_not_import_open3d(document: dict[str, Any], write: Write, cache: Path) -> None:
+    file = write(document)
+    load_target(file, cache=cache)
+    program = (
+        "import sys; from pathlib import Path; from rpod_target import load_target\n"
+        "load_target(sys.argv[1], cache=Path(sys.argv[2]))\n"
+        "sys.exit('open3d' in sys.modules)"
+    )
+    paths = [
+        str(Path(rpod_target.__file__).parents[1]),
+        str(Path(rpod_target.__file__).parents[2] / "schemas"),
+    ]
+    subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path[:0] = {paths!r}\n" + program, file, cache], check=True
+    )
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "foreign"])
+def test_a_damaged_cache_file_is_built_again(
+    document: dict[str, Any], write: Write, tmp_path: Path, damage: str
+) -> None:
+    file, cache = write(document), tmp_path / "cache"
+    built = load_target(file, cache=cache)
+    (stored,) = cache.iterdir()
+    content = bytearray(stored.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    damaged = {"truncated": content[:-100], "flipped": content, "empty": b"", "foreign": b"not a zip archive"}
+    stored.write_bytes(damaged[damage])
+    assert_same(load_target(file, cache=cache), built)
+    size = stored.stat().st_size
+    assert size == len(content)
+
+
+def test_many_may_build_at_once(document: dict[str, Any], write: Write, tmp_path: Path) -> None:
+    file, cache = write(document), tmp_path / "cache"
+    with concurrent.futures.ThreadPoolExecutor(4) as pool:
+        targets = list(pool.map(lambda _: load_target(file, cache=cache), range(8)))
+    for target in targets:
+        assert_same(target, targets[0])
+    assert len(list(cache.iterdir())) == 1
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(
+    document: dict[str, Any], write: Write, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    assert load_target(write(document), cache=tmp_path / "file").name == "brick"
+
+
+@pytest.mark.parametrize(
+    ("variables", "folder"),
+    [
+        ({"RPOD_CACHE": "a", "XDG_CACHE_HOME": "b"}, "a"),
+        ({"XDG_CACHE_HOME": "b"}, "b/rpod"),
+        ({}, ".cache/rpod"),
+    ],
+)
+def test_the_environment_names_the_cache(
+    *,
+    document: dict[str, Any],
+    write: Write,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    variables: dict[str, str],
+    folder: str,
+) -> None:
+    for name in ("RPOD_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in {"HOME": ".", **variables}.items():
+        monkeypatch.setenv(name, str(tmp_path / value))
+    load_target(write(document))
+    assert len(list((tmp_path / folder).glob("target-*.npz"))) == 1
+
+
+def test_a_cold_start_without_open3d_says_what_to_install(
+    document: dict[str, Any], write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("rpod_target.building", "rpod_target.interior"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(TargetError, match=r"install rpod\[target\]"):
+        load_target(write(document), cache=tmp_path / "cache")
+
+
+def replaced(document: dict[str, Any], field: str, value: Any) -> dict[str, Any]:
+    """Return the document with the field of a dotted path set, or taken out where the value is MISSING."""
+    *path, last = [int(key) if key.isdigit() else key for key in field.split(".")]
+    node: Any = document
+    for key in path:
+        node = node[key]
+    if value is MISSING:
+        del node[last]
+    else:
+        node[last] = value
+    return document
+
+
+@pytest.mark.parametrize(
+    ("change", "value", "field", "reason"),
+    [
+        ("parts.0.material", "gold", "parts.0.material", "material 'gold' is unknown; known are paint, foil"),
+        ("parts.0.size_m.1", 0.0, "parts.0.size_m.1", "greater than 0"),
+        ("parts.0.size_m.1", -1.0, "parts.0.size_m.1", "greater than 0"),
+        ("parts.0.size_m.1", float("nan"), "parts.0.size_m.1", "finite number"),
+        ("parts.0.colour", "red", "parts.0.colour", "Extra inputs are not permitted"),
+        ("parts.0.shape", "sphere", "parts.0", "'sphere'"),
+        ("parts.0.shape", MISSING, "parts.0", "shape"),
+        ("parts", [], "parts", "at least 1"),
+        ("colour", "red", "colour", "Extra inputs are not permitted"),
+        ("name", MISSING, "name", "Field required"),
+        ("materials.paint.diffuse", 1.5, "materials.paint.diffuse", "less than or equal to 1"),
+        ("distance_field.spacing_m", 0.0, "distance_field.spacing_m", "greater than 0"),
+        ("distance_field.spacing_m", 1e-4, "distance_field.spacing_m", "at most 3e+07"),
+        ("inertia_kg_m2.0.1", 0.1, "inertia_kg_m2", "not symmetric"),
+        ("inertia_kg_m2.0.0", -2.0, "inertia_kg_m2", "not positive definite"),
+        ("inertia_kg_m2.0.0", 8.0, "inertia_kg_m2", "triangle inequality"),
+        ("symmetries", [{"axis": [0, 0, 0], "order": 2}], "symmetries.0.axis", "zero vector"),
+    ],
+)
+def test_a_wrong_field_is_named_with_the_reason(
+    *,
+    document: dict[str, Any],
+    write: Write,
+    cache: Path,
+    change: str,
+    value: Any,
+    field: str,
+    reason: str,
+) -> None:
+    file = write(replaced(document, change, value))
+    with pytest.raises(TargetError) as caught:
+        load_target(file, cache=cache)
+    assert caught.value.source == str(file)
+    assert caught.value.field == field
+    assert reason in caught.value.reason
+    assert "\n" not in str(caught.value)
+
+
+def test_two_parts_of_one_name_are_refused(build: Build) -> None:
+    part = {"shape": "box", "size_m": [1.0, 1.0, 1.0], "name": "twin"}
+    with pytest.raises(TargetError, match="two parts are named 'twin'"):
+        build(part, part)
+
+
+def test_an_unknown_sector_material_is_named(build: Build) -> None:
+    prism = {
+        "shape": "prism",
+        "sides": 6,
+        "circumradius_m": 1.0,
+        "length_m": 1.0,
+        "top_materials": ["paint", "tin"],
+    }
+    with pytest.raises(TargetError, match=r"parts\.0\.top_materials\.1: material 'tin' is unknown"):
+        build(prism)
+
+
+def test_a_missing_mesh_is_named(build: Build) -> None:
+    with pytest.raises(TargetError, match=r"parts\.0\.file: mesh .*hull\.stl cannot be read \(No such file"):
+        build({"shape": "mesh", "file": "hull.stl", "metres_per_unit": 1.0})
+
+
+def test_a_mesh_needs_one_scale(build: Build) -> None:
+    for scales in ({}, {"metres_per_unit": 1.0, "longest_side_m": 1.0}):
+        with pytest.raises(TargetError, match=r"parts\.0: needs either longest_side_m or metres_per_unit"):
+            build({"shape": "mesh", "file": "hull.stl", **scales})
+
+
+@pytest.mark.parametrize(
+    ("keep", "reason"),
+    [
+        (lambda triangles: triangles[:, ::-1], "clockwise"),
+        (lambda triangles: triangles[:0], "no triangle"),
+        (lambda triangles: 0.0 * triangles, "no triangle"),
+    ],
+    ids=["inside out", "empty", "without size"],
+)
+def test_a_mesh_that_cannot_be_used_is_refused(
+    build: Build, write_stl: Callable[[str, Any], Path], keep: Callable[[Any], Any], reason: str
+) -> None:
+    write_stl("hull.stl", keep(build().triangles_m))
+    with pytest.raises(TargetError, match=rf"parts\.0\.file: .*{reason}"):
+        build({"shape": "mesh", "file": "hull.stl", "metres_per_unit": 1.0})
+
+
+def test_the_field_of_a_mesh_with_a_hole_is_refused_with_the_count_of_open_edges(
+    build: Build, write_stl: Callable[[str, Any], Path]
+) -> None:
+    write_stl("hull.stl", build().triangles_m[1:])
+    for _ in ("built", "from the cache"):
+        target = build({"shape": "mesh", "file": "hull.stl", "metres_per_unit": 1.0, "name": "hull"})
+        with pytest.raises(TargetError, match=r"target\.yaml: .*part 'hull' has a hole: 3 open edges"):
+            target.require_field()
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    with pytest.raises(TargetError, match=r"target 'mokup': is unknown; known are .*mockup") as caught:
+        load_target("mokup")
+    for name in shipped_targets():
+        assert name in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(b"parts: [", "parts"), (b"\xff\xfe\x00", "UTF-8"), (b"just text", "named fields")],
+)
+def test_an_unreadable_file_is_refused(tmp_path: Path, content: bytes, reason: str) -> None:
+    file = tmp_path / "target.yaml"
+    file.write_bytes(content)
+    with pytest.raises(TargetError, match=reason) as caught:
+        load_target(file)
+    assert str(file) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(TargetError, match="No such file"):
+        load_target(tmp_path / "target.yaml")
