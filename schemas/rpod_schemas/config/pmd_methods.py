@@ -9,11 +9,21 @@ from rpod_schemas.config.base import Config, NonNegative, Positive, Share
 Count = Annotated[int, Field(gt=0)]
 
 
+class DepthImageConfig(Config):
+    """What of a depth image is used."""
+
+    ghost_share: Share = 0.08
+    """Depth is dropped where the amplitude is below this share of the image's mean: close to a bright target,
+    stray light gives the background a depth. Not asked where no amplitude is sent."""
+    min_pixels: Annotated[int, Field(ge=6)] = 60
+    """Fewer measured pixels are no image of the target."""
+    stride_px: Count = 4
+    """Every how many pixels, across and down, the model is rendered: for what is hidden and for comparing."""
+
+
 class DepthComparisonConfig(Config):
     """How a pose's rendered depth is compared with the measured one: the self-check of all methods."""
 
-    stride_px: Count = 4
-    """Every how many pixels, across and down, a ray is cast and compared."""
     tolerance_m: Positive = 0.12
     """Measured and rendered depth agree within this; it must cover the camera's wiggling error and noise."""
     missing_weight: Share = 0.25
@@ -26,7 +36,7 @@ class DepthErrorConfig(Config):
 
     noise_m: Positive = 0.02
     """Least standard deviation of one depth residual; the residuals' own spread where that is larger."""
-    effective_points: Count = 400
+    effective_points: Count = 120
     """Most residuals counted as independent: neighbours share their errors."""
     bias_m: NonNegative = 0.02
     """Standard deviation of an error that all pixels share, along the line of sight (wiggling)."""
@@ -52,7 +62,7 @@ class IcpReverseCalibrationConfig(Config):
     """Radius, direct match and scale narrow to this share of their first values (point_to_plane only)."""
     gate_m: Positive = 0.3
     """Longest match; a model point farther from every measurement has none."""
-    cover_points: Annotated[int, Field(ge=0)] = 600
+    cover_points: Annotated[int, Field(ge=0)] = 2000
     """Measured points used in the opposite direction, by the target's distance field: they pull the model
     over what it leaves uncovered (point_to_plane only); 0 for none."""
     iterations: Count = 15
@@ -63,10 +73,10 @@ class IcpReverseCalibrationConfig(Config):
     """The iterations end where a step moves the target's surface by less than this."""
     unsettled_m: Positive = 0.02
     """A last step larger than this means that the iterations did not converge."""
-    min_pixels: Count = 60
-    """Fewer measured pixels are no image of the target."""
     min_matches: Annotated[int, Field(ge=6)] = 30
     """Fewer matched model points are no registration."""
+    image: DepthImageConfig = DepthImageConfig()
+    """What of the image is used."""
     comparison: DepthComparisonConfig = DepthComparisonConfig()
     """The self-check."""
     errors: DepthErrorConfig = DepthErrorConfig()
@@ -85,10 +95,10 @@ class SignedDistanceConfig(Config):
     """Geman-McClure scale in the last iteration."""
     iterations: Annotated[int, Field(ge=2)] = 12
     """Iterations, over which the scale narrows geometrically."""
-    min_pixels: Count = 60
-    """Fewer measured pixels are no image of the target."""
     unsettled_m: Positive = 0.02
     """A last step larger than this means that the iterations did not converge."""
+    image: DepthImageConfig = DepthImageConfig()
+    """What of the image is used."""
     comparison: DepthComparisonConfig = DepthComparisonConfig()
     """The self-check."""
     errors: DepthErrorConfig = DepthErrorConfig()
@@ -135,8 +145,8 @@ class PmdAcquisitionConfig(Config):
     """Best poses whose turns by the target's near-symmetries are tried too."""
     candidates: Count = 5
     """Most candidates returned."""
-    min_points: Annotated[int, Field(ge=6)] = 60
-    """Fewer measured points within the target's radius are no image of it."""
+    image: DepthImageConfig = DepthImageConfig()
+    """What of the image is used."""
     comparison: DepthComparisonConfig = DepthComparisonConfig()
     """Render and compare, which ranks the candidates."""
 

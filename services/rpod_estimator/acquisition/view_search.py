@@ -46,9 +46,9 @@ class ViewSearch:
     def acquire(self, measurement: PmdFrame) -> list[Candidate]:
         """Return distinct candidates, best by render and compare first; empty where no target is in sight."""
         config = self._config
-        image = DepthImage.of(measurement, config.comparison.stride_px)
+        image = DepthImage.of(measurement, config.image)
         measured_m = self._segmented(image.points(config.fine_points))
-        if len(measured_m) < config.min_points:
+        if len(measured_m) < config.image.min_pixels:
             return []
         coarse_m = measured_m[:: max(1, len(measured_m) // config.coarse_points)]
         scales_m = np.geomspace(config.coarse_scale_m, config.fine_scale_m, config.coarse_iterations)

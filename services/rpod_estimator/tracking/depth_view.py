@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_methods import DepthComparisonConfig
+from rpod_schemas.config.pmd_methods import DepthComparisonConfig, DepthImageConfig
 from rpod_schemas.types import Camera, Float32Array, PmdFrame
 from rpod_sim_sensor.geometry import RayGrid, cast, distort
 
@@ -111,17 +111,20 @@ class DepthImage:
 
     view: DepthView
     depth_m: Float32Array
-    """z-depth, shape (height, width), NaN for everything that is no depth (0, negative, infinite)."""
+    """z-depth, shape (height, width), NaN for everything that is no depth: 0, negative, infinite, ghosts."""
 
     @classmethod
-    def of(cls, frame: PmdFrame, stride: int) -> Self:
-        """Return a frame's depth, copied, and its camera's view.
+    def of(cls, frame: PmdFrame, config: DepthImageConfig) -> Self:
+        """Return a frame's depth, copied and without ghosts, and its camera's view.
 
         Raises:
             rpod_sim_sensor.geometry.DistortionError: the lens distortion cannot be inverted.
         """
         measured = np.isfinite(frame.depth_m) & (frame.depth_m > 0.0)
-        return cls(DepthView.of(frame.camera, stride), np.where(measured, frame.depth_m, np.float32(np.nan)))
+        if frame.amplitude is not None:
+            measured &= frame.amplitude >= config.ghost_share * frame.amplitude.mean(dtype=np.float64)
+        view = DepthView.of(frame.camera, config.stride_px)
+        return cls(view, np.where(measured, frame.depth_m, np.float32(np.nan)))
 
     def points(self, count: int) -> FloatArray:
         """Return at most ``count`` measured points, evenly drawn, in sensor axes, shape (N, 3)."""

@@ -157,8 +157,8 @@ class SignedDistanceTracker:
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why there is none."""
         config = self._config
-        image = DepthImage.of(measurement, config.comparison.stride_px)
-        if reason := image.too_poor(config.min_pixels):
+        image = DepthImage.of(measurement, config.image)
+        if reason := image.too_poor(config.image.min_pixels):
             return Registration(Source.PMD_DEPTH, reason=reason)
         points_m = image.points(config.points)
         progress = Progress(T_sensor_target)
