@@ -7,12 +7,13 @@ assumed; a prototype with these values was plausible in its noise, its saturatio
 import math
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 from scipy import constants
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.poses import Pose, make_pose
-from rpod_schemas.types import Camera
+from rpod_schemas.types import Camera, PmdInfo
 
 MODULATION_FREQUENCIES_HZ = (5.004e6, 7.5e6, 10.007e6, 15e6, 20.013e6, 25.016e6, 30e6)
 """The camera's seven (Table 1)."""
@@ -45,8 +46,8 @@ class LensConfig(Config):
     """Focal length over aperture (assumed)."""
     transmission: Share = 0.8
     """Of lens and filter in the band (assumed)."""
-    stray_share: Share = 0.01
-    """Share of the image's mean light that every pixel receives as well (assumed)."""
+    stray_share: Share = 0.002
+    """Share of the image's mean light that every pixel receives as well (assumed: some 250 e-)."""
     sun_share: Share = 47.5 / 1361.0
     """Share of the sun's irradiance within the filter's 50 nm: 47.5 W/m2 of AM0's 1361 W/m2."""
 
@@ -91,8 +92,8 @@ class ReconstructionConfig(Config):
     least_amplitude_e: NonNegative = 1500.0
     """Below it there is no depth; at 250 stray light makes ghosts of half the background (prototype)."""
     asymmetry_limit: Positive = 0.3
-    """Most of |Q1 + Q2| and |Q3 + Q4| over twice the amplitude. They are zero but for motion and for noise, as
-    large as that of the phase in rad: 0.3 loses what is noisier than about 0.1 rad (assumed)."""
+    """Most of |Q1 + Q2| and |Q3 + Q4| over twice the amplitude. It is zero but for motion and noise, which is
+    as large as the phase's in rad: 0.3 loses what is noisier than about 0.1 rad (assumed)."""
 
 
 class PmdConfig(Config):
@@ -165,6 +166,15 @@ class PmdConfig(Config):
         """Return the middles of the sub-exposures, offsets from the stamp, in the order Q1..Q4."""
         period_s = self.sub_exposure_s + self.readout_s
         return tuple((index - (SAMPLES - 1) / 2.0) * period_s for index in range(SAMPLES))
+
+    def info(self) -> PmdInfo:
+        """Return what the camera says of itself on ``<camera>/info``."""
+        return PmdInfo(
+            modulation_frequency_hz=np.array([self.modulation_frequency_hz]),
+            integration_time_s=self.integration_time_s,
+            electrons_per_count=self.pixel.electrons_per_count,
+            saturation_count=float(self.pixel.saturation_count),
+        )
 
     @model_validator(mode="after")
     def _the_camera_is_fast_enough(self) -> Self:

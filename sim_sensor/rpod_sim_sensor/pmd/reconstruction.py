@@ -22,7 +22,8 @@ def phase(samples: Array) -> Array:
     """
     q1, q2, q3, q4 = np.moveaxis(samples, -1, 0)
     angle: Array = np.arctan2(q3 - q4, q1 - q2)
-    return angle + (angle < 0.0) * angle.dtype.type(2.0 * math.pi)
+    turn: Array = (angle < 0.0) * angle.dtype.type(2.0 * math.pi)
+    return angle + turn
 
 
 def distance(phase_rad: Array, modulation_frequency_hz: float) -> Array:

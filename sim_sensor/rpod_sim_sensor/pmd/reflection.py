@@ -1,9 +1,9 @@
 """How much light a surface sends back: a diffuse part and a specular lobe.
 
 The lobe is the microfacet model with the GGX distribution (Walter et al., EGSR 2007), the height-correlated
-Smith masking (Heitz, JCGT 3(2), 2014) and Schlick's Fresnel term. The width of the distribution, alpha, is the
-square of a material's roughness (Burley, SIGGRAPH course, 2012). A source that is not a point widens the lobe:
-alpha^2 grows by the square of half the source's angular radius, for the half vector turns by half (after
+Smith masking (Heitz, JCGT 3(2), 2014) and Schlick's Fresnel term. The distribution's width alpha is the
+square of a material's roughness (Burley, SIGGRAPH course, 2012). A source that is not a point widens the
+lobe: alpha^2 grows by the square of half its angular radius, since the half vector turns by half (after
 Karis, SIGGRAPH course, 2013).
 """
 
