@@ -18,7 +18,7 @@ from rpod_target.parameters import MeshParameters, PartParameters, PrismParamete
 from rpod_target.target import DistanceField, Material, Symmetry, Target
 
 _SHIPPED = Path(__file__).parent / "targets"
-_BUILDER_VERSION = 2
+_BUILDER_VERSION = 3
 """Raised whenever the same parameters make other arrays, so that old cache files are not taken."""
 
 

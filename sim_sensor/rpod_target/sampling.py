@@ -36,9 +36,7 @@ def sample_evenly(
     lifted = np.hstack([points_m, pitch_m * normals])
     apart = np.hstack([points_m, _APART * pitch_m * normals])
     cells = _equal_cells(apart, np.arange(len(apart)), min(count, len(apart)))
-    centres = _lloyd(np.stack([lifted[cell].mean(axis=0) for cell in cells]), lifted)
-    _, nearest = cKDTree(lifted).query(centres)
-    chosen = np.unique(nearest)
+    chosen = np.unique(_lloyd(np.stack([lifted[cell].mean(axis=0) for cell in cells]), lifted))
     return points_m[chosen], normals[chosen]
 
 
@@ -66,11 +64,16 @@ def _equal_cells(points: FloatArray, members: Indices, count: int) -> list[Indic
     return [cell for half, share in halves for cell in _equal_cells(points, half, share)]
 
 
-def _lloyd(centres: FloatArray, points: FloatArray) -> FloatArray:
-    """Move each centre to the mean of the points nearest to it, some rounds; shapes (N, D), (M, D)."""
+def _lloyd(means: FloatArray, points: FloatArray) -> Indices:
+    """Return the points, shape (M, D), in the middle of their cells, from first means, shape (N, D).
+
+    Centres are points of the surface in every round, so that a cell that began across an edge takes a side.
+    """
+    tree = cKDTree(points)
     for _ in range(_ROUNDS):
+        centres = points[tree.query(means)[1]]
         _, cell = cKDTree(centres).query(points)
         size = np.bincount(cell, minlength=len(centres))[:, None]
         sums = [np.bincount(cell, weights=column, minlength=len(centres)) for column in points.T]
-        centres = np.where(size > 0, np.stack(sums, axis=1) / np.maximum(size, 1), centres)
-    return centres
+        means = np.where(size > 0, np.stack(sums, axis=1) / np.maximum(size, 1), centres)
+    return np.asarray(tree.query(means)[1], np.int64)

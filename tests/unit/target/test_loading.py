@@ -92,7 +92,7 @@ def test_a_damaged_cache_file_is_built_again(
     content = bytearray(stored.read_bytes())
     content[len(content) // 2] ^= 0xFF
     damaged = {"truncated": content[:-100], "flipped": content, "empty": b"", "foreign": b"not a zip archive"}
-    stored.write_bytes(damaged[damage])
+    stored.write_bytes(bytes(damaged[damage]))
     assert_same(load_target(file, cache=cache), built)
     size = stored.stat().st_size
     assert size == len(content)

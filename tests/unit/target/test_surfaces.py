@@ -20,7 +20,7 @@ LENGTH_M = st.floats(0.01, 20.0)
 
 
 def polygon_area_m2(sides: int, circumradius_m: float) -> float:
-    return 0.5 * sides * circumradius_m**2 * np.sin(2.0 * np.pi / sides)
+    return float(0.5 * sides * circumradius_m**2 * np.sin(2.0 * np.pi / sides))
 
 
 def assert_encloses(surface: Surface, volume: float) -> None:
