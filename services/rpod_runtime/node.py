@@ -164,11 +164,18 @@ class Node:
         except MessageRejectedError as error:
             self.reject(topic.name, error)
 
-    def listen(self, key_expression: str, sink: Callable[[Received], None]) -> None:
-        """Subscribe keys of any form. What is no known ROS topic comes without type and attachment."""
+    def listen(
+        self, key_expression: str, sink: Callable[[Received], None], *, accept: Callable[[str], bool]
+    ) -> None:
+        """Subscribe those keys of any form that are accepted.
+
+        What is no known ROS topic comes without type and attachment.
+        """
 
         def take(sample: zenoh.Sample) -> None:
             key = str(sample.key_expr)
+            if not accept(key):
+                return
             topic = self._keys.topic_at(key)
             if topic.type:
                 self._take(topic, sample, sink)

@@ -1,0 +1,85 @@
+"""The logger daemon: subscriptions in, files out; all work is the recorder's."""
+
+from functools import partial
+from threading import Event
+
+from rpod_logger.recorder import Recorder
+from rpod_logger.selection import Extras, patterns
+from rpod_runtime import Node, Received
+from rpod_schemas.config.service import LoggerConfig
+from rpod_schemas.control import LogReply, LogRequest, StatusReply
+from rpod_schemas.topics import DIAGNOSTICS
+
+_TICK_S = 0.25
+
+
+def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
+    """Record until stopped, then drain and finish the log."""
+    extras = Extras(config.bus.keys, config.record_extra)
+    with (
+        Node(config, version=version, stop=stop) as node,
+        Recorder(config, version=version, health=node.health, account=node.account) as recorder,
+    ):
+        services = Services(node, recorder)
+        recorder.know([node.status()])
+        started = recorder.start()
+        node.health.watch(recorder.check)
+        _subscribe(node, recorder, services, extras)
+        _serve(node, recorder, services)
+        node.ready(f"recording to {started.path}")
+        while not stop.wait(_TICK_S):
+            recorder.tell_losses()
+            services.ask_new()
+        services.ask()
+
+
+class Services:
+    """Asks the services for their configuration: each soon after its first heartbeat, all before a close.
+
+    So the log knows a service that dies before the log is closed.
+    """
+
+    def __init__(self, node: Node, recorder: Recorder) -> None:
+        self._node, self._recorder = node, recorder
+        self._hearts: set[bytes] = set()
+        self._new = Event()
+
+    def notice(self, received: Received) -> None:
+        """Look at a message for the first heartbeat of a service."""
+        if received.topic == DIAGNOSTICS and received.attachment.gid not in self._hearts:
+            self._hearts.add(received.attachment.gid)
+            self._new.set()
+
+    def ask_new(self) -> None:
+        """Ask where there is a new one."""
+        if self._new.is_set():
+            self._new.clear()
+            self.ask()
+
+    def ask(self) -> None:
+        """Ask all."""
+        self._recorder.know(self._node.ask_all("status", StatusReply))
+
+
+def _subscribe(node: Node, recorder: Recorder, services: Services, extras: Extras) -> None:
+    def take(received: Received) -> None:
+        recorder.put(received)
+        services.notice(received)
+
+    node.subscribe_all(patterns(), take)
+    for index, expression in enumerate(extras.expressions):
+        node.listen(expression, recorder.put, accept=partial(extras.owns, index))
+
+
+def _serve(node: Node, recorder: Recorder, services: Services) -> None:
+    def stop(_: LogRequest) -> LogReply:
+        services.ask()
+        return recorder.stop()
+
+    def split(request: LogRequest) -> LogReply:
+        services.ask()
+        return recorder.split(request.name)
+
+    node.serve("start", LogRequest, lambda request: recorder.start(request.name))
+    node.serve("stop", LogRequest, stop)
+    node.serve("split", LogRequest, split)

@@ -1,0 +1,213 @@
+"""The writer's thread: from the backlog into logs, one after the other."""
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from contextlib import suppress
+from datetime import UTC, datetime
+from threading import Thread
+from types import TracebackType
+from typing import Self
+
+from rpod_logger.backlog import Backlog, Command
+from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, LoggerError, NotRecordingError
+from rpod_logger.recording import Recording, Totals
+from rpod_logger.writer import WriterSettings, create_log
+from rpod_runtime import Received
+from rpod_runtime.accounting import SequenceAccount
+from rpod_runtime.health import HealthBook
+from rpod_schemas.config.service import LoggerConfig
+from rpod_schemas.control import LogReply, StatusReply
+from rpod_schemas.types import Health
+
+log = logging.getLogger(__name__)
+
+_COMMAND_TIMEOUT_S = 30.0
+_IDLE_S = 0.1
+
+
+class Recorder:
+    """Records what is put into it. ``with`` runs its thread; at the end it drains and finishes the log."""
+
+    def __init__(
+        self, config: LoggerConfig, *, version: str, health: HealthBook, account: SequenceAccount
+    ) -> None:
+        self._config, self._version = config, version
+        self._health, self._account = health, account
+        self._backlog = Backlog(config.queue_bytes)
+        self._recording: Recording | None = None
+        self._stem = config.name or f"rpod-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+        self._failure: CannotWriteError | None = None
+        self._latched: dict[tuple[str, bytes], Received] = {}
+        self._services: dict[str, StatusReply] = {}
+        self._lost_told = 0
+        self._thread = Thread(target=self._run, name="writer")
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._backlog.close(self._finish)
+        self._thread.join()
+
+    # --- from any thread ---
+
+    def put(self, received: Received) -> None:
+        """Record a message. Never waits: where there is no room it is lost, counted, and an error."""
+        if not self._backlog.put(received):
+            self._health.count(f"lost/{received.topic.name}")
+
+    def know(self, services: Iterable[StatusReply]) -> None:
+        """Take what services say of themselves into this log and the next ones."""
+        statuses = list(services)
+        self._backlog.command(lambda _: self._know(statuses))
+
+    def start(self, name: str | None = None) -> LogReply:
+        """Open a log; without a name under the last one. Raises ``LoggerError``."""
+        return self._do(lambda received: self._open(name, received))
+
+    def stop(self) -> LogReply:
+        """Close the log. Raises ``LoggerError`` where there is none."""
+        return self._do(self._close)
+
+    def split(self, name: str | None = None) -> LogReply:
+        """Close the log and go on in a new one; no message is in neither or both. Raises ``LoggerError``."""
+
+        def close_and_open(received: Counter[str]) -> LogReply:
+            self._close(received)
+            return self._open(name, received)
+
+        return self._do(close_and_open)
+
+    def check(self) -> tuple[Health, str]:
+        """Return health: what was lost or missed is an error for as long as the process lives."""
+        self._health.put("queue/bytes", self._backlog.bytes)
+        self._health.put("queue/high_water_bytes", self._backlog.high_water_bytes)
+        recording, doing = self._recording, "not recording"
+        if recording is not None:
+            doing = f"recording {recording.file.messages} messages to {recording.file.path.name}"
+        if self._failure:
+            return Health.ERROR, str(self._failure)
+        lost, missed = self._lost(), self._totals(Counter()).missed.total()
+        if lost or missed:
+            return Health.ERROR, f"{doing}; {lost} lost here, {missed} missed on the bus"
+        return Health.OK, doing
+
+    def tell_losses(self) -> None:
+        """Log the messages that were lost since the last call."""
+        lost = self._lost()
+        if lost > self._lost_told:
+            full = f"the queue of {self._config.queue_bytes >> 20} MiB is full"
+            log.error("lost %d messages: %s", lost - self._lost_told, self._failure or full)
+            self._lost_told = lost
+
+    def _lost(self) -> int:
+        counters = self._health.counters()
+        return sum(count for name, count in counters.items() if name.startswith("lost/"))
+
+    def _do(self, action: Callable[[Counter[str]], LogReply]) -> LogReply:
+        outcome: Future[LogReply] = Future()
+
+        def run(received: Counter[str]) -> None:
+            try:
+                outcome.set_result(action(received))
+            except Exception as error:  # noqa: BLE001 - it belongs to whoever asked
+                outcome.set_exception(error)
+
+        if not self._backlog.command(run):
+            raise NotRecordingError
+        return outcome.result(_COMMAND_TIMEOUT_S)
+
+    # --- in the writer's thread ---
+
+    def _run(self) -> None:
+        next_sync_s = time.monotonic() + self._config.sync_interval_s
+        while not self._backlog.finished:
+            item = self._backlog.take(_IDLE_S)
+            if isinstance(item, Command):
+                item.action(item.received)
+            elif item is not None:
+                self._write(item)
+            if time.monotonic() >= next_sync_s:
+                self._attempt(lambda recording: recording.file.sync())
+                next_sync_s = time.monotonic() + self._config.sync_interval_s
+
+    def _write(self, received: Received) -> None:
+        if received.topic.latched:
+            self._latched[received.key, received.attachment.gid] = received
+        if self._attempt(lambda recording: recording.write(received)):
+            self._health.count(f"written/{received.topic.name}")
+        elif self._failure:
+            self._health.count(f"lost/{received.topic.name}")
+
+    def _know(self, statuses: list[StatusReply]) -> None:
+        self._services |= {status.name: status for status in statuses}
+        self._attempt(lambda recording: recording.describe(self._services, self._version))
+
+    def _open(self, name: str | None, received: Counter[str]) -> LogReply:
+        if self._recording is not None:
+            raise AlreadyRecordingError(self._recording.file.path)
+        self._stem = name or self._stem
+        settings = WriterSettings(
+            self._config.bus.keys, f"rpod {self._version}", self._config.compression, self._config.chunk_bytes
+        )
+        try:
+            file = create_log(self._config.directory, self._stem, settings)
+        except OSError as error:
+            raise CannotWriteError(self._config.directory / f"{self._stem}.mcap", error) from error
+        self._failure = None
+        recording = self._recording = Recording(file, self._totals(received))
+        self._attempt(lambda recording: recording.describe(self._services, self._version))
+        self._attempt(lambda recording: recording.repeat(self._latched.values()))
+        if self._failure:
+            raise self._failure
+        log.info("recording to %s", file.path)
+        return _reply(recording)
+
+    def _close(self, received: Counter[str]) -> LogReply:
+        recording = self._recording
+        if recording is None:
+            raise NotRecordingError
+        closed_at = self._totals(received)
+        self._attempt(lambda recording: recording.close(closed_at, self._config.bus.keys))
+        if self._failure:
+            raise self._failure
+        self._recording = None
+        log.info("closed %s: %d messages", recording.file.path, recording.file.messages)
+        return _reply(recording)
+
+    def _finish(self, received: Counter[str]) -> None:
+        with suppress(LoggerError):  # logged where it happened
+            self._close(received)
+
+    def _attempt(self, work: Callable[[Recording], None]) -> bool:
+        """Work on the open log; return whether there is one that took it. What fails is given up."""
+        if self._recording is None:
+            return False
+        try:
+            work(self._recording)
+        except Exception as error:  # noqa: BLE001 - whatever it is, the daemon lives on and says so
+            self._failure = CannotWriteError(self._recording.file.path, error)
+            log.error("%s", self._failure)
+            self._recording.file.abandon()
+            self._recording = None
+            return False
+        return True
+
+    def _totals(self, received: Counter[str]) -> Totals:
+        totals = Totals(received)
+        for key, count in list(self._account.counts.items()):
+            topic = self._config.bus.keys.topic_of(key)
+            totals.missed[topic] += count.missed
+            totals.duplicates[topic] += count.duplicates
+        return totals
+
+
+def _reply(recording: Recording) -> LogReply:
+    file = recording.file
+    return LogReply(path=str(file.path.resolve()), messages=file.messages, bytes=file.bytes)

@@ -1,0 +1,52 @@
+"""What is recorded: every topic of the ICD, for any sensor and any estimator, and what is asked for."""
+
+from collections.abc import Sequence
+from functools import cache
+
+import zenoh
+
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.topics import ESTIMATE, ESTIMATE_POSE, STATUS, TOPICS, Namespace, Topic
+
+
+def patterns() -> list[Topic]:
+    """Return the ICD's topics as patterns that do not overlap, so that nothing is subscribed twice."""
+    wanted = [_pattern(topic) for topic in TOPICS]
+    return [
+        topic
+        for topic in dict.fromkeys(wanted)
+        if not any(other.covers(topic) for other in wanted if other != topic)
+    ]
+
+
+def _pattern(topic: Topic) -> Topic:
+    if topic.name.startswith("<"):
+        return topic.of("*")
+    return topic.under("*") if topic in (ESTIMATE, ESTIMATE_POSE, STATUS) else topic
+
+
+class Extras:
+    """Key expressions to record beside the ICD's topics; a key belongs to the first that it fits."""
+
+    def __init__(self, keys: Namespace, expressions: Sequence[str]) -> None:
+        self.expressions = tuple(expressions)
+        own = [_expression(keys.selector(pattern)) for pattern in patterns()]
+        self._all = own + [_expression(text) for text in expressions]
+        self._offset = len(own)
+        self._first = cache(self._find_first)
+
+    def owns(self, index: int, key: str) -> bool:
+        """Return whether a key is to be recorded for the extra of that index."""
+        return self._first(key) == self._offset + index
+
+    def _find_first(self, key: str) -> int:
+        return next(
+            place for place, expression in enumerate(self._all) if expression.includes(zenoh.KeyExpr(key))
+        )
+
+
+def _expression(text: str) -> zenoh.KeyExpr:
+    try:
+        return zenoh.KeyExpr(text)
+    except zenoh.ZError as error:
+        raise ConfigurationError("logger", "record_extra", f"{text!r} is no key expression") from error

@@ -1,0 +1,169 @@
+"""Writing one MCAP file: ROS 2 profile, wire bytes unchanged, safe against a kill (ICD section 5).
+
+Knows neither bus nor threads.
+"""
+
+import os
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from mcap.writer import CompressionType, Writer
+
+from rpod_runtime import Received
+from rpod_schemas.cdr import definition
+from rpod_schemas.logs import (
+    HASH_METADATA,
+    MESSAGE_ENCODING,
+    OPAQUE,
+    OPAQUE_ENCODING,
+    PROFILE,
+    QOS_METADATA,
+    SCHEMA_ENCODING,
+)
+from rpod_schemas.topics import Namespace, Topic
+
+Compression = Literal["lz4", "zstd", "none"]
+
+_RECORD_BYTES = 31
+"""Of a message record beside its payload."""
+_SEQUENCE_MASK = 0xFFFF_FFFF
+_INFINITE = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass(frozen=True)
+class WriterSettings:
+    """How files are written."""
+
+    keys: Namespace
+    library: str
+    """Software and version, for the file's header."""
+    compression: Compression = "lz4"
+    chunk_bytes: int = 1 << 20
+
+
+class LogFile:
+    """One MCAP file that is being written; made by ``create_log``."""
+
+    def __init__(self, path: Path, settings: WriterSettings) -> None:
+        self.path = path
+        self.messages = 0
+        self.bytes = 0
+        """Of payload."""
+        self._settings = settings
+        self._stream = path.open("xb")
+        self._writer = Writer(
+            self._stream,
+            chunk_size=settings.chunk_bytes,
+            compression=CompressionType[settings.compression.upper()],
+        )
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._chunk_bytes = 0
+        self._dirty = True
+        self._writer.start(profile=PROFILE, library=settings.library)
+
+    def write(self, received: Received) -> None:
+        """Append a message; its chunk stays open. Raises ``OSError`` where the disk does not take it."""
+        size = len(received.payload) + _RECORD_BYTES
+        if self._chunk_bytes + size > self._settings.chunk_bytes:
+            self._flush()
+        channel = self._channels.get(received.key)
+        if channel is None:
+            channel = self._channels[received.key] = self._register(received)
+        stamp_ns = received.attachment.stamp_ns
+        self._writer.add_message(
+            channel,
+            log_time=received.arrival_ns,
+            data=received.payload,  # type: ignore[arg-type]  # written as it is, never copied
+            publish_time=stamp_ns if stamp_ns > 0 else received.arrival_ns,
+            sequence=received.attachment.sequence & _SEQUENCE_MASK,
+        )
+        self.messages += 1
+        self.bytes += len(received.payload)
+        self._chunk_bytes += size
+        self._dirty = True
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        """Append a metadata record."""
+        self._writer.add_metadata(name, values)
+        self._dirty = True
+
+    def sync(self) -> None:
+        """Bring everything so far, the open chunk too, to the disk."""
+        if self._dirty:
+            self._flush()
+            os.fsync(self._stream.fileno())
+            self._dirty = False
+
+    def close(self) -> None:
+        """Finish the file: index, statistics, footer."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is, after the disk failed; what was synced is there to be recovered."""
+        with suppress(OSError):
+            self._stream.close()
+
+    def _flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._chunk_bytes = 0
+
+    def _register(self, received: Received) -> int:
+        topic = received.topic
+        metadata = {QOS_METADATA: qos_profile(topic), HASH_METADATA: received.key.rsplit("/", 1)[-1]}
+        return self._writer.register_channel(
+            channel_topic(self._settings.keys, topic.name),
+            MESSAGE_ENCODING if topic.type else OPAQUE_ENCODING,
+            self._schema(topic.type),
+            metadata if topic.type else {},
+        )
+
+    def _schema(self, type_name: str) -> int:
+        if type_name not in self._schemas:
+            text = definition(type_name).encode() if type_name else b""
+            self._schemas[type_name] = self._writer.register_schema(
+                type_name or OPAQUE, SCHEMA_ENCODING if type_name else "", text
+            )
+        return self._schemas[type_name]
+
+
+def create_log(directory: Path, stem: str, settings: WriterSettings) -> LogFile:
+    """Create ``<stem>.mcap``, or ``<stem>-2.mcap`` and so on where that exists; never overwrites.
+
+    Raises:
+        OSError: the directory or the file cannot be made.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    for number in count(1):
+        path = directory / (f"{stem}.mcap" if number == 1 else f"{stem}-{number}.mcap")
+        with suppress(FileExistsError):
+            return LogFile(path, settings)
+    raise AssertionError("unreachable")
+
+
+def channel_topic(keys: Namespace, name: str) -> str:
+    """Return a topic's name in the log: absolute, with the ROS namespace, as rosbag2 has it."""
+    return f"/{keys.prefix}/{name}" if keys.prefix else f"/{name}"
+
+
+def qos_profile(topic: Topic) -> str:
+    """Return the quality of service that the ICD gives a topic, in the YAML of rosbag2 since Jazzy."""
+    profile = {
+        "history": "keep_last",
+        "depth": 1 if topic.latched else 10,
+        "reliability": "reliable",
+        "durability": "transient_local" if topic.latched else "volatile",
+        "deadline": dict(_INFINITE),
+        "lifespan": dict(_INFINITE),
+        "liveliness": "automatic",
+        "liveliness_lease_duration": dict(_INFINITE),
+        "avoid_ros_namespace_conventions": False,
+    }
+    return yaml.safe_dump([profile], sort_keys=False)

@@ -1,0 +1,219 @@
+"""The logger daemon on a real bus: nothing is lost in a burst, and the control plane does what it says."""
+
+import json
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event, Thread
+from time import monotonic
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from rpod_logger.daemon import run
+from rpod_runtime import Inbox, QueryFailedError
+from rpod_runtime.sensors import CameraPublisher
+from rpod_schemas.cdr import encode
+from rpod_schemas.config.service import LoggerConfig
+from rpod_schemas.control import LogReply, LogRequest, StatusReply
+from rpod_schemas.logs import TopicCount
+from rpod_schemas.messages import read_diagnostics, write_clock
+from rpod_schemas.poses import make_pose
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS
+from rpod_schemas.types import Camera, Health, PmdFrame, PmdInfo
+from rpod_schemas.wire import Attachment
+
+TIMEOUT_S = 20.0
+CAMERA = Camera(width=352, height=287, fx=400.0, fy=400.0, cx=175.5, cy=143.0)
+INFO = PmdInfo(
+    modulation_frequency_hz=[20e6], integration_time_s=1e-3, electrons_per_count=10.0, saturation_count=4e3
+)
+
+
+@contextmanager
+def logger(config: LoggerConfig):
+    """Run the daemon in a thread; stop it, and raise what it raised, at the end."""
+    stop, failures = Event(), []
+
+    def body() -> None:
+        try:
+            run(config, version="test", stop=stop)
+        except Exception as error:  # noqa: BLE001 - handed to the test
+            failures.append(error)
+
+    thread = Thread(target=body)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join(TIMEOUT_S)
+    assert not thread.is_alive()
+    if failures:
+        raise failures[0]
+
+
+def status_with(node, **least: int) -> StatusReply:
+    """Return the logger's status once its counters have reached what is asked for."""
+    deadline_s = monotonic() + TIMEOUT_S
+    counters: dict[str, int] = {}
+    while monotonic() < deadline_s:
+        try:
+            status = node.ask("logger", "status", StatusReply, timeout_s=1.0)
+        except QueryFailedError:
+            continue
+        counters = status.counters
+        if status.state == "ready" and all(counters.get(name, 0) >= count for name, count in least.items()):
+            return status
+        node.stop.wait(0.02)
+    raise AssertionError(f"the logger did not reach {least}: {counters}")
+
+
+def metadata(path: Path, name: str) -> dict[str, str]:
+    with path.open("rb") as stream:
+        return [item.metadata for item in make_reader(stream).iter_metadata() if item.name == name][-1]
+
+
+def counts(path: Path) -> dict[str, TopicCount]:
+    return {topic: TopicCount.model_validate_json(text) for topic, text in metadata(path, "counts").items()}
+
+
+def sequences(path: Path, topic: str) -> list[int]:
+    with path.open("rb") as stream:
+        return [m.sequence for _, _, m in make_reader(stream).iter_messages([topic], log_time_order=False)]
+
+
+def frame(number: int) -> PmdFrame:
+    depth_m = np.full((287, 352), number, np.float32)
+    return PmdFrame(
+        stamp_ns=number, frame_id="", depth_m=depth_m, amplitude=depth_m.astype(np.uint16), camera=CAMERA
+    )
+
+
+def test_a_burst_of_frames_and_truth_is_recorded_without_a_gap(bus, tmp_path):
+    node = bus.node("publisher")
+    with logger(LoggerConfig(bus=bus.config, directory=tmp_path, name="run")):
+        status_with(node)
+        camera = CameraPublisher(node, "pmd", T_chaser_sensor=make_pose(), info=INFO)
+        clock = node.publisher(CLOCK)
+        for number in range(1, 61):
+            camera.publish(frame(number))
+            for tick in range(10):
+                clock.publish(write_clock(number * 10 + tick))
+            if number % 5 == 0:  # stay within the publishers' caches, as lockstep does
+                status_with(node, **{"received/clock": number * 10, "received/pmd/depth/image_raw": number})
+        status = status_with(
+            node, **{"written/clock": 600, "written/pmd/depth/image_raw": 60, "received/pmd/camera_info": 60}
+        )
+    path = tmp_path / "run.mcap"
+    assert status.counters["missed/clock"] == status.counters["missed/pmd/depth/image_raw"] == 0
+    count = counts(path)
+    assert count["/clock"] == TopicCount(received=600, written=600)
+    assert {name: count[f"/pmd/{name}"].written for name in ("depth/image_raw", "camera_info", "info")} == {
+        "depth/image_raw": 60,
+        "camera_info": 60,
+        "info": 1,
+    }
+    assert sequences(path, "/pmd/depth/image_raw") == list(range(1, 61))
+    with AnyReader([path]) as bag:
+        depths = [
+            bag.deserialize(data, connection.msgtype).data.view(np.float32)[0]
+            for connection, _, data in bag.messages([c for c in bag.connections if "depth" in c.topic])
+        ]
+    assert depths == list(range(1, 61))
+    assert json.loads(metadata(path, "configuration")["publisher"])["instance"] == "publisher"
+    assert json.loads(metadata(path, "configuration")["logger"])["name"] == "run"
+
+
+def test_what_was_published_before_the_logger_came_is_fetched(bus, tmp_path):
+    node = bus.node("publisher")
+    camera = CameraPublisher(node, "pmd", T_chaser_sensor=make_pose(), info=INFO)
+    for number in range(1, 11):
+        camera.publish(frame(number))
+    with logger(LoggerConfig(bus=bus.config, directory=tmp_path, name="run")):
+        status_with(
+            node,
+            **{"written/pmd/depth/image_raw": 10, "written/pmd/info": 1, "written/tf_static": 1},
+        )
+    assert sequences(tmp_path / "run.mcap", "/pmd/depth/image_raw") == list(range(1, 11))
+
+
+def test_split_stop_and_start_by_query(bus, tmp_path):
+    node = bus.node("publisher")
+    clock, mount = node.publisher(CLOCK), CameraPublisher(node, "pmd", T_chaser_sensor=make_pose(), info=INFO)
+    with logger(LoggerConfig(bus=bus.config, directory=tmp_path, name="run")):
+        for number in range(1, 6):
+            clock.publish(write_clock(number))
+        mount.publish(frame(1))
+        status_with(node, **{"received/clock": 5, "received/tf_static": 1, "received/pmd/info": 1})
+        split = node.ask("logger", "split", LogReply, LogRequest(name="second"))
+        for number in range(6, 9):
+            clock.publish(write_clock(number))
+        status_with(node, **{"written/clock": 8})
+        closed = node.ask("logger", "stop", LogReply)
+        with pytest.raises(QueryFailedError, match="not recording"):
+            node.ask("logger", "stop", LogReply)
+        started = node.ask("logger", "start", LogReply, LogRequest(name="second"))
+        with pytest.raises(QueryFailedError, match="already recording"):
+            node.ask("logger", "start", LogReply)
+    assert [Path(reply.path).name for reply in (split, closed, started)] == [
+        "second.mcap",
+        "second.mcap",
+        "second-2.mcap",
+    ]
+    assert sequences(tmp_path / "run.mcap", "/clock") == [1, 2, 3, 4, 5]
+    assert sequences(tmp_path / "second.mcap", "/clock") == [6, 7, 8]
+    for name in ("second.mcap", "second-2.mcap"):
+        with (tmp_path / name).open("rb") as stream:
+            first = [c.topic for _, c, _ in make_reader(stream).iter_messages(log_time_order=False)][:2]
+        assert sorted(first) == ["/pmd/info", "/tf_static"]
+
+
+def test_a_message_without_a_usable_attachment_is_counted_and_left_out(bus, tmp_path):
+    node = bus.node("publisher")
+    with logger(LoggerConfig(bus=bus.config, directory=tmp_path, name="run")):
+        status_with(node)
+        node.publisher(CLOCK).publish(write_clock(1))
+        node._session.put(bus.config.keys.key(CLOCK), b"\x00\x01\x00\x00" + bytes(8), attachment=b"short")
+        status = status_with(node, **{"written/clock": 1, "rejected/clock/malformed": 1})
+    assert status.counters["received/clock"] == 1
+    assert sequences(tmp_path / "run.mcap", "/clock") == [1]
+
+
+def test_extra_keys_are_kept_as_they_came_and_icd_topics_are_not_doubled(bus, tmp_path):
+    node = bus.node("publisher")
+    config = LoggerConfig(bus=bus.config, directory=tmp_path, name="run", record_extra=("0/**",))
+    with logger(config):
+        status_with(node)
+        node.publisher(CLOCK).publish(write_clock(1))
+        node._session.put("0/lab/raw", b"any bytes")
+        status = status_with(node, **{"written/clock": 1, "written/lab/raw": 1})
+    assert status.counters.get("rejected/clock/duplicate", 0) == 0
+    path = tmp_path / "run.mcap"
+    assert sequences(path, "/clock") == [1]
+    with path.open("rb") as stream:
+        assert [m.data for _, _, m in make_reader(stream).iter_messages(["/lab/raw"])] == [b"any bytes"]
+
+
+def test_health_names_the_log_and_a_gap_is_an_error(bus, tmp_path):
+    node = bus.node("publisher")
+    inbox = Inbox()
+    node.subscribe(DIAGNOSTICS, inbox.put)
+    errors: list[str] = []
+    with logger(LoggerConfig(bus=bus.config, directory=tmp_path, name="run")):
+        status_with(node)
+        for sequence in (1, 4):
+            attachment = Attachment(sequence, sequence, b"z" * 16).pack()
+            payload = bytes(encode(write_clock(sequence)))
+            node._session.put(bus.config.keys.key(CLOCK), payload, attachment=attachment)
+        deadline_s = monotonic() + TIMEOUT_S
+        while not errors and monotonic() < deadline_s:
+            for received in inbox.wait(0.1):
+                errors += [
+                    item.message
+                    for item in read_diagnostics(received.decode())
+                    if item.name == "logger" and item.level is Health.ERROR
+                ]
+    assert "to run.mcap" in errors[0]
+    assert "2 missed on the bus" in errors[0]

@@ -1,0 +1,39 @@
+"""Messages as they come off the wire, without a wire."""
+
+from collections.abc import Callable
+
+import pytest
+
+from rpod_runtime import Received
+from rpod_schemas.cdr import encode
+from rpod_schemas.messages import write_clock, write_transforms
+from rpod_schemas.poses import make_pose
+from rpod_schemas.topics import CLOCK, TF_STATIC, Namespace, Topic
+from rpod_schemas.wire import Attachment
+
+KEYS = Namespace()
+ARRIVAL_NS = 1_700_000_000_000_000_000
+
+Arrive = Callable[..., Received]
+
+
+def _payload(topic: Topic, number: int) -> bytes:
+    if topic == TF_STATIC:
+        pose = make_pose(translation_m=(float(number), 0.0, 0.0))
+        return bytes(encode(write_transforms(number, [("chaser", "pmd", pose)])))
+    return bytes(encode(write_clock(number)))
+
+
+@pytest.fixture
+def arrive() -> Arrive:
+    """Return a maker of received messages: topic, sequence number, optionally payload and gid."""
+
+    def make(
+        topic: Topic = CLOCK, number: int = 1, *, payload: bytes | None = None, gid: bytes = b"g" * 16
+    ) -> Received:
+        data = _payload(topic, number) if payload is None else payload
+        key = KEYS.key(topic) if topic.type else topic.name
+        stamp_ns = ARRIVAL_NS + number
+        return Received(topic, key, memoryview(data), Attachment(number, stamp_ns, gid), stamp_ns + 500)
+
+    return make
