@@ -1,0 +1,49 @@
+"""What can be wrong with a log. Each message is one line that says what to do."""
+
+from pathlib import Path
+
+
+class AnalysisError(Exception):
+    """Root of the errors that this package raises."""
+
+
+class NoLogError(AnalysisError):
+    """There is no such file, or it cannot be read."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"{path}: {reason}")
+
+
+class NotMcapError(AnalysisError):
+    """The file is something else."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path}: is no MCAP log")
+
+
+class TruncatedLogError(AnalysisError):
+    """The log was not closed, so that it has no index."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path}: the log is truncated; 'rpod recover {path}' makes a readable one of it")
+
+
+class DamagedLogError(AnalysisError):
+    """The log cannot be read where it should be readable."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"{path}: the log is damaged ({reason}); 'rpod recover {path}' saves what is whole")
+
+
+class NoEstimatesError(AnalysisError):
+    """No estimator spoke while the log was open."""
+
+    def __init__(self, path: Path, prefix: str) -> None:
+        super().__init__(f"{path}: no estimates in the log ({prefix}/odometry, {prefix}/status)")
+
+
+class FramesDifferError(AnalysisError):
+    """Truth and estimate are not of the same frame."""
+
+    def __init__(self, path: Path, truth: str, estimate: str) -> None:
+        super().__init__(f"{path}: the truth is in frame {truth!r}, the estimate in {estimate!r}")

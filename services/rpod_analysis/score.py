@@ -1,0 +1,206 @@
+"""Scoring: estimates against truth, in numbers. Pure; it knows arrays and nothing of logs.
+
+Source: ICD section 1, "Covariance" and "Errors".
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.summary import Consistency, Durations, ErrorSize, ErrorSummary
+from rpod_schemas.types import Mode
+
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+MAX_TRUTH_GAP_NS = 8_000_000
+"""Where two neighbours in the truth are farther apart, nothing between them is scored."""
+NEES_95 = 12.59
+"""95 % quantile of chi-squared with six degrees of freedom."""
+OFF_TARGET_RAD = math.radians(10.0)
+"""A tracked frame with a larger attitude error is off the target."""
+OFF_TARGET_M = 0.3
+"""A tracked frame with a larger position error is off the target."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Poses over time."""
+
+    stamp_ns: IntArray
+    """Shape (N,), in the order of publication."""
+    poses: RigidTransform
+    """N poses."""
+
+    def __len__(self) -> int:
+        return self.stamp_ns.size
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors of N estimates; NaN where there is no truth."""
+
+    attitude_rad: FloatArray
+    """Log(R_truth^T R_estimate), target axes, shape (N, 3): roll, pitch, yaw."""
+    position_m: FloatArray
+    """Estimate minus truth in the sensor's axes, shape (N, 3)."""
+    nees: FloatArray
+    """Shape (N,); NaN where the covariance is none."""
+
+    @property
+    def scored(self) -> BoolArray:
+        """Where there is truth, shape (N,)."""
+        return np.isfinite(self.angle_rad)
+
+    @property
+    def angle_rad(self) -> FloatArray:
+        """Shape (N,)."""
+        return _lengths(self.attitude_rad)
+
+    @property
+    def distance_m(self) -> FloatArray:
+        """Shape (N,)."""
+        return _lengths(self.position_m)
+
+    @property
+    def off_target(self) -> BoolArray:
+        """Where the estimate is worse than 10 degrees or 0.3 m, shape (N,)."""
+        return (self.angle_rad > OFF_TARGET_RAD) | (self.distance_m > OFF_TARGET_M)
+
+    def at(self, where: BoolArray) -> "Errors":
+        """Return the errors of some of the estimates."""
+        return Errors(self.attitude_rad[where], self.position_m[where], self.nees[where])
+
+
+def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolArray]:
+    """Return the truth at stamps, and where it is known; poses elsewhere mean nothing.
+
+    Rotations on the great arc (Slerp), translations on the straight line between neighbours. The truth is
+    known at its own stamps and between neighbours at most 8 ms apart, and never beyond its ends.
+    """
+    known_ns, first = np.unique(truth.stamp_ns, return_index=True)
+    if known_ns.size == 0:
+        return _identities(stamp_ns.size), np.zeros(stamp_ns.size, bool)
+    poses = truth.poses[first]
+    after = np.searchsorted(known_ns, stamp_ns).clip(0, known_ns.size - 1)
+    exact = known_ns[after] == stamp_ns
+    before = np.where(exact, after, (after - 1).clip(0))
+    gap_ns = known_ns[after] - known_ns[before]
+    inside = (known_ns[before] < stamp_ns) & (stamp_ns < known_ns[after])
+    share = np.where(inside, (stamp_ns - known_ns[before]) / np.maximum(gap_ns, 1), 0.0)[:, None]
+    a, b = poses[before], poses[after]
+    turn = (a.rotation.inv() * b.rotation).as_rotvec()
+    rotation = a.rotation * Rotation.from_rotvec(share * turn)
+    translation = a.translation + share * (b.translation - a.translation)
+    known = exact | (inside & (gap_ns <= MAX_TRUTH_GAP_NS))
+    return RigidTransform.from_components(translation, rotation), known
+
+
+def find_errors(
+    estimates: Track, truth: Track, *, covariance: FloatArray, R_chaser_sensor: Rotation
+) -> Errors:
+    """Return the errors of N estimates.
+
+    Args:
+        estimates: T_chaser_target as estimated.
+        truth: T_chaser_target as it was.
+        covariance: of (dp, dtheta) in chaser axes, shape (N, 6, 6); zeros where unknown.
+        R_chaser_sensor: N attitudes of the sensors behind the estimates.
+    """
+    T_truth, known = interpolate(truth, estimates.stamp_ns)
+    R_truth, R_estimate = T_truth.rotation, estimates.poses.rotation
+    attitude_rad = (R_truth.inv() * R_estimate).as_rotvec()
+    position_m = estimates.poses.translation - T_truth.translation
+    turn_rad = (R_estimate * R_truth.inv()).as_rotvec()
+    error = np.hstack([position_m, turn_rad])
+    unknown = ~known
+    attitude_rad[unknown] = np.nan
+    in_sensor_m = R_chaser_sensor.inv().apply(position_m)
+    in_sensor_m[unknown] = np.nan
+    error[unknown] = np.nan
+    return Errors(attitude_rad, in_sensor_m, find_nees(error, covariance))
+
+
+def find_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return e^T P^-1 e, shape (N,), of errors (N, 6) and covariances (N, 6, 6).
+
+    NaN where the error is unknown or the covariance is not positive definite.
+    """
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).clip(0.0))
+    usable = np.isfinite(error).all(axis=1) & (sigma > 0.0).all(axis=1)
+    nees = np.full(len(error), np.nan)
+    scaled = error[usable] / sigma[usable]
+    correlation = covariance[usable] / (sigma[usable, :, None] * sigma[usable, None, :])
+    values, vectors = np.linalg.eigh(correlation)
+    parts = np.einsum("nij,ni->nj", vectors, scaled) ** 2
+    definite = values[:, 0] > 1e-12
+    nees[np.flatnonzero(usable)[definite]] = (parts[definite] / values[definite]).sum(axis=1)
+    return nees
+
+
+def find_lost_s(stamp_ns: IntArray, mode: IntArray) -> float:
+    """Return the time in LOST or ACQUIRING after the first TRACKING; a mode holds until the next status."""
+    order = np.argsort(stamp_ns, kind="stable")
+    stamp_ns, mode = stamp_ns[order], mode[order]
+    tracking = np.flatnonzero(mode == Mode.TRACKING)
+    if tracking.size == 0:
+        return 0.0
+    held_ns = np.diff(stamp_ns)
+    lost = np.isin(mode[:-1], (Mode.LOST, Mode.ACQUIRING))
+    lost[: tracking[0]] = False
+    return float(held_ns[lost].sum()) * 1e-9
+
+
+def summarise_errors(errors: Errors) -> ErrorSummary | None:
+    """Return the sizes of the errors; None where there are none."""
+    known = errors.at(errors.scored)
+    if not known.scored.any():
+        return None
+    roll, pitch, yaw = np.rad2deg(np.sqrt((known.attitude_rad**2).mean(axis=0)))
+    x, y, z = np.sqrt((known.position_m**2).mean(axis=0))
+    return ErrorSummary(
+        attitude_deg=_size(np.rad2deg(known.angle_rad)),
+        position_m=_size(known.distance_m),
+        roll_deg_rms=roll,
+        pitch_deg_rms=pitch,
+        yaw_deg_rms=yaw,
+        x_m_rms=x,
+        y_m_rms=y,
+        z_m_rms=z,
+    )
+
+
+def summarise_durations(seconds: FloatArray) -> Durations | None:
+    """Return median, 99th percentile and maximum of the finite durations; None where there are none."""
+    finite = seconds[np.isfinite(seconds)]
+    if finite.size == 0:
+        return None
+    p50, p99 = np.percentile(finite, (50, 99))
+    return Durations(p50=p50, p99=p99, max=finite.max())
+
+
+def summarise_consistency(nees: FloatArray) -> Consistency | None:
+    """Return mean and share below the 95 % quantile of the known NEES; None where none is known."""
+    known = nees[np.isfinite(nees)]
+    if known.size == 0:
+        return None
+    return Consistency(nees_mean=known.mean(), nees_share_in_95=(known <= NEES_95).mean())
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    squared: FloatArray = (vectors**2).sum(axis=1)
+    return np.sqrt(squared)
+
+
+def _size(values: FloatArray) -> ErrorSize:
+    return ErrorSize(rms=np.sqrt((values**2).mean()), p95=np.percentile(values, 95), max=values.max())
+
+
+def _identities(count: int) -> RigidTransform:
+    return RigidTransform.from_components(
+        np.zeros((count, 3)), Rotation.from_quat(np.tile((0.0, 0, 0, 1), (count, 1)))
+    )

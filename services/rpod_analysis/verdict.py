@@ -1,0 +1,100 @@
+"""Whether a run went well: a few questions with thresholds, answered from its summary."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rpod_schemas.summary import Summary
+
+MIN_TRACKING_SHARE = 0.99
+"""Of the frames after the first acquisition."""
+MAX_OFF_TARGET_SHARE = 0.01
+"""Of the tracked frames, worse than 10 degrees or 0.3 m."""
+MIN_NEES_SHARE = 0.80
+"""Of the tracked frames within the 95 % bound: below it the covariance is too small to be used."""
+MAX_DROPPED_SHARE = 0.05
+"""Of the frames that reached the estimator."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question, its answer, and whether that is good; None where it cannot be told."""
+
+    question: str
+    answer: str
+    limit: str
+    good: bool | None
+
+
+def verdict(checks: list[Check]) -> str:
+    """Return the run in one sentence."""
+    failed = [check.question.lower() for check in checks if check.good is False]
+    if not failed:
+        return "The run went well."
+    if checks[0].good is False:
+        return "The target was not acquired."
+    return f"The run has findings: {', '.join(failed)}."
+
+
+def find_checks(summary: Summary, alarms: int) -> list[Check]:
+    """Return the checks of a run; ``alarms`` is the number of errors that services reported."""
+    return [
+        *_estimation(summary),
+        _kept_up(summary),
+        _recorded(summary),
+        Check("Services", f"{_count(alarms, 'error')} reported", "no error reported", alarms == 0),
+    ]
+
+
+def _estimation(summary: Summary) -> Iterator[Check]:
+    modes, consistency = summary.modes, summary.consistency
+    acquired = modes.first_tracking_s
+    yield Check(
+        "Acquisition",
+        "never tracked" if acquired is None else f"tracking after {acquired:.2f} s",
+        "tracked at some time",
+        acquired is not None,
+    )
+    share = modes.tracking_share
+    yield Check(
+        "Tracking",
+        "no frame tracked"
+        if share is None
+        else f"{share:.1%} of frames, {summary.estimates.lost_s:.1f} s lost",
+        f"at least {MIN_TRACKING_SHARE:.0%} of frames after the first acquisition",
+        None if share is None else share >= MIN_TRACKING_SHARE,
+    )
+    off = modes.worse_than_10deg_or_0_3m_share
+    yield Check(
+        "Accuracy",
+        "no truth" if off is None else f"{off:.1%} of frames off by more than 10° or 0.3 m",
+        f"at most {MAX_OFF_TARGET_SHARE:.0%}",
+        None if off is None else off <= MAX_OFF_TARGET_SHARE,
+    )
+    within = consistency.nees_share_in_95 if consistency else None
+    yield Check(
+        "Covariance",
+        "no covariance or truth" if within is None else f"{within:.0%} of errors within the 95 % bound",
+        f"at least {MIN_NEES_SHARE:.0%}",
+        None if within is None else within >= MIN_NEES_SHARE,
+    )
+
+
+def _kept_up(summary: Summary) -> Check:
+    dropped = summary.estimates.dropped
+    processed = summary.estimates.accepted + summary.estimates.rejected
+    share = dropped / max(dropped + processed, 1)
+    return Check(
+        "Pace",
+        f"{_count(dropped, 'frame')} dropped ({share:.1%})",
+        f"at most {MAX_DROPPED_SHARE:.0%}",
+        share <= MAX_DROPPED_SHARE,
+    )
+
+
+def _recorded(summary: Summary) -> Check:
+    missed = sum(count.missed for count in summary.frames.values())
+    return Check("Log", f"{_count(missed, 'message')} missed", "no message missed", missed == 0)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
