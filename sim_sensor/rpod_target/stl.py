@@ -1,7 +1,6 @@
 """Reading STL files, binary or text."""
 
 import re
-from collections.abc import Callable
 
 import numpy as np
 
@@ -17,10 +16,9 @@ def read_stl(content: bytes) -> FloatArray:
     """Return the triangles of an STL file's content, shape (T, 3, 3), without those of zero area.
 
     Raises:
-        ValueError: it is no STL file, or holds no triangles.
+        ValueError: says what is wrong with the content, to follow the file's name.
     """
-    read: Callable[[bytes], FloatArray] = _read_binary if _is_binary(content) else _read_text
-    corners = read(content)
+    corners = _read_binary(content) if _is_binary(content) else _read_text(content)
     if not np.isfinite(corners).all():
         raise ValueError("holds a coordinate that is not finite")
     corners = corners[areas_m2(corners) > 0.0]
