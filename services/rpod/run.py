@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from types import FrameType
+from typing import Any
 
 from rpod import __version__
 from rpod.errors import InterruptedRunError, NotReadyError
@@ -137,7 +138,7 @@ def _check(services: Supervisor, interrupted: Event) -> None:
 def _interruptible() -> Iterator[Event]:
     """Turn the first SIGINT or SIGTERM into an event; the second ends this process as usual."""
     interrupted = Event()
-    before = {}
+    before: dict[int, Any] = {}
 
     def handle(number: int, _: FrameType | None) -> None:
         interrupted.set()

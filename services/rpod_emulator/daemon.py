@@ -97,7 +97,7 @@ class Emulator:
     def _covered(self, channel: Channel, epoch_ns: int) -> list[DueFrame]:
         sensor = channel.sensor
         after_ns = round(max(sensor.pose_times_s()) * NANOSECONDS)
-        frames = []
+        frames: list[DueFrame] = []
         while True:
             frame = frame_at(sensor, self._next[sensor.name], epoch_ns=epoch_ns)
             if frame.stamp_ns + after_ns > self._truth.last_ns:

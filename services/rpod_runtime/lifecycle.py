@@ -68,5 +68,6 @@ def _stop_on_signals(stop: threading.Event) -> None:
 
 
 def _stop_with_supervisor(stop: threading.Event) -> None:
-    sys.stdin.buffer.read()  # returns when the other end closes
+    while os.read(sys.stdin.fileno(), 4096):  # unbuffered: a lock held at the interpreter's exit is fatal
+        pass
     stop.set()

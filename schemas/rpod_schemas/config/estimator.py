@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from rpod_schemas.arrays import VectorN
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
 from rpod_schemas.config.filter import FilterConfig
-from rpod_schemas.config.lidar_methods import LidarAcquisitionConfig, LidarTrackingConfig
+from rpod_schemas.config.lidar_methods import TemplateMatchingConfig, IcpNearestNeighbourConfig
 from rpod_schemas.config.pmd_methods import (
     IcpReverseCalibrationConfig,
     PmdAcquisitionConfig,
@@ -31,9 +31,9 @@ class LidarInput(Config):
     """Scan pattern, where the latched info does not tell."""
     elevation_rad: VectorN | None = None
     """Scan pattern, where the latched info does not tell."""
-    acquisition: LidarAcquisitionConfig = Field(default_factory=LidarAcquisitionConfig)
+    acquisition: TemplateMatchingConfig = Field(default_factory=TemplateMatchingConfig)
     """Without a prior pose."""
-    tracking: LidarTrackingConfig = Field(default_factory=LidarTrackingConfig)
+    tracking: IcpNearestNeighbourConfig = Field(default_factory=IcpNearestNeighbourConfig)
     """From a predicted pose."""
     verification: VerificationConfig = VerificationConfig(max_cost_m2=0.003, min_explained_share=0.75)
     """When a registration is believed."""

@@ -1,0 +1,245 @@
+"""``rpod bench``: how fast the parts are on this machine, one thread each, medians with spread."""
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Event
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial.transform import RigidTransform
+
+from rpod import __version__
+from rpod_estimator.methods import ScanPattern, lidar_methods, pmd_methods
+from rpod_logger.writer import LogFile, WriterSettings
+from rpod_runtime import Inbox, Node, Received
+from rpod_runtime.lifecycle import EXIT_OK
+from rpod_runtime.session import free_endpoint, open_router
+from rpod_schemas.cdr import encode
+from rpod_schemas.config.estimator import LidarInput, PmdInput
+from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.config.motion import FACING
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
+from rpod_schemas.messages import write_image
+from rpod_schemas.poses import make_pose
+from rpod_schemas.topics import DEPTH, Namespace
+from rpod_schemas.types import LidarScan, PmdFrame
+from rpod_schemas.wire import Attachment
+from rpod_sim_sensor.geometry import RayGrid, cast
+from rpod_sim_sensor.lidar import LidarEmulator
+from rpod_sim_sensor.pmd import PmdEmulator
+from rpod_target import load_target
+
+_SUN_W_m2 = np.array([680.0, -817.0, -844.0])
+_BUS_HZ = 45.0
+_BUS_FRAMES = 135
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: median, quartiles, and the share of a core that it takes at its rate."""
+
+    name: str
+    unit: str
+    median: float
+    low: float
+    """First quartile."""
+    high: float
+    """Third quartile."""
+    runs: int
+    rate_hz: float | None = None
+    core_share: float | None = None
+
+
+def bench_command(*, as_json: bool) -> int:
+    """Measure and print; return the exit code."""
+    console = Console(stderr=True, quiet=as_json)
+    rows: list[Row] = []
+    for measure in (_rays, _lidar, _pmd, _bus, _log):
+        console.print(f"measuring {measure.__name__.strip('_')} ...", style="dim")
+        rows += measure()
+    if as_json:
+        machine = {"cores": os.cpu_count(), "machine": platform.machine(), "python": platform.python_version()}
+        print(json.dumps({"version": __version__, "machine": machine, "rows": [asdict(row) for row in rows]}, indent=2))
+    else:
+        Console().print(_table(rows))
+    return EXIT_OK
+
+
+def _table(rows: list[Row]) -> Table:
+    table = Table(title=f"rpod {__version__}, Python {platform.python_version()}, {os.cpu_count()} cores")
+    for heading in ("what", "median", "quartiles", "", "runs", "share of a core"):
+        table.add_column(heading, justify="left" if heading == "what" else "right")
+    for row in rows:
+        share = f"{100 * row.core_share:.1f} % at {row.rate_hz:g} Hz" if row.core_share is not None else ""
+        spread = f"{row.low:.3g} to {row.high:.3g}"
+        table.add_row(row.name, f"{row.median:.3g}", spread, row.unit, str(row.runs), share)
+    return table
+
+
+def _timed(
+    name: str, call: Callable[[int], object], *, runs: int, rate_hz: float | None = None
+) -> Row:
+    """Time a call in ms; it gets the number of its run. The first run is not counted."""
+    call(0)
+    wall_ms, busy_s = np.empty(runs), np.empty(runs)
+    for index in range(runs):
+        started_s, started_busy_s = time.perf_counter(), time.process_time()
+        call(index + 1)
+        busy_s[index] = time.process_time() - started_busy_s
+        wall_ms[index] = 1e3 * (time.perf_counter() - started_s)
+    low, median, high = np.percentile(wall_ms, [25, 50, 75])
+    share = None if rate_hz is None else float(np.median(busy_s)) * rate_hz
+    return Row(name, "ms", float(median), float(low), float(high), runs, rate_hz, share)
+
+
+def _per_second(row: Row, *, items: int, unit: str) -> Row:
+    """Turn ms a run into millions of items a second."""
+    scale = items * 1e3 / 1e6
+    return Row(row.name, unit, scale / row.median, scale / row.high, scale / row.low, row.runs)
+
+
+def _facing(range_m: float) -> RigidTransform:
+    return make_pose(rotation=FACING, translation_m=[0.0, 0.0, range_m])
+
+
+def _rays() -> Iterator[Row]:
+    mockup, envisat = load_target("mockup"), load_target("envisat-mesh")
+    pixels = RayGrid.pinhole(PmdConfig().camera, samples=2)
+    pattern = LidarConfig()
+    scan = RayGrid.azimuth_elevation(pattern.azimuth_rad, pattern.elevation_rad)
+    for name, grid, target, range_m in (
+        ("rays, mock-up at 2.5 m, 704 x 574", pixels, mockup, 2.5),
+        ("rays, ENVISAT mesh at 30 m, 41 x 41", scan, envisat, 30.0),
+    ):
+        row = _timed(name, lambda _, g=grid, t=target, r=range_m: cast(g, t.triangles_m, _facing(r)), runs=40)  # type: ignore[misc]
+        yield _per_second(row, items=grid.directions.shape[0] * grid.directions.shape[1], unit="million/s")
+
+
+def _lidar() -> Iterator[Row]:
+    config, target = LidarConfig(), load_target("envisat-bulky")
+    emulator = LidarEmulator(config, target, seed=1)
+    methods = lidar_methods(LidarInput(), target, ScanPattern(config.azimuth_rad, config.elevation_rad))
+    for range_m in (20.0, 50.0):
+        pose = make_pose(rotation=FACING, translation_m=[0.0, 0.0, range_m])
+        yield _timed(
+            f"LIDAR scan, ENVISAT at {range_m:g} m",
+            lambda number, p=pose: emulator.scan([p] * len(config.pose_times_s()), frame=number),  # type: ignore[misc]
+            runs=40,
+            rate_hz=config.rate_hz,
+        )
+        returns = emulator.scan([pose] * len(config.pose_times_s()), frame=0)
+        scan = LidarScan(stamp_ns=0, frame_id="lidar", points_m=returns.points_m)
+        yield _timed(
+            f"template matching, ENVISAT at {range_m:g} m",
+            lambda _, s=scan: methods.acquisition.acquire(s),  # type: ignore[misc]
+            runs=5,
+        )
+        guess = make_pose(translation_m=[0.1, -0.2, 0.1]) * pose * _turn_deg(4.0)
+        yield _timed(
+            f"nearest-neighbour ICP, ENVISAT at {range_m:g} m",
+            lambda _, s=scan, g=guess: methods.tracker.track(s, g),  # type: ignore[misc]
+            runs=20,
+            rate_hz=config.rate_hz,
+        )
+
+
+def _pmd() -> Iterator[Row]:
+    config, target = PmdConfig(), load_target("mockup")
+    emulator = PmdEmulator(config, target, seed=1)
+    methods = pmd_methods(PmdInput(), target)
+    for range_m in (7.0, 4.0, 2.5):
+        pose = _facing(range_m)
+        yield _timed(
+            f"PMD frame, mock-up at {range_m:g} m",
+            lambda number, p=pose: emulator.expose([p] * 4, sun_W_m2=_SUN_W_m2, frame=number),  # type: ignore[misc]
+            runs=40,
+            rate_hz=config.rate_hz,
+        )
+        exposure = emulator.expose([pose] * 4, sun_W_m2=_SUN_W_m2, frame=0)
+        frame = PmdFrame(
+            stamp_ns=0,
+            frame_id="pmd_optical",
+            depth_m=exposure.depth_m.copy(),
+            amplitude=exposure.amplitude.copy(),
+            camera=config.camera,
+        )
+        guess = make_pose(translation_m=[0.01, -0.02, 0.02]) * pose * _turn_deg(1.0)
+        yield _timed(
+            f"ICP with reverse calibration at {range_m:g} m",
+            lambda _, f=frame, g=guess: methods.tracker.track(f, g),  # type: ignore[misc]
+            runs=40,
+            rate_hz=config.rate_hz,
+        )
+        yield _timed(
+            f"view search at {range_m:g} m",
+            lambda _, f=frame: methods.acquisition.acquire(f),  # type: ignore[misc]
+            runs=5,
+        )
+
+
+def _turn_deg(angle_deg: float) -> RigidTransform:
+    from scipy.spatial.transform import Rotation
+
+    return make_pose(rotation=Rotation.from_rotvec([angle_deg, 0.0, 0.0], degrees=True))
+
+
+def _bus() -> Iterator[Row]:
+    """One image, 0.4 MB, through a router on loopback: from before encoding to arrival."""
+    image = np.full((287, 352), 2.5, np.float32)
+    topic = DEPTH.of("bench")
+    inbox = Inbox()
+    with ExitStack() as stack:
+        endpoint = free_endpoint()
+        stack.enter_context(open_router(RouterConfig(listen=endpoint)))
+        bus = BusConfig(connect=endpoint)
+        names = ("bench-out", "bench-in")
+        sender, receiver = (
+            stack.enter_context(Node(ServiceConfig(instance=name, bus=bus), version=__version__)) for name in names
+        )
+        receiver.subscribe(topic, inbox.put, recover=True)
+        publisher = sender.publisher(topic)
+        latency_ms, busy_s = [], time.process_time()
+        pace, started_s = Event(), time.perf_counter()
+        for number in range(_BUS_FRAMES):
+            pace.wait(max(0.0, started_s + number / _BUS_HZ - time.perf_counter()))
+            sent_ns = time.time_ns()
+            publisher.publish(write_image(sent_ns, "", image, "32FC1"))
+            latency_ms += [(item.arrival_ns - sent_ns) / 1e6 for item in inbox.wait(1.0)[-1:]]
+        share = (time.process_time() - busy_s) / (time.perf_counter() - started_s)
+    low, median, high = np.percentile(latency_ms, [25, 50, 75])
+    name = "bus latency, one image, router and both ends in one process"
+    yield Row(name, "ms", float(median), float(low), float(high), len(latency_ms), _BUS_HZ, share)
+
+
+def _log() -> Iterator[Row]:
+    """Two images a frame into MCAP, lz4; the images hold noise as a camera's do."""
+    generator = np.random.default_rng(1)
+    image = (2.5 + 0.01 * generator.standard_normal((287, 352))).astype(np.float32)
+    image[:, :150] = np.nan
+    payload = memoryview(encode(write_image(0, "pmd_optical", image, "32FC1")))
+    keys = Namespace()
+    topic = DEPTH.of("pmd")
+    frames = 90
+    with TemporaryDirectory() as folder:
+
+        def write(number: int) -> None:
+            settings = WriterSettings(keys=keys, library=f"rpod {__version__}")
+            log = LogFile(Path(folder) / f"{number}.mcap", settings)
+            for index in range(frames):
+                attachment = Attachment(index + 1, index, bytes(16))
+                log.write(Received(topic, keys.key(topic), payload, attachment, index))
+            log.finish()
+
+        row = _timed("log, 0.4 MB images, lz4", write, runs=10)
+    megabytes_s = _per_second(row, items=frames * len(payload), unit="MB/s")
+    share = row.median / 1e3 / frames * 2 * 15.0
+    yield Row(row.name, "MB/s", megabytes_s.median, megabytes_s.low, megabytes_s.high, row.runs, 15.0, share)

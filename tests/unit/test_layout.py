@@ -1,0 +1,34 @@
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("schemas", "services", "sim_sensor")
+SOURCES = sorted(file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py"))
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_only_prefixed_packages_and_documents_stand_in_a_source_folder(folder):
+    for child in (ROOT / folder).iterdir():
+        if child.name == "__pycache__":
+            continue
+        assert (child.is_dir() and child.name.startswith("rpod")) or child.suffix == ".md", child
+
+
+def test_every_kernel_is_cached_and_releases_the_interpreter():
+    decorators = [
+        (file, match)
+        for file in SOURCES
+        for match in re.findall(r"@(?:numba\.)?(?:n?jit|guvectorize|vectorize)\b.*", file.read_text("utf-8"))
+    ]
+    assert len(decorators) > 10
+    for file, decorator in decorators:
+        assert "nogil=True" in decorator, (file, decorator)
+        assert "cache=True" in decorator, (file, decorator)
+        assert "parallel" not in decorator, (file, decorator)
+
+
+@pytest.mark.parametrize("file", SOURCES, ids=lambda file: str(file.relative_to(ROOT)))
+def test_no_module_is_a_drawer_for_odds_and_ends(file):
+    assert file.stem not in ("utils", "helpers", "common", "misc", "util", "helper")
