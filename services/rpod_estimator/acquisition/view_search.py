@@ -13,7 +13,7 @@ from numba import njit
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_estimator.ports import Candidate
-from rpod_estimator.tracking.depth_view import DepthImage
+from rpod_estimator.tracking.depth_view import DepthImage, usable_image
 from rpod_estimator.tracking.signed_distance import field_arrays, refine
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_methods import PmdAcquisitionConfig
@@ -46,14 +46,16 @@ class ViewSearch:
     def acquire(self, measurement: PmdFrame) -> list[Candidate]:
         """Return distinct candidates, best by render and compare first; empty where no target is in sight."""
         config = self._config
-        image = DepthImage.of(measurement, config.image)
+        image = usable_image(measurement, config.image)
+        if isinstance(image, str):
+            return []
         measured_m = self._segmented(image.points(config.fine_points))
         if len(measured_m) < config.image.min_pixels:
             return []
         coarse_m = measured_m[:: max(1, len(measured_m) // config.coarse_points)]
         scales_m = np.geomspace(config.coarse_scale_m, config.fine_scale_m, config.coarse_iterations)
         poses, costs = self._refined(coarse_m, self._first_guesses(measured_m), scales_m)
-        best = self._compared(image, measured_m, poses[self._distinct(poses, costs)[: config.kept]])
+        best = self._compared(image, measured_m, poses[self._distinct(poses, costs, config.kept)])
         turns = [
             best[k].T_sensor_target * turn
             for k in range(min(config.turned, len(best)))
@@ -63,7 +65,7 @@ class ViewSearch:
             best = best + self._compared(image, measured_m, RigidTransform.concatenate(turns))
         costs = np.array([candidate.cost_m2 for candidate in best])
         poses = RigidTransform.concatenate([candidate.T_sensor_target for candidate in best])
-        return [best[k] for k in self._distinct(poses, costs)[: config.candidates]]
+        return [best[k] for k in self._distinct(poses, costs, config.candidates)]
 
     def _segmented(self, points_m: FloatArray) -> FloatArray:
         """Return the points within the target's radius of their centre, found anew from those within."""
@@ -96,24 +98,25 @@ class ViewSearch:
         config = self._config
         scales_m = np.geomspace(config.fine_scale_m, config.final_scale_m, config.fine_iterations)
         refined, _ = self._refined(points_m, poses, scales_m)
-        triangles_m = self._target.triangles_m
         candidates = [
-            Candidate(pose, image.compare(triangles_m, pose, config.comparison).cost_m2) for pose in refined
+            Candidate(pose, image.compare(self._target, pose, config.comparison).cost_m2) for pose in refined
         ]
         return sorted(candidates, key=lambda candidate: candidate.cost_m2)
 
-    def _distinct(self, poses: RigidTransform, costs: FloatArray) -> list[int]:
-        """Return the indices of poses with distinct attitudes, the cheapest of each, cheapest first."""
+    def _distinct(self, poses: RigidTransform, costs: FloatArray, count: int) -> list[int]:
+        """Return the indices of at most ``count`` poses with distinct attitudes, cheapest first."""
         attitudes = poses.rotation.as_quat()
         nearest = np.cos(self._config.distinct_rad / 2.0)
         kept: list[int] = []
         for index in np.argsort(costs, kind="stable"):
             if not (np.abs(attitudes[kept] @ attitudes[index]) > nearest).any():
                 kept.append(int(index))
+            if len(kept) == count:
+                break
         return kept
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def refine_all(points, matrices, translations, field, scales):  # type: ignore[no-untyped-def]
     """Return ``refine`` of each pose: R, shape (N, 3, 3), t, shape (N, 3), and costs, shape (N,)."""
     costs = np.empty(matrices.shape[0])
@@ -137,7 +140,7 @@ def visible_centroids(target: Target, directions: FloatArray) -> FloatArray:
     Model points count by the cosine under which they are seen; what hides behind other parts is let in, since
     the refinement corrects it.
     """
-    weights = np.maximum(directions @ target.model_normals.T, 0.0)
+    weights = np.maximum(directions @ target.model_normals.T, 1e-9)
     centroids_m: FloatArray = weights @ target.model_points_m / weights.sum(axis=1, keepdims=True)
     return centroids_m
 

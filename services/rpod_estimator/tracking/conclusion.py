@@ -69,6 +69,6 @@ def conclude(progress: Progress, image: DepthImage, target: Target, config: Conc
     return replace(
         registration,
         T_sensor_target=T,
-        explained_share=image.compare(target.triangles_m, T, config.comparison).explained_share,
+        explained_share=image.compare(target, T, config.comparison).explained_share,
         covariance=sums.covariance(T, config.errors),
     )

@@ -6,7 +6,6 @@ model points are hidden and whether a pose explains an image.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,10 @@ from scipy.spatial.transform import RigidTransform
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_methods import DepthComparisonConfig, DepthImageConfig
 from rpod_schemas.types import Camera, Float32Array, PmdFrame
-from rpod_sim_sensor.geometry import RayGrid, cast, distort
+from rpod_sim_sensor.geometry import DistortionError, RayGrid, cast, distort
+from rpod_target import Target
 
+PLUMB_BOB = 5
 HIDDEN_M = 0.03
 """A model point farther than the rendered surface around it by more than this is hidden."""
 
@@ -58,9 +59,10 @@ class DepthView:
         u, v = distort(points_m[:, :2].T / points_m[:, 2], self.camera)
         return np.column_stack((u * self.camera.fx + self.camera.cx, v * self.camera.fy + self.camera.cy))
 
-    def render(self, triangles_m: FloatArray, T_sensor_target: RigidTransform) -> FloatArray:
+    def render(self, target: Target, T_sensor_target: RigidTransform) -> FloatArray:
         """Return the z-depth of the target on the coarse pixels, inf where it is not."""
-        hits = cast(self.coarse, triangles_m, T_sensor_target, cull_back_faces=True)
+        closed = target.field is not None
+        hits = cast(self.coarse, target.triangles_m, T_sensor_target, cull_back_faces=closed)
         depth_m: FloatArray = hits.range_m * self.coarse.components[2]
         return depth_m
 
@@ -89,7 +91,7 @@ def _view(
     stride: int,
 ) -> DepthView:
     (width, height), (fx, fy, cx, cy) = size, intrinsics
-    lens = np.array(distortion)
+    lens = np.resize((*distortion, *np.zeros(PLUMB_BOB)), PLUMB_BOB)
     camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
     offset = min(stride // 2, width - 1, height - 1)
     thinned = Camera(
@@ -107,24 +109,11 @@ def _view(
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """One depth image and the view it was taken with; build it by ``of``."""
+    """One depth image and the view it was taken with; ``usable_image`` makes it from a frame."""
 
     view: DepthView
     depth_m: Float32Array
     """z-depth, shape (height, width), NaN for everything that is no depth: 0, negative, infinite, ghosts."""
-
-    @classmethod
-    def of(cls, frame: PmdFrame, config: DepthImageConfig) -> Self:
-        """Return a frame's depth, copied and without ghosts, and its camera's view.
-
-        Raises:
-            rpod_sim_sensor.geometry.DistortionError: the lens distortion cannot be inverted.
-        """
-        measured = np.isfinite(frame.depth_m) & (frame.depth_m > 0.0)
-        if frame.amplitude is not None:
-            measured &= frame.amplitude >= config.ghost_share * frame.amplitude.mean(dtype=np.float64)
-        view = DepthView.of(frame.camera, config.stride_px)
-        return cls(view, np.where(measured, frame.depth_m, np.float32(np.nan)))
 
     def points(self, count: int) -> FloatArray:
         """Return at most ``count`` measured points, evenly drawn, in sensor axes, shape (N, 3)."""
@@ -134,18 +123,13 @@ class DepthImage:
         z = self.depth_m.ravel()[measured].astype(np.float64)
         return np.column_stack((self.view.slopes.reshape(-1, 2)[measured] * z[:, None], z))
 
-    def too_poor(self, min_pixels: int) -> str:
-        """Return why the image holds too little to work on, or nothing."""
-        pixels = np.count_nonzero(np.isfinite(self.depth_m))
-        return f"{pixels} pixels with depth, {min_pixels} needed" if pixels < min_pixels else ""
-
     def compare(
-        self, triangles_m: FloatArray, T_sensor_target: RigidTransform, config: DepthComparisonConfig
+        self, target: Target, T_sensor_target: RigidTransform, config: DepthComparisonConfig
     ) -> Agreement:
         """Compare the image with what a pose predicts, on the view's coarse pixels."""
         view = self.view
         measured = self.depth_m[view.offset :: view.stride, view.offset :: view.stride]
-        rendered = view.render(triangles_m, T_sensor_target)
+        rendered = view.render(target, T_sensor_target)
         seen, predicted = np.isfinite(measured), np.isfinite(rendered)
         either, both = seen | predicted, seen & predicted
         if not either.any():
@@ -158,3 +142,20 @@ class DepthImage:
             explained_share=float(weight @ (difference[either] < config.tolerance_m) / total),
             cost_m2=float(weight @ difference[either] ** 2 / total),
         )
+
+
+def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
+    """Return a frame's depth, copied and without ghosts, or why it cannot be used."""
+    measured = np.isfinite(frame.depth_m) & (frame.depth_m > 0.0)
+    if frame.amplitude is not None:
+        measured &= frame.amplitude >= config.ghost_share * frame.amplitude.mean(dtype=np.float64)
+    pixels = np.count_nonzero(measured)
+    if pixels < config.min_pixels:
+        return f"{pixels} pixels with depth, {config.min_pixels} needed"
+    if frame.camera.distortion[PLUMB_BOB:].any():
+        return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+    try:
+        view = DepthView.of(frame.camera, config.stride_px)
+    except DistortionError as error:
+        return str(error)
+    return DepthImage(view, np.where(measured, frame.depth_m, np.float32(np.nan)))

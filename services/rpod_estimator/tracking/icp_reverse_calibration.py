@@ -25,7 +25,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_estimator.ports import Registration
 from rpod_estimator.tracking.conclusion import Progress, conclude
-from rpod_estimator.tracking.depth_view import DepthImage, DepthView
+from rpod_estimator.tracking.depth_view import DepthImage, DepthView, usable_image
 from rpod_estimator.tracking.normal_equations import (
     NormalEquations,
     add_residual,
@@ -49,7 +49,7 @@ NARROWING = 0.75
 """Radius and scale shrink by this from iteration to iteration."""
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def find_matches(points, pixels, image, radius, near):  # type: ignore[no-untyped-def]
     """Return the measured point of each model point, shape (N, 3), and how it was found, shape (N,).
 
@@ -89,7 +89,7 @@ def find_matches(points, pixels, image, radius, near):  # type: ignore[no-untype
     return matched, kind
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def match_equations(model, normals, matched, kind, scale):  # type: ignore[no-untyped-def]
     """Return the sums of ``NormalEquations``: residuals along the normal, or the match.
 
@@ -169,9 +169,9 @@ class ReverseCalibrationIcp:
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why there is none."""
         config = self._config
-        image = DepthImage.of(measurement, config.image)
-        if reason := image.too_poor(config.image.min_pixels):
-            return Registration(Source.PMD_DEPTH, reason=reason)
+        image = usable_image(measurement, config.image)
+        if isinstance(image, str):
+            return Registration(Source.PMD_DEPTH, reason=image)
         measured_m = image.points(config.cover_points if self._slides else 0)
         progress, shown = Progress(T_sensor_target), np.empty(0, np.intp)
         while progress.iterations < config.iterations and not self._settled(progress):
@@ -198,7 +198,7 @@ class ReverseCalibrationIcp:
         points_m = T_sensor_target.apply(target.model_points_m)
         shown = np.flatnonzero(facing & (points_m[:, 2] > NEAR_M))
         pixels = view.project(points_m[shown])
-        rendered_m = view.render(target.triangles_m, T_sensor_target)
+        rendered_m = view.render(target, T_sensor_target)
         return shown[view.inside(pixels) & ~view.hidden(rendered_m, points_m[shown], pixels)]
 
     def _advanced(

@@ -100,13 +100,13 @@ def step_length_m(step: FloatArray, radius_m: float) -> float:
     return float(np.linalg.norm(step[:3]) + radius_m * np.linalg.norm(step[3:]))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def solve(information, gradient, weight):  # type: ignore[no-untyped-def]
     """Return the damped Gauss-Newton step."""
     return np.linalg.solve(information + (DAMPING * weight + 1e-12) * np.eye(6), -gradient)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def add_residual(information, gradient, row, residual, weight):  # type: ignore[no-untyped-def]
     """Add one residual and its derivatives, shape (6,), to the sums."""
     for i in range(6):

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_estimator.ports import Registration
 from rpod_estimator.tracking.conclusion import Progress, conclude
-from rpod_estimator.tracking.depth_view import DepthImage
+from rpod_estimator.tracking.depth_view import usable_image
 from rpod_estimator.tracking.normal_equations import (
     NormalEquations,
     add_residual,
@@ -29,7 +29,7 @@ AWAY = 0.5
 """A face turned from the line of sight by more than this cosine cannot have been measured."""
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def distance_and_gradient(x, y, z, values):  # type: ignore[no-untyped-def]
     """Return the trilinear distance and its gradient a cell, at a place in cells of the field.
 
@@ -60,7 +60,7 @@ def distance_and_gradient(x, y, z, values):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def field_equations(points, R, t, field, scale):  # type: ignore[no-untyped-def]
     """Return the sums of ``NormalEquations`` and the mean Geman-McClure cost, m2.
 
@@ -105,7 +105,7 @@ def field_equations(points, R, t, field, scale):  # type: ignore[no-untyped-def]
     return information, gradient, weights, squares, inliers, robust / max(points.shape[0], 1)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def turned(R, rotation_vector):  # type: ignore[no-untyped-def]
     """Return R Exp(rotation_vector): Rodrigues' formula, since scipy's rotations do not compile."""
     angle = np.sqrt((rotation_vector**2).sum())
@@ -117,7 +117,7 @@ def turned(R, rotation_vector):  # type: ignore[no-untyped-def]
     return R @ (np.eye(3) + a * K + b * (K @ K))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def refine(points, R, t, field, scales):  # type: ignore[no-untyped-def]
     """Return R, t and the mean Geman-McClure cost, m2, after one step for each scale."""
     for scale in scales:
@@ -157,9 +157,9 @@ class SignedDistanceTracker:
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why there is none."""
         config = self._config
-        image = DepthImage.of(measurement, config.image)
-        if reason := image.too_poor(config.image.min_pixels):
-            return Registration(Source.PMD_DEPTH, reason=reason)
+        image = usable_image(measurement, config.image)
+        if isinstance(image, str):
+            return Registration(Source.PMD_DEPTH, reason=image)
         points_m = image.points(config.points)
         progress = Progress(T_sensor_target)
         for scale_m in np.geomspace(config.scale_m, config.final_scale_m, config.iterations):
