@@ -124,7 +124,7 @@ def collect(
     _collect(owners, rays, centres, surfaces, lights, modulated_e, charge_e)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def spread_stray_light(modulated_e, charge_e, share):  # type: ignore[no-untyped-def]
     """Add a share of the image's mean light to every pixel, in place; shapes as in ``collect``."""
     height, width, count = modulated_e.shape
@@ -142,7 +142,7 @@ def spread_stray_light(modulated_e, charge_e, share):  # type: ignore[no-untyped
             charge_e[row, column] += stray_e[count]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _collect(owners, rays, centres, surfaces, lights, modulated_e, charge_e):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     height, width = charge_e.shape
     n = owners.shape[0] // height
@@ -177,7 +177,7 @@ def _collect(owners, rays, centres, surfaces, lights, modulated_e, charge_e):  #
                         )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _is_uniform(owners, top, left, n):  # type: ignore[no-untyped-def]
     for i in range(top, top + n):
         for j in range(left, left + n):
@@ -186,7 +186,9 @@ def _is_uniform(owners, top, left, n):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # a call would count references for every array
+@njit(
+    cache=True, nogil=True, error_model="numpy", inline="always"
+)  # a call would count references for every array
 def _add(row, column, weight, index, x, y, z, surfaces, lights, modulated_e, charge_e):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Add the electrons that come along the ray (x, y, z) to a pixel's."""
     planes, normal, sun = surfaces.planes, surfaces.normals[index], lights.sun_direction
@@ -198,14 +200,15 @@ def _add(row, column, weight, index, x, y, z, surfaces, lights, modulated_e, cha
 
     lamp_alpha2 = alpha2 + (0.5 * lights.lamp_radius_m * inverse) ** 2
     share = reflected_share(n_v, n_v, 1.0, diffuse, f0, lamp_alpha2)
-    lamp_e = weight * lights.lamp_e * inverse * inverse * share
+    lamp_e = weight * lights.lamp_e * share
     for k in range(modulated_e.shape[2]):
         now = planes[1 + k, index, 0] * x + planes[1 + k, index, 1] * y + planes[1 + k, index, 2] * z
-        distance_m = 1.0 / (now if now > 0.0 else inverse)
-        wave = math.cos(lights.rad_per_m * distance_m - lights.theta_rad[k])
+        if not 0.5 * inverse < now < 2.0 * inverse:  # all but edge-on, its plane may sweep over the camera
+            now = inverse
+        wave = math.cos(lights.rad_per_m / now - lights.theta_rad[k])
         third = wave * (4.0 * wave * wave - 3.0)  # cos 3x
-        modulated_e[row, column, k] += lamp_e * (wave + lights.wiggling_share * third)
-    charge_e[row, column] += lamp_e
+        modulated_e[row, column, k] += lamp_e * now * now * (wave + lights.wiggling_share * third)
+    charge_e[row, column] += lamp_e * inverse * inverse
 
     n_l = side * (normal[0] * sun[0] + normal[1] * sun[1] + normal[2] * sun[2])
     if lights.sun_e > 0.0 and n_l > 0.0:

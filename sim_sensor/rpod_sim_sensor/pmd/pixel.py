@@ -60,7 +60,7 @@ def convert(
     return samples, full
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _convert(modulated_e, charge_e, noise, electronics, samples, full):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     height, width, count = modulated_e.shape
     for row in range(height):

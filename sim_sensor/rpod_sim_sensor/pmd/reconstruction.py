@@ -18,9 +18,9 @@ def phase(samples: Array) -> Array:
     """Return the phase shift, rad, 0 to 2 pi, of Q1..Q4 along the last axis (Eq. 1).
 
     The paper prints a plain arctangent, which is right for a seventh of the ranges between 1 and 7.5 m at
-    20 MHz; here it has all four quadrants.
+    20 MHz; here it has all four quadrants. An offset of the samples cancels.
     """
-    q1, q2, q3, q4 = np.moveaxis(samples, -1, 0)
+    q1, q2, q3, q4 = _planes(samples)
     angle: Array = np.arctan2(q3 - q4, q1 - q2)
     turn: Array = (angle < 0.0) * angle.dtype.type(2.0 * math.pi)
     return angle + turn
@@ -33,17 +33,23 @@ def distance(phase_rad: Array, modulation_frequency_hz: float) -> Array:
 
 
 def amplitude(samples: Array) -> Array:
-    """Return the amplitude of Q1..Q4 along the last axis, in their unit (Eq. 3)."""
-    q1, q2, q3, q4 = np.moveaxis(samples, -1, 0)
+    """Return the amplitude of Q1..Q4 along the last axis, in their unit (Eq. 3). An offset cancels."""
+    q1, q2, q3, q4 = _planes(samples)
     strength: Array = 0.5 * np.hypot(q1 - q2, q3 - q4)
     return strength
 
 
 def asymmetry(samples: Array) -> Array:
     """Return the greater of |Q1 + Q2| and |Q3 + Q4|, which are zero but for noise and motion."""
-    q1, q2, q3, q4 = np.moveaxis(samples, -1, 0)
+    q1, q2, q3, q4 = _planes(samples)
     greater: Array = np.maximum(np.abs(q1 + q2), np.abs(q3 + q4))
     return greater
+
+
+def _planes(samples: Array) -> Array:
+    """Return Q1..Q4 along the first axis; integers as floats, since differences of unsigned ones wrap."""
+    planes: Array = np.moveaxis(samples, -1, 0)
+    return planes.astype(np.result_type(planes, np.float32), order="C", copy=False)
 
 
 def reconstruct(
@@ -68,11 +74,10 @@ def reconstruct(
     Returns:
         Depth in metres, float32, NaN where there is none, and amplitude in counts, both of shape (H, W).
     """
-    planes = np.moveaxis(samples, -1, 0).astype(np.float32, order="C") - np.float32(SAMPLE_OFFSET)
-    counts = np.moveaxis(planes, 0, -1)
+    counts = np.moveaxis(_planes(samples) - np.float32(SAMPLE_OFFSET), 0, -1)
     strength = amplitude(counts)
     lost = strength * config.pixel.electrons_per_count < config.reconstruction.least_amplitude_e
-    lost |= np.abs(planes).max(axis=0) >= config.pixel.saturation_count
+    lost |= np.abs(counts).max(axis=-1) >= config.pixel.saturation_count
     lost |= asymmetry(counts) > 2.0 * config.reconstruction.asymmetry_limit * strength
     if full is not None:
         lost |= full

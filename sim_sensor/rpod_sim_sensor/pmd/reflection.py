@@ -12,7 +12,7 @@ import math
 from numba import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def reflected_share(n_l, n_v, l_v, diffuse, f0, alpha2):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return BRDF times n.l, 1/sr: radiance over the irradiance of a surface that faces the light.
 
