@@ -194,6 +194,7 @@ class Recorder:
         except Exception as error:  # noqa: BLE001 - whatever it is, the daemon lives on and says so
             self._failure = CannotWriteError(self._recording.file.path, error)
             log.error("%s", self._failure)
+            self._health.report(Health.ERROR, str(self._failure))
             self._recording.file.abandon()
             self._recording = None
             return False

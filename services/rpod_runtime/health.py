@@ -18,6 +18,7 @@ class HealthBook:
         self.name = name
         self._lock = Lock()
         self._counters: Counter[str] = Counter()
+        self._measures: dict[str, float] = {}
         self._level, self._message = Health.OK, "starting"
         self._check: Callable[[], tuple[Health, str]] | None = None
         self._changed = True
@@ -31,6 +32,11 @@ class HealthBook:
         """Set a counter that is kept elsewhere."""
         with self._lock:
             self._counters[name] = value
+
+    def measure(self, name: str, value: float) -> None:
+        """Set a measured value; the unit is the end of its name."""
+        with self._lock:
+            self._measures[name] = value
 
     def reject(self, topic: str, rejection: MessageRejectedError | Reason) -> bool:
         """Count a rejected message by topic and reason; return whether it is the first of its kind."""
@@ -67,4 +73,5 @@ class HealthBook:
         """Return the diagnostic of this moment."""
         level, message = self._check() if self._check else (self._level, self._message)
         values = {name: str(value) for name, value in self.counters().items()}
+        values |= {name: f"{value:.6g}" for name, value in self._measures.items()}
         return Diagnostic(stamp_ns=stamp_ns, name=self.name, level=level, message=message, values=values)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime.node import Node
 from rpod_runtime.publisher import Publisher
+from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
     write_camera,
     write_image,
@@ -43,17 +44,20 @@ class CameraPublisher:
         self, node: Node, name: str, *, T_chaser_sensor: RigidTransform, info: PmdInfo | None = None
     ) -> None:
         self.frame_id = optical_frame(name)
-        self._node = node
-        self._phase_topic = PHASE.of(name)
+        self._node, self._name = node, name
+        self._info: Publisher | None = None
         self._phase: Publisher | None = None
         _announce_mount(node, self.frame_id, T_chaser_sensor)
         if info is not None:
-            node.publisher(PMD_INFO.of(name)).publish(
-                write_pmd_info(node.clock.now_ns(), self.frame_id, info)
-            )
+            self.announce(info)
         self._camera_info = node.publisher(CAMERA_INFO.of(name))
         self._depth = node.publisher(DEPTH.of(name))
         self._amplitude = node.publisher(AMPLITUDE.of(name))
+
+    def announce(self, info: PmdInfo) -> None:
+        """Publish the latched info, for the first time or because it has changed."""
+        self._info = self._info or self._node.publisher(PMD_INFO.of(self._name))
+        self._info.publish(write_pmd_info(self._node.clock.now_ns(), self.frame_id, info))
 
     def publish(self, frame: PmdFrame, samples: NDArray[np.uint16] | None = None) -> None:
         """Publish a frame: camera_info, depth, amplitude where there is one, and the raw samples if given.
@@ -62,14 +66,17 @@ class CameraPublisher:
             frame: one exposure.
             samples: Q1..Q4 with offset 32768, shape (height, width, 4), or (frequencies, height, width,
                 4) in the order of the info.
+
+        Raises:
+            MessageRejectedError: the amplitude is of a type that images do not have.
         """
+        encoding = "" if frame.amplitude is None else _amplitude_encoding(frame.amplitude)
         self._camera_info.publish(write_camera(frame.stamp_ns, self.frame_id, frame.camera))
         self._image(self._depth, frame.stamp_ns, frame.depth_m, "32FC1")
         if frame.amplitude is not None:
-            encoding = _AMPLITUDE_ENCODING[frame.amplitude.dtype.name]
             self._image(self._amplitude, frame.stamp_ns, frame.amplitude, encoding)
         if samples is not None:
-            self._phase = self._phase or self._node.publisher(self._phase_topic)
+            self._phase = self._phase or self._node.publisher(PHASE.of(self._name))
             for image in samples.reshape(-1, *samples.shape[-3:]):
                 self._image(self._phase, frame.stamp_ns, image, "16UC4")
 
@@ -84,12 +91,17 @@ class LidarPublisher:
         self, node: Node, name: str, *, T_chaser_sensor: RigidTransform, info: LidarInfo | None = None
     ) -> None:
         self.frame_id = name
+        self._node, self._name = node, name
+        self._info: Publisher | None = None
         _announce_mount(node, self.frame_id, T_chaser_sensor)
         if info is not None:
-            node.publisher(LIDAR_INFO.of(name)).publish(
-                write_lidar_info(node.clock.now_ns(), self.frame_id, info)
-            )
+            self.announce(info)
         self._points = node.publisher(POINTS.of(name))
+
+    def announce(self, info: LidarInfo) -> None:
+        """Publish the latched info, for the first time or because it has changed."""
+        self._info = self._info or self._node.publisher(LIDAR_INFO.of(self._name))
+        self._info.publish(write_lidar_info(self._node.clock.now_ns(), self.frame_id, info))
 
     def publish(self, scan: LidarScan) -> None:
         """Publish a scan; rows and columns are kept where it has them."""
@@ -104,3 +116,12 @@ class LidarPublisher:
 def _announce_mount(node: Node, frame_id: str, T_chaser_sensor: RigidTransform) -> None:
     mount = (CHASER, frame_id, T_chaser_sensor)
     node.publisher(TF_STATIC).publish(write_transforms(node.clock.now_ns(), [mount]))
+
+
+def _amplitude_encoding(amplitude: NDArray[np.generic]) -> str:
+    try:
+        return _AMPLITUDE_ENCODING[amplitude.dtype.name]
+    except KeyError:
+        known = ", ".join(_AMPLITUDE_ENCODING)
+        text = f"amplitude of {amplitude.dtype.name}, needs one of {known}"
+        raise MessageRejectedError(Reason.WRONG_TYPE, text) from None

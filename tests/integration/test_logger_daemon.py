@@ -14,13 +14,13 @@ from rosbags.highlevel import AnyReader
 from rpod_logger.daemon import run
 from rpod_runtime import Inbox, QueryFailedError
 from rpod_runtime.sensors import CameraPublisher
-from rpod_schemas.cdr import encode
+from rpod_schemas.cdr import encode, type_hash
 from rpod_schemas.config.service import LoggerConfig
 from rpod_schemas.control import LogReply, LogRequest, StatusReply
 from rpod_schemas.logs import TopicCount
 from rpod_schemas.messages import read_diagnostics, write_clock
 from rpod_schemas.poses import make_pose
-from rpod_schemas.topics import CLOCK, DIAGNOSTICS
+from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE
 from rpod_schemas.types import Camera, Health, PmdFrame, PmdInfo
 from rpod_schemas.wire import Attachment
 
@@ -217,3 +217,25 @@ def test_health_names_the_log_and_a_gap_is_an_error(bus, tmp_path):
                 ]
     assert "to run.mcap" in errors[0]
     assert "2 missed on the bus" in errors[0]
+
+
+def test_the_ros_graph_shows_the_logger_as_subscriber_of_each_concrete_topic(bus, tmp_path):
+    node = bus.node("publisher")
+    topics = [DEPTH.of("front"), ESTIMATE.under("second"), CLOCK]
+    for topic in topics:
+        node.publisher(topic)
+    selector = "@ros2_lv/0/*/*/*/MS/*/*/logger/*/*/*/*"
+    wanted = {
+        f"%{topic.name.replace('/', '%')}/{topic.wire_type}/{type_hash(topic.type)}" for topic in topics
+    }
+    shown: set[str] = set()
+    deadline_s = monotonic() + TIMEOUT_S
+    with logger(LoggerConfig(bus=bus.config, directory=tmp_path)):
+        while not wanted <= shown and monotonic() < deadline_s:
+            tokens = [
+                str(reply.ok.key_expr) for reply in node._session.liveliness().get(selector) if reply.ok
+            ]
+            shown = {"/".join(token.split("/")[9:12]) for token in tokens}
+            node.stop.wait(0.05)
+    assert wanted <= shown
+    assert not [name for name in shown if "*" in name]

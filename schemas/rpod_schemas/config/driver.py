@@ -1,0 +1,34 @@
+"""A sensor's driver: which sensor it is, where it is mounted, and when its silence is an error."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from rpod_schemas.config.base import Name, Positive
+from rpod_schemas.config.service import ServiceConfig
+from rpod_schemas.poses import Pose, make_pose
+
+
+class DriverConfig(ServiceConfig):
+    """One sensor on the bus."""
+
+    instance: Name = "driver"
+    """Name of the process on the bus; give each driver its own."""
+    kind: Literal["pmd", "lidar"]
+    """What the sensor delivers: frames of a PMD camera, or scans of a LIDAR."""
+    name: Name
+    """Of the sensor: the first part of its topics."""
+    T_chaser_sensor: Pose = Field(default_factory=make_pose)
+    """Mount: pose of the sensor's (optical) frame in the chaser, from the hand-eye calibration."""
+    silence_s: Positive = 3.0
+    """No frame for longer than this is an error, after which the sensor is connected anew."""
+    retry_s: Positive = 1.0
+    """Wait after the first failure; it doubles with each further one."""
+    max_retry_s: Positive = 30.0
+    """Longest wait between two attempts to connect."""
+
+    @model_validator(mode="after")
+    def _waits_are_in_order(self) -> Self:
+        if self.max_retry_s < self.retry_s:
+            raise ValueError(f"max_retry_s is {self.max_retry_s:g}, shorter than retry_s, {self.retry_s:g}")
+        return self

@@ -1,0 +1,7 @@
+"""The port for sensors: a driver connects, yields frames and closes; the host does the rest."""
+
+from rpod_driver.errors import DriverError
+from rpod_driver.host import main, run
+from rpod_driver.ports import CameraDriver, Driver, LidarDriver
+
+__all__ = ["CameraDriver", "Driver", "DriverError", "LidarDriver", "main", "run"]

@@ -1,0 +1,19 @@
+"""The errors of drivers and their host."""
+
+
+class DriverError(Exception):
+    """Root of the errors that this package raises; a driver may raise it for what its sensor does wrong."""
+
+
+class SilentSensorError(DriverError):
+    """The sensor delivers nothing."""
+
+    def __init__(self, silence_s: float) -> None:
+        super().__init__(f"no frame for {silence_s:.1f} s")
+
+
+class WrongKindError(DriverError):
+    """The driver delivers something else than its configuration says."""
+
+    def __init__(self, kind: str, delivered: object) -> None:
+        super().__init__(f"kind is {kind!r}, but the driver delivers {type(delivered).__name__}")

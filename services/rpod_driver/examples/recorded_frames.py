@@ -1,0 +1,40 @@
+"""Plays recorded frames onto the bus: python recorded_frames.py FRAMES.npz CONFIG.yaml."""
+
+import sys
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from rpod_driver import main
+from rpod_schemas.types import Camera, PmdFrame
+
+
+class RecordedFrames:
+    """A camera whose frames stand in a NumPy file: stamp_ns, depth_m, amplitude, camera (fx, fy, cx, cy)."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    def connect(self) -> None:
+        """Open the file."""
+        self._file = np.load(self._path)
+
+    def frames(self) -> Iterator[PmdFrame]:
+        """Yield the frames, in the pace of their stamps."""
+        stamps_ns, depths_m, amplitudes = (self._file[name] for name in ("stamp_ns", "depth_m", "amplitude"))
+        fx, fy, cx, cy = self._file["camera"]
+        camera = Camera(height=depths_m.shape[1], width=depths_m.shape[2], fx=fx, fy=fy, cx=cx, cy=cy)
+        started_s = time.monotonic()
+        for stamp_ns, depth_m, amplitude in zip(stamps_ns.tolist(), depths_m, amplitudes, strict=True):
+            time.sleep(max(0.0, started_s + (stamp_ns - stamps_ns[0]) * 1e-9 - time.monotonic()))
+            optical = {"stamp_ns": stamp_ns, "frame_id": "pmd_optical", "camera": camera}
+            yield PmdFrame(depth_m=depth_m, amplitude=amplitude, **optical)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main(RecordedFrames(sys.argv[1]), sys.argv[2]))

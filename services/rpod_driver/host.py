@@ -1,0 +1,164 @@
+"""The host of a driver: connects, publishes, tells the sensor's health, and connects again after errors."""
+
+import logging
+import time
+from collections import deque
+from collections.abc import Iterator
+from importlib.metadata import version as installed
+from pathlib import Path
+from threading import Event
+
+from rpod_driver.errors import DriverError, SilentSensorError, WrongKindError
+from rpod_driver.ports import Driver
+from rpod_runtime import Node, lifecycle
+from rpod_runtime.sensors import CameraPublisher, LidarPublisher
+from rpod_schemas.config.base import load
+from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.types import Health, LidarInfo, LidarScan, PmdFrame, PmdInfo
+
+log = logging.getLogger(__name__)
+
+_RATE_FRAMES = 32
+"""Over which the rate is told."""
+
+
+def main(driver: Driver, config: DriverConfig | Path | str) -> int:
+    """Run a driver as a process, with signals and log lines, until its source ends or it is stopped.
+
+    Args:
+        driver: the sensor.
+        config: as a model, or the file that holds it.
+
+    Returns:
+        The exit code: 0 where it ended well, 1 on failure, 2 for a configuration that cannot be used.
+    """
+
+    def body(stop: Event) -> None:
+        checked = config if isinstance(config, DriverConfig) else load(DriverConfig, Path(config))
+        run(driver, checked, version=installed("rpod"), stop=stop)
+
+    return lifecycle.run(config.instance if isinstance(config, DriverConfig) else "driver", body)
+
+
+def run(driver: Driver, config: DriverConfig, *, version: str, stop: Event) -> None:
+    """Publish what a driver delivers until its source ends or it is stopped."""
+    with Node(config, version=version, stop=stop) as node:
+        host = Host(node, driver, config)
+        node.health.watch(host.check)
+        while not (host.finished or stop.is_set()):
+            host.serve_connection()
+        node.state = "finished"
+
+
+class Host:
+    """A driver between two connections: what is published, and how the sensor does."""
+
+    def __init__(self, node: Node, driver: Driver, config: DriverConfig) -> None:
+        self._node, self._driver, self._config = node, driver, config
+        self._publisher = _open_publisher(node, config)
+        self._arrivals_s: deque[float] = deque(maxlen=_RATE_FRAMES)
+        self._heard_s = time.monotonic()
+        self._trouble = ""
+        self._retry_s = config.retry_s
+        self.finished = False
+
+    def serve_connection(self) -> None:
+        """Connect and publish until the source ends, the sensor fails, or the stop; after a failure wait."""
+        try:
+            info = self._driver.connect()
+            try:
+                self._begin(info)
+                self._publish_all(self._driver.frames())
+            finally:
+                self._driver.close()
+        except Exception as error:  # noqa: BLE001 - drivers raise what their device's library raises
+            self._recover(error)
+
+    def _begin(self, info: PmdInfo | LidarInfo | None) -> None:
+        self._heard_s = time.monotonic()
+        self._arrivals_s.clear()
+        if info is not None:
+            _announce(self._publisher, info, self._config)
+        self._node.ready(f"publishing {self._config.name}")
+
+    def _publish_all(self, frames: Iterator[PmdFrame | None] | Iterator[LidarScan | None]) -> None:
+        for frame in frames:
+            if self._node.stop.is_set():
+                return
+            if frame is not None:
+                self._publish(frame)
+            elif (silence_s := time.monotonic() - self._heard_s) > self._config.silence_s:
+                raise SilentSensorError(silence_s)
+        self.finished = True
+        log.info("the source has ended")
+
+    def _publish(self, frame: PmdFrame | LidarScan) -> None:
+        self._heard_s = time.monotonic()
+        self._arrivals_s.append(self._heard_s)
+        try:
+            match self._publisher, frame:
+                case CameraPublisher() as camera, PmdFrame():
+                    camera.publish(frame)
+                case LidarPublisher() as lidar, LidarScan():
+                    lidar.publish(frame)
+                case _:
+                    raise WrongKindError(self._config.kind, frame)
+        except MessageRejectedError as error:
+            self._node.reject(self._config.name, error)
+        else:
+            self._node.health.count(f"frames/{self._config.name}")
+            if self._trouble:
+                self._overcome()
+
+    def _overcome(self) -> None:
+        log.info("frames come again")
+        self._trouble, self._retry_s = "", self._config.retry_s
+        self._node.health.report(Health.OK, "frames come again")
+
+    def _recover(self, error: Exception) -> None:
+        self._trouble = str(error) or type(error).__name__
+        self._node.health.count(f"failures/{self._config.name}")
+        self._node.health.report(Health.ERROR, self._trouble)
+        expected = isinstance(error, OSError | DriverError)
+        log.error("%s; connecting again in %g s", self._trouble, self._retry_s, exc_info=not expected)
+        self._node.stop.wait(self._retry_s)
+        self._retry_s = min(2.0 * self._retry_s, self._config.max_retry_s)
+
+    def check(self) -> tuple[Health, str]:
+        """Return the sensor's health: a driver that hangs in its device is told as well."""
+        age_s = time.monotonic() - self._heard_s
+        self._node.health.measure("last_frame_age_s", age_s)
+        self._node.health.measure("rate_hz", self._rate_hz())
+        if self._trouble:
+            return Health.ERROR, self._trouble
+        if self.finished:
+            return Health.OK, "the source has ended"
+        if age_s > self._config.silence_s:
+            return Health.ERROR, f"no frame for {age_s:.1f} s"
+        if not self._arrivals_s:
+            return Health.WARN, "no frame yet"
+        return Health.OK, f"{self._rate_hz():.1f} Hz, last frame {age_s:.2f} s ago"
+
+    def _rate_hz(self) -> float:
+        arrivals_s = list(self._arrivals_s)
+        if len(arrivals_s) < 2 or arrivals_s[-1] <= arrivals_s[0]:
+            return 0.0
+        return (len(arrivals_s) - 1) / (arrivals_s[-1] - arrivals_s[0])
+
+
+def _open_publisher(node: Node, config: DriverConfig) -> CameraPublisher | LidarPublisher:
+    publisher = CameraPublisher if config.kind == "pmd" else LidarPublisher
+    return publisher(node, config.name, T_chaser_sensor=config.T_chaser_sensor)
+
+
+def _announce(
+    publisher: CameraPublisher | LidarPublisher, info: PmdInfo | LidarInfo, config: DriverConfig
+) -> None:
+    match publisher, info:
+        case CameraPublisher() as camera, PmdInfo():
+            camera.announce(info)
+        case LidarPublisher() as lidar, LidarInfo():
+            lidar.announce(info)
+        case _:
+            raise WrongKindError(config.kind, info)

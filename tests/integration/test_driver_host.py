@@ -1,0 +1,305 @@
+"""Drivers on a real bus: what they deliver arrives, and what fails is told and tried again."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event, Thread
+from time import monotonic
+
+import numpy as np
+import pytest
+import yaml
+
+import rpod_driver
+from rpod_driver import DriverError, run
+from rpod_runtime import Inbox
+from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.messages import (
+    read_amplitude,
+    read_camera,
+    read_depth,
+    read_diagnostics,
+    read_lidar_info,
+    read_points,
+    read_stamp,
+    read_transforms,
+)
+from rpod_schemas.topics import (
+    AMPLITUDE,
+    CAMERA_INFO,
+    DEPTH,
+    DIAGNOSTICS,
+    LIDAR_INFO,
+    PMD_INFO,
+    POINTS,
+    TF_STATIC,
+)
+from rpod_schemas.types import Camera, Diagnostic, Health, LidarInfo, LidarScan, PmdFrame, PmdInfo
+
+TIMEOUT_S = 20.0
+EXAMPLE = Path(rpod_driver.__file__).parent / "examples" / "recorded_frames.py"
+CAMERA = Camera(width=4, height=3, fx=5.0, fy=6.0, cx=1.5, cy=1.0)
+STAMP_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 20_000_000
+PMD = PmdInfo(
+    modulation_frequency_hz=[2e7], integration_time_s=1e-3, electrons_per_count=9, saturation_count=1
+)
+
+
+class Receiver:
+    """Keeps the messages of a node's subscriptions by topic."""
+
+    def __init__(self, node, *topics) -> None:
+        self._inbox = Inbox()
+        self.messages: dict[str, list] = {topic.name: [] for topic in topics}
+        for topic in topics:
+            node.subscribe(topic, self._inbox.put, recover=True)
+
+    def until(self, satisfied: Callable[[dict[str, list]], bool]) -> dict[str, list]:
+        deadline_s = monotonic() + TIMEOUT_S
+        while not satisfied(self.messages):
+            assert monotonic() < deadline_s, {name: len(items) for name, items in self.messages.items()}
+            for received in self._inbox.wait(0.1):
+                self.messages[received.topic.name].append(received.decode())
+        return self.messages
+
+    def diagnostic(self, satisfied: Callable[[Diagnostic], bool], name: str = "driver") -> Diagnostic:
+        def told(messages: dict[str, list]) -> list[Diagnostic]:
+            told = [item for message in messages["diagnostics"] for item in read_diagnostics(message)]
+            return [item for item in told if item.name == name and satisfied(item)]
+
+        return told(self.until(lambda messages: bool(told(messages))))[0]
+
+
+@contextmanager
+def hosted(driver, config: DriverConfig):
+    """Run the host in a thread; stop it, and raise what it raised, at the end."""
+    stop, failures = Event(), []
+
+    def body() -> None:
+        try:
+            run(driver, config, version="test", stop=stop)
+        except Exception as error:  # noqa: BLE001 - handed to the test
+            failures.append(error)
+
+    thread = Thread(target=body)
+    thread.start()
+    try:
+        yield stop
+    finally:
+        stop.set()
+        thread.join(TIMEOUT_S)
+    assert not thread.is_alive()
+    assert not failures
+
+
+def frame(number: int, **changes: object) -> PmdFrame:
+    depth_m = np.full((3, 4), number, np.float32)
+    fields = {"depth_m": depth_m, "amplitude": depth_m.astype(np.uint16), "camera": CAMERA} | changes
+    return PmdFrame(stamp_ns=STAMP_NS + number * PERIOD_NS, frame_id="anything", **fields)
+
+
+class Scripted:
+    """A driver that does, connection by connection, what a test tells it."""
+
+    def __init__(self, *scripts: Callable[[], Iterator], info: object = None) -> None:
+        self._scripts = list(scripts)
+        self._info = info
+        self.opened = self.closed = 0
+
+    def connect(self):
+        self.opened += 1
+        return self._info
+
+    def frames(self):
+        return self._scripts.pop(0)() if len(self._scripts) > 1 else self._scripts[0]()
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def silent() -> Iterator[None]:
+    pause = Event()
+    while True:
+        pause.wait(0.02)
+        yield None
+
+
+def test_the_example_plays_a_recording_as_a_process(bus, tmp_path):
+    rng = np.random.default_rng(7)
+    depth_m = rng.uniform(1.0, 9.0, (12, 3, 4)).astype(np.float32)
+    depth_m[:, 0, 0] = np.nan
+    stamps_ns = STAMP_NS + PERIOD_NS * np.arange(12)
+    amplitude = rng.integers(0, 4095, (12, 3, 4), dtype=np.uint16)
+    np.savez(
+        tmp_path / "f.npz",
+        stamp_ns=stamps_ns,
+        depth_m=depth_m,
+        amplitude=amplitude,
+        camera=[5.0, 6.0, 1.5, 1.0],
+    )
+    document = yaml.safe_load(EXAMPLE.with_suffix(".yaml").read_text())
+    document["bus"] = {"connect": bus.endpoint}
+    (tmp_path / "driver.yaml").write_text(yaml.safe_dump(document))
+    receiver = Receiver(
+        bus.node("receiver"),
+        *(topic.of("pmd") for topic in (DEPTH, AMPLITUDE, CAMERA_INFO)),
+        TF_STATIC,
+        DIAGNOSTICS,
+    )
+    ended = subprocess.run(
+        [sys.executable, EXAMPLE, tmp_path / "f.npz", tmp_path / "driver.yaml"],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    messages = receiver.until(
+        lambda messages: (
+            all(len(messages[topic.of("pmd").name]) == 12 for topic in (DEPTH, AMPLITUDE, CAMERA_INFO))
+            and len(messages["tf_static"]) == 1
+        )
+    )
+    depths, amplitudes = messages["pmd/depth/image_raw"], messages["pmd/amplitude/image_raw"]
+    assert [read_stamp(message.header) for message in depths] == stamps_ns.tolist()
+    assert np.array_equal([read_depth(message) for message in depths], depth_m, equal_nan=True)
+    assert np.array_equal([read_amplitude(message) for message in amplitudes], amplitude)
+    for message in messages["pmd/camera_info"]:
+        assert read_camera(message).model_dump(exclude={"distortion"}) == CAMERA.model_dump(
+            exclude={"distortion"}
+        )
+    (mount,) = read_transforms(messages["tf_static"][0])
+    assert mount[1:3] == ("chaser", "pmd_optical")
+    assert mount[3].translation.tolist() == [0.0, 0.1, 0.0]
+    last = receiver.diagnostic(lambda item: item.values.get("published/pmd/depth/image_raw") == "12")
+    assert (last.level, last.message) == (Health.OK, "the source has ended")
+    assert last.values["frames/pmd"] == "12"
+    assert float(last.values["rate_hz"]) > 0.0
+
+
+def test_a_configuration_that_cannot_be_used_is_told_in_one_line(tmp_path):
+    (tmp_path / "driver.yaml").write_text("kind: radar\nname: pmd\n")
+    ended = subprocess.run(
+        [sys.executable, EXAMPLE, "none.npz", tmp_path / "driver.yaml"],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert len(ended.stderr.splitlines()) == 1
+    assert "driver.yaml: kind" in ended.stderr
+
+
+def test_a_sensor_that_fails_is_closed_told_and_connected_again(bus):
+    def breaks() -> Iterator[PmdFrame]:
+        yield frame(1)
+        raise DriverError("the cable is out")
+
+    def works() -> Iterator[PmdFrame | None]:
+        yield frame(2)
+        yield from silent()
+
+    receiver = Receiver(bus.node("receiver"), DEPTH.of("pmd"), PMD_INFO.of("pmd"), DIAGNOSTICS)
+    driver = Scripted(breaks, works, info=PMD)
+    config = DriverConfig(bus=bus.config, kind="pmd", name="pmd", retry_s=0.3)
+    with hosted(driver, config):
+        broken = receiver.diagnostic(lambda item: item.message == "the cable is out")
+        healthy = receiver.diagnostic(lambda item: item.values.get("frames/pmd") == "2")
+        messages = receiver.until(lambda messages: len(messages["pmd/depth/image_raw"]) == 2)
+    assert broken.level is Health.ERROR
+    assert broken.values["failures/pmd"] == "1"
+    assert healthy.level is Health.OK
+    assert len(messages["pmd/info"]) == 2
+    assert (driver.opened, driver.closed) == (2, 2)
+
+
+def test_a_device_that_cannot_be_opened_is_tried_again_and_not_closed(bus):
+    class Late(Scripted):
+        def connect(self):
+            super().connect()
+            if self.opened < 3:
+                raise OSError("no such device")
+
+    receiver = Receiver(bus.node("receiver"), DEPTH.of("pmd"), DIAGNOSTICS)
+    driver = Late(lambda: iter([frame(1)]))
+    config = DriverConfig(bus=bus.config, kind="pmd", name="pmd", retry_s=0.05, max_retry_s=0.05)
+    with hosted(driver, config):
+        receiver.until(lambda messages: len(messages["pmd/depth/image_raw"]) == 1)
+    assert (driver.opened, driver.closed) == (3, 1)
+
+
+def test_a_silent_sensor_is_an_error_and_connected_again(bus):
+    receiver = Receiver(bus.node("receiver"), DIAGNOSTICS)
+    driver = Scripted(silent)
+    with hosted(driver, DriverConfig(bus=bus.config, kind="pmd", name="pmd", silence_s=0.1, retry_s=0.1)):
+        told = receiver.diagnostic(lambda item: int(item.values.get("failures/pmd", 0)) >= 2)
+    assert told.level is Health.ERROR
+    assert "no frame for" in told.message
+    assert driver.opened == driver.closed >= 2
+
+
+def test_a_driver_that_hangs_in_its_device_is_told(bus):
+    release = Event()
+
+    def hangs() -> Iterator[PmdFrame]:
+        yield frame(1)
+        assert release.wait(TIMEOUT_S)
+
+    receiver = Receiver(bus.node("receiver"), DIAGNOSTICS)
+    with hosted(Scripted(hangs), DriverConfig(bus=bus.config, kind="pmd", name="pmd", silence_s=0.2)):
+        told = receiver.diagnostic(lambda item: "no frame for" in item.message)
+        release.set()
+    assert told.level is Health.ERROR
+    assert float(told.values["last_frame_age_s"]) > 0.2
+
+
+def test_a_frame_that_cannot_be_published_is_counted_and_the_next_one_is(bus):
+    bad = frame(1, amplitude=np.ones((3, 4), np.float64))
+    receiver = Receiver(bus.node("receiver"), DEPTH.of("pmd"), DIAGNOSTICS)
+    with hosted(
+        Scripted(lambda: iter([bad, frame(2)])), DriverConfig(bus=bus.config, kind="pmd", name="pmd")
+    ):
+        messages = receiver.until(lambda messages: len(messages["pmd/depth/image_raw"]) == 1)
+        receiver.diagnostic(lambda item: item.values.get("rejected/pmd/wrong_type") == "1")
+    assert read_depth(messages["pmd/depth/image_raw"][0])[0, 0] == 2.0
+
+
+@pytest.mark.parametrize("organised", [True, False])
+def test_a_lidar_delivers_scans_and_its_pattern(bus, organised):
+    info = LidarInfo(
+        azimuth_rad=np.arange(3.0), elevation_rad=np.arange(2.0), scan_time_s=0.5, sigma_range_m=0.01
+    )
+    points_m = np.arange(18, dtype=np.float32).reshape((2, 3, 3) if organised else (6, 3))
+    intensity = points_m[..., 0] + 100
+    scan = LidarScan(
+        stamp_ns=STAMP_NS, frame_id="", points_m=points_m, intensity=intensity, time_s=intensity * 0.001
+    )
+    receiver = Receiver(bus.node("receiver"), POINTS.of("front"), LIDAR_INFO.of("front"), TF_STATIC)
+    with hosted(
+        Scripted(lambda: iter([scan]), info=info), DriverConfig(bus=bus.config, kind="lidar", name="front")
+    ):
+        messages = receiver.until(lambda messages: all(messages.values()))
+    fields = read_points(messages["front/points"][0])
+    assert np.array_equal(np.stack([fields[name] for name in "xyz"], axis=-1), points_m)
+    assert np.array_equal(fields["intensity"], intensity)
+    assert np.array_equal(fields["t"], scan.time_s)
+    assert read_stamp(messages["front/points"][0].header) == STAMP_NS
+    assert read_lidar_info(messages["front/info"][0]).azimuth_rad.tolist() == [0.0, 1.0, 2.0]
+    assert read_transforms(messages["tf_static"][0])[0][1:3] == ("chaser", "front")
+
+
+def test_a_driver_of_the_wrong_kind_is_told(bus):
+    receiver = Receiver(bus.node("receiver"), DIAGNOSTICS)
+    with hosted(
+        Scripted(lambda: iter([frame(1)])),
+        DriverConfig(bus=bus.config, kind="lidar", name="pmd", retry_s=0.3),
+    ):
+        told = receiver.diagnostic(lambda item: "PmdFrame" in item.message)
+    assert told.level is Health.ERROR
