@@ -153,6 +153,8 @@ class SyntheticRun:
     dropped: int = 0
     unlogged: int = 0
     """Depth images that were published and did not reach the log, from the second one on."""
+    amplitude_until_s: float = np.inf
+    """From then on no amplitude is sent."""
     namespace: str = ""
     with_truth: bool = True
     with_estimates: bool = True
@@ -246,7 +248,8 @@ class _LogWriter:
             self.sequences[DEPTH.of(name).name] += 1
         else:
             self.put(DEPTH.of(name), stamp_ns, write_image(stamp_ns, self.frame_id, depth_m, "32FC1"))
-        self.put(AMPLITUDE.of(name), stamp_ns, write_image(stamp_ns, self.frame_id, amplitude, "mono16"))
+        if time_s < self.run.amplitude_until_s:
+            self.put(AMPLITUDE.of(name), stamp_ns, write_image(stamp_ns, self.frame_id, amplitude, "mono16"))
 
     def lidar_scan(self, stamp_ns: int, number: int, time_s: float) -> None:
         if self.run.render:

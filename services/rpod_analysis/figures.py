@@ -76,6 +76,7 @@ def state_figure(run: Run) -> go.Figure:
             mode="markers",
             marker={"symbol": "line-ns-open", "size": 14, "color": "#111"},
             name="rejected",
+            showlegend=False,
             text=run.statuses.reason[rejected][:_MOST_POINTS],
             hovertemplate="%{x:.2f} s: %{text}<extra></extra>",
         ),

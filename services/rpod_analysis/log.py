@@ -8,7 +8,7 @@ import json
 import struct
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -188,20 +188,21 @@ class Log:
         }
         if not channels:
             return
-        try:
-            for schema, channel, message in part.reader.iter_messages(
-                list(channels), starting_at=start_ns, ending_before=end_ns
-            ):
-                yield Logged(
-                    channels[channel.topic],
-                    schema.name if schema else "",
-                    message.log_time,
-                    message.publish_time,
-                    message.sequence,
-                    message.data,
-                )
-        except _DAMAGE as error:
-            raise DamagedLogError(part.path, " ".join(str(error).split())) from error
+        found = part.reader.iter_messages(list(channels), starting_at=start_ns, ending_before=end_ns)
+        while True:
+            with _reading(part.path):
+                item = next(found, None)
+            if item is None:
+                return
+            schema, channel, message = item
+            yield Logged(
+                channels[channel.topic],
+                schema.name if schema else "",
+                message.log_time,
+                message.publish_time,
+                message.sequence,
+                message.data,
+            )
 
     def odometry(
         self, topic: Topic | str = ESTIMATE, *, start_ns: int | None = None, end_ns: int | None = None
@@ -231,9 +232,19 @@ class Log:
 
 def _metadata_of(part: _Part, record: str) -> dict[str, str]:
     values: dict[str, str] = {}
-    for item in part.reader.iter_metadata():
-        values |= item.metadata if item.name == record else {}
+    with _reading(part.path):
+        for item in part.reader.iter_metadata():
+            values |= item.metadata if item.name == record else {}
     return values
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn what damaged bytes provoke into the error that says so."""
+    try:
+        yield
+    except _DAMAGE as error:
+        raise DamagedLogError(path, " ".join(str(error).split()) or type(error).__name__) from error
 
 
 def is_latched(name: str) -> bool:
@@ -251,11 +262,9 @@ def _open_part(path: Path, stack: ExitStack) -> _Part:
         _check_ends(path, stream)
     except OSError as error:
         raise NoLogError(path, (error.strerror or str(error)).lower()) from error
-    try:
-        reader = make_reader(stream)
+    with _reading(path):
+        reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
-    except _DAMAGE as error:
-        raise DamagedLogError(path, " ".join(str(error).split())) from error
     if summary is None:
         raise TruncatedLogError(path)
     return _Part(path, reader, summary)

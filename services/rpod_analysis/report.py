@@ -24,6 +24,7 @@ from rpod_target import Target, TargetError, load_target
 
 _PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 _MOST_REASONS = 8
+_NUMBER = re.compile(r"(?<![A-Za-z])-?\d+(\.\d+)?(e-?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def _target(log: Log, digests: list[str]) -> tuple[Target | None, str]:
 def _reasons(run: Run) -> list[tuple[str, int]]:
     """Return why frames were rejected, most frequent first, whatever the numbers in the reason."""
     reasons = run.statuses.reason[~run.statuses.accepted]
-    kinds = Counter(re.sub(r"-?\d+(\.\d+)?(e-?\d+)?", "#", str(reason)) or "no reason" for reason in reasons)
+    kinds = Counter(_NUMBER.sub("…", str(reason)) or "no reason given" for reason in reasons)
     return kinds.most_common(_MOST_REASONS)
 
 

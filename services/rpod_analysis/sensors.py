@@ -81,8 +81,10 @@ def pmd_frames(
         stamp_ns = read_stamp(message.header)
         parts = pending.setdefault(stamp_ns, {})
         parts[logged.topic] = message
-        if parts.keys() == wanted or len(pending) > _MOST_PENDING:
+        if parts.keys() == wanted:
             yield from _complete(sensor, pending, up_to_ns=stamp_ns)
+        elif len(pending) > _MOST_PENDING:
+            yield from _complete(sensor, pending, up_to_ns=min(pending))
     if pending:
         yield from _complete(sensor, pending, up_to_ns=max(pending))
 

@@ -59,22 +59,22 @@ def _estimation(summary: Summary) -> Iterator[Check]:
         "Tracking",
         "no frame tracked"
         if share is None
-        else f"{share:.1%} of frames, {summary.estimates.lost_s:.1f} s lost",
-        f"at least {MIN_TRACKING_SHARE:.0%} of frames after the first acquisition",
+        else f"{_percent(share)} of frames, {summary.estimates.lost_s:.1f} s lost",
+        f"at least {_percent(MIN_TRACKING_SHARE)} of frames after the first acquisition",
         None if share is None else share >= MIN_TRACKING_SHARE,
     )
     off = modes.worse_than_10deg_or_0_3m_share
     yield Check(
         "Accuracy",
-        "no truth" if off is None else f"{off:.1%} of frames off by more than 10° or 0.3 m",
-        f"at most {MAX_OFF_TARGET_SHARE:.0%}",
+        "no truth" if off is None else f"{_percent(off)} of frames off by more than 10° or 0.3 m",
+        f"at most {_percent(MAX_OFF_TARGET_SHARE)}",
         None if off is None else off <= MAX_OFF_TARGET_SHARE,
     )
     within = consistency.nees_share_in_95 if consistency else None
     yield Check(
         "Covariance",
-        "no covariance or truth" if within is None else f"{within:.0%} of errors within the 95 % bound",
-        f"at least {MIN_NEES_SHARE:.0%}",
+        "no covariance or truth" if within is None else f"{_percent(within)} of errors within the 95 % bound",
+        f"at least {_percent(MIN_NEES_SHARE)}",
         None if within is None else within >= MIN_NEES_SHARE,
     )
 
@@ -85,8 +85,8 @@ def _kept_up(summary: Summary) -> Check:
     share = dropped / max(dropped + processed, 1)
     return Check(
         "Pace",
-        f"{_count(dropped, 'frame')} dropped ({share:.1%})",
-        f"at most {MAX_DROPPED_SHARE:.0%}",
+        f"{_count(dropped, 'frame')} dropped ({_percent(share)})",
+        f"at most {_percent(MAX_DROPPED_SHARE)}",
         share <= MAX_DROPPED_SHARE,
     )
 
@@ -98,3 +98,7 @@ def _recorded(summary: Summary) -> Check:
 
 def _count(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.4g} %"

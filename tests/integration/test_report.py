@@ -1,0 +1,139 @@
+"""The report of a whole run, with images and wireframe of a shipped target."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from synthetic_log import Frame, SyntheticRun, see_depth, see_points
+
+from rpod_analysis.report import write_report
+from rpod_schemas.summary import Summary
+from rpod_schemas.types import Camera, Mode
+from rpod_target import load_target
+
+CAMERA = Camera(width=88, height=72, fx=90.0, fy=90.0, cx=43.5, cy=35.5)
+
+
+def frame(number, _time_s):
+    if number < 2:
+        return Frame(mode=Mode.ACQUIRING, reason="not believed: cost 0.31 m2")
+    return Frame(attitude_rad=(0.01, 0.0, 0.0), position_m=(0.0, 0.01, 0.0), covariance=np.eye(6) * 1e-4)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("report")
+    run = SyntheticRun(
+        camera=CAMERA,
+        target="mockup",
+        render=see_depth(load_target("mockup"), CAMERA),
+        frame=frame,
+        unlogged=1,
+    )
+    return write_report([run.write(directory / "run.mcap")])
+
+
+@pytest.fixture(scope="module")
+def page(written):
+    return written.html.read_text("utf-8")
+
+
+@pytest.fixture(scope="module")
+def body(page):
+    """The page without plotly's own code."""
+    return page[: page.index("<script>")] + page[page.index("</script>", page.index("<script>")) :]
+
+
+def test_report_and_summary_stand_beside_the_log(written):
+    assert {file.name for file in written.html.parent.iterdir()} == {
+        "run.mcap",
+        "report.html",
+        "summary.json",
+    }
+    summary = Summary.model_validate_json(written.summary.read_text("utf-8"))
+    assert summary.report == str(written.html)
+    assert summary.log == str(written.html.parent / "run.mcap")
+
+
+def test_the_page_loads_nothing_from_anywhere(page, body):
+    assert not re.search(r"https?://", body.replace("http://www.w3.org/2000/svg", ""))
+    loads = re.findall(r"<(?:link|script|img|iframe|object|embed)\b[^>]*>", body)
+    assert not [tag for tag in loads if re.search(r"\b(src|href|data)\s*=", tag)]
+    assert "@import" not in body
+    assert "url(" not in body
+    for uri in re.findall(r'href="([^"#][^"]*)"', body):
+        assert uri.startswith("data:image/")
+    assert page.count("<!doctype html>") == 1
+
+
+def test_the_page_is_small_enough_to_be_mailed(written):
+    assert written.html.stat().st_size < 6_000_000
+
+
+def test_the_page_says_what_was_run_and_how_it_went(body):
+    for text in ("synthetic-approach", "mockup", "rpod 0.1.0", "run.mcap"):
+        assert text in body
+    assert "The run has findings: log." in body
+    assert re.search(r"<td>pmd/depth/image_raw</td><td[^>]*>21</td><td[^>]*>20</td><td[^>]*>1</td>", body)
+    assert "not believed: cost … m2" in body
+
+
+def test_the_page_holds_three_figures(page):
+    assert page.count("Plotly.newPlot(") == 3 + get_own_mentions(page)
+
+
+def get_own_mentions(page):
+    """How often plotly's own code names the function."""
+    start = page.index("<script>")
+    return page[start : page.index("</script>", start)].count("Plotly.newPlot(")
+
+
+def test_depth_and_amplitude_are_shown_with_the_wireframe_at_estimate_and_truth(body):
+    assert body.count("data:image/webp;base64,") == 8
+    paths = dict(re.findall(r'id="shot-\d-([et])" d="([^"]*)"', body))
+    assert len(paths["e"]) > 300
+    assert len(paths["t"]) > 300
+    assert paths["e"] != paths["t"]
+
+
+def test_the_wireframe_lies_on_the_surface_that_the_camera_saw(body):
+    """The truth's outline and the depth image bound the same part of the picture."""
+    views = [tuple(map(float, view.split())) for view in re.findall(r'viewBox="([^"]+)"', body)]
+    truths = re.findall(r'id="shot-\d-t" d="([^"]*)"', body)
+    target = load_target("mockup")
+    for index, path in enumerate(truths):
+        points = np.array([pair.split() for pair in re.findall(r"[-\d.]+ [-\d.]+", path)], float)
+        left, top, width, height = views[2 * index]
+        assert (points >= (left, top)).all()
+        assert (points <= (left + width, top + height)).all()
+        assert np.ptp(points, axis=0).max() * 5.0 / CAMERA.fx < 2.2 * target.radius_m
+
+
+def test_a_lidars_returns_are_drawn(tmp_path):
+    run = SyntheticRun(
+        kind="lidar",
+        name="lidar",
+        rate_hz=2.0,
+        target="mockup",
+        render=see_points(load_target("mockup")),
+        frame=frame,
+    )
+    page = write_report([run.write(tmp_path / "run.mcap")]).html.read_text("utf-8")
+    assert 'class="lines dots"' in page
+    assert re.search(r'id="shot-1-e" d="M', page)
+
+
+def test_a_run_without_target_truth_or_estimates_still_has_a_page(tmp_path):
+    run = SyntheticRun(with_truth=False, frame=lambda *_: Frame(mode=Mode.ACQUIRING, reason="nothing found"))
+    page = write_report([run.write(tmp_path / "run.mcap")], tmp_path / "elsewhere").html.read_text("utf-8")
+    assert "The target was not acquired." in page
+    assert "nothing is scored" in page
+    assert "No wireframe: the log does not say which target it is." in page
+    assert json.loads((tmp_path / "elsewhere" / "summary.json").read_text("utf-8"))["error"] is None
+
+
+def test_text_from_the_log_is_escaped(tmp_path):
+    run = SyntheticRun(frame=lambda *_: Frame(reason="<img src=x onerror=alert(1)>"))
+    page = write_report([run.write(tmp_path / "run.mcap")]).html.read_text("utf-8")
+    assert "<img src=x" not in page
