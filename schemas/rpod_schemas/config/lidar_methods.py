@@ -1,0 +1,72 @@
+"""Parameters of the methods that estimate a pose from LIDAR scans."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rpod_schemas.config.base import Config, NonNegative, Positive
+
+Count = Annotated[int, Field(gt=0)]
+
+
+class TemplateMatchingConfig(Config):
+    """On-line template matching (2015 paper, section 2)."""
+
+    kind: Literal["template_matching"] = "template_matching"
+    """Selects this method."""
+    step_deg: Annotated[float, Field(ge=5, le=90)] = 30.0
+    """Delta, step of the grid of Euler angles: 60, 30 and 10 give 196, 1183 and 26011 templates."""
+    fast: bool = False
+    """The fast variant (section 2.2): only templates spread like the scan are correlated with it."""
+    tau: Positive = 0.1
+    """Largest relative difference of the spreads D_BOR (Eq. 3); counts where fast."""
+    centroid_offset: bool = True
+    """Correct the position by where the template's own centroid lies; the paper takes the scan's as it is."""
+    candidates: Count = 10
+    """Most candidates returned."""
+    distinct_deg: NonNegative = 20.0
+    """Candidates whose attitudes differ by less are one, the better of them."""
+    min_points: Annotated[int, Field(ge=3)] = 6
+    """Scans with fewer returns are not searched."""
+
+
+class ScanComparisonConfig(Config):
+    """The self-check: the target is cast at the solution and compared with the scan, ray by ray."""
+
+    tolerance_m: Positive = 0.15
+    """Measured and predicted range agree within this."""
+    margin_deg: Positive = 0.2
+    """A prediction holds only where all rays this far beside agree with it: outlines are left undecided."""
+    grazing_deg: Annotated[float, Field(gt=0, le=90)] = 75.0
+    """Beyond this incidence a predicted return may be missing."""
+
+
+class IcpNearestNeighbourConfig(Config):
+    """ICP from measured points to the closest points of the target's surface."""
+
+    kind: Literal["icp_nearest_neighbour"] = "icp_nearest_neighbour"
+    """Selects this method."""
+    metric: Literal["point_to_point", "point_to_plane"] = "point_to_plane"
+    """What a step minimises: distances to the closest points, as in the paper, or distances along the lines
+    to them, which lets faces slide and converges in a tenth of the steps."""
+    resistance: Positive = 0.01
+    """Weight with which the points' own motion counts against a step (point_to_plane only): it holds the
+    target in directions that no face determines."""
+    iterations: Count = 200
+    """Most iterations."""
+    step_m: Positive = 1e-4
+    """The iterations end where a step moves the target's surface by less than this."""
+    gate_m: Positive = 0.3
+    """A point this near to the surface is never an outlier; it covers 4-sigma outliers."""
+    gate_spread: Positive = 3.0
+    """Beyond gate_m a point is an outlier where it is farther than this many robust standard deviations."""
+    min_points: Annotated[int, Field(ge=6)] = 6
+    """Fewer returns, or fewer inliers, are no registration."""
+    sigma_range_m: Positive = 0.025
+    """Standard deviation of a range, for the covariance; the residuals' own spread where that is larger."""
+    unobserved_m: Positive = 1.0
+    """Standard deviation of a position that no face determines."""
+    unobserved_deg: Positive = 20.0
+    """Standard deviation of a rotation that no face determines."""
+    comparison: ScanComparisonConfig = ScanComparisonConfig()
+    """The self-check."""

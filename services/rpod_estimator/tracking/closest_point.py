@@ -1,0 +1,122 @@
+"""The closest point of a triangulated surface, exactly, for many points that move little between calls.
+
+Each point first tries the triangle that was closest the last time; its distance then lets most others
+be passed over by their bounding spheres.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rpod_schemas.arrays import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles with what bounds them."""
+
+    triangles_m: FloatArray
+    """Shape (T, 3, 3)."""
+    normals: FloatArray
+    """Outward, shape (T, 3)."""
+    centres_m: FloatArray
+    """Of the bounding spheres, shape (T, 3)."""
+    radii_m: FloatArray
+    """Of the bounding spheres, shape (T,)."""
+
+    @classmethod
+    def of(cls, triangles_m: FloatArray, normals: FloatArray) -> Self:
+        """Return the surface of triangles, shape (T, 3, 3), with normals, shape (T, 3)."""
+        centres_m = (triangles_m.min(axis=1) + triangles_m.max(axis=1)) / 2.0
+        radii_m = np.linalg.norm(triangles_m - centres_m[:, None], axis=2).max(axis=1)
+        return cls(np.ascontiguousarray(triangles_m), np.ascontiguousarray(normals), centres_m, radii_m)
+
+    def facing(self, viewpoint_m: FloatArray) -> NDArray[np.bool_]:
+        """Return which triangles show their outer side to a viewpoint, shape (T,)."""
+        facing: NDArray[np.bool_] = ((viewpoint_m - self.triangles_m[:, 0]) * self.normals).sum(axis=1) > 0.0
+        return facing
+
+    def closest(
+        self, points_m: FloatArray, usable: NDArray[np.bool_], nearest: NDArray[np.int32]
+    ) -> FloatArray:
+        """Return the closest points of the usable triangles, shape (N, 3).
+
+        Args:
+            points_m: shape (N, 3).
+            usable: which triangles count, shape (T,); at least one must.
+            nearest: in: a guess of each point's triangle, shape (N,); out: the triangle.
+        """
+        closest_m: FloatArray = closest_points(
+            points_m, self.triangles_m, self.centres_m, self.radii_m, usable, nearest
+        )
+        return closest_m
+
+
+@njit(cache=True, nogil=True)
+def closest_points(points, triangles, centres, radii, usable, nearest):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return ``Surface.closest``."""
+    closest = np.empty(points.shape)
+    for n in range(points.shape[0]):
+        p = points[n]
+        best2, best = np.inf, np.inf
+        if usable[nearest[n]]:
+            q0, q1, q2 = on_triangle(p, triangles[nearest[n]])
+            best2 = (p[0] - q0) ** 2 + (p[1] - q1) ** 2 + (p[2] - q2) ** 2
+            best = np.sqrt(best2)
+            closest[n, 0], closest[n, 1], closest[n, 2] = q0, q1, q2
+        for t in range(triangles.shape[0]):
+            reach = best + radii[t]
+            x, y, z = p[0] - centres[t, 0], p[1] - centres[t, 1], p[2] - centres[t, 2]
+            if not usable[t] or x * x + y * y + z * z >= reach * reach:
+                continue
+            q0, q1, q2 = on_triangle(p, triangles[t])
+            distance2 = (p[0] - q0) ** 2 + (p[1] - q1) ** 2 + (p[2] - q2) ** 2
+            if distance2 < best2:
+                best2, best = distance2, np.sqrt(distance2)
+                nearest[n] = t
+                closest[n, 0], closest[n, 1], closest[n, 2] = q0, q1, q2
+    return closest
+
+
+@njit(cache=True, nogil=True)
+def on_triangle(p, triangle):  # type: ignore[no-untyped-def]
+    """Return the point of a triangle, shape (3, 3), closest to p, shape (3,), as three numbers.
+
+    Source: C. Ericson, Real-Time Collision Detection (2005), section 5.1.5: the regions of the corners,
+    then of the edges, then the inside.
+    """
+    a, b, c = triangle[0], triangle[1], triangle[2]
+    d1 = d2 = d3 = d4 = d5 = d6 = 0.0
+    for k in range(3):
+        ab, ac = b[k] - a[k], c[k] - a[k]
+        d1 += ab * (p[k] - a[k])
+        d2 += ac * (p[k] - a[k])
+        d3 += ab * (p[k] - b[k])
+        d4 += ac * (p[k] - b[k])
+        d5 += ab * (p[k] - c[k])
+        d6 += ac * (p[k] - c[k])
+    vc, vb, va = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
+    if d1 <= 0.0 and d2 <= 0.0:
+        v, w = 0.0, 0.0
+    elif d3 >= 0.0 and d4 <= d3:
+        v, w = 1.0, 0.0
+    elif d6 >= 0.0 and d5 <= d6:
+        v, w = 0.0, 1.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v, w = d1 / (d1 - d3), 0.0
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        v, w = 0.0, d2 / (d2 - d6)
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        v, w = vb / (va + vb + vc), vc / (va + vb + vc)
+    u = 1.0 - v - w
+    return (
+        u * a[0] + v * b[0] + w * c[0],
+        u * a[1] + v * b[1] + w * c[1],
+        u * a[2] + v * b[2] + w * c[2],
+    )
