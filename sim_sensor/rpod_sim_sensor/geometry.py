@@ -213,7 +213,7 @@ def _blocks(grid: RayGrid, corners: FloatArray) -> NDArray[np.intp]:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _cast(rays, sides, nearness, blocks, range_m, triangle):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Fill ``range_m`` and ``triangle``; the innermost loop has no branch, so that it is vectorised."""
     x, y, z = rays

@@ -35,7 +35,7 @@ class LampConfig(Config):
     """Mean emitted power (assumed; Table 1 has less than 25.5 W of electrical power)."""
     share_in_view: Share = 0.75
     """Share of the power that falls into the field of view, evenly (assumed)."""
-    radius_m: NonNegative = 0.05
+    radius_m: Positive = 0.05
     """Radius of the disc that the LEDs fill: it widens the glints of smooth surfaces (assumed)."""
 
 

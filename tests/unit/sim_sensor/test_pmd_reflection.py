@@ -37,6 +37,11 @@ def test_light_and_viewer_can_be_exchanged(n_l: float, n_v: float, azimuth: floa
     assert there == pytest.approx(back, rel=1e-9)
 
 
+def test_at_grazing_incidence_every_surface_becomes_a_mirror() -> None:
+    dull, mirror = (reflected_share(0.05, 0.05, -0.99, 0.0, f0, 0.01) for f0 in (0.02, 1.0))
+    assert dull / mirror == pytest.approx(0.02 + 0.98 * (1 - math.sqrt(0.005)) ** 5)
+
+
 def reflected_of_all(n_v: float, roughness: float, cells: int = 200) -> float:
     """What a perfect mirror of facets sends on of light from everywhere (the white furnace)."""
     n_l = (np.arange(cells) + 0.5) / cells
