@@ -13,7 +13,10 @@ FloatArray = NDArray[np.float64]
 
 def _checked(shape: tuple[int | None, ...], *, finite: bool) -> Callable[[Any], FloatArray]:
     def check(value: Any) -> FloatArray:
-        array = np.asarray(value, dtype=np.float64)
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except TypeError as error:  # of a mapping, say; a validator speaks by ValueError
+            raise ValueError("needs numbers") from error
         fits = array.ndim == len(shape) and all(
             want is None or want == have for want, have in zip(shape, array.shape, strict=True)
         )

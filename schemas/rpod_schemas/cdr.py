@@ -14,7 +14,9 @@ from rosbags.typesys.store import Typestore
 
 from rpod_schemas.errors import MessageRejectedError, Reason
 
-_STAMP = struct.Struct("<iI")
+_STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
+"""By the byte order that the encapsulation header tells."""
+NANOSECONDS = 1_000_000_000
 
 
 @cache
@@ -75,12 +77,19 @@ def decode(payload: bytes | memoryview, type_name: str) -> Any:
 
 
 def peek_stamp(payload: bytes | memoryview) -> int:
-    """Return the stamp, ns, of a little-endian message that begins with a std_msgs/Header, undecoded.
+    """Return the stamp, ns, of a message that begins with a std_msgs/Header, undecoded.
 
     Raises:
-        MessageRejectedError: the bytes are too few.
+        MessageRejectedError: the bytes are too few, or no stamp.
     """
-    if len(payload) < 12:
-        raise MessageRejectedError(Reason.MALFORMED, f"no header in {len(payload)} bytes")
-    seconds, nanoseconds = _STAMP.unpack_from(payload, 4)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    if len(payload) < 12 or payload[0] != 0 or payload[1] not in _STAMP:
+        raise MessageRejectedError(Reason.MALFORMED, f"no CDR header with a stamp in {len(payload)} bytes")
+    seconds, nanoseconds = _STAMP[payload[1]].unpack_from(payload, 4)
+    return checked_stamp(seconds, nanoseconds)
+
+
+def checked_stamp(seconds: int, nanoseconds: int) -> int:
+    """Return a builtin_interfaces/Time as ns. Raises ``MessageRejectedError`` where it is none."""
+    if seconds < 0 or not 0 <= nanoseconds < NANOSECONDS:
+        raise MessageRejectedError(Reason.MALFORMED, f"stamp {seconds} s {nanoseconds} ns")
+    return int(seconds) * NANOSECONDS + int(nanoseconds)

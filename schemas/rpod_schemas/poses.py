@@ -40,19 +40,28 @@ def _checked_pose(value: Any) -> RigidTransform:
         raise ValueError("needs translation_m and quaternion_xyzw, or euler_321_deg (yaw, pitch, roll)")
     if "quaternion_xyzw" in value and "euler_321_deg" in value:
         raise ValueError("has both quaternion_xyzw and euler_321_deg; give one")
-    translation = np.asarray(value.get("translation_m", (0.0, 0.0, 0.0)), float)
-    if translation.shape != (3,) or not np.isfinite(translation).all():
+    translation = _numbers(value.get("translation_m", (0.0, 0.0, 0.0)))
+    if translation.shape != (3,):
         raise ValueError("translation_m needs three finite numbers")
     return RigidTransform.from_components(translation, _checked_rotation(value))
 
 
+def _numbers(value: Any) -> FloatArray:
+    """Return an array of finite numbers; an empty one where the value is none."""
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError):
+        return np.empty(0)
+    return array if np.isfinite(array).all() else np.empty(0)
+
+
 def _checked_rotation(value: dict[str, Any]) -> Rotation:
     if "euler_321_deg" in value:
-        angles = np.asarray(value["euler_321_deg"], float)
-        if angles.shape != (3,) or not np.isfinite(angles).all():
+        angles = _numbers(value["euler_321_deg"])
+        if angles.shape != (3,):
             raise ValueError("euler_321_deg needs three finite numbers: yaw, pitch, roll")
         return Rotation.from_euler("ZYX", angles, degrees=True)
-    quaternion = np.asarray(value.get("quaternion_xyzw", (0.0, 0.0, 0.0, 1.0)), float)
+    quaternion = _numbers(value.get("quaternion_xyzw", (0.0, 0.0, 0.0, 1.0)))
     if quaternion.shape != (4,) or not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
         raise ValueError("quaternion_xyzw needs four numbers of unit norm")
     return Rotation.from_quat(quaternion)

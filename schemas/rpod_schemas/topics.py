@@ -30,7 +30,7 @@ class Topic:
         return Topic(f"{sensor}/{self.name.split('/', 1)[1]}", self.type, self.latched)
 
     def under(self, prefix: str) -> "Topic":
-        """Return an estimate's topic under a configured prefix: ``estimate/pose`` under ``b`` is ``b/pose``."""
+        """Return an estimate's topic under a prefix: ``estimate/pose`` under ``b`` is ``b/pose``."""
         return Topic(f"{prefix}/{self.name.split('/', 1)[1]}", self.type, self.latched)
 
     def covers(self, other: "Topic") -> bool:

@@ -14,7 +14,7 @@ from threading import Event
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod import __version__
 from rpod_estimator.methods import ScanPattern, lidar_methods, pmd_methods
@@ -67,8 +67,16 @@ def bench_command(*, as_json: bool) -> int:
         console.print(f"measuring {measure.__name__.strip('_')} ...", style="dim")
         rows += measure()
     if as_json:
-        machine = {"cores": os.cpu_count(), "machine": platform.machine(), "python": platform.python_version()}
-        print(json.dumps({"version": __version__, "machine": machine, "rows": [asdict(row) for row in rows]}, indent=2))
+        machine = {
+            "cores": os.cpu_count(),
+            "machine": platform.machine(),
+            "python": platform.python_version(),
+        }
+        print(
+            json.dumps(
+                {"version": __version__, "machine": machine, "rows": [asdict(row) for row in rows]}, indent=2
+            )
+        )
     else:
         Console().print(_table(rows))
     return EXIT_OK
@@ -85,9 +93,7 @@ def _table(rows: list[Row]) -> Table:
     return table
 
 
-def _timed(
-    name: str, call: Callable[[int], object], *, runs: int, rate_hz: float | None = None
-) -> Row:
+def _timed(name: str, call: Callable[[int], object], *, runs: int, rate_hz: float | None = None) -> Row:
     """Time a call in ms; it gets the number of its run. The first run is not counted."""
     call(0)
     wall_ms, busy_s = np.empty(runs), np.empty(runs)
@@ -187,8 +193,6 @@ def _pmd() -> Iterator[Row]:
 
 
 def _turn_deg(angle_deg: float) -> RigidTransform:
-    from scipy.spatial.transform import Rotation
-
     return make_pose(rotation=Rotation.from_rotvec([angle_deg, 0.0, 0.0], degrees=True))
 
 
@@ -203,7 +207,8 @@ def _bus() -> Iterator[Row]:
         bus = BusConfig(connect=endpoint)
         names = ("bench-out", "bench-in")
         sender, receiver = (
-            stack.enter_context(Node(ServiceConfig(instance=name, bus=bus), version=__version__)) for name in names
+            stack.enter_context(Node(ServiceConfig(instance=name, bus=bus), version=__version__))
+            for name in names
         )
         receiver.subscribe(topic, inbox.put, recover=True)
         publisher = sender.publisher(topic)
@@ -237,7 +242,7 @@ def _log() -> Iterator[Row]:
             for index in range(frames):
                 attachment = Attachment(index + 1, index, bytes(16))
                 log.write(Received(topic, keys.key(topic), payload, attachment, index))
-            log.finish()
+            log.close()
 
         row = _timed("log, 0.4 MB images, lz4", write, runs=10)
     megabytes_s = _per_second(row, items=frames * len(payload), unit="MB/s")

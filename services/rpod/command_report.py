@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rpod_analysis.report import write_report
 
 from rpod.summary_table import print_summary
 from rpod_analysis import AnalysisError
+from rpod_analysis.report import write_report
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_schemas.summary import Summary
 

@@ -4,7 +4,6 @@ import sys
 from pathlib import Path
 
 from rich.console import Console
-from rpod_analysis.report import write_report
 
 from rpod.errors import InterruptedRunError, RunError
 from rpod.facility import Speed
@@ -12,6 +11,7 @@ from rpod.progress import Progress
 from rpod.run import Options, Played, play, write_scenario
 from rpod.scenarios import find
 from rpod.summary_table import print_summary
+from rpod_analysis.report import write_report
 from rpod_runtime import BusError
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
 from rpod_schemas.config.base import check

@@ -34,7 +34,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
     estimator_id = secrets.token_hex(8).lstrip("0") or "e"
     time_source: Literal["wall", "clock"] = "clock" if speed == "max" else "wall"
     return Facility(
-        router=RouterConfig(listen=endpoint, bus=bus, estimators=(estimator_id,)),
+        router=RouterConfig(listen=endpoint, estimators=(estimator_id,)),
         services={
             "motion": MotionServiceConfig(
                 bus=bus,

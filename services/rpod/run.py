@@ -144,8 +144,8 @@ def _interruptible() -> Iterator[Event]:
         interrupted.set()
         signal.signal(number, before[number])
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        before[number] = signal.signal(number, handle)
+    for each in (signal.SIGINT, signal.SIGTERM):
+        before[each] = signal.signal(each, handle)
     try:
         yield interrupted
     finally:

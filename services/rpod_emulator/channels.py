@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from rpod_schemas.config.lidar import LidarConfig
-from rpod_sim_sensor.lidar import LidarEmulator
 from scipy.spatial.transform import RigidTransform
 
 from rpod_emulator.faults import Kind, lost_cells
@@ -13,10 +11,12 @@ from rpod_runtime import Node
 from rpod_runtime.sensors import CameraPublisher, LidarPublisher
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
+from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.schedule import DueFrame
 from rpod_schemas.topics import optical_frame
 from rpod_schemas.types import LidarScan, PmdFrame
+from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import Target
 

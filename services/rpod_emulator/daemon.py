@@ -29,6 +29,7 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
     """Emulate until stopped."""
     target = load_target(config.target)
     with Node(config, version=version, stop=stop) as node:
+        node.target_digest = target.digest
         channels = [open_channel(node, config, sensor, target) for sensor in config.sensors]
         emulator = Emulator(node, config, sorted(channels, key=lambda channel: channel.sensor.name))
         node.ready(f"emulating {', '.join(channel.sensor.name for channel in channels)} of {target.name}")

@@ -6,9 +6,10 @@ from threading import Event
 
 from rpod_estimator.inputs import Arrived, Inputs
 from rpod_estimator.measurement import Tick
-from rpod_estimator.methods import Methods, configured_pattern, lidar_methods, pmd_methods, warm_up
+from rpod_estimator.methods import configured_pattern, lidar_methods, pmd_methods, warm_up
 from rpod_estimator.navigator import Navigator, NavigatorState, Output
 from rpod_estimator.outputs import Outputs
+from rpod_estimator.ports import Methods
 from rpod_runtime import Node
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, SensorInput
 from rpod_schemas.control import Accepted, ResetRequest
@@ -24,8 +25,10 @@ _TICK_S = 0.1
 
 def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     """Estimate until stopped."""
-    estimator = Estimator(config, load_target(config.target))
+    target = load_target(config.target)
+    estimator = Estimator(config, target)
     with Node(config, version=version, stop=stop) as node:
+        node.target_digest = target.digest
         inputs, outputs = Inputs(node, config), Outputs(node, config.prefix)
         node.serve("reset", ResetRequest, estimator.request_reset)
         node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")

@@ -11,6 +11,7 @@ of a log and a Monte-Carlo campaign run this very function.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import overload
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -18,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_estimator.filter import FilterState, predict, start, to_odometry
 from rpod_estimator.history import History, PoseMeasurement, apply
 from rpod_estimator.measurement import Measurement, Tick
-from rpod_estimator.ports import Methods, Registration
+from rpod_estimator.ports import Candidate, Methods, Registration
 from rpod_estimator.verification import doubt
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
@@ -85,6 +86,10 @@ class Navigator:
             covariance = np.diag([_GIVEN_SIGMA_M**2] * 3 + [_GIVEN_SIGMA_RAD**2] * 3)
         return NavigatorState(mode=Mode.VERIFYING, given=GivenPose(pose, covariance, stamp_ns))
 
+    @overload
+    def step(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]: ...
+    @overload
+    def step(self, state: NavigatorState, event: Tick) -> tuple[NavigatorState, Output | None]: ...
     def step(self, state: NavigatorState, event: Measurement | Tick) -> tuple[NavigatorState, Output | None]:
         """Return the next state and what is to be published; nothing for a tick that changes nothing."""
         if isinstance(event, Tick):
@@ -104,16 +109,24 @@ class Navigator:
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Search without a guess, refine the best candidates, believe the best of those that hold."""
-        methods = self._methods[event.sensor]
-        candidates = methods.acquisition.acquire(event.data)[: self._limits.candidates]
+        candidates = self._methods[event.sensor].acquisition.acquire(event.data)
         if not candidates:
             return state, self._output(state, event, reason="acquisition found nothing to work on")
-        registrations = [methods.tracker.track(event.data, item.T_sensor_target) for item in candidates]
+        best, why = self._best(event, candidates)
+        if why:
+            return state, self._output(state, event, best, reason=f"not believed: {why}")
+        return self._begin(event, best)
+
+    def _best(self, event: Measurement, candidates: list[Candidate]) -> tuple[Registration, str]:
+        """Refine the first candidates; return the best believed one, or the first and the doubt about it."""
+        methods = self._methods[event.sensor]
+        registrations = [
+            methods.tracker.track(event.data, candidate.T_sensor_target)
+            for candidate in candidates[: self._limits.candidates]
+        ]
         doubts = [doubt(registration, methods.verification) for registration in registrations]
         believed = [item for item, why in zip(registrations, doubts, strict=True) if not why]
-        if not believed:
-            return state, self._output(state, event, registrations[0], reason=f"not believed: {doubts[0]}")
-        return self._begin(event, max(believed, key=_merit))
+        return (max(believed, key=_merit), "") if believed else (registrations[0], doubts[0])
 
     def _begin(self, event: Measurement, registration: Registration) -> tuple[NavigatorState, Output]:
         pose, covariance = in_chaser(registration, event.T_chaser_sensor)
@@ -142,8 +155,7 @@ class Navigator:
         self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, believe or reject, update the filter."""
-        registration = self._register(event, predicted)
-        reason = doubt(registration, self._methods[event.sensor].verification)
+        registration, reason = self._register(event, predicted, wide=state.mode == Mode.VERIFYING)
         if reason:
             return self._reject(state, event, registration, reason=reason)
         pose, covariance = in_chaser(registration, event.T_chaser_sensor)
@@ -161,9 +173,19 @@ class Navigator:
         )
         return state, self._output(state, event, registration, nis=nis)
 
-    def _register(self, event: Measurement, predicted: FilterState) -> Registration:
+    def _register(
+        self, event: Measurement, predicted: FilterState, *, wide: bool
+    ) -> tuple[Registration, str]:
+        """Return the registration from the prediction, and why it is not believed.
+
+        ``wide`` searches around a prediction that did not do: while no twist is known, it may be far off.
+        """
+        methods = self._methods[event.sensor]
         T_sensor_target = event.T_chaser_sensor.inv() * predicted.T_chaser_target
-        return self._methods[event.sensor].tracker.track(event.data, T_sensor_target)
+        registration = methods.tracker.track(event.data, T_sensor_target)
+        why = doubt(registration, methods.verification)
+        candidates = methods.acquisition.near(event.data, T_sensor_target) if why and wide else []
+        return self._best(event, candidates) if candidates else (registration, why)
 
     def _reject(
         self,
@@ -195,8 +217,8 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Look near the prediction first, then everywhere."""
         if (event.stamp_ns - state.accepted_ns) / NANOSECONDS <= self._limits.near_search_s:
-            registration = self._register(event, predicted)
-            if not doubt(registration, self._methods[event.sensor].verification):
+            registration, why = self._register(event, predicted, wide=True)
+            if not why:
                 return self._begin(event, registration)
         return self._acquire(state, event)
 

@@ -40,7 +40,7 @@ class Registration:
     inlier_share: float = float("nan")
     """Inliers over the points that could have matched."""
     explained_share: float = float("nan")
-    """Self-check: share of the pixels or rays that agree, of those where model or measurement say "surface"."""
+    """Self-check: of the rays where model or measurement say "surface", the share that agrees."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     """Of (dp, dtheta) in the sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1); shape (6, 6)."""
     iterations: int = 0
@@ -51,6 +51,10 @@ class Acquisition(Protocol, Generic[MeasurementT_contra]):
 
     def acquire(self, measurement: MeasurementT_contra) -> list[Candidate]:
         """Return candidates, best first; empty where there is nothing to work on. Deterministic."""
+        ...
+
+    def near(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> list[Candidate]:
+        """Return candidates, best first, around a pose that is too far off for the tracker. Deterministic."""
         ...
 
 

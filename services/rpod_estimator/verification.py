@@ -7,7 +7,7 @@ scans, so the share of rays or pixels on which model and measurement agree is as
 import math
 
 from rpod_estimator.ports import Registration
-from rpod_schemas.config.estimator import VerificationConfig
+from rpod_schemas.config.verification import VerificationConfig
 
 
 def doubt(registration: Registration, limits: VerificationConfig) -> str:

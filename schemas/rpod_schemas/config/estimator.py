@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from rpod_schemas.arrays import VectorN
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
 from rpod_schemas.config.filter import FilterConfig
-from rpod_schemas.config.lidar_methods import TemplateMatchingConfig, IcpNearestNeighbourConfig
+from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
 from rpod_schemas.config.pmd_methods import (
     IcpReverseCalibrationConfig,
     PmdAcquisitionConfig,

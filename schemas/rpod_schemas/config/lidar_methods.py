@@ -22,6 +22,8 @@ class TemplateMatchingConfig(Config):
     """Largest relative difference of the spreads D_BOR (Eq. 3); counts where fast."""
     centroid_offset: bool = True
     """Correct the position by where the template's own centroid lies; the paper takes the scan's as it is."""
+    near_deg: Positive = 45.0
+    """How far templates may be from a pose that is known roughly, where only that is searched."""
     candidates: Count = 10
     """Most candidates returned."""
     distinct_deg: NonNegative = 20.0

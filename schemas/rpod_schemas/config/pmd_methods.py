@@ -143,6 +143,8 @@ class PmdAcquisitionConfig(Config):
     """Poses whose attitudes differ by less are the same."""
     turned: Count = 4
     """Best poses whose turns by the target's near-symmetries are tried too."""
+    near_rad: Positive = 0.2
+    """How far a roughly known attitude is turned both ways about each axis, where only it is searched."""
     candidates: Count = 5
     """Most candidates returned."""
     image: DepthImageConfig = DepthImageConfig()

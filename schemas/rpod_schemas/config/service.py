@@ -52,10 +52,8 @@ class RouterConfig(Config):
     """Name of this process in its log lines."""
     listen: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|tls|quic|unixsock-stream)/.+")
     """Zenoh endpoint to listen on."""
-    bus: BusConfig = BusConfig()
-    """Domain and namespace of the facility, for the access rules."""
     estimators: tuple[str, ...] = (ESTIMATOR_ID,)
-    """Zenoh identities that may not read the truth."""
+    """Zenoh identities that may not read the truth, of whatever domain and namespace."""
 
 
 class LoggerConfig(ServiceConfig):

@@ -4,6 +4,7 @@
 the reason under which the message is counted. ``write_*`` are their inverses. Arrays stay views.
 """
 
+from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.messages.geometry import (
     read_odometry,
     read_pose,
@@ -16,7 +17,7 @@ from rpod_schemas.messages.geometry import (
     write_transforms,
     write_vector_stamped,
 )
-from rpod_schemas.messages.header import NANOSECONDS, build, read_stamp, write_header, write_stamp
+from rpod_schemas.messages.header import build, read_stamp, write_header, write_stamp
 from rpod_schemas.messages.health import read_diagnostics, read_status, write_diagnostics, write_status
 from rpod_schemas.messages.images import (
     read_amplitude,

@@ -4,19 +4,16 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from rpod_schemas.cdr import message_class
+from rpod_schemas.cdr import NANOSECONDS, checked_stamp, message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
-NANOSECONDS = 1_000_000_000
 
 
 def read_stamp(header: Any) -> int:
     """Return the stamp of a header or Clock, ns."""
     time = header.stamp if hasattr(header, "stamp") else header.clock
-    if not 0 <= time.nanosec < NANOSECONDS or time.sec < 0:
-        raise MessageRejectedError(Reason.MALFORMED, f"stamp {time.sec} s {time.nanosec} ns")
-    return int(time.sec) * NANOSECONDS + int(time.nanosec)
+    return checked_stamp(time.sec, time.nanosec)
 
 
 def write_stamp(stamp_ns: int) -> Any:

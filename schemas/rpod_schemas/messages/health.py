@@ -6,19 +6,25 @@ from typing import Any
 import numpy as np
 
 from rpod_schemas.cdr import message_class
+from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.geometry import read_pose, write_pose
 from rpod_schemas.messages.header import build, read_stamp, write_header
-from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Hypothesis, Mode, Source
+from rpod_schemas.types import Diagnostic, EstimatorStatus, Hypothesis
 
 
 def read_status(message: Any) -> EstimatorStatus:
     """Read an rpod_msgs/EstimatorStatus."""
+    if len(message.hypotheses) != len(message.hypothesis_weights):
+        raise MessageRejectedError(
+            Reason.WRONG_SIZE,
+            f"{len(message.hypotheses)} hypotheses with {len(message.hypothesis_weights)} weights",
+        )
     return build(
         EstimatorStatus,
         stamp_ns=read_stamp(message.header),
         frame_id=message.header.frame_id,
-        mode=Mode(message.mode),
-        source=Source(message.source),
+        mode=message.mode,
+        source=message.source,
         sensor=message.sensor,
         accepted=message.accepted,
         reason=message.reason,
@@ -29,7 +35,7 @@ def read_status(message: Any) -> EstimatorStatus:
         processing_s=message.processing_s,
         ambiguous=message.ambiguous,
         hypotheses=tuple(
-            Hypothesis(pose=read_pose(pose), weight=weight)
+            build(Hypothesis, pose=read_pose(pose), weight=weight)
             for pose, weight in zip(message.hypotheses, message.hypothesis_weights, strict=True)
         ),
     )
@@ -59,10 +65,11 @@ def read_diagnostics(message: Any) -> list[Diagnostic]:
     """Read a diagnostic_msgs/DiagnosticArray."""
     stamp_ns = read_stamp(message.header)
     return [
-        Diagnostic(
+        build(
+            Diagnostic,
             stamp_ns=stamp_ns,
             name=item.name,
-            level=Health(item.level),
+            level=item.level,
             message=item.message,
             values={pair.key: pair.value for pair in item.values},
         )

@@ -36,7 +36,8 @@ def read_image(message: Any) -> NDArray[Any]:
     ):
         raise MessageRejectedError(
             Reason.WRONG_SIZE,
-            f"{message.width} x {message.height} {message.encoding} by {message.step} in {message.data.size} bytes",
+            f"{message.width} x {message.height} {message.encoding} by {message.step} "
+            f"in {message.data.size} bytes",
         )
     shape = (message.height, message.width) if channels == 1 else (message.height, message.width, channels)
     strides = (message.step, channels * dtype.itemsize, dtype.itemsize)[: len(shape)]
@@ -62,18 +63,19 @@ def read_amplitude(message: Any) -> NDArray[Any]:
     """Return the amplitude, shape (height, width), of a ``mono16``, ``mono8`` or ``32FC1`` image."""
     if message.encoding not in ("mono16", "mono8", "32FC1", "16UC1"):
         raise MessageRejectedError(Reason.WRONG_TYPE, f"amplitude in {message.encoding}")
-    return read_image(message)
+    image = read_image(message)
+    return image.astype(image.dtype.newbyteorder("="), copy=False)
 
 
 def write_image(stamp_ns: int, frame_id: str, image: NDArray[Any], encoding: str) -> Any:
-    """Return a sensor_msgs/Image of a C-contiguous array, without a copy."""
+    """Return a sensor_msgs/Image of an array, without a copy where it is C-contiguous."""
     return message_class("sensor_msgs/msg/Image")(
         header=write_header(stamp_ns, frame_id),
         height=image.shape[0],
         width=image.shape[1],
         encoding=encoding,
         is_bigendian=0,
-        step=image.strides[0],
+        step=image[0].nbytes,
         data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
     )
 

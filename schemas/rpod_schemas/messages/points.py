@@ -15,18 +15,16 @@ _FLOAT32 = 7
 def read_points(message: Any) -> dict[str, NDArray[np.float32]]:
     """Return the fields of a PointCloud2, each (rows, columns) where organised, else (N,).
 
-    ``x``, ``y`` and ``z`` are there; ``intensity`` and ``t`` where they were sent. Views.
+    ``x``, ``y`` and ``z`` are there; ``intensity`` and ``t`` where they were sent. Views, unless the bytes
+    are big-endian.
     """
-    cells = message.width * message.height
-    if (
-        message.data.size < message.point_step * cells
-        or message.row_step < message.point_step * message.width
-    ):
+    row = message.point_step * message.width
+    if message.row_step < row or message.data.size < message.row_step * (message.height - 1) + row:
         raise MessageRejectedError(
             Reason.WRONG_SIZE,
             f"{message.width} x {message.height} points of {message.point_step} in {message.data.size} bytes",
         )
-    if cells == 0:
+    if 0 in (message.width, message.height):
         raise MessageRejectedError(Reason.EMPTY, "a cloud of no points")
     order = ">" if message.is_bigendian else "<"
     shape = (message.height, message.width) if message.height > 1 else (message.width,)
@@ -39,7 +37,8 @@ def read_points(message: Any) -> dict[str, NDArray[np.float32]]:
             raise MessageRejectedError(
                 Reason.WRONG_TYPE, f"point field {item.name!r} is no float32 within the point"
             )
-        fields[item.name] = np.ndarray(shape, f"{order}f4", message.data, offset=item.offset, strides=strides)
+        values = np.ndarray(shape, f"{order}f4", message.data, offset=item.offset, strides=strides)
+        fields[item.name] = values.astype(np.float32, copy=False)
     missing = {"x", "y", "z"} - set(fields)
     if missing:
         raise MessageRejectedError(

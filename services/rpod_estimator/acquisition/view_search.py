@@ -46,15 +46,11 @@ class ViewSearch:
     def acquire(self, measurement: PmdFrame) -> list[Candidate]:
         """Return distinct candidates, best by render and compare first; empty where no target is in sight."""
         config = self._config
-        image = usable_image(measurement, config.image)
-        if isinstance(image, str):
+        seen = self._seen(measurement)
+        if seen is None:
             return []
-        measured_m = self._segmented(image.points(config.fine_points))
-        if len(measured_m) < config.image.min_pixels:
-            return []
-        coarse_m = measured_m[:: max(1, len(measured_m) // config.coarse_points)]
-        scales_m = np.geomspace(config.coarse_scale_m, config.fine_scale_m, config.coarse_iterations)
-        poses, costs = self._refined(coarse_m, self._first_guesses(measured_m), scales_m)
+        image, measured_m = seen
+        poses, costs = self._drawn_in(measured_m, self._first_guesses(measured_m))
         best = self._compared(image, measured_m, poses[self._distinct(poses, costs, config.kept)])
         turns = [
             best[k].T_sensor_target * turn
@@ -66,6 +62,36 @@ class ViewSearch:
         costs = np.array([candidate.cost_m2 for candidate in best])
         poses = RigidTransform.concatenate([candidate.T_sensor_target for candidate in best])
         return [best[k] for k in self._distinct(poses, costs, config.candidates)]
+
+    def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> list[Candidate]:
+        """Return candidates, best first, from a rough attitude and its turns, laid on the points."""
+        seen = self._seen(measurement)
+        if seen is None:
+            return []
+        image, measured_m = seen
+        attitudes = T_sensor_target.rotation * _small_turns(self._config.near_rad)
+        centroid_m = measured_m.mean(axis=0)
+        directions = attitudes.inv().apply(-centroid_m / np.linalg.norm(centroid_m))
+        offsets_m = attitudes.apply(visible_centroids(self._target, directions))
+        poses, _ = self._drawn_in(
+            measured_m, RigidTransform.from_components(centroid_m - offsets_m, attitudes)
+        )
+        return self._compared(image, measured_m, poses)
+
+    def _seen(self, measurement: PmdFrame) -> tuple[DepthImage, FloatArray] | None:
+        """Return the image and the points that are the target's, (N, 3); None where they are too few."""
+        image = usable_image(measurement, self._config.image)
+        if isinstance(image, str):
+            return None
+        measured_m = self._segmented(image.points(self._config.fine_points))
+        return (image, measured_m) if len(measured_m) >= self._config.image.min_pixels else None
+
+    def _drawn_in(self, measured_m: FloatArray, guesses: RigidTransform) -> tuple[RigidTransform, FloatArray]:
+        """Return the guesses after a few coarse steps on some of the points, and their costs, m2."""
+        config = self._config
+        coarse_m = measured_m[:: max(1, len(measured_m) // config.coarse_points)]
+        scales_m = np.geomspace(config.coarse_scale_m, config.fine_scale_m, config.coarse_iterations)
+        return self._refined(coarse_m, guesses, scales_m)
 
     def _segmented(self, points_m: FloatArray) -> FloatArray:
         """Return the points within the target's radius of their centre, found anew from those within."""
@@ -143,6 +169,12 @@ def visible_centroids(target: Target, directions: FloatArray) -> FloatArray:
     weights = np.maximum(directions @ target.model_normals.T, 1e-9)
     centroids_m: FloatArray = weights @ target.model_points_m / weights.sum(axis=1, keepdims=True)
     return centroids_m
+
+
+def _small_turns(angle_rad: float) -> Rotation:
+    """Return no turn, and turns both ways about each axis."""
+    axes = np.vstack((np.zeros((1, 3)), np.eye(3), -np.eye(3)))
+    return Rotation.from_rotvec(angle_rad * axes)
 
 
 def symmetry_turns(target: Target) -> list[RigidTransform]:

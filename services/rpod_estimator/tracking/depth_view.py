@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
@@ -114,22 +115,25 @@ class DepthImage:
     view: DepthView
     depth_m: Float32Array
     """z-depth, shape (height, width), NaN for everything that is no depth: 0, negative, infinite, ghosts."""
+    coarse_m: Float32Array
+    """z-depth on the view's coarse pixels: the median of each and its neighbours, NaN where most lack it."""
 
     def points(self, count: int) -> FloatArray:
         """Return at most ``count`` measured points, evenly drawn, in sensor axes, shape (N, 3)."""
-        measured = np.flatnonzero(np.isfinite(self.depth_m))
-        if len(measured) > count:
-            measured = measured[np.linspace(0, len(measured) - 1, count).astype(np.intp)]
-        z = self.depth_m.ravel()[measured].astype(np.float64)
-        return np.column_stack((self.view.slopes.reshape(-1, 2)[measured] * z[:, None], z))
+        return _drawn(self.depth_m, self.view.slopes, count)
+
+    def coarse_points(self, count: int) -> FloatArray:
+        """Return at most ``count`` points of the coarse pixels, fewer and less noisy, shape (N, 3)."""
+        view = self.view
+        return _drawn(
+            self.coarse_m, view.slopes[view.offset :: view.stride, view.offset :: view.stride], count
+        )
 
     def compare(
         self, target: Target, T_sensor_target: RigidTransform, config: DepthComparisonConfig
     ) -> Agreement:
         """Compare the image with what a pose predicts, on the view's coarse pixels."""
-        view = self.view
-        measured = self.depth_m[view.offset :: view.stride, view.offset :: view.stride]
-        rendered = view.render(target, T_sensor_target)
+        measured, rendered = self.coarse_m, self.view.render(target, T_sensor_target)
         seen, predicted = np.isfinite(measured), np.isfinite(rendered)
         either, both = seen | predicted, seen & predicted
         if not either.any():
@@ -142,6 +146,14 @@ class DepthImage:
             explained_share=float(weight @ (difference[either] < config.tolerance_m) / total),
             cost_m2=float(weight @ difference[either] ** 2 / total),
         )
+
+
+def _drawn(depth_m: Float32Array, slopes: FloatArray, count: int) -> FloatArray:
+    measured = np.flatnonzero(np.isfinite(depth_m))
+    if len(measured) > count:
+        measured = measured[np.linspace(0, len(measured) - 1, count).astype(np.intp)]
+    z = depth_m.ravel()[measured].astype(np.float64)
+    return np.column_stack((slopes.reshape(-1, 2)[measured] * z[:, None], z))
 
 
 def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
@@ -158,4 +170,25 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
         view = DepthView.of(frame.camera, config.stride_px)
     except DistortionError as error:
         return str(error)
-    return DepthImage(view, np.where(measured, frame.depth_m, np.float32(np.nan)))
+    depth_m = np.where(measured, frame.depth_m, np.float32(np.nan))
+    return DepthImage(view, depth_m, thinned(depth_m, view.stride, view.offset))
+
+
+@njit(cache=True)
+def thinned(depth, stride, offset):  # type: ignore[no-untyped-def]
+    """Return every ``stride``-th pixel of a depth image, each the median of itself and its eight neighbours.
+
+    A pixel has depth where most of the nine have one: an outline stays where it is, and noise, which under
+    the sun exceeds what model and measurement may differ by, is lower.
+    """
+    height, width = depth.shape
+    rows, columns = (height - offset - 1) // stride + 1, (width - offset - 1) // stride + 1
+    coarse = np.full((rows, columns), np.nan, np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            row, column = offset + i * stride, offset + j * stride
+            block = depth[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].copy().ravel()
+            valid = block[np.isfinite(block)]
+            if 2 * valid.size > block.size:
+                coarse[i, j] = np.median(valid)
+    return coarse

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from rpod_schemas.cdr import message_class, type_hash
-from rpod_schemas.topics import DEPTH, TOPICS, TRUTH, Namespace, type_of_wire
+from rpod_schemas.topics import DEPTH, ESTIMATE_POSE, TOPICS, TRUTH, Namespace, type_of_wire
 
 ICD = Path(__file__).parents[3] / "schemas" / "ICD.md"
 
@@ -45,8 +45,6 @@ def test_a_topic_of_no_sensor_refuses_a_sensors_name():
 
 
 def test_an_estimates_topic_moves_under_a_prefix():
-    from rpod_schemas.topics import ESTIMATE_POSE
-
     assert ESTIMATE_POSE.under("second").name == "second/pose"
 
 
