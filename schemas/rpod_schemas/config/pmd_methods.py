@@ -18,7 +18,8 @@ class DepthImageConfig(Config):
     min_pixels: Annotated[int, Field(ge=6)] = 60
     """Fewer measured pixels are no image of the target."""
     stride_px: Count = 4
-    """Every how many pixels, across and down, the model is rendered: for what is hidden and for comparing."""
+    """Every how many pixels, across and down, the model is rendered, and the depth is taken as the median of a
+    pixel and its neighbours."""
 
 
 class DepthComparisonConfig(Config):
@@ -63,8 +64,8 @@ class IcpReverseCalibrationConfig(Config):
     gate_m: Positive = 0.3
     """Longest match; a model point farther from every measurement has none."""
     cover_points: Annotated[int, Field(ge=0)] = 2000
-    """Measured points used in the opposite direction, by the target's distance field: they pull the model
-    over what it leaves uncovered (point_to_plane only); 0 for none."""
+    """Most measured points used in the opposite direction, by the target's distance field: they pull the
+    model over what it leaves uncovered (point_to_plane only); 0 for none."""
     iterations: Count = 15
     """Most iterations."""
     error_m2: NonNegative = 0.0
@@ -88,7 +89,7 @@ class SignedDistanceConfig(Config):
 
     kind: Literal["signed_distance"] = "signed_distance"
     points: Count = 2000
-    """Measured points used, evenly drawn from the image."""
+    """Most measured points used."""
     scale_m: Positive = 0.10
     """Geman-McClure scale in the first iteration."""
     final_scale_m: Positive = 0.03

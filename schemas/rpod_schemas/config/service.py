@@ -39,8 +39,8 @@ class ServiceConfig(Config):
     """Name of this process on the bus and in its log lines."""
     bus: BusConfig = BusConfig()
     """The bus."""
-    zenoh_id: str | None = Field(default=None, pattern=r"^[0-9a-f]{1,32}$")
-    """Identity under which the router's access rules know this client; random where left out."""
+    zenoh_id: str = Field(default="", pattern=r"^[0-9a-f]{0,32}$")
+    """Identity under which the router's access rules know this client; random where empty."""
     time_source: Literal["wall", "clock"] = "wall"
     """Against what late and future are judged: this machine's clock, or the topic ``clock``."""
 

@@ -12,7 +12,7 @@ DEFAULT = "mockup-tumbling"
 
 def shipped() -> dict[str, Path]:
     """Return the files of the scenarios that ship, by name."""
-    folder = Path(str(resources.files(__package__)))
+    folder = Path(str(resources.files("rpod.scenarios")))
     return {file.stem: file for file in sorted(folder.glob("*.yaml"))}
 
 
