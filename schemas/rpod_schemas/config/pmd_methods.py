@@ -15,7 +15,7 @@ class DepthImageConfig(Config):
     ghost_share: Share = 0.08
     """Depth is dropped where the amplitude is below this share of the image's mean: close to a bright target,
     stray light gives the background a depth. Not asked where no amplitude is sent."""
-    min_pixels: Annotated[int, Field(ge=6)] = 60
+    min_pixels: Annotated[int, Field(ge=100)] = 200
     """Fewer measured pixels are no image of the target."""
     stride_px: Count = 4
     """Every how many pixels, across and down, the model is rendered, and the depth is taken as the median of a

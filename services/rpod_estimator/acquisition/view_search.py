@@ -84,7 +84,8 @@ class ViewSearch:
         if isinstance(image, str):
             return None
         measured_m = self._segmented(image.points(self._config.fine_points))
-        return (image, measured_m) if len(measured_m) >= self._config.image.min_pixels else None
+        pixels = len(measured_m) * self._config.image.stride_px**2
+        return (image, measured_m) if pixels >= self._config.image.min_pixels else None
 
     def _drawn_in(self, measured_m: FloatArray, guesses: RigidTransform) -> tuple[RigidTransform, FloatArray]:
         """Return the guesses after a few coarse steps on some of the points, and their costs, m2."""

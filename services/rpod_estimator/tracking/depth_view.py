@@ -119,15 +119,14 @@ class DepthImage:
     """z-depth on the view's coarse pixels: the median of each and its neighbours, NaN where most lack it."""
 
     def points(self, count: int) -> FloatArray:
-        """Return at most ``count`` measured points, evenly drawn, in sensor axes, shape (N, 3)."""
-        return _drawn(self.depth_m, self.view.slopes, count)
-
-    def coarse_points(self, count: int) -> FloatArray:
-        """Return at most ``count`` points of the coarse pixels, fewer and less noisy, shape (N, 3)."""
+        """Return at most ``count`` points of the coarse pixels in sensor axes, shape (N, 3)."""
         view = self.view
-        return _drawn(
-            self.coarse_m, view.slopes[view.offset :: view.stride, view.offset :: view.stride], count
-        )
+        measured = np.flatnonzero(np.isfinite(self.coarse_m))
+        if len(measured) > count:
+            measured = measured[np.linspace(0, len(measured) - 1, count).astype(np.intp)]
+        z = self.coarse_m.ravel()[measured].astype(np.float64)
+        slopes = view.slopes[view.offset :: view.stride, view.offset :: view.stride].reshape(-1, 2)
+        return np.column_stack((slopes[measured] * z[:, None], z))
 
     def compare(
         self, target: Target, T_sensor_target: RigidTransform, config: DepthComparisonConfig
@@ -146,14 +145,6 @@ class DepthImage:
             explained_share=float(weight @ (difference[either] < config.tolerance_m) / total),
             cost_m2=float(weight @ difference[either] ** 2 / total),
         )
-
-
-def _drawn(depth_m: Float32Array, slopes: FloatArray, count: int) -> FloatArray:
-    measured = np.flatnonzero(np.isfinite(depth_m))
-    if len(measured) > count:
-        measured = measured[np.linspace(0, len(measured) - 1, count).astype(np.intp)]
-    z = depth_m.ravel()[measured].astype(np.float64)
-    return np.column_stack((slopes.reshape(-1, 2)[measured] * z[:, None], z))
 
 
 def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:

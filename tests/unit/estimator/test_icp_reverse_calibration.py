@@ -178,6 +178,15 @@ def test_faint_depth_beside_a_bright_target_is_dropped_as_a_ghost():
     assert np.array_equal(np.isfinite(image.depth_m), seen)
 
 
+def test_noise_is_lower_where_depth_is_thinned_and_outlines_stay():
+    frame = depth_frame(mockup(), FRONTAL, noise_m=0.05)
+    ideal_m = depth_frame(mockup(), FRONTAL).depth_m[2::4, 2::4]
+    coarse_m = usable_image(frame, DepthImageConfig()).coarse_m
+    both = np.isfinite(coarse_m) & np.isfinite(ideal_m)
+    assert np.median(np.abs(coarse_m - ideal_m)[both]) < 0.5 * 0.6745 * 0.05
+    assert np.count_nonzero(both) > 0.98 * max(np.isfinite(coarse_m).sum(), np.isfinite(ideal_m).sum())
+
+
 def test_hidden_model_points_are_not_matched():
     T = make_pose(rotation=Rotation.from_euler("y", 60, degrees=True) * FACING, translation_m=(0, 0, 4.0))
     view, target = DepthView.of(CAMERA, 4), mockup()
