@@ -23,6 +23,7 @@ _MODES = {
     Mode.LOST: BAD,
 }
 _MOST_POINTS = 5000
+_NEES = "NEES and chi-squared, 6 d.o.f."
 _AXES = (
     ("roll", "pitch", "yaw"),
     ("x, right", "y, down", "z, boresight"),
@@ -54,7 +55,7 @@ def error_figure(run: Run) -> go.Figure:
         for axis in range(3):
             _band(figure, time_s, 3.0 * sigma[order, axis], unit, row=axis + 2, col=column)
             _line(figure, time_s, axes[order, axis], unit, row=axis + 2, col=column)
-            reach = 1.15 * np.nanmax(np.abs([axes[:, axis], 3.0 * sigma[:, axis]]), initial=1e-9)
+            reach = _reach(axes[:, axis], sigma[:, axis])
             figure.update_yaxes(range=[-reach, reach], row=axis + 2, col=column)
         for row in range(1, 5):
             figure.update_yaxes(title_text=f"error [{unit}]", row=row, col=column)
@@ -110,28 +111,33 @@ def state_figure(run: Run) -> go.Figure:
 
 
 def histogram_figure(run: Run) -> go.Figure:
-    """Distributions of latency, processing time, and NEES beside what it should be."""
-    figure = make_subplots(
-        rows=1,
-        cols=3,
-        subplot_titles=["latency, stamp to estimate", "processing", "NEES and chi-squared, 6 d.o.f."],
-        horizontal_spacing=0.07,
-    )
+    """Distributions of latency, processing time, and NEES beside what it should be; of what is known."""
     nees = run.errors.nees[run.tracked]
-    for column, values, title in (
-        (1, 1e3 * run.latency_s, "latency [ms]"),
-        (2, 1e3 * run.statuses.processing_s, "processing [ms]"),
-        (3, nees.clip(None, 3.0 * NEES_95), "NEES [-], larger ones in the last bar"),
-    ):
-        _histogram(figure, values[np.isfinite(values)], title, col=column, density=column == 3)
-    if np.isfinite(nees).any():
-        x = np.linspace(0.0, 3.0 * NEES_95, 200)
-        expected = go.Scatter(
-            x=x, y=chi2.pdf(x, 6), mode="lines", line={"color": QUIET, "width": 2}, hoverinfo="skip"
-        )
-        figure.add_trace(expected, row=1, col=3)
-        _limit(figure, "x", NEES_95, QUIET, row=1, col=3)
+    panels = [
+        ("latency, stamp to estimate", "latency [ms]", 1e3 * run.latency_s),
+        ("processing", "processing [ms]", 1e3 * run.statuses.processing_s),
+        (_NEES, "NEES [-]", nees),
+    ]
+    known = [(title, axis, values[np.isfinite(values)]) for title, axis, values in panels]
+    known = [panel for panel in known if panel[2].size]
+    titles = [title for title, _, _ in known] or [""]
+    figure = make_subplots(rows=1, cols=len(titles), subplot_titles=titles, horizontal_spacing=0.07)
+    for column, (title, axis, values) in enumerate(known, start=1):
+        end = 3.0 * (NEES_95 if title == _NEES else float(np.percentile(values, 90)))
+        note = ", larger ones in the last bar" * bool((values > end).any())
+        _histogram(figure, values.clip(None, end), axis + note, col=column, density=title == _NEES)
+        if title == _NEES:
+            _chi_squared(figure, col=column)
     return _styled(figure, height=300)
+
+
+def _chi_squared(figure: go.Figure, *, col: int) -> None:
+    x = np.linspace(0.0, 3.0 * NEES_95, 200)
+    line = {"color": QUIET, "width": 2}
+    figure.add_trace(
+        go.Scatter(x=x, y=chi2.pdf(x, 6), mode="lines", line=line, hoverinfo="skip"), row=1, col=col
+    )
+    _limit(figure, "x", NEES_95, QUIET, row=1, col=col)
 
 
 def _sigmas(run: Run) -> tuple[FloatArray, FloatArray]:
@@ -141,6 +147,11 @@ def _sigmas(run: Run) -> tuple[FloatArray, FloatArray]:
     C = run.R_chaser_sensor.as_matrix()
     position = np.einsum("nji,njk,nki->ni", C, run.covariance[:, :3, :3], C)
     return np.rad2deg(np.sqrt(attitude.clip(0.0))), np.sqrt(position.clip(0.0))
+
+
+def _reach(error: FloatArray, sigma: FloatArray) -> float:
+    """Return how far a panel reaches: all of the errors, and of the band what it mostly is."""
+    return max(1.15 * float(np.nanmax(np.abs(error))), 3.5 * float(np.median(sigma)), 1e-9)
 
 
 def _limit(figure: go.Figure, axis: str, value: float, colour: str, *, row: int, col: int) -> None:
@@ -240,11 +251,6 @@ def _mode_bands(figure: go.Figure, time_s: FloatArray, mode: IntArray) -> None:
 def _histogram(figure: go.Figure, values: FloatArray, title: str, *, col: int, density: bool) -> None:
     figure.update_xaxes(title_text=title, row=1, col=col)
     figure.update_yaxes(title_text="density" if density else "frames", rangemode="tozero", row=1, col=col)
-    if not values.size:
-        figure.add_annotation(
-            text="not known", showarrow=False, x=0.5, y=0.5, xref="x domain", yref="y domain", row=1, col=col
-        )
-        return
     counts, edges = np.histogram(values, bins=min(40, max(8, int(np.sqrt(values.size)) * 2)), density=density)
     figure.add_trace(
         go.Bar(

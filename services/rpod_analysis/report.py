@@ -77,7 +77,7 @@ def render(log: Log, run: Run, summary: Summary) -> str:
         figures={
             "errors": _html(error_figure(run)) if run.errors.scored.any() else "",
             "state": _html(state_figure(run)),
-            "histograms": _html(histogram_figure(run)),
+            "histograms": _html(histogram_figure(run)) if summary.processing_s or summary.latency_s else "",
         },
         snapshots=take_snapshots(log, run, target),
         reasons=_reasons(run),

@@ -66,14 +66,14 @@ def _estimation(summary: Summary) -> Iterator[Check]:
     off = modes.worse_than_10deg_or_0_3m_share
     yield Check(
         "Accuracy",
-        "no truth" if off is None else f"{_percent(off)} of frames off by more than 10° or 0.3 m",
+        "nothing scored" if off is None else f"{_percent(off)} of frames off by more than 10° or 0.3 m",
         f"at most {_percent(MAX_OFF_TARGET_SHARE)}",
         None if off is None else off <= MAX_OFF_TARGET_SHARE,
     )
     within = consistency.nees_share_in_95 if consistency else None
     yield Check(
         "Covariance",
-        "no covariance or truth" if within is None else f"{_percent(within)} of errors within the 95 % bound",
+        "nothing scored" if within is None else f"{_percent(within)} of errors within the 95 % bound",
         f"at least {_percent(MIN_NEES_SHARE)}",
         None if within is None else within >= MIN_NEES_SHARE,
     )

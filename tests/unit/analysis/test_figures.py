@@ -65,3 +65,9 @@ def test_thinning_keeps_the_peaks_and_the_order():
     assert kept_x.size <= 5000
     assert (np.diff(kept_x) > 0).all()
     assert (kept_y.max(), kept_y.min()) == (40.0, -50.0)
+
+
+def test_a_distribution_that_is_not_known_has_no_panel(tmp_path):
+    path = SyntheticRun(clock=True).write(tmp_path / "run.mcap")
+    with open_log(path) as log:
+        assert titles(histogram_figure(read_run(log))) == {"processing [ms]", "frames"}
