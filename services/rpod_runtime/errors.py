@@ -8,10 +8,11 @@ class BusError(Exception):
 class NoRouterError(BusError):
     """Nobody answers at the router's endpoint."""
 
-    def __init__(self, endpoint: str, waited_s: float) -> None:
+    def __init__(self, endpoint: str, waited_s: float, identity: str | None = None) -> None:
+        taken = f", end the other client that holds the identity {identity}" if identity else ""
         super().__init__(
             f"no router at {endpoint} after {waited_s:.0f} s; start one with 'rpod router', "
-            "name another with --connect, or let this service wait with --wait"
+            f"name another with --connect{taken}, or let this service wait with --wait"
         )
 
 

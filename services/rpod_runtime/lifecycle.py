@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from types import FrameType
 
-from rpod_runtime.errors import BusError
+from rpod_runtime.errors import BusError, NoRouterError
 from rpod_schemas.errors import ConfigurationError
 
 log = logging.getLogger(__name__)
@@ -47,9 +47,12 @@ def run(instance: str, body: Callable[[threading.Event], None]) -> int:
     except ConfigurationError as error:
         log.error("%s", error)
         return EXIT_USAGE
+    except NoRouterError as error:
+        log.error("%s", error)
+        return EXIT_OK if stop.is_set() else EXIT_FAILURE  # told to stop while it waited
     except BusError as error:
         log.error("%s", error)
-        return EXIT_OK if stop.is_set() else EXIT_FAILURE
+        return EXIT_FAILURE
     except Exception:
         log.exception("failed")
         return EXIT_FAILURE

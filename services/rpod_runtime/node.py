@@ -70,6 +70,12 @@ class Node:
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
+        with self._stack:  # what fails half-way leaves nothing open
+            self._open()
+            self._stack = self._stack.pop_all()
+        return self
+
+    def _open(self) -> None:
         self._session = self._stack.enter_context(
             open_client(self.config.bus, zenoh_id=self.config.zenoh_id, stop=self.stop)
         )
@@ -84,7 +90,6 @@ class Node:
         self._heart = Thread(target=self._beat, name="diagnostics", daemon=True)
         self._heart.start()
         self._stack.callback(self._last_beat)
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -163,6 +168,9 @@ class Node:
             sink(Received(topic, key, payload, attachment, time.time_ns()))
         except MessageRejectedError as error:
             self.reject(topic.name, error)
+        except Exception:  # the bus's thread would print it, and nobody would count it
+            self.health.count(f"failed/{topic.name}")
+            log.exception("a message on %s could not be handled", topic.name)
 
     def listen(
         self, key_expression: str, sink: Callable[[Received], None], *, accept: Callable[[str], bool]
@@ -202,17 +210,19 @@ class Node:
 
     def serve(self, verb: str, request: type[RequestT], handler: Callable[[RequestT], BaseModel]) -> None:
         """Answer a control-plane query with a model; what the handler raises becomes an error reply."""
+        key = self._keys.control(self.config.instance, verb)
 
         def answer(query: zenoh.Query) -> None:
             with query:
                 payload = query.payload.to_bytes() if query.payload else b"{}"
                 try:
-                    reply = handler(request.model_validate_json(payload))
-                    query.reply(query.key_expr, reply.model_dump_json())
+                    reply = handler(request.model_validate_json(payload)).model_dump_json()
                 except Exception as error:  # noqa: BLE001 - whatever it is, the asker must hear of it
                     query.reply_err(error_reply(error).model_dump_json())
+                else:
+                    query.reply(key, reply)
 
-        queryable = self._session.declare_queryable(self._keys.control(self.config.instance, verb), answer)
+        queryable = self._session.declare_queryable(key, answer)
         self._stack.callback(queryable.undeclare)
 
     def ask(
@@ -232,10 +242,13 @@ class Node:
         key = self._keys.control(instance, verb)
         payload = (request or Empty()).model_dump_json()
         for answer in self._session.get(key, payload=payload, timeout=timeout_s):
-            if answer.ok:
-                return reply.model_validate_json(answer.ok.payload.to_bytes())
             if answer.err:
                 raise QueryFailedError(key, error_text(answer.err.payload.to_bytes()))
+            if answer.ok:
+                try:
+                    return reply.model_validate_json(answer.ok.payload.to_bytes())
+                except ValidationError as error:
+                    raise QueryFailedError(key, f"answered with no {reply.__name__}") from error
         raise QueryFailedError(key, f"no answer within {timeout_s:g} s")
 
     def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:

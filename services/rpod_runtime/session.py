@@ -30,11 +30,12 @@ def _zenoh_config(**settings: Any) -> zenoh.Config:
     return zenoh.Config.from_json5(json.dumps(common | settings))
 
 
-def open_client(bus: BusConfig, *, zenoh_id: str | None = None, stop: Event | None = None) -> zenoh.Session:
+def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None) -> zenoh.Session:
     """Open a client session to the router, under an identity of its own or a random one.
 
     Raises:
-        NoRouterError: nobody answered in time, or ``stop`` was set while waiting.
+        NoRouterError: nobody answered in time, or ``stop`` was set while waiting. A router that refuses
+            an identity, since another client holds it, cannot be told from none.
     """
     identity = {"id": zenoh_id} if zenoh_id else {}
     config = _zenoh_config(
@@ -52,7 +53,7 @@ def open_client(bus: BusConfig, *, zenoh_id: str | None = None, stop: Event | No
         except zenoh.ZError as error:
             waited_s = time.monotonic() - started_s
             if stop.is_set() or (not bus.wait and waited_s >= bus.connect_timeout_s):
-                raise NoRouterError(bus.connect, waited_s) from error
+                raise NoRouterError(bus.connect, waited_s, zenoh_id) from error
         if time.monotonic() - reminded_s > _REMIND_S:
             reminded_s = time.monotonic()
             log.warning("still waiting for a router at %s", bus.connect)
@@ -81,12 +82,14 @@ def open_router(config: RouterConfig) -> zenoh.Session:
 def truth_rules(config: RouterConfig) -> dict[str, Any]:
     """Return Zenoh access rules that keep the truth from the estimators (ICD section 2).
 
-    Explicit ``@adv`` keys, since ``**`` does not match the verbatim chunks of zenoh.ext's caches.
+    They hold in every domain and namespace. Explicit ``@adv`` keys, since ``**`` does not match the
+    verbatim chunks of zenoh.ext's caches.
     """
-    root = config.bus.keys.root
-    keys = [f"{root}/{topic.name}/**" for topic in TRUTH_TOPICS]
+    if not config.estimators:
+        return {"enabled": False}  # Zenoh refuses an empty list of subjects
+    keys = [f"*/**/{topic.name}/**" for topic in TRUTH_TOPICS]
     return {
-        "enabled": bool(config.estimators),
+        "enabled": True,
         "default_permission": "allow",
         "rules": [
             {
