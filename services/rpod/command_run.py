@@ -11,6 +11,7 @@ from rpod.progress import Progress
 from rpod.run import Options, Played, play, write_scenario
 from rpod.scenarios import find
 from rpod.summary_table import print_summary
+from rpod_analysis import AnalysisError
 from rpod_analysis.report import write_report
 from rpod_runtime import BusError
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
@@ -40,7 +41,7 @@ def run_command(
         return _fail(error, EXIT_USAGE)
     except InterruptedRunError as error:
         return _fail(error, EXIT_INTERRUPTED)
-    except (RunError, BusError, OSError) as error:
+    except (RunError, BusError, AnalysisError, OSError) as error:
         return _fail(error, EXIT_FAILURE)
     summary = Summary.model_validate_json(paths.summary.read_text("utf-8"))
     if as_json:

@@ -53,7 +53,7 @@ class Emulator:
         self._epoch_ns = config.epoch_ns
         node.serve("fault", FaultRequest, self._plan_fault)
         node.serve("start", StartRequest, self._start)
-        node.subscribe(TRUTH, self._inbox.put, recover=True)
+        node.subscribe(TRUTH, self._inbox.put, recover=True, history=True)
         node.subscribe(SUN, self._inbox.put)
 
     def _start(self, request: StartRequest) -> Accepted:

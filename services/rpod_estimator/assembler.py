@@ -4,7 +4,6 @@ Pure bookkeeping on stamps: parts are whatever the caller hands in, decoded only
 is chosen. One slot a sensor; a frame that is passed over is counted, not processed.
 """
 
-from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -13,7 +12,7 @@ PartT = TypeVar("PartT")
 _PENDING = 8
 """Frames that may wait for parts at once; older ones are given up."""
 _PATIENCE = 10
-"""Frames without an optional part after which it is no longer waited for."""
+"""Frames without an optional part after which it is no longer waited for, until it is seen again."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class Assembled(Generic[PartT]):
 
 @dataclass
 class Assembler(Generic[PartT]):
-    """Collects parts that carry the same stamp.
+    """Collects parts that carry the same stamp; the stamps of its frames rise.
 
     A frame is complete with all its required parts and, as long as they keep coming, its optional
     ones; an optional part that is missing is not waited for beyond the next frame's first part.
@@ -36,42 +35,48 @@ class Assembler(Generic[PartT]):
     optional: frozenset[str] = frozenset()
     incomplete: int = 0
     """Frames given up."""
-    _pending: OrderedDict[int, dict[str, PartT]] = field(default_factory=OrderedDict)
+    done_ns: int = -1
+    """Stamp of the last complete frame: what is not newer comes too late."""
+    _pending: dict[int, dict[str, PartT]] = field(default_factory=dict)
     _without_optional: int = 0
-    _done_ns: int = -1
 
     def add(self, name: str, stamp_ns: int, part: PartT) -> list[Assembled[PartT]]:
         """Take a part; return the frames that it completes, oldest first."""
-        if stamp_ns <= self._done_ns:
+        if stamp_ns <= self.done_ns:
+            self._note_straggler(name, stamp_ns)
             return []
-        complete = [] if stamp_ns in self._pending else self._give_up_waiting()
-        parts = self._pending.setdefault(stamp_ns, {})
-        parts[name] = part
-        if self._satisfied(parts):
-            complete.append(self._finish(stamp_ns))
+        self._pending.setdefault(stamp_ns, {})[name] = part
+        newest_ns = max(self._pending)
+        complete = [
+            self._finish(pending_ns)
+            for pending_ns in sorted(self._pending)
+            if self._satisfied(self._pending[pending_ns], newest=pending_ns == newest_ns)
+        ]
         while len(self._pending) > _PENDING:
-            self._pending.popitem(last=False)
-            self.incomplete += 1
+            self._give_up(min(self._pending))
         return complete
 
-    def _satisfied(self, parts: dict[str, PartT]) -> bool:
-        patient = self._without_optional < _PATIENCE
-        return self.required <= parts.keys() and (not patient or self.optional <= parts.keys())
-
-    def _give_up_waiting(self) -> list[Assembled[PartT]]:
-        """Finish the frames that lack optional parts only: a newer frame has begun."""
-        ready = [stamp_ns for stamp_ns, parts in self._pending.items() if self.required <= parts.keys()]
-        return [self._finish(stamp_ns) for stamp_ns in ready]
+    def _satisfied(self, parts: dict[str, PartT], *, newest: bool) -> bool:
+        waits = newest and self._without_optional < _PATIENCE
+        return self.required <= parts.keys() and (not waits or self.optional <= parts.keys())
 
     def _finish(self, stamp_ns: int) -> Assembled[PartT]:
         parts = self._pending.pop(stamp_ns)
         missing = bool(self.optional - parts.keys())
         self._without_optional = self._without_optional + 1 if missing else 0
-        for older in [pending for pending in self._pending if pending < stamp_ns]:
-            del self._pending[older]
-            self.incomplete += 1
-        self._done_ns = stamp_ns
+        for older_ns in [pending_ns for pending_ns in self._pending if pending_ns < stamp_ns]:
+            self._give_up(older_ns)
+        self.done_ns = stamp_ns
         return Assembled(stamp_ns, parts)
+
+    def _give_up(self, stamp_ns: int) -> None:
+        del self._pending[stamp_ns]
+        self.incomplete += 1
+
+    def _note_straggler(self, name: str, stamp_ns: int) -> None:
+        """Wait again for an optional part that comes before the next frame, if after the required ones."""
+        if name in self.optional and stamp_ns == self.done_ns and not self._pending:
+            self._without_optional = 0
 
 
 @dataclass

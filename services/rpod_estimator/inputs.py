@@ -74,7 +74,9 @@ class Inputs:
             )
         for part, topic in topics.items():
             self._parts[topic.of(sensor.name).name] = sensor, part
-            self._node.subscribe(topic.of(sensor.name), self._inbox.put)
+            # Live, what is missed is old by the time it could be had; in lockstep everybody waits for it.
+            in_lockstep = self._config.time_source == "clock"
+            self._node.subscribe(topic.of(sensor.name), self._inbox.put, recover=in_lockstep)
 
     def newest(self, timeout_s: float) -> Arrived | None:
         """Return the newest complete frame of the sensor that waits longest; None after the timeout."""

@@ -107,13 +107,16 @@ class Node:
         self._token(self._graph.endpoint_token("MP", self._entity(), topic))
         return publisher
 
-    def subscribe(self, topic: Topic, sink: Callable[[Received], None], *, recover: bool = False) -> None:
+    def subscribe(
+        self, topic: Topic, sink: Callable[[Received], None], *, recover: bool = False, history: bool = False
+    ) -> None:
         """Subscribe a topic; ``sink`` runs in the bus's thread and must only enqueue.
 
         Duplicates and messages without a usable attachment are counted and not handed over. With
-        ``recover`` missed samples are asked for again, and a latched topic's last one is fetched.
+        ``recover`` missed samples are asked for again; with ``history`` those are fetched that were
+        published before, as far as the publisher keeps them. A latched topic's last one always is.
         """
-        self._subscribe(topic, sink, recover=recover)
+        self._subscribe(topic, sink, recover=recover, history=history)
         self._token(self._graph.endpoint_token("MS", self._entity(), topic))
 
     def subscribe_all(self, patterns: Sequence[Topic], sink: Callable[[Received], None]) -> None:
@@ -123,7 +126,7 @@ class Node:
         newer rmw_zenoh publishers of images and point clouds are silent without it.
         """
         for pattern in patterns:
-            self._subscribe(pattern, sink, recover=True)
+            self._subscribe(pattern, sink, recover=True, history=True)
         shown: set[Topic] = set()
 
         def show(token: zenoh.Sample) -> None:
@@ -138,12 +141,13 @@ class Node:
         )
         self._stack.callback(watcher.undeclare)
 
-    def _subscribe(self, topic: Topic, sink: Callable[[Received], None], *, recover: bool) -> None:
-        history = (
-            zenoh.ext.HistoryConfig(
-                detect_late_publishers=True, max_samples=1 if topic.latched else SENSOR_CACHE
-            )
-            if recover or topic.latched
+    def _subscribe(
+        self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool
+    ) -> None:
+        kept = 1 if topic.latched else SENSOR_CACHE
+        past = (
+            zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=kept)
+            if history or topic.latched
             else None
         )
         recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if recover else None
@@ -151,7 +155,7 @@ class Node:
             self._session,
             self._keys.selector(topic),
             lambda sample: self._take(topic, sample, sink),
-            history=history,
+            history=past,
             recovery=recovery,
         )
         self._stack.callback(subscriber.undeclare)

@@ -4,9 +4,10 @@ Callbacks of the bus only enqueue. An ``Inbox`` is the bounded queue between the
 main loop; what does not fit is counted, never waited for.
 """
 
-import queue
 import time
+from collections import deque
 from dataclasses import dataclass, field
+from threading import Condition
 from typing import Any
 
 from rpod_schemas.cdr import decode
@@ -33,27 +34,24 @@ class Received:
 
 
 class Inbox:
-    """A bounded queue of received messages with a count of those that did not fit."""
+    """A bounded queue of received messages; where it is full the oldest gives way, and is counted."""
 
     def __init__(self, capacity: int = 4096) -> None:
-        self._queue: queue.Queue[Received] = queue.Queue(capacity)
+        self._messages: deque[Received] = deque(maxlen=capacity)
+        self._arrival = Condition()
         self.overflowed = 0
 
     def put(self, received: Received) -> None:
-        """Enqueue; count where there is no room."""
-        try:
-            self._queue.put_nowait(received)
-        except queue.Full:
-            self.overflowed += 1
+        """Enqueue."""
+        with self._arrival:
+            self.overflowed += len(self._messages) == self._messages.maxlen
+            self._messages.append(received)
+            self._arrival.notify()
 
     def wait(self, timeout_s: float) -> list[Received]:
         """Return all that is there, in order of arrival; wait for the first up to the timeout."""
-        try:
-            items = [self._queue.get(timeout=timeout_s)]
-        except queue.Empty:
-            return []
-        while True:
-            try:
-                items.append(self._queue.get_nowait())
-            except queue.Empty:
-                return items
+        with self._arrival:
+            self._arrival.wait_for(lambda: self._messages, timeout_s)
+            messages = list(self._messages)
+            self._messages.clear()
+        return messages

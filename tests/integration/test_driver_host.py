@@ -56,7 +56,7 @@ class Receiver:
         self._inbox = Inbox()
         self.messages: dict[str, list] = {topic.name: [] for topic in topics}
         for topic in topics:
-            node.subscribe(topic, self._inbox.put, recover=True)
+            node.subscribe(topic, self._inbox.put, recover=True, history=True)
 
     def until(self, satisfied: Callable[[dict[str, list]], bool]) -> dict[str, list]:
         deadline_s = monotonic() + TIMEOUT_S

@@ -165,7 +165,7 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
     return DepthImage(view, depth_m, thinned(depth_m, view.stride, view.offset))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def thinned(depth, stride, offset):  # type: ignore[no-untyped-def]
     """Return every ``stride``-th pixel of a depth image, each the median of itself and its eight neighbours.
 
