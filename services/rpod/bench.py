@@ -3,10 +3,11 @@
 import json
 import os
 import platform
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event
@@ -40,12 +41,14 @@ from rpod_target import load_target
 
 _SUN_W_m2 = np.array([680.0, -817.0, -844.0])
 _BUS_HZ = 45.0
+_WIDTH = 120
+"""Of the table where it is not printed on a terminal."""
 _BUS_FRAMES = 135
 
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: median, quartiles, and the share of a core that it takes at its rate."""
+    """One figure: median, quartiles, and the share of a core that it takes: at its rate, or while it runs."""
 
     name: str
     unit: str
@@ -55,8 +58,8 @@ class Row:
     high: float
     """Third quartile."""
     runs: int
+    core_share: float
     rate_hz: float | None = None
-    core_share: float | None = None
 
 
 def bench_command(*, as_json: bool) -> int:
@@ -78,7 +81,7 @@ def bench_command(*, as_json: bool) -> int:
             )
         )
     else:
-        Console().print(_table(rows))
+        Console(width=None if sys.stdout.isatty() else _WIDTH).print(_table(rows))
     return EXIT_OK
 
 
@@ -87,7 +90,8 @@ def _table(rows: list[Row]) -> Table:
     for heading in ("what", "median", "quartiles", "", "runs", "share of a core"):
         table.add_column(heading, justify="left" if heading == "what" else "right")
     for row in rows:
-        share = f"{100 * row.core_share:.1f} % at {row.rate_hz:g} Hz" if row.core_share is not None else ""
+        when = f"at {row.rate_hz:g} Hz" if row.rate_hz else "while it runs"
+        share = f"{100 * row.core_share:.1f} % {when}"
         spread = f"{row.low:.3g} to {row.high:.3g}"
         table.add_row(row.name, f"{row.median:.3g}", spread, row.unit, str(row.runs), share)
     return table
@@ -103,14 +107,16 @@ def _timed(name: str, call: Callable[[int], object], *, runs: int, rate_hz: floa
         busy_s[index] = time.process_time() - started_busy_s
         wall_ms[index] = 1e3 * (time.perf_counter() - started_s)
     low, median, high = np.percentile(wall_ms, [25, 50, 75])
-    share = None if rate_hz is None else float(np.median(busy_s)) * rate_hz
-    return Row(name, "ms", float(median), float(low), float(high), runs, rate_hz, share)
+    share = float(np.median(busy_s)) * rate_hz if rate_hz else float(busy_s.sum() / wall_ms.sum() * 1e3)
+    return Row(name, "ms", float(median), float(low), float(high), runs, share, rate_hz)
 
 
 def _per_second(row: Row, *, items: int, unit: str) -> Row:
     """Turn ms a run into millions of items a second."""
     scale = items * 1e3 / 1e6
-    return Row(row.name, unit, scale / row.median, scale / row.high, scale / row.low, row.runs)
+    return Row(
+        row.name, unit, scale / row.median, scale / row.high, scale / row.low, row.runs, row.core_share
+    )
 
 
 def _facing(range_m: float) -> RigidTransform:
@@ -222,7 +228,7 @@ def _bus() -> Iterator[Row]:
         share = (time.process_time() - busy_s) / (time.perf_counter() - started_s)
     low, median, high = np.percentile(latency_ms, [25, 50, 75])
     name = "bus latency, one image, router and both ends in one process"
-    yield Row(name, "ms", float(median), float(low), float(high), len(latency_ms), _BUS_HZ, share)
+    yield Row(name, "ms", float(median), float(low), float(high), len(latency_ms), share, _BUS_HZ)
 
 
 def _log() -> Iterator[Row]:
@@ -247,4 +253,4 @@ def _log() -> Iterator[Row]:
         row = _timed("log, 0.4 MB images, lz4", write, runs=10)
     megabytes_s = _per_second(row, items=frames * len(payload), unit="MB/s")
     share = row.median / 1e3 / frames * 2 * 15.0
-    yield Row(row.name, "MB/s", megabytes_s.median, megabytes_s.low, megabytes_s.high, row.runs, 15.0, share)
+    yield replace(megabytes_s, core_share=share, rate_hz=15.0)
