@@ -36,5 +36,5 @@ class MessageRejectedError(SchemaError):
     """A message that cannot be used, with the reason under which it is counted."""
 
     def __init__(self, reason: Reason, text: str) -> None:
-        self.reason = reason
+        self.reason, self.text = reason, text
         super().__init__(f"{reason}: {text}")

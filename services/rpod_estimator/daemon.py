@@ -1,6 +1,7 @@
 """The estimator daemon: a thin shell of bus and clock around the navigator."""
 
 import logging
+from dataclasses import replace
 from queue import Empty, SimpleQueue
 from threading import Event
 
@@ -35,11 +36,11 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
         while not stop.is_set():
             arrived = inputs.newest(_TICK_S)
             estimator.use_patterns(inputs)
-            if arrived is None:
-                outputs.publish(estimator.tick(node.clock.now_ns()))
-                continue
-            outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)
-            node.health.report(Health.OK, estimator.mode.name.lower())
+            if arrived is not None:
+                outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)
+            outputs.publish(estimator.tick(node.clock.now_ns()))
+            level = Health.WARN if estimator.mode == Mode.LOST else Health.OK
+            node.health.report(level, estimator.mode.name.lower())
 
 
 class Estimator:
@@ -99,9 +100,10 @@ class Estimator:
             except Empty:
                 return
             log.info("reset %s", "to a given pose" if request.pose is not None else "to nothing")
-            self._state = self._navigator.start(
+            begun = self._navigator.start(
                 request.pose, covariance=request.covariance, stamp_ns=request.stamp_ns
             )
+            self._state = replace(begun, shown_ns=self._state.shown_ns)
 
     def process(self, arrived: Arrived) -> Output:
         """Return what becomes of a frame."""

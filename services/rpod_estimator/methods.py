@@ -15,7 +15,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import LidarInput, PmdInput, SensorInput
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Camera, LidarScan, PmdFrame
+from rpod_schemas.types import Camera, LidarInfo, LidarScan, PmdFrame
 from rpod_sim_sensor.geometry import RayGrid, cast
 from rpod_target import Target
 
@@ -26,6 +26,13 @@ class ScanPattern:
 
     azimuth_rad: FloatArray
     elevation_rad: FloatArray
+    rows_are_elevation: bool = True
+    """Of the scans as they are sent."""
+
+    @classmethod
+    def of(cls, info: LidarInfo) -> "ScanPattern":
+        """Return what a LIDAR says of itself."""
+        return cls(info.azimuth_rad, info.elevation_rad, info.rows_are_elevation)
 
     def equals(self, other: "ScanPattern") -> bool:
         """Return whether two patterns are the same."""

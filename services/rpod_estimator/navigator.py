@@ -48,8 +48,14 @@ class NavigatorState:
     history: History | None = None
     """The filter's state and its recent past."""
     given: GivenPose | None = None
+    heard_ns: int = 0
+    """Newest stamp of a measurement, accepted or not."""
     accepted_ns: int = 0
-    """Stamp of the last accepted measurement."""
+    """Newest stamp of an accepted measurement."""
+    lost_ns: int = 0
+    """When the target was lost."""
+    shown_ns: int = 0
+    """Newest stamp of an odometry: the stamps of the output never go back."""
     rejections: int = 0
     """In a row."""
     confirmations: int = 0
@@ -94,6 +100,12 @@ class Navigator:
         """Return the next state and what is to be published; nothing for a tick that changes nothing."""
         if isinstance(event, Tick):
             return self._let_time_pass(state, event)
+        state, output = self._take(replace(state, heard_ns=max(state.heard_ns, event.stamp_ns)), event)
+        if output.odometry is not None:
+            state = replace(state, shown_ns=output.odometry.stamp_ns)
+        return state, output
+
+    def _take(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         if state.given is not None:
             state = self._start_at_given(state, event)
         if state.mode == Mode.ACQUIRING or state.history is None:
@@ -115,7 +127,7 @@ class Navigator:
         best, why = self._best(event, candidates)
         if why:
             return state, self._output(state, event, best, reason=f"not believed: {why}")
-        return self._begin(event, best)
+        return self._begin(state, event, best)
 
     def _best(self, event: Measurement, candidates: list[Candidate]) -> tuple[Registration, str]:
         """Refine the first candidates; return the best believed one, or the first and the doubt about it."""
@@ -128,12 +140,17 @@ class Navigator:
         believed = [item for item, why in zip(registrations, doubts, strict=True) if not why]
         return (max(believed, key=_merit), "") if believed else (registrations[0], doubts[0])
 
-    def _begin(self, event: Measurement, registration: Registration) -> tuple[NavigatorState, Output]:
+    def _begin(
+        self, state: NavigatorState, event: Measurement, registration: Registration
+    ) -> tuple[NavigatorState, Output]:
         pose, covariance = in_chaser(registration, event.T_chaser_sensor)
-        state = NavigatorState(
+        state = replace(
+            state,
             mode=Mode.VERIFYING if self._limits.confirmations else Mode.TRACKING,
             history=History(start(pose, covariance, event.stamp_ns, config=self._settings.filter)),
             accepted_ns=event.stamp_ns,
+            rejections=0,
+            confirmations=0,
         )
         return state, self._output(state, event, registration)
 
@@ -142,8 +159,10 @@ class Navigator:
         assert given is not None  # noqa: S101 - told by the caller
         stamp_ns = event.stamp_ns if given.stamp_ns is None else min(given.stamp_ns, event.stamp_ns)
         begun = start(given.T_chaser_target, given.covariance, stamp_ns, config=self._settings.filter)
-        return NavigatorState(
+        return replace(
+            state,
             mode=Mode.VERIFYING,
+            given=None,
             history=History(begun),
             accepted_ns=stamp_ns,
             confirmations=self._limits.confirmations - 1,
@@ -162,13 +181,16 @@ class Navigator:
         measured = PoseMeasurement(event.stamp_ns, pose, covariance)
         grown, nis, accepted = apply(history, measured, self._settings.filter)
         if not accepted:
+            state = replace(state, history=grown)  # a late measurement may yet speak for this one
             return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
         confirmations = state.confirmations + 1
         tracking = state.mode == Mode.TRACKING or confirmations >= self._limits.confirmations
-        state = NavigatorState(
+        state = replace(
+            state,
             mode=Mode.TRACKING if tracking else Mode.VERIFYING,
             history=grown,
-            accepted_ns=grown.state.stamp_ns,
+            accepted_ns=max(state.accepted_ns, event.stamp_ns),
+            rejections=0,
             confirmations=confirmations,
         )
         return state, self._output(state, event, registration, nis=nis)
@@ -199,9 +221,9 @@ class Navigator:
         """Go on with the prediction; a hypothesis that fails its test is dropped, a track is lost in time."""
         state = replace(state, rejections=state.rejections + 1)
         if state.mode == Mode.VERIFYING:
-            state = NavigatorState()
+            state = replace(state, mode=Mode.ACQUIRING, history=None)
         elif state.mode == Mode.TRACKING and self._lost(state, event.stamp_ns):
-            state = replace(state, mode=Mode.LOST)
+            state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
         return state, self._output(state, event, registration, reason=reason, nis=nis)
 
     def _lost(self, state: NavigatorState, stamp_ns: int) -> bool:
@@ -216,22 +238,22 @@ class Navigator:
         self, state: NavigatorState, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Look near the prediction first, then everywhere."""
-        if (event.stamp_ns - state.accepted_ns) / NANOSECONDS <= self._limits.near_search_s:
+        if (event.stamp_ns - state.lost_ns) / NANOSECONDS <= self._limits.near_search_s:
             registration, why = self._register(event, predicted, wide=True)
             if not why:
-                return self._begin(event, registration)
+                return self._begin(state, event, registration)
         return self._acquire(state, event)
 
     def _let_time_pass(self, state: NavigatorState, tick: Tick) -> tuple[NavigatorState, Output | None]:
-        silent_s = (tick.stamp_ns - state.accepted_ns) / NANOSECONDS
+        silent_s = (tick.stamp_ns - state.heard_ns) / NANOSECONDS
         if state.mode != Mode.TRACKING or silent_s <= self._limits.silence_timeout_s:
             return state, None
-        state = replace(state, mode=Mode.LOST)
+        state = replace(state, mode=Mode.LOST, lost_ns=tick.stamp_ns)
         status = EstimatorStatus(
             stamp_ns=tick.stamp_ns,
             frame_id=CHASER,
             mode=Mode.LOST,
-            reason=f"no accepted measurement for {silent_s:.1f} s",
+            reason=f"no measurement for {silent_s:.1f} s",
         )
         return state, Output(status, None)
 
@@ -263,7 +285,8 @@ class Navigator:
         if state.mode != Mode.TRACKING or state.history is None:
             return Output(status, None)
         newest = state.history.state
-        shown = predict(newest, max(event.stamp_ns, newest.stamp_ns), self._settings.filter)
+        stamp_ns = max(event.stamp_ns, newest.stamp_ns, state.shown_ns)
+        shown = predict(newest, stamp_ns, self._settings.filter)
         return Output(status, to_odometry(shown, frame_id=CHASER, child_frame_id=TARGET_ESTIMATE))
 
 

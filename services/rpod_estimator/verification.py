@@ -6,21 +6,32 @@ scans, so the share of rays or pixels on which model and measurement agree is as
 
 import math
 
+import numpy as np
+
 from rpod_estimator.ports import Registration
 from rpod_schemas.config.verification import VerificationConfig
 
 
 def doubt(registration: Registration, limits: VerificationConfig) -> str:
-    """Return why a registration is not believed, in words for the operator; empty if it is."""
+    """Return why a registration is not believed, in words for the operator; empty if it is.
+
+    What a method does not know, inlier share and explained share, is not asked.
+    """
     if registration.T_sensor_target is None:
-        return registration.reason
-    if not registration.cost_m2 <= limits.max_cost_m2:
-        return f"cost {registration.cost_m2:.2g} m2 above {limits.max_cost_m2:.2g}"
-    if registration.inliers < limits.min_inliers:
-        return f"{registration.inliers} inliers, needs {limits.min_inliers}"
-    if registration.inlier_share < limits.min_inlier_share:
-        return f"inlier share {registration.inlier_share:.2f} below {limits.min_inlier_share:.2f}"
-    explained = registration.explained_share
-    if not math.isnan(explained) and explained < limits.min_explained_share:
-        return f"explained share {explained:.2f} below {limits.min_explained_share:.2f}"
-    return ""
+        return registration.reason or "no pose"
+    cost, inliers = registration.cost_m2, registration.inliers
+    share, explained = registration.inlier_share, registration.explained_share
+    demands = (
+        (cost <= limits.max_cost_m2, f"cost {cost:.2g} m2 above {limits.max_cost_m2:.2g}"),
+        (inliers >= limits.min_inliers, f"{inliers} inliers, needs {limits.min_inliers}"),
+        (
+            math.isnan(share) or share >= limits.min_inlier_share,
+            f"inlier share {share:.2f} below {limits.min_inlier_share:.2f}",
+        ),
+        (
+            math.isnan(explained) or explained >= limits.min_explained_share,
+            f"explained share {explained:.2f} below {limits.min_explained_share:.2f}",
+        ),
+        (np.isfinite(registration.covariance).all(), "no covariance"),
+    )
+    return next((reason for met, reason in demands if not met), "")

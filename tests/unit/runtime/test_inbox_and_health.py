@@ -18,12 +18,14 @@ def test_an_inbox_hands_out_all_in_order_of_arrival():
     assert inbox.wait(0.0) == []
 
 
-def test_what_does_not_fit_an_inbox_is_counted():
+def test_what_does_not_fit_an_inbox_is_counted_and_the_newest_stay():
     inbox = Inbox(capacity=2)
     for number in range(1, 6):
         inbox.put(received(number))
     assert inbox.overflowed == 3
-    assert len(inbox.wait(0.0)) == 2
+    assert [item.attachment.sequence for item in inbox.wait(0.0)] == [4, 5]
+    inbox.put(received(6))
+    assert inbox.overflowed == 3
 
 
 def test_rejections_are_counted_by_topic_and_reason_and_the_first_is_told():

@@ -1,0 +1,79 @@
+"""From the parts of a complete frame to what the methods work on: decoded and checked."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from rpod_estimator.assembler import Assembled
+from rpod_runtime import Received
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.messages import build, read_amplitude, read_camera, read_depth, read_points
+from rpod_schemas.types import Float32Array, LidarScan, PmdFrame
+
+ReadT = TypeVar("ReadT")
+
+
+class PartRejectedError(MessageRejectedError):
+    """A part of a frame that cannot be used, and the topic on which it came."""
+
+    def __init__(self, received: Received, rejection: MessageRejectedError) -> None:
+        super().__init__(rejection.reason, rejection.text)
+        self.topic = received.topic.name
+
+
+def read_frame(frame: Assembled[Received]) -> PmdFrame:
+    """Read a camera's frame. Raises ``PartRejectedError``."""
+    depth, amplitude = frame.parts["depth"], frame.parts.get("amplitude")
+    camera = _read(frame.parts["camera_info"], read_camera)
+    size = (camera.height, camera.width)
+    return PmdFrame(
+        stamp_ns=frame.stamp_ns,
+        frame_id=_read(depth, lambda message: str(message.header.frame_id)),
+        depth_m=_read(depth, lambda message: _sized(read_depth(message), size)),
+        amplitude=_read(amplitude, lambda message: _sized(read_amplitude(message), size))
+        if amplitude
+        else None,
+        camera=camera,
+    )
+
+
+def read_scan(frame: Assembled[Received], *, rows_are_elevation: bool = True) -> LidarScan:
+    """Read a LIDAR's frame, rows being elevation. Raises ``PartRejectedError``."""
+
+    def read(message: Any) -> LidarScan:
+        fields = read_points(message)
+        if not rows_are_elevation:
+            fields = {name: values.T for name, values in fields.items()}
+        return build(
+            LidarScan,
+            stamp_ns=frame.stamp_ns,
+            frame_id=message.header.frame_id,
+            points_m=_finite(np.stack([fields["x"], fields["y"], fields["z"]], axis=-1)),
+            intensity=fields.get("intensity"),
+            time_s=fields.get("t"),
+        )
+
+    return _read(frame.parts["points"], read)
+
+
+def _read(received: Received, read: Callable[[Any], ReadT]) -> ReadT:
+    try:
+        return read(received.decode())
+    except MessageRejectedError as error:
+        raise PartRejectedError(received, error) from error
+
+
+def _sized(image: Any, size: tuple[int, int]) -> Any:
+    if image.shape != size:
+        raise MessageRejectedError(
+            Reason.WRONG_SIZE,
+            f"image of {image.shape[1]} x {image.shape[0]}, camera_info says {size[1]} x {size[0]}",
+        )
+    return image
+
+
+def _finite(points_m: Float32Array) -> Float32Array:
+    if not np.isfinite(points_m).all(axis=-1).any():
+        raise MessageRejectedError(Reason.NOT_FINITE, "no finite point in the cloud")
+    return points_m
