@@ -26,7 +26,7 @@ class TemplateMatchingConfig(Config):
     """How far templates may be from a pose that is known roughly, where only that is searched."""
     candidates: Count = 10
     """Most candidates returned."""
-    distinct_deg: NonNegative = 20.0
+    distinct_deg: NonNegative = 45.0
     """Candidates whose attitudes differ by less are one, the better of them."""
     min_points: Annotated[int, Field(ge=3)] = 6
     """Scans with fewer returns are not searched."""
@@ -35,12 +35,13 @@ class TemplateMatchingConfig(Config):
 class ScanComparisonConfig(Config):
     """The self-check: the target is cast at the solution and compared with the scan, ray by ray."""
 
-    tolerance_m: Positive = 0.15
-    """Measured and predicted range agree within this."""
+    tolerance_m: Positive = 0.25
+    """Measured and predicted range agree within this; it covers 4-sigma outliers."""
     margin_deg: Positive = 0.2
     """A prediction holds only where all rays this far beside agree with it: outlines are left undecided."""
-    grazing_deg: Annotated[float, Field(gt=0, le=90)] = 75.0
-    """Beyond this incidence a predicted return may be missing."""
+    sure_range_m: Positive = 180.0
+    """Up to where a white surface, seen squarely, is surely detected; an echo that is predicted dimmer than
+    from there may be missing. With the printed reading of the detection threshold it is 150 m."""
 
 
 class IcpNearestNeighbourConfig(Config):
