@@ -21,13 +21,13 @@ class RecordedFrames:
         self._file = np.load(self._path)
 
     def frames(self) -> Iterator[PmdFrame]:
-        """Yield the frames, in the pace of their stamps."""
+        """Yield the frames at their pace, stamped as if taken now: an estimator refuses old ones."""
         stamps_ns, depths_m, amplitudes = (self._file[name] for name in ("stamp_ns", "depth_m", "amplitude"))
         fx, fy, cx, cy = self._file["camera"]
         camera = Camera(height=depths_m.shape[1], width=depths_m.shape[2], fx=fx, fy=fy, cx=cx, cy=cy)
-        started_s = time.monotonic()
+        stamps_ns = stamps_ns - stamps_ns[0] + time.time_ns()
         for stamp_ns, depth_m, amplitude in zip(stamps_ns.tolist(), depths_m, amplitudes, strict=True):
-            time.sleep(max(0.0, started_s + (stamp_ns - stamps_ns[0]) * 1e-9 - time.monotonic()))
+            time.sleep(max(0.0, (stamp_ns - time.time_ns()) * 1e-9))
             optical = {"stamp_ns": stamp_ns, "frame_id": "pmd_optical", "camera": camera}
             yield PmdFrame(depth_m=depth_m, amplitude=amplitude, **optical)
 
