@@ -8,11 +8,11 @@ from rich.console import Console
 from rpod.errors import InterruptedRunError, RunError
 from rpod.facility import Speed
 from rpod.progress import Progress
-from rpod.run import Options, Played, play, write_scenario
+from rpod.run import RunFolder, play
 from rpod.scenarios import find
 from rpod.summary_table import print_summary
 from rpod_analysis import AnalysisError
-from rpod_analysis.report import write_report
+from rpod_analysis.report import ReportPaths, write_report
 from rpod_runtime import BusError
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
 from rpod_schemas.config.base import check
@@ -32,22 +32,25 @@ def run_command(
     try:
         scenario, pace = _scenario(name, duration_s=duration_s, seed=seed), _speed(speed)
         load_target(scenario.target)  # built once here, so that the services find it in the cache
-        with Progress(quiet=as_json) as progress:
-            played = play(scenario, Options(pace, out), progress)
-            progress.say("writing the report")
-            write_scenario(scenario, played.directory)
-            paths = write_report([played.log])
+        folder = RunFolder.make(out, scenario)
     except ConfigurationError as error:
         return _fail(error, EXIT_USAGE)
-    except InterruptedRunError as error:
-        return _fail(error, EXIT_INTERRUPTED)
-    except (RunError, BusError, AnalysisError, OSError) as error:
+    except OSError as error:
         return _fail(error, EXIT_FAILURE)
+    try:
+        with Progress(quiet=as_json) as progress:
+            play(scenario, folder, speed=pace, progress=progress)
+            progress.say("writing the report")
+            paths = write_report([folder.log])
+    except (InterruptedRunError, KeyboardInterrupt):
+        return _fail("interrupted", EXIT_INTERRUPTED, folder)
+    except (RunError, BusError, AnalysisError, OSError) as error:
+        return _fail(error, EXIT_FAILURE, folder)
     summary = Summary.model_validate_json(paths.summary.read_text("utf-8"))
     if as_json:
         print(summary.model_dump_json(indent=2))
     else:
-        _tell(summary, played, paths.html)
+        _tell(summary, paths)
     return EXIT_OK
 
 
@@ -64,16 +67,18 @@ def _speed(speed: str) -> Speed:
         return "1"
     if speed == "max":
         return "max"
-    raise ConfigurationError("rpod run", "--speed", f"is {speed!r}, needs 1 or max")
+    raise ConfigurationError("--speed", "", f"needs 1 or max, not {speed!r}")
 
 
-def _tell(summary: Summary, played: Played, report: Path) -> None:
+def _tell(summary: Summary, paths: ReportPaths) -> None:
     console = Console()
     print_summary(summary, console)
-    console.print(f"log      {played.log}", soft_wrap=True, highlight=False)
-    console.print(f"report   {report}", soft_wrap=True, highlight=False)
+    console.print(f"log      {summary.log}", soft_wrap=True, highlight=False)
+    console.print(f"report   {paths.html}", soft_wrap=True, highlight=False)
 
 
-def _fail(error: Exception, code: int) -> int:
-    print(f"rpod run: {error}", file=sys.stderr)
+def _fail(reason: Exception | str, code: int, folder: RunFolder | None = None) -> int:
+    print(f"rpod run: {reason}", file=sys.stderr)
+    if folder and folder.log.exists():
+        print(f"log      {folder.log}", file=sys.stderr)
     return code

@@ -15,6 +15,8 @@ from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.config.service import BusConfig, LoggerConfig, RouterConfig, ServiceConfig
 
 Speed = Literal["1", "max"]
+_ROUTER_POLL_S = 0.5
+"""For how long the supervisor tries to reach the router before it looks whether that still runs."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Facility:
 def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
     """Return what every service of a run is told; each run has its own endpoint and estimator identity."""
     endpoint = free_endpoint()
-    bus = BusConfig(connect=endpoint)
+    bus = BusConfig(connect=endpoint, wait=True)
     estimator_id = secrets.token_hex(8).lstrip("0") or "e"
     time_source: Literal["wall", "clock"] = "clock" if speed == "max" else "wall"
     return Facility(
@@ -62,7 +64,9 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
             ),
             "logger": LoggerConfig(bus=bus, directory=directory, name=scenario.name),
         },
-        supervisor=ServiceConfig(instance="supervisor", bus=bus),
+        supervisor=ServiceConfig(
+            instance="supervisor", bus=BusConfig(connect=endpoint, connect_timeout_s=_ROUTER_POLL_S)
+        ),
     )
 
 

@@ -5,19 +5,18 @@ import logging
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
-from types import FrameType
-from typing import Any
+from typing import Any, Self
 
 from rpod import __version__
 from rpod.errors import InterruptedRunError, NotReadyError
 from rpod.facility import Facility, Speed, configure
 from rpod.progress import Progress
 from rpod.supervisor import Supervisor
-from rpod_runtime import Node, QueryFailedError
+from rpod_runtime import Node, NoRouterError, QueryFailedError
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.control import Accepted, StartRequest, StatusReply
 from rpod_schemas.messages import NANOSECONDS
@@ -32,45 +31,19 @@ _POLL_S = 0.1
 
 
 @dataclass(frozen=True)
-class Options:
-    """How a scenario is played."""
-
-    speed: Speed
-    out: Path
-
-
-@dataclass(frozen=True)
-class Played:
-    """What a run leaves behind."""
+class RunFolder:
+    """Where a run leaves what it makes."""
 
     directory: Path
     log: Path
 
-
-def play(scenario: Scenario, options: Options, progress: Progress) -> Played:
-    """Play a scenario to its end and close the log.
-
-    Raises:
-        ServiceDiedError: a service ended; the log is closed all the same.
-        NotReadyError: a service did not start.
-        InterruptedRunError: the operator ended the run; the log is closed all the same.
-    """
-    directory = _new_directory(options.out, scenario.name)
-    facility = configure(scenario, directory=directory, speed=options.speed)
-    with _interruptible() as interrupted, Supervisor(directory) as services:
-        played = Played(directory, directory / f"{scenario.name}.mcap")
-        services.start("router", facility.router)
-        _start_listeners_first(services, facility)
-        with Node(facility.supervisor, version=__version__) as node:
-            progress.watch(node, scenario)
-            _await_ready(node, services, facility, interrupted, progress)
-            _start(node, scenario, options.speed)
-            _await_end(node, services, interrupted, progress)
-            for verb in facility.services:
-                progress.say(f"stopping {verb}")
-                services.stop(verb)
-        services.stop("router")
-    return played
+    @classmethod
+    def make(cls, out: Path, scenario: Scenario) -> Self:
+        """Make a new folder, and keep the scenario in it as it will be played. Raises ``OSError``."""
+        directory = _new_directory(out, scenario.name)
+        document = json.loads(scenario.model_dump_json())
+        (directory / "scenario.json").write_text(json.dumps(document, indent=2) + "\n", "utf-8")
+        return cls(directory, directory / f"{scenario.name}.mcap")
 
 
 def _new_directory(out: Path, name: str) -> Path:
@@ -85,10 +58,45 @@ def _new_directory(out: Path, name: str) -> Path:
     raise FileExistsError(out / stem)
 
 
+def play(scenario: Scenario, folder: RunFolder, *, speed: Speed, progress: Progress) -> None:
+    """Play a scenario to its end and close the log.
+
+    Raises:
+        ServiceDiedError: a service ended; the log is closed all the same.
+        NotReadyError: a service did not start.
+        InterruptedRunError: the operator ended the run; the log is closed all the same.
+    """
+    facility = configure(scenario, directory=folder.directory, speed=speed)
+    with _interruptible() as interrupted, Supervisor(folder.directory) as services:
+        services.start("router", facility.router)
+        _start_listeners_first(services, facility)
+        with _client(services, facility, interrupted) as node:
+            progress.watch(node, scenario)
+            _await_ready(node, services, facility, interrupted, progress)
+            _start(node, scenario, speed)
+            _await_end(node, services, interrupted, progress)
+            for verb in facility.services:
+                progress.say(f"stopping {verb}")
+                services.stop(verb)
+        services.stop("router")
+
+
 def _start_listeners_first(services: Supervisor, facility: Facility) -> None:
     """Start those who listen before those who speak; what is left at an accident stops speakers first."""
     for verb, config in reversed(facility.services.items()):
         services.start(verb, config)
+
+
+@contextmanager
+def _client(services: Supervisor, facility: Facility, interrupted: Event) -> Iterator[Node]:
+    """Open the supervisor's own client as soon as the router listens."""
+    with ExitStack() as stack:
+        while True:
+            _check(services, interrupted)
+            with suppress(NoRouterError):
+                node = stack.enter_context(Node(facility.supervisor, version=__version__))
+                break
+        yield node
 
 
 def _await_ready(
@@ -104,6 +112,7 @@ def _await_ready(
                 waiting.discard(verb)
             elif time.monotonic() > deadline_s:
                 raise NotReadyError(verb, _READY_TIMEOUT_S, services.log_of(verb))
+        time.sleep(_POLL_S)  # a query that nobody answers yet comes back at once
 
 
 def _state(node: Node, verb: str) -> str:
@@ -125,7 +134,7 @@ def _await_end(node: Node, services: Supervisor, interrupted: Event, progress: P
     while _state(node, "motion") != "finished":
         _check(services, interrupted)
         progress.update()
-        interrupted.wait(_POLL_S)
+        time.sleep(_POLL_S)  # not the event's own wait: the handler that sets it would find its lock taken
 
 
 def _check(services: Supervisor, interrupted: Event) -> None:
@@ -140,20 +149,17 @@ def _interruptible() -> Iterator[Event]:
     interrupted = Event()
     before: dict[int, Any] = {}
 
-    def handle(number: int, _: FrameType | None) -> None:
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    def handle(*_: object) -> None:
         interrupted.set()
-        signal.signal(number, before[number])
+        restore()
 
     for each in (signal.SIGINT, signal.SIGTERM):
         before[each] = signal.signal(each, handle)
     try:
         yield interrupted
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def write_scenario(scenario: Scenario, directory: Path) -> None:
-    """Keep the scenario as it was played beside its log."""
-    document = json.loads(scenario.model_dump_json())
-    (directory / "scenario.json").write_text(json.dumps(document, indent=2) + "\n", "utf-8")
+        restore()

@@ -8,11 +8,9 @@ from rpod_schemas.summary import ErrorSummary, Summary
 
 def print_summary(summary: Summary, console: Console) -> None:
     """Print what an operator asks first: did it hold the target, how well, was anything lost."""
-    table = Table(
-        title=f"{summary.scenario or summary.log}, {summary.duration_s:.0f} s", title_justify="left"
-    )
-    table.add_column("", style="dim")
-    table.add_column("")
+    title = f"{summary.scenario or summary.log}, {summary.duration_s:.0f} s"
+    table = Table(title=title, title_justify="left", show_header=False)
+    table.add_column(style="dim")
     for name, value in _rows(summary):
         table.add_row(name, value)
     console.print(table)

@@ -6,6 +6,7 @@ that Ctrl-C reaches the supervisor alone) and a pipe that closes when the superv
 
 import logging
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -34,7 +35,10 @@ class _Service:
 
 
 class Supervisor:
-    """Processes of one run; on leaving, whatever still runs is stopped, the last started first."""
+    """Processes of one run; on leaving, whatever still runs is stopped, the last started first.
+
+    On leaving by ``KeyboardInterrupt`` nobody is waited for.
+    """
 
     def __init__(self, directory: Path) -> None:
         self._configurations = directory / "config"
@@ -78,7 +82,8 @@ class Supervisor:
         """Ask a service to finish, wait, and end it by force where it does not.
 
         Raises:
-            ServiceDiedError: it ended with an error.
+            ServiceDiedError: it ended with an error. A service that is asked while it still starts
+                knows no signals yet and ends by this one: that is no error.
         """
         service = self._services.pop(verb)
         process = service.process
@@ -92,7 +97,7 @@ class Supervisor:
         finally:
             if process.stdin:
                 process.stdin.close()
-        if code:
+        if code not in (0, -signal.SIGTERM):
             raise ServiceDiedError(verb, code, service.tail(), service.log)
 
     def __enter__(self) -> Self:
@@ -101,6 +106,8 @@ class Supervisor:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if kind is KeyboardInterrupt:
+            return  # asked again: ends at once, and the services follow as their pipes close
         for name in reversed(list(self._services)):
             try:
                 self.stop(name)

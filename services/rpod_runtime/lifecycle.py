@@ -10,13 +10,13 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
-from types import FrameType
 
 from rpod_runtime.errors import BusError, NoRouterError
 from rpod_schemas.errors import ConfigurationError
 
 log = logging.getLogger(__name__)
 
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 EXIT_OK, EXIT_FAILURE, EXIT_USAGE = 0, 1, 2
 SUPERVISED = "RPOD_SUPERVISED"
 """Set by a supervisor that holds the other end of standard input."""
@@ -61,13 +61,23 @@ def run(instance: str, body: Callable[[threading.Event], None]) -> int:
 
 
 def _stop_on_signals(stop: threading.Event) -> None:
-    def handle(number: int, _: FrameType | None) -> None:
-        if stop.is_set():
-            os._exit(128 + number)
-        stop.set()
+    """Let a thread set the event: a handler that meets the main thread inside the event's lock never returns.
 
-    for name in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(name, handle)
+    Also, the second signal then ends a process whose main thread is deep in compiled code.
+    """
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    signal.set_wakeup_fd(writer)
+    for each in _SIGNALS:
+        signal.signal(each, lambda *_: None)  # its number goes into the pipe
+    threading.Thread(target=_heed_signals, args=(reader, stop), name="signals", daemon=True).start()
+
+
+def _heed_signals(reader: int, stop: threading.Event) -> None:
+    os.read(reader, 1)
+    stop.set()
+    (number,) = os.read(reader, 1)
+    os._exit(128 + number)
 
 
 def _stop_with_supervisor(stop: threading.Event) -> None:
