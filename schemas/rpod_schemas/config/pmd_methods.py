@@ -18,8 +18,8 @@ class DepthImageConfig(Config):
     min_pixels: Annotated[int, Field(ge=100)] = 200
     """Fewer measured pixels are no image of the target."""
     stride_px: Count = 4
-    """Every how many pixels, across and down, the model is rendered, and the depth is taken as the median of a
-    pixel and its neighbours."""
+    """Every how many pixels, across and down, the model is rendered, and the median depth of a pixel and its
+    neighbours is taken."""
 
 
 class DepthComparisonConfig(Config):
@@ -55,10 +55,13 @@ class IcpReverseCalibrationConfig(Config):
     radius_px: Count = 25
     """Radius of the neighbour search around a model point's pixel, at first."""
     direct_m: Positive = 0.24
-    """The depth under a model point's pixel is its match where it is this near, at first; else, and always in
-    point_to_point, the radius is searched."""
+    """The depth under a model point's pixel and its neighbours is its match where it is this near, at first;
+    else, and always in point_to_point, the radius is searched."""
     scale_m: Positive = 0.15
     """Geman-McClure scale of the residuals, at first (point_to_plane only)."""
+    outline_weight: Share = 0.3
+    """Weight of a match found by the search beside a direct one (point_to_plane only): scattered lost depth
+    looks like an outline."""
     final_share: Annotated[float, Field(gt=0, le=1)] = 0.33
     """Radius, direct match and scale narrow to this share of their first values (point_to_plane only)."""
     gate_m: Positive = 0.3

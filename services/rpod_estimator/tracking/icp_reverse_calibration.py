@@ -8,12 +8,13 @@ pixels within a radius are searched for the measured point nearest to it, and th
 the distances of all pairs follows in closed form. On a seen plane the nearest neighbours stick to where they
 are, so it follows a turning target late and loses it.
 
-``point_to_plane`` is ours. Where depth close to the model point lies under its pixel, only the distance along
-the model's normal counts, so faces slide freely. Where it does not (background, lost depth, a jump), model
-and image disagree on an outline, and the model point is drawn to its nearest neighbour within the radius, but
-only along the line between the two: the outline may slide along itself. These pairs carry the roll about the
-boresight. Measured points that the model leaves uncovered pull from the other side, by the target's distance
-field. Weights are robust; radius, direct match and scale narrow from step to step.
+``point_to_plane`` is ours. Where depth close to the model point lies under its pixel and the neighbours, only
+the distance of their mean along the model's normal counts, so faces slide freely. Where it does not
+(background, lost depth, a jump), model and image disagree on an outline, and the model point is drawn to its
+nearest neighbour within the radius, but only along the line between the two: the outline may slide along
+itself. These pairs carry the roll about the boresight. Measured points that the model leaves uncovered pull
+from the other side, by the target's distance field. Weights are robust; radius, direct match and scale narrow
+from step to step.
 """
 
 from dataclasses import dataclass, replace
@@ -45,8 +46,28 @@ STALE_M = 0.01
 """After a longer step it is asked anew which model points are visible."""
 EQUAL_WEIGHTS_M = 1e3
 """A Geman-McClure scale at which every match weighs the same."""
+FEWEST_BENEATH = 2
+"""Points that make a direct match: one alone is too noisy, and beside an outline it may be mixed."""
 NARROWING = 0.75
 """Radius and scale shrink by this from iteration to iteration."""
+
+
+@njit(cache=True, nogil=True)
+def mean_beneath(point, column, row, image, near):  # type: ignore[no-untyped-def]
+    """Return the mean of the points near ``point`` under a pixel and its neighbours; zeros if few are."""
+    depth, slopes = image
+    top, bottom = max(row - 1, 0), min(row + 2, depth.shape[0])
+    left, right = max(column - 1, 0), min(column + 2, depth.shape[1])
+    x, y, z, count = 0.0, 0.0, 0.0, 0
+    for v in range(top, bottom):
+        for u in range(left, right):
+            d = depth[v, u]
+            px, py = slopes[v, u, 0] * d, slopes[v, u, 1] * d
+            if (px - point[0]) ** 2 + (py - point[1]) ** 2 + (d - point[2]) ** 2 < near * near:
+                x, y, z, count = x + px, y + py, z + d, count + 1
+    if count < FEWEST_BENEATH:
+        return 0.0, 0.0, 0.0
+    return x / count, y / count, z / count
 
 
 @njit(cache=True, nogil=True)
@@ -58,8 +79,8 @@ def find_matches(points, pixels, image, radius, near):  # type: ignore[no-untype
         pixels: their projections, column and row, (N, 2).
         image: z-depth with NaN, (height, width), and x/z and y/z of the pixels, (height, width, 2).
         radius: of the neighbour search, px.
-        near: the depth under a pixel is the match where it is nearer than the first, m (0 always searches);
-            no match is longer than the second, m.
+        near: points under a pixel and its neighbours that are nearer than the first, m: their mean is the
+            match (0 always searches); no match is longer than the second, m.
     """
     (depth, slopes), (direct, gate) = image, near
     height, width = depth.shape
@@ -69,10 +90,10 @@ def find_matches(points, pixels, image, radius, near):  # type: ignore[no-untype
         if not (0 <= column < width and 0 <= row < height):
             continue
         x, y, z = points[n]
-        under = depth[row, column]
-        sx, sy = slopes[row, column]
-        if (sx * under - x) ** 2 + (sy * under - y) ** 2 + (under - z) ** 2 < direct * direct:
-            matched[n, 0], matched[n, 1], matched[n, 2], kind[n] = sx * under, sy * under, under, DIRECT
+        beneath = mean_beneath(points[n], column, row, image, direct)
+        if beneath[2] > 0.0:
+            matched[n, 0], matched[n, 1], matched[n, 2] = beneath
+            kind[n] = DIRECT
             continue
         if column < radius or row < radius or column + radius >= width or row + radius >= height:
             continue  # the neighbourhood is cut by the image's border: the nearest point may lie beyond it
@@ -90,7 +111,7 @@ def find_matches(points, pixels, image, radius, near):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True)
-def match_equations(model, normals, matched, kind, scale):  # type: ignore[no-untyped-def]
+def match_equations(model, normals, matched, kind, weighting):  # type: ignore[no-untyped-def]
     """Return the sums of ``NormalEquations``: residuals along the normal, or the match.
 
     Args:
@@ -98,8 +119,9 @@ def match_equations(model, normals, matched, kind, scale):  # type: ignore[no-un
         normals: of the model points, (N, 3).
         matched: the measured points in target axes, (N, 3).
         kind: how each was found, (N,).
-        scale: Geman-McClure scale, m.
+        weighting: Geman-McClure scale, m, and the weight of a nearest match beside a direct one.
     """
+    scale, outline_weight = weighting
     information, gradient, row = np.zeros((6, 6)), np.zeros(6), np.empty(6)
     weights, squares, inliers, c2 = 0.0, 0.0, 0, scale * scale
     for n in range(model.shape[0]):
@@ -107,10 +129,11 @@ def match_equations(model, normals, matched, kind, scale):  # type: ignore[no-un
             continue
         s, axis = matched[n], normals[n]
         e = s - model[n]
+        relative = 1.0
         if kind[n] == NEAREST:
-            axis = e / max(np.sqrt((e * e).sum()), 1e-9)
+            axis, relative = e / max(np.sqrt((e * e).sum()), 1e-9), outline_weight
         residual = (axis * e).sum()
-        weight = (c2 / (c2 + residual * residual)) ** 2
+        weight = relative * (c2 / (c2 + residual * residual)) ** 2
         row[0], row[1], row[2] = -axis[0], -axis[1], -axis[2]
         row[3] = axis[1] * s[2] - axis[2] * s[1]
         row[4] = axis[2] * s[0] - axis[0] * s[2]
@@ -139,10 +162,12 @@ class Pairs:
     def __len__(self) -> int:
         return int(np.count_nonzero(self.kind))
 
-    def equations(self, T_sensor_target: RigidTransform, scale_m: float) -> NormalEquations:
+    def equations(
+        self, T_sensor_target: RigidTransform, *, scale_m: float, outline_weight: float
+    ) -> NormalEquations:
         """Return the normal equations at a pose."""
-        measured_m = T_sensor_target.inv().apply(self.measured_m)
-        return NormalEquations(*match_equations(self.model_m, self.normals, measured_m, self.kind, scale_m))
+        measured_m, weighting = T_sensor_target.inv().apply(self.measured_m), (scale_m, outline_weight)
+        return NormalEquations(*match_equations(self.model_m, self.normals, measured_m, self.kind, weighting))
 
     def best_motion(self) -> RigidTransform:
         """Return the pose with the least sum of the pairs' squared distances (Eq. 4; Kabsch's solution)."""
@@ -210,12 +235,13 @@ class ReverseCalibrationIcp:
         if len(pairs) < self._config.min_matches:
             reason = f"{len(pairs)} model points matched, {self._config.min_matches} needed"
             return replace(progress, reason=reason)
-        scale_m = width * self._config.scale_m if self._slides else EQUAL_WEIGHTS_M
-        sums = pairs.equations(T, scale_m)
         if self._slides:
+            scale_m = width * self._config.scale_m
+            sums = pairs.equations(T, scale_m=scale_m, outline_weight=self._config.outline_weight)
             sums += measured_equations(self._target, measured_m, T, scale_m)
             step = sums.step()
         else:
+            sums = pairs.equations(T, scale_m=EQUAL_WEIGHTS_M, outline_weight=1.0)
             step = step_between(T, pairs.best_motion())
         return Progress(
             moved(T, step),
