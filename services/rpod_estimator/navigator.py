@@ -112,7 +112,7 @@ class Navigator:
             return self._acquire(state, event)
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:
-            return state, self._output(state, event, reason="late: older than max_delay_s")
+            return state, self._output(state, event, reason="late: older than the filter reaches back")
         if state.mode == Mode.LOST:
             return self._recover(state, predicted, event)
         return self._track(state, state.history, predicted, event)

@@ -1,0 +1,578 @@
+"""The navigator's transitions, one by one, with methods that say what the test tells them to."""
+
+import pickle
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_estimator.measurement import Measurement, Tick
+from rpod_estimator.navigator import Navigator
+from rpod_estimator.ports import Candidate, Methods, Registration
+from rpod_schemas.config.estimator import EstimatorSettings, NavigatorConfig, PmdInput
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.verification import VerificationConfig
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Mode, Source
+
+SECOND_NS = 1_000_000_000
+START_S = 100.0
+MOUNT = make_pose(rotation=Rotation.from_rotvec([0.0, np.pi / 2, 0.0]), translation_m=[0.1, 0.2, 0.3])
+LIMITS = VerificationConfig(max_cost_m2=0.01, min_explained_share=0.7)
+BAD = "12 pixels with depth, 60 needed"
+
+
+def truth(time_s: float) -> RigidTransform:
+    """Return T_chaser_target: an approach of a slowly turning target."""
+    since_s = time_s - START_S
+    return make_pose(
+        rotation=Rotation.from_rotvec([0.02 * since_s, 0.0, 0.0]),
+        translation_m=[0.0, 0.0, 7.0 - 0.1 * since_s],
+    )
+
+
+def registration(T_sensor_target: RigidTransform, **changes: object) -> Registration:
+    good = Registration(
+        Source.PMD_DEPTH,
+        T_sensor_target=T_sensor_target,
+        cost_m2=0.001,
+        inliers=500,
+        inlier_share=0.9,
+        explained_share=0.9,
+        covariance=np.diag([1e-4] * 3 + [1e-5] * 3),
+    )
+    return replace(good, **changes)
+
+
+def failed() -> Registration:
+    return Registration(Source.PMD_DEPTH, reason=BAD)
+
+
+@dataclass(frozen=True)
+class View:
+    """What a sensor sees at a time, as the methods are to take it."""
+
+    stamp_ns: int
+    tracked: Registration
+    acquired: tuple[Registration, ...] = ()
+    nearby: tuple[Registration, ...] = ()
+
+
+@dataclass
+class Method:
+    """Acquisition and tracker in one. A candidate stands for the registration that it is refined to."""
+
+    asked: list[str] = field(default_factory=list)
+    _refined: dict[int, Registration] = field(default_factory=dict)
+
+    def acquire(self, view: View) -> list[Candidate]:
+        self.asked.append("acquire")
+        return self._candidates(view.acquired)
+
+    def near(self, view: View, _: RigidTransform) -> list[Candidate]:
+        self.asked.append("near")
+        return self._candidates(view.nearby)
+
+    def track(self, view: View, T_sensor_target: RigidTransform) -> Registration:
+        refined = self._refined.pop(id(T_sensor_target), None)
+        self.asked.append("track" if refined is None else "refine")
+        return view.tracked if refined is None else refined
+
+    def _candidates(self, registrations: tuple[Registration, ...]) -> list[Candidate]:
+        candidates = [Candidate(make_pose(), 0.0) for _ in registrations]
+        self._refined = {
+            id(candidate.T_sensor_target): refined
+            for candidate, refined in zip(candidates, registrations, strict=True)
+        }
+        self._kept = candidates  # so that no id is used twice
+        return candidates
+
+
+@dataclass
+class Rig:
+    """A navigator, its state, and the method behind its one sensor."""
+
+    navigator: Navigator
+    method: Method
+    state: object
+
+    def see(self, view: View):
+        measurement = Measurement("pmd", view, MOUNT)
+        before = pickle.dumps(self.state)
+        self.method.asked.clear()
+        state, output = self.navigator.step(self.state, measurement)
+        assert pickle.dumps(self.state) == before, "a step leaves the state that it is given alone"
+        self.state = state
+        return output
+
+    def tick(self, time_s: float):
+        self.state, output = self.navigator.step(self.state, Tick(round(time_s * SECOND_NS)))
+        return output
+
+    @property
+    def mode(self) -> Mode:
+        return self.state.mode
+
+
+def rig(*, pose=None, filter_config: FilterConfig | None = None, **limits: float) -> Rig:
+    settings = EstimatorSettings(
+        sensors=(PmdInput(verification=LIMITS),),
+        navigator=NavigatorConfig(**limits),
+        filter=filter_config or FilterConfig(),
+    )
+    method = Method()
+    navigator = Navigator(settings, {"pmd": Methods(method, method, LIMITS)})
+    return Rig(navigator, method, navigator.start(pose))
+
+
+def in_sensor(time_s: float) -> RigidTransform:
+    return MOUNT.inv() * truth(time_s)
+
+
+def good(time_s: float, **changes: object) -> View:
+    """Return a view in which every method finds the target."""
+    seen = registration(in_sensor(time_s), **changes)
+    return View(round(time_s * SECOND_NS), tracked=seen, acquired=(seen,), nearby=())
+
+
+def blind(time_s: float) -> View:
+    return View(round(time_s * SECOND_NS), tracked=failed())
+
+
+def untracked(time_s: float) -> View:
+    """Return a view in which only a search over everything finds the target."""
+    return replace(good(time_s), tracked=failed())
+
+
+def wrong(time_s: float, offset_m: float = 2.0) -> View:
+    """Return a view whose registration looks good and lies elsewhere."""
+    pose = in_sensor(time_s)
+    moved_m = pose.translation + np.array([0.0, offset_m, 0.0])
+    moved = make_pose(rotation=pose.rotation, translation_m=moved_m)
+    return View(round(time_s * SECOND_NS), tracked=registration(moved))
+
+
+def tracking(until_s: float = START_S + 1.0, rate_hz: float = 10.0, **limits: float) -> Rig:
+    """Return a rig that tracks since ``START_S``; its last frame is at ``until_s``."""
+    made = rig(**limits)
+    for number in range(round((until_s - START_S) * rate_hz) + 1):
+        made.see(good(START_S + number / rate_hz))
+    assert made.mode == Mode.TRACKING
+    return made
+
+
+def lost(**limits: float) -> Rig:
+    """Return a rig that has fallen silent at ``START_S + 1`` and is lost since 5 s later."""
+    made = tracking(**limits)
+    assert made.tick(START_S + 6.0) is not None
+    return made
+
+
+# --- ACQUIRING ---
+
+
+def test_a_navigator_begins_by_acquiring():
+    made = rig()
+    assert made.mode == Mode.ACQUIRING
+    assert made.tick(START_S) is None
+
+
+def test_a_believed_candidate_is_a_hypothesis_to_verify():
+    made = rig()
+    output = made.see(good(START_S))
+    assert made.mode == output.status.mode == Mode.VERIFYING
+    assert output.status.accepted
+    assert output.odometry is None
+    assert (output.status.sensor, output.status.source) == ("pmd", Source.PMD_DEPTH)
+    assert output.status.inliers == 500
+
+
+def test_without_candidates_the_search_goes_on():
+    made = rig()
+    output = made.see(blind(START_S))
+    assert made.mode == Mode.ACQUIRING
+    assert not output.status.accepted
+    assert output.status.reason == "acquisition found nothing to work on"
+
+
+def test_a_candidate_that_is_not_believed_is_no_hypothesis_and_says_why():
+    made = rig()
+    output = made.see(
+        replace(blind(START_S), acquired=(registration(in_sensor(START_S), cost_m2=0.5), failed()))
+    )
+    assert made.mode == Mode.ACQUIRING
+    assert output.status.reason == "not believed: cost 0.5 m2 above 0.01"
+    assert output.status.cost_m2 == 0.5
+
+
+@pytest.mark.parametrize(
+    ("others", "best"),
+    [
+        ([{"explained_share": 0.8}, {"explained_share": 0.95}, {"explained_share": 0.9}], 1),
+        ([{"cost_m2": 0.004}, {"cost_m2": 0.003}, {"cost_m2": 0.002}], 2),
+        ([{"explained_share": 0.99, "cost_m2": 0.5}, {}, {"explained_share": 0.8}], 1),
+        ([{"explained_share": float("nan")}, {"cost_m2": 0.009}, {"cost_m2": 0.5}], 1),
+    ],
+    ids=["by what they explain", "then by cost", "of those believed", "knowing it is better than not"],
+)
+def test_the_best_believed_candidate_is_taken(others, best):
+    made = rig(candidates=3)
+    acquired = tuple(
+        registration(in_sensor(START_S + number), inliers=100 + number, **changes)
+        for number, changes in enumerate(others)
+    )
+    output = made.see(replace(blind(START_S), acquired=acquired))
+    assert output.status.inliers == 100 + best
+    np.testing.assert_allclose(
+        made.state.history.state.T_chaser_target.as_matrix(), truth(START_S + best).as_matrix(), atol=1e-12
+    )
+
+
+def test_only_as_many_candidates_are_refined_as_configured():
+    made = rig(candidates=2)
+    acquired = (failed(), failed(), registration(in_sensor(START_S)))
+    assert not made.see(replace(blind(START_S), acquired=acquired)).status.accepted
+    assert made.method.asked == ["acquire", "refine", "refine"]
+
+
+# --- VERIFYING ---
+
+
+@pytest.mark.parametrize("confirmations", [0, 1, 3])
+def test_tracking_begins_after_as_many_confirmations_as_configured(confirmations):
+    made = rig(confirmations=confirmations)
+    modes = [made.see(good(START_S + 0.1 * number)).status.mode for number in range(confirmations + 2)]
+    assert modes == [Mode.VERIFYING] * confirmations + [Mode.TRACKING] * 2
+
+
+def test_a_hypothesis_that_the_next_frame_does_not_show_is_dropped():
+    made = rig()
+    made.see(good(START_S))
+    output = made.see(blind(START_S + 0.1))
+    assert made.mode == Mode.ACQUIRING
+    assert output.status.reason == BAD
+    assert output.odometry is None
+    assert made.see(good(START_S + 0.2)).status.mode == Mode.VERIFYING
+
+
+def test_a_hypothesis_that_the_next_frame_contradicts_is_dropped():
+    made = rig()
+    made.see(good(START_S))
+    output = made.see(wrong(START_S + 0.1))
+    assert made.mode == Mode.ACQUIRING
+    assert output.status.reason.startswith("gate: nis")
+    assert output.status.nis > 16.8
+
+
+def test_while_no_twist_is_known_a_prediction_that_does_not_do_is_searched_around():
+    made = rig()
+    made.see(good(START_S))
+    output = made.see(replace(untracked(START_S + 0.1), nearby=(registration(in_sensor(START_S + 0.1)),)))
+    assert made.method.asked == ["track", "near", "refine"]
+    assert output.status.mode == Mode.TRACKING
+
+
+def test_a_frame_from_before_the_hypothesis_is_late():
+    made = rig()
+    made.see(good(START_S))
+    output = made.see(good(START_S - 0.05))
+    assert output.status.reason.startswith("late")
+    assert made.mode == Mode.VERIFYING
+
+
+# --- TRACKING ---
+
+
+def test_tracking_publishes_the_filtered_pose_at_each_frame():
+    made = tracking(START_S + 5.0)
+    output = made.see(good(START_S + 5.1))
+    assert output.status.accepted
+    assert output.odometry.stamp_ns == output.status.stamp_ns == round((START_S + 5.1) * SECOND_NS)
+    assert (output.odometry.frame_id, output.odometry.child_frame_id) == ("chaser", "target_estimate")
+    np.testing.assert_allclose(output.odometry.pose.translation, truth(START_S + 5.1).translation, atol=0.01)
+    np.testing.assert_allclose(output.odometry.linear_m_s, [0.0, 0.0, -0.1], atol=0.03)
+
+
+@pytest.mark.parametrize("view", [blind, wrong], ids=["not believed", "gated"])
+def test_where_a_measurement_is_rejected_the_prediction_is_published_with_the_reason(view):
+    made = tracking(START_S + 5.0)
+    output = made.see(view(START_S + 5.1))
+    assert made.mode == Mode.TRACKING
+    assert not output.status.accepted
+    assert output.status.reason
+    assert output.odometry.stamp_ns == round((START_S + 5.1) * SECOND_NS)
+    np.testing.assert_allclose(output.odometry.pose.translation, truth(START_S + 5.1).translation, atol=0.02)
+
+
+def test_tracking_searches_nothing():
+    made = tracking()
+    made.see(blind(START_S + 1.1))
+    assert made.method.asked == ["track"]
+
+
+def test_a_fast_sensors_rejections_are_a_loss_after_the_time_out():
+    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
+    modes = [made.see(blind(START_S + 1.0 + 0.25 * number)).status.mode for number in range(1, 8)]
+    assert modes == [Mode.TRACKING] * 6 + [Mode.LOST]
+
+
+def test_a_slow_sensors_rejections_are_a_loss_after_their_number():
+    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
+    modes = [made.see(blind(START_S + 1.0 + number)).status.mode for number in range(1, 4)]
+    assert modes == [Mode.TRACKING, Mode.TRACKING, Mode.LOST]
+
+
+def test_an_accepted_measurement_begins_the_count_anew():
+    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
+    for number in (1, 2, 3, 4):
+        view = good if number == 2 else blind
+        made.see(view(START_S + 1.0 + number))
+    assert made.mode == Mode.TRACKING
+    assert made.see(blind(START_S + 6.0)).status.mode == Mode.LOST
+
+
+def test_the_frame_that_loses_the_target_has_no_odometry():
+    made = tracking(rejection_timeout_s=0.5, rejected_frames=1)
+    output = made.see(blind(START_S + 1.6))
+    assert output.status.mode == Mode.LOST
+    assert output.odometry is None
+
+
+def test_silence_is_a_loss_told_once():
+    made = tracking(silence_timeout_s=2.5)
+    assert made.tick(START_S + 3.5) is None
+    output = made.tick(START_S + 3.6)
+    assert made.mode == output.status.mode == Mode.LOST
+    assert output.status.reason == "no measurement for 2.6 s"
+    assert not output.status.accepted
+    assert output.odometry is None
+    assert made.tick(START_S + 4.0) is None
+
+
+def test_rejected_measurements_are_not_silence():
+    made = tracking(silence_timeout_s=2.5, rejected_frames=9)
+    for number in range(1, 5):
+        made.see(blind(START_S + 1.0 + number))
+        assert made.tick(START_S + 1.0 + number + 0.5) is None
+    assert made.mode == Mode.TRACKING
+
+
+@pytest.mark.parametrize("make", [rig, lost])
+def test_time_alone_changes_nothing_while_nothing_is_tracked(make):
+    made = make()
+    state = made.state
+    assert made.tick(START_S + 1000.0) is None
+    assert made.state is state
+
+
+# --- LOST ---
+
+
+def test_a_lost_target_is_first_looked_for_near_the_prediction():
+    made = lost()
+    output = made.see(good(START_S + 6.1))
+    assert made.method.asked == ["track"]
+    assert output.status.mode == Mode.VERIFYING
+    assert made.see(good(START_S + 6.2)).status.mode == Mode.TRACKING
+
+
+def test_the_search_around_the_prediction_comes_next():
+    made = lost()
+    made.see(replace(untracked(START_S + 6.1), nearby=(registration(in_sensor(START_S + 6.1)),)))
+    assert made.method.asked == ["track", "near", "refine"]
+    assert made.mode == Mode.VERIFYING
+
+
+def test_then_it_is_searched_everywhere():
+    made = lost()
+    made.see(untracked(START_S + 6.1))
+    assert made.method.asked == ["track", "near", "acquire", "refine"]
+    assert made.mode == Mode.VERIFYING
+
+
+def test_the_prediction_is_tried_for_a_while_after_the_loss_only():
+    made = lost(near_search_s=3.0)
+    made.see(blind(START_S + 9.0))
+    assert made.method.asked == ["track", "near", "acquire"]
+    made.see(blind(START_S + 9.1))
+    assert made.method.asked == ["acquire"]
+
+
+def test_a_slow_sensors_prediction_is_tried_after_a_loss_by_rejections():
+    made = tracking(rejection_timeout_s=1.5, rejected_frames=3, near_search_s=3.0)
+    for number in (1, 2, 3):
+        made.see(blind(START_S + 1.0 + number))
+    made.see(good(START_S + 5.0))
+    assert made.method.asked == ["track"]
+    assert made.mode == Mode.VERIFYING
+
+
+def test_what_stays_lost_says_why():
+    made = lost()
+    output = made.see(blind(START_S + 6.1))
+    assert made.mode == Mode.LOST
+    assert output.status.reason == "acquisition found nothing to work on"
+    assert output.odometry is None
+
+
+def test_a_recovered_target_is_confirmed_like_a_new_one():
+    made = lost(confirmations=2)
+    modes = [made.see(good(START_S + 6.1 + 0.1 * number)).status.mode for number in range(3)]
+    assert modes == [Mode.VERIFYING, Mode.VERIFYING, Mode.TRACKING]
+
+
+# --- a given pose ---
+
+
+@pytest.mark.parametrize("confirmations", [0, 1, 3])
+def test_a_given_pose_is_tracked_from_the_first_frame_that_agrees(confirmations):
+    made = rig(pose=truth(START_S), confirmations=confirmations)
+    assert made.mode == Mode.VERIFYING
+    output = made.see(good(START_S))
+    assert made.method.asked == ["track"]
+    assert output.status.mode == Mode.TRACKING
+    assert output.odometry is not None
+
+
+@pytest.mark.parametrize("view", [blind, wrong])
+def test_a_given_pose_that_the_first_frame_does_not_show_is_dropped(view):
+    made = rig(pose=truth(START_S))
+    assert made.see(view(START_S)).status.mode == Mode.ACQUIRING
+    assert made.see(good(START_S + 0.1)).status.mode == Mode.VERIFYING
+    assert "acquire" in made.method.asked
+
+
+def test_a_given_pose_is_predicted_from_its_stamp():
+    made = rig()
+    made.state = made.navigator.start(truth(START_S), stamp_ns=round(START_S * SECOND_NS))
+    made.see(good(START_S + 0.5))
+    assert made.mode == Mode.TRACKING
+    assert made.state.history.origin.stamp_ns == round(START_S * SECOND_NS)
+
+
+def test_a_given_pose_of_the_future_holds_for_the_first_frame():
+    made = rig()
+    made.state = made.navigator.start(truth(START_S), stamp_ns=round((START_S + 9.0) * SECOND_NS))
+    assert made.see(good(START_S)).odometry.stamp_ns == round(START_S * SECOND_NS)
+
+
+# --- late measurements ---
+
+
+def test_a_late_measurement_is_applied_at_its_own_stamp():
+    in_turn, late = tracking(START_S + 1.0), tracking(START_S + 1.0)
+    views = [good(START_S + 1.1), good(START_S + 1.2)]
+    for view in views:
+        in_turn.see(view)
+    for view in reversed(views):
+        output = late.see(view)
+    assert output.status.accepted
+    assert output.status.stamp_ns == views[0].stamp_ns
+    assert output.odometry.stamp_ns == views[1].stamp_ns, "the output does not go back"
+    one, other = in_turn.state.history.state, late.state.history.state
+    np.testing.assert_array_equal(one.T_chaser_target.as_matrix(), other.T_chaser_target.as_matrix())
+    np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_the_output_does_not_go_back_behind_a_prediction_that_was_published():
+    made = tracking(START_S + 1.0)
+    shown = made.see(blind(START_S + 1.5)).odometry.stamp_ns
+    output = made.see(good(START_S + 1.2))
+    assert output.status.accepted
+    assert output.odometry.stamp_ns == shown
+
+
+def test_the_output_does_not_go_back_after_a_loss():
+    made = lost(confirmations=0)
+    shown = made.state.shown_ns
+    output = made.see(good(START_S + 0.95))
+    assert output.status.mode == Mode.TRACKING
+    assert output.odometry.stamp_ns == shown
+
+
+def test_a_measurement_that_comes_too_late_is_rejected_and_changes_nothing():
+    made = tracking(START_S + 3.0)
+    history = made.state.history
+    output = made.see(good(START_S + 1.5))
+    assert output.status.reason == "late: older than the filter reaches back"
+    assert made.mode == Mode.TRACKING
+    assert made.state.history is history
+    assert output.odometry.stamp_ns == round((START_S + 3.0) * SECOND_NS)
+
+
+def test_a_late_measurement_may_speak_for_one_that_was_gated_before():
+    """The target sets off between two frames: the second is believed once the first has arrived."""
+    made = tracking(START_S + 1.0)
+    assert not made.see(wrong(START_S + 2.0, offset_m=0.2)).status.accepted
+    assert made.see(wrong(START_S + 1.5, offset_m=0.1)).status.accepted
+    moved_m = made.state.history.state.T_chaser_target.translation - truth(START_S + 2.0).translation
+    np.testing.assert_allclose(moved_m, [0.0, 0.2, 0.0], atol=0.05)
+
+
+# --- frames of reference ---
+
+
+def test_pose_and_covariance_are_turned_into_the_chasers_axes():
+    made = rig(confirmations=0, filter_config=FilterConfig(position_floor_m=0.0, correlation_inflation=1.0))
+    covariance = np.diag([0.01, 0.02, 0.03, 1e-4, 2e-4, 3e-4])
+    output = made.see(
+        replace(blind(START_S), acquired=(registration(in_sensor(START_S), covariance=covariance),))
+    )
+    np.testing.assert_allclose(output.odometry.pose.as_matrix(), truth(START_S).as_matrix(), atol=1e-12)
+    # the sensor's z axis is the chaser's x axis, its x axis the chaser's -z axis
+    np.testing.assert_allclose(np.diag(output.odometry.pose_covariance)[:3], [0.03, 0.02, 0.01], atol=1e-12)
+    assert np.argmax(np.diag(output.odometry.pose_covariance)[3:]) == 0
+
+
+# --- properties ---
+
+EVENTS = st.lists(
+    st.tuples(
+        st.sampled_from(["good", "blind", "wrong", "untracked", "tick"]),
+        st.floats(0.02, 3.0),
+        st.sampled_from([0.0, 0.0, 0.0, 0.03, 0.5, 2.0]),
+    ),
+    max_size=25,
+)
+NEXT = {
+    Mode.ACQUIRING: {Mode.ACQUIRING, Mode.VERIFYING},
+    Mode.VERIFYING: {Mode.VERIFYING, Mode.ACQUIRING, Mode.TRACKING},
+    Mode.TRACKING: {Mode.TRACKING, Mode.LOST},
+    Mode.LOST: {Mode.LOST, Mode.VERIFYING},
+}
+VIEWS = {"good": good, "blind": blind, "wrong": wrong, "untracked": untracked}
+
+
+def played(events) -> list:
+    """Play events, each after a pause and with a delay; return what was put out."""
+    made, now_s, outputs = rig(), START_S, []
+    for kind, pause_s, delay_s in events:
+        now_s += pause_s
+        before = made.mode
+        output = made.tick(now_s) if kind == "tick" else made.see(VIEWS[kind](now_s - delay_s))
+        assert made.mode in NEXT[before]
+        outputs.append(output)
+        if kind != "tick":
+            assert output.status.mode == made.mode
+    return outputs
+
+
+@given(EVENTS)
+def test_whatever_happens_the_outputs_keep_their_promises(events):
+    newest_ns = 0
+    for output in played(events):
+        if output is None:
+            continue
+        assert output.status.accepted == (output.status.reason == "")
+        assert (output.odometry is not None) == (output.status.mode == Mode.TRACKING)
+        if output.odometry is not None:
+            assert output.odometry.stamp_ns >= newest_ns
+            newest_ns = output.odometry.stamp_ns
+
+
+@given(EVENTS)
+def test_the_same_events_give_the_same_outputs(events):
+    assert pickle.dumps(played(events)) == pickle.dumps(played(events))

@@ -1,0 +1,51 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rpod_estimator.ports import Registration
+from rpod_estimator.verification import doubt
+from rpod_schemas.config.verification import VerificationConfig
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Source
+
+LIMITS = VerificationConfig(max_cost_m2=0.01, min_explained_share=0.7, min_inlier_share=0.3, min_inliers=12)
+GOOD = Registration(
+    Source.PMD_DEPTH,
+    T_sensor_target=make_pose(),
+    cost_m2=0.01,
+    inliers=12,
+    inlier_share=0.3,
+    explained_share=0.7,
+    covariance=np.eye(6),
+)
+
+
+def test_a_registration_at_its_limits_is_believed():
+    assert doubt(GOOD, LIMITS) == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cost_m2": 0.0123}, "cost 0.012 m2 above 0.01"),
+        ({"cost_m2": float("nan")}, "cost nan m2 above 0.01"),
+        ({"inliers": 11}, "11 inliers, needs 12"),
+        ({"inlier_share": 0.29}, "inlier share 0.29 below 0.30"),
+        ({"explained_share": 0.654}, "explained share 0.65 below 0.70"),
+        ({"covariance": np.full((6, 6), np.nan)}, "no covariance"),
+        ({"T_sensor_target": None, "reason": "3 inliers, 12 needed"}, "3 inliers, 12 needed"),
+        ({"T_sensor_target": None, "reason": ""}, "no pose"),
+    ],
+)
+def test_a_doubt_is_told_in_words(changes, words):
+    assert doubt(replace(GOOD, **changes), LIMITS) == words
+
+
+@pytest.mark.parametrize("unknown", ["inlier_share", "explained_share"])
+def test_a_share_that_the_method_does_not_know_is_not_asked(unknown):
+    assert doubt(replace(GOOD, **{unknown: float("nan")}), LIMITS) == ""
+
+
+def test_the_first_of_several_doubts_is_told():
+    assert doubt(replace(GOOD, cost_m2=1.0, inliers=0), LIMITS).startswith("cost")
