@@ -43,15 +43,16 @@ class OnlineTemplateMatching:
 
         Empty where the scan has too few returns, or where no template has any.
         """
-        return self._matched(measurement, self._attitudes)
+        return self._matched(measurement, self._attitudes, self._config.distinct_deg)
 
     def near(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> list[Candidate]:
-        """Return the candidates among the templates within ``near_deg`` of an attitude."""
+        """Return the candidates among the templates within ``near_deg`` of an attitude, neighbours too."""
         away_rad = (T_sensor_target.rotation.inv() * self._attitudes).magnitude()
         close = np.flatnonzero(away_rad <= radians(self._config.near_deg))
-        return self._matched(measurement, self._attitudes[close]) if close.size else []
+        distinct_deg = self._config.step_deg / 2.0
+        return self._matched(measurement, self._attitudes[close], distinct_deg) if close.size else []
 
-    def _matched(self, measurement: LidarScan, attitudes: Rotation) -> list[Candidate]:
+    def _matched(self, measurement: LidarScan, attitudes: Rotation, distinct_deg: float) -> list[Candidate]:
         config = self._config
         points_m = measurement.returns_m.astype(np.float64)
         if len(points_m) < config.min_points:
@@ -69,7 +70,7 @@ class OnlineTemplateMatching:
             costs_m2[index] = mean_squared_distance(centred_m, template_m - template_m.mean(axis=0))
         if config.centroid_offset:
             poses = RigidTransform.from_components(centroid_m - offsets_m, attitudes)
-        best = self._best_distinct(costs_m2, attitudes)
+        best = self._best_distinct(costs_m2, attitudes, distinct_deg)
         return [Candidate(poses[index], float(costs_m2[index])) for index in best]
 
     def _template_m(self, T_sensor_target: RigidTransform, hits: Hits) -> FloatArray:
@@ -83,10 +84,10 @@ class OnlineTemplateMatching:
         """Return whether the template is spread about the boresight unlike the scan (Eq. 3)."""
         return abs(spread_m - boresight_distance_m(template_m)) > self._config.tau * spread_m
 
-    def _best_distinct(self, costs_m2: FloatArray, attitudes: Rotation) -> list[int]:
+    def _best_distinct(self, costs_m2: FloatArray, attitudes: Rotation, distinct_deg: float) -> list[int]:
         """Return indices of templates, cheapest first, passing over those close to a cheaper one."""
         quaternions = attitudes.as_quat()
-        alike = np.cos(radians(self._config.distinct_deg) / 2.0)
+        alike = np.cos(radians(distinct_deg) / 2.0)
         chosen: list[int] = []
         for index in np.argsort(costs_m2, kind="stable"):
             if len(chosen) == self._config.candidates or not np.isfinite(costs_m2[index]):

@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rpod_estimator.tracking.closest_point import Surface, on_triangle
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def random_surface(random, triangles=30):
+    triangles_m = random.normal(size=(triangles, 1, 3)) + random.normal(scale=0.6, size=(triangles, 3, 3))
+    normals = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
+    return Surface.of(triangles_m, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+@settings(deadline=None)
+@given(SEEDS)
+def test_no_point_of_a_triangle_is_closer_than_the_one_found(seed):
+    random = np.random.default_rng(seed)
+    triangle, p = random.normal(size=(3, 3)), random.normal(scale=2.0, size=3)
+    found = np.array(on_triangle(p, triangle))
+    others = random.dirichlet((0.5, 0.5, 0.5), size=300) @ triangle
+    assert np.linalg.norm(found - p) <= np.linalg.norm(others - p, axis=1).min() + 1e-12
+    weights = np.linalg.lstsq(np.vstack((triangle.T, np.ones(3))), np.append(found, 1.0), rcond=None)[0]
+    assert weights @ triangle == pytest.approx(found, abs=1e-6)
+    assert weights.min() > -1e-6
+
+
+@pytest.mark.parametrize(
+    ("point", "closest"),
+    [
+        ((0.2, 0.2, 1.0), (0.2, 0.2, 0.0)),
+        ((0.5, -2.0, 0.0), (0.5, 0.0, 0.0)),
+        ((-1.0, 0.5, 0.0), (0.0, 0.5, 0.0)),
+        ((1.0, 1.0, 0.0), (0.5, 0.5, 0.0)),
+        ((-1.0, -1.0, 0.0), (0.0, 0.0, 0.0)),
+        ((3.0, -1.0, 0.0), (1.0, 0.0, 0.0)),
+        ((-1.0, 3.0, 0.0), (0.0, 1.0, 0.0)),
+    ],
+)
+def test_inside_edges_and_corners_are_told_apart(point, closest):
+    triangle = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    assert on_triangle(np.array(point), triangle) == pytest.approx(closest)
+
+
+@settings(deadline=None)
+@given(SEEDS)
+def test_pruning_and_a_wrong_first_guess_change_nothing(seed):
+    random = np.random.default_rng(seed)
+    surface, points_m = random_surface(random), random.normal(scale=2.0, size=(20, 3))
+    usable = random.random(30) < 0.7
+    usable[3] = True
+    nearest = random.integers(0, 30, size=20).astype(np.int32)
+    closest_m = surface.closest(points_m, usable, nearest)
+    every = [[on_triangle(p, triangle) for triangle in surface.triangles_m[usable]] for p in points_m]
+    expected_m = np.linalg.norm(np.array(every) - points_m[:, None], axis=2).min(axis=1)
+    assert np.linalg.norm(closest_m - points_m, axis=1) == pytest.approx(expected_m)
+    assert usable[nearest].all()
+    own = [on_triangle(p, surface.triangles_m[k]) for p, k in zip(points_m, nearest, strict=True)]
+    assert closest_m == pytest.approx(np.array(own))
+
+
+def test_a_face_is_seen_from_its_outer_side_only():
+    triangles_m = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
+    surface = Surface.of(triangles_m, np.array([[0.0, 0.0, 1.0]]))
+    assert surface.facing(np.array([5.0, 5.0, 1.0])).tolist() == [True]
+    assert surface.facing(np.array([0.2, 0.2, -1.0])).tolist() == [False]
