@@ -67,7 +67,7 @@ def play(scenario: Scenario, folder: RunFolder, *, speed: Speed, progress: Progr
         InterruptedRunError: the operator ended the run; the log is closed all the same.
     """
     facility = configure(scenario, directory=folder.directory, speed=speed)
-    with _interruptible() as interrupted, Supervisor(folder.directory) as services:
+    with _interruptible() as interrupted, Supervisor(folder.directory, progress.say) as services:
         services.start("router", facility.router)
         _start_listeners_first(services, facility)
         with _client(services, facility, interrupted) as node:
@@ -76,7 +76,6 @@ def play(scenario: Scenario, folder: RunFolder, *, speed: Speed, progress: Progr
             _start(node, scenario, speed)
             _await_end(node, services, interrupted, progress)
             for verb in facility.services:
-                progress.say(f"stopping {verb}")
                 services.stop(verb)
         services.stop("router")
 

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -40,7 +41,8 @@ class Supervisor:
     On leaving by ``KeyboardInterrupt`` nobody is waited for.
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, say: Callable[[str], None]) -> None:
+        self._say = say
         self._configurations = directory / "config"
         self._logs = directory / "logs"
         self._services: dict[str, _Service] = {}
@@ -85,6 +87,7 @@ class Supervisor:
             ServiceDiedError: it ended with an error. A service that is asked while it still starts
                 knows no signals yet and ends by this one: that is no error.
         """
+        self._say(f"stopping {verb}")
         service = self._services.pop(verb)
         process = service.process
         process.terminate()

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
-from scipy.stats import chi2
 
 from rpod_analysis.run import Run
 from rpod_analysis.score import NEES_95, BoolArray, IntArray
@@ -133,10 +132,9 @@ def histogram_figure(run: Run) -> go.Figure:
 
 def _chi_squared(figure: go.Figure, *, col: int) -> None:
     x = np.linspace(0.0, 3.0 * NEES_95, 200)
+    density = x**2 * np.exp(-x / 2) / 16  # six degrees of freedom; scipy.stats takes half a second to import
     line = {"color": QUIET, "width": 2}
-    figure.add_trace(
-        go.Scatter(x=x, y=chi2.pdf(x, 6), mode="lines", line=line, hoverinfo="skip"), row=1, col=col
-    )
+    figure.add_trace(go.Scatter(x=x, y=density, mode="lines", line=line, hoverinfo="skip"), row=1, col=col)
     _limit(figure, "x", NEES_95, QUIET, row=1, col=col)
 
 
