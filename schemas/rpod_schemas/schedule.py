@@ -5,6 +5,7 @@ A frame's number is ``round((stamp - epoch) * rate)`` (ICD section 4).
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import floor
 
 from rpod_schemas.config.emulator import SensorConfig
 from rpod_schemas.messages import NANOSECONDS
@@ -27,11 +28,20 @@ def frame_at(sensor: SensorConfig, number: int, *, epoch_ns: int) -> DueFrame:
     return DueFrame(stamp_ns, sensor.name, number, stamp_ns + round(sensor.latency_s * NANOSECONDS))
 
 
+def last_number(sensor: SensorConfig, until_ns: int, *, epoch_ns: int) -> int:
+    """Return the number of a sensor's last frame whose stamp is not beyond a time; 0 is the epoch's."""
+    number = floor((until_ns - epoch_ns) * sensor.rate_hz / NANOSECONDS) + 1  # rounded, one too many at most
+    while frame_at(sensor, number, epoch_ns=epoch_ns).stamp_ns > until_ns:
+        number -= 1
+    return number
+
+
 def due_frames(sensors: Sequence[SensorConfig], *, epoch_ns: int, duration_s: float) -> Iterator[DueFrame]:
     """Yield all frames with stamps in (epoch, epoch + duration], in order."""
+    until_ns = epoch_ns + round(duration_s * NANOSECONDS)
     frames = [
         frame_at(sensor, number, epoch_ns=epoch_ns)
         for sensor in sensors
-        for number in range(1, int(duration_s * sensor.rate_hz + 1e-9) + 1)
+        for number in range(1, last_number(sensor, until_ns, epoch_ns=epoch_ns) + 1)
     ]
     yield from sorted(frames)

@@ -1,6 +1,7 @@
 """One emulated sensor from pose to messages: a channel for each kind, alike to the daemon."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -31,12 +32,11 @@ class Channel(Protocol):
 
     def emulate(
         self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
-    ) -> None:
-        """Make a frame from T_sensor_target at the sensor's pose times; the sun in chaser axes."""
-        ...
+    ) -> Callable[[], None]:
+        """Make a frame from T_sensor_target at the sensor's pose times; the sun in chaser axes.
 
-    def publish(self) -> None:
-        """Publish the frame that was made last."""
+        Returns what publishes it.
+        """
         ...
 
 
@@ -54,7 +54,7 @@ class PmdChannel:
 
     def emulate(
         self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
-    ) -> None:
+    ) -> Callable[[], None]:
         """Expose, and lose what the fault takes: depth always, the amplitude only in a blackout."""
         sun = self.sensor.T_chaser_sensor.rotation.inv().apply(sun_W_m2)
         exposure = self._emulator.expose(poses, sun_W_m2=sun, frame=frame.number)
@@ -63,18 +63,15 @@ class PmdChannel:
         if lost is not None:
             depth_m = np.where(lost, np.float32(np.nan), depth_m)
             amplitude = np.zeros_like(amplitude) if fault == "blackout" else amplitude
-        self._samples = exposure.samples if self._with_samples else None
-        self._frame = PmdFrame(
+        exposed = PmdFrame(
             stamp_ns=frame.stamp_ns,
             frame_id=optical_frame(self.sensor.name),
             depth_m=depth_m,
             amplitude=amplitude,
             camera=self.sensor.camera,
         )
-
-    def publish(self) -> None:
-        """Publish depth, amplitude and camera_info under one stamp."""
-        self._publisher.publish(self._frame, samples=self._samples)
+        samples = exposure.samples if self._with_samples else None
+        return partial(self._publisher.publish, exposed, samples=samples)
 
 
 class LidarChannel:
@@ -94,24 +91,21 @@ class LidarChannel:
         sun_W_m2: FloatArray,  # noqa: ARG002 - the detector's background is in its own configuration
         frame: DueFrame,
         fault: Kind | None,
-    ) -> None:
+    ) -> Callable[[], None]:
         """Scan, and lose what the fault takes."""
         returns = self._emulator.scan(poses, frame=frame.number)
         points_m = returns.points_m
         lost = lost_cells(fault, points_m.shape[:2], seed=self._seed, number=frame.number)
         if lost is not None:
             points_m = np.where(lost[..., None], np.float32(np.nan), points_m)
-        self._scan = LidarScan(
+        scan = LidarScan(
             stamp_ns=frame.stamp_ns,
             frame_id=self.sensor.name,
             points_m=points_m,
             intensity=returns.intensity,
             time_s=returns.time_s,
         )
-
-    def publish(self) -> None:
-        """Publish the scan."""
-        self._publisher.publish(self._scan)
+        return partial(self._publisher.publish, scan)
 
 
 def open_channel(node: Node, config: EmulatorConfig, sensor: SensorConfig, target: Target) -> Channel:

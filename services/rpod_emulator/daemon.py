@@ -2,6 +2,9 @@
 
 import logging
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
 from threading import Event
 
 import numpy as np
@@ -10,12 +13,13 @@ from rpod_emulator.channels import Channel, open_channel
 from rpod_emulator.errors import TruthGapError
 from rpod_emulator.faults import Fault, Faults
 from rpod_emulator.truth_buffer import TruthBuffer
-from rpod_runtime import Inbox, Node
+from rpod_runtime import Inbox, Node, Received
+from rpod_runtime.errors import RefusedError
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.control import Accepted, FaultRequest, StartRequest
-from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_vector_stamped
-from rpod_schemas.schedule import DueFrame, frame_at
+from rpod_schemas.schedule import DueFrame, frame_at, last_number
 from rpod_schemas.topics import SUN, TRUTH
 from rpod_schemas.types import Health
 from rpod_target import load_target
@@ -34,50 +38,83 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
         emulator = Emulator(node, config, sorted(channels, key=lambda channel: channel.sensor.name))
         node.ready(f"emulating {', '.join(channel.sensor.name for channel in channels)} of {target.name}")
         while not stop.is_set():
-            emulator.take_messages(_WAIT_S)
+            emulator.take_messages()
             for channel, frame in emulator.due():
                 emulator.make(channel, frame)
+            emulator.publish_made()
+
+
+@dataclass(frozen=True)
+class _Made:
+    """A frame that waits until a real sensor would hand it out."""
+
+    frame: DueFrame
+    publish: Callable[[], None]
 
 
 class Emulator:
-    """The state between the frames: truth, sun, the next frame of each sensor."""
+    """The state between the frames: truth, sun, the next frame of each sensor, frames made ahead."""
 
     def __init__(self, node: Node, config: EmulatorConfig, channels: list[Channel]) -> None:
         self._node, self._config = node, config
+        self._by_wall = config.time_source == "wall"
         self._channels = channels
-        self._next = {channel.sensor.name: 1 for channel in channels}
-        self._truth = TruthBuffer()
         self._faults = Faults()
         self._sun_W_m2 = np.zeros(3)
         self._inbox = Inbox()
-        self._epoch_ns = config.epoch_ns
+        self._starts: SimpleQueue[StartRequest] = SimpleQueue()
+        self._begin(config.epoch_ns)
         node.serve("fault", FaultRequest, self._plan_fault)
-        node.serve("start", StartRequest, self._start)
+        node.serve("start", StartRequest, self._ask_to_start)
         node.subscribe(TRUTH, self._inbox.put, recover=True, history=True)
         node.subscribe(SUN, self._inbox.put)
 
-    def _start(self, request: StartRequest) -> Accepted:
-        self._epoch_ns = request.epoch_ns
+    def _begin(self, epoch_ns: int | None) -> None:
+        self._epoch_ns = epoch_ns
+        self._next = {channel.sensor.name: 1 for channel in self._channels}
+        self._truth = TruthBuffer()
+        self._made: list[_Made] = []
+        self._in_gap = False
+
+    def _ask_to_start(self, request: StartRequest) -> Accepted:
+        self._starts.put(request)
         return Accepted()
 
     def _plan_fault(self, request: FaultRequest) -> Accepted:
+        if request.fault == "silence" and not self._by_wall:
+            raise RefusedError("lockstep waits for every frame: ask for a blackout instead of silence")
         start_ns = max(self._truth.last_ns, 0) + round(request.start_s * NANOSECONDS)
         self._faults.add(Fault(request.fault, start_ns, start_ns + round(request.duration_s * NANOSECONDS)))
         return Accepted()
 
-    def take_messages(self, wait_s: float) -> None:
-        """Take in all truth and sun that arrived; wait for the first of it."""
-        for received in self._inbox.wait(wait_s):
+    def take_messages(self) -> None:
+        """Take in all truth and sun that arrived; wait for the first of it, or for a frame to publish."""
+        self._take_starts()
+        for received in self._inbox.wait(self._spare_s()):
             try:
-                if received.topic == SUN:
-                    _, self._sun_W_m2 = read_vector_stamped(received.decode())
-                elif not self._truth.add(received):
-                    raise MessageRejectedError(Reason.LATE, "truth older than the last")
+                self._take(received)
             except MessageRejectedError as error:
                 self._node.reject(received.topic.name, error)
         self._node.health.put("overflowed/inbox", self._inbox.overflowed)
         if self._epoch_ns is None and not self._config.await_start:
             self._epoch_ns = self._truth.first_ns
+
+    def _take_starts(self) -> None:
+        while True:
+            try:
+                self._begin(self._starts.get_nowait().epoch_ns)
+            except Empty:
+                return
+
+    def _take(self, received: Received) -> None:
+        if received.topic == SUN:
+            _, self._sun_W_m2 = read_vector_stamped(received.decode())
+        else:
+            self._truth.add(received, latest_ns=received.arrival_ns if self._by_wall else None)
+
+    def _spare_s(self) -> float:
+        ahead_s = [(made.frame.available_ns - time.time_ns()) / NANOSECONDS for made in self._made]
+        return max(0.0, min([_WAIT_S, *ahead_s]))
 
     def due(self) -> list[tuple[Channel, DueFrame]]:
         """Return the frames whose exposure the truth covers, in order of stamp and sensor's name.
@@ -86,28 +123,27 @@ class Emulator:
         """
         if self._epoch_ns is None:
             return []
-        due: list[tuple[Channel, DueFrame]] = []
-        for channel in self._channels:
-            frames = self._covered(channel, self._epoch_ns)
-            if frames and self._config.time_source == "wall":
-                self._node.health.count(f"skipped/{channel.sensor.name}", len(frames) - 1)
-                frames = frames[-1:]
-            due += [(channel, frame) for frame in frames]
+        due = [
+            (channel, frame)
+            for channel in self._channels
+            for frame in self._covered(channel, epoch_ns=self._epoch_ns)
+        ]
         return sorted(due, key=lambda item: item[1])
 
-    def _covered(self, channel: Channel, epoch_ns: int) -> list[DueFrame]:
+    def _covered(self, channel: Channel, *, epoch_ns: int) -> list[DueFrame]:
         sensor = channel.sensor
-        after_ns = round(max(sensor.pose_times_s()) * NANOSECONDS)
-        frames: list[DueFrame] = []
-        while True:
-            frame = frame_at(sensor, self._next[sensor.name], epoch_ns=epoch_ns)
-            if frame.stamp_ns + after_ns > self._truth.last_ns:
-                return frames
-            frames.append(frame)
-            self._next[sensor.name] += 1
+        covered_ns = self._truth.last_ns - round(max(sensor.pose_times_s()) * NANOSECONDS)
+        first, last = self._next[sensor.name], last_number(sensor, covered_ns, epoch_ns=epoch_ns)
+        if last < first:
+            return []
+        self._next[sensor.name] = last + 1
+        if self._by_wall:
+            self._node.health.count(f"skipped/{sensor.name}", last - first)
+            first = last
+        return [frame_at(sensor, number, epoch_ns=epoch_ns) for number in range(first, last + 1)]
 
     def make(self, channel: Channel, frame: DueFrame) -> None:
-        """Emulate and publish one frame; where the truth has a gap, count it and go on."""
+        """Emulate one frame; where the truth has a gap, count it and go on."""
         fault = self._faults.at(frame.stamp_ns)
         if fault == "silence":
             self._node.health.count(f"silenced/{frame.sensor}")
@@ -120,13 +156,25 @@ class Emulator:
             ]
         except (TruthGapError, MessageRejectedError) as error:
             self._node.health.count(f"truth_gap/{frame.sensor}")
-            self._node.health.report(Health.WARN, str(error))
-            log.warning("no frame %d of %s: %s", frame.number, frame.sensor, error)
+            self._node.health.report(Health.WARN, "frames are left out where the truth has gaps")
+            if not self._in_gap:
+                log.warning("no frame %d of %s: %s", frame.number, frame.sensor, error)
+            self._in_gap = True
             return
+        self._in_gap = False
         started_s = time.perf_counter()
-        channel.emulate(poses, self._sun_W_m2, frame, fault)
+        self._made.append(_Made(frame, channel.emulate(poses, self._sun_W_m2, frame, fault)))
         self._node.health.put(f"emulation_us/{frame.sensor}", round(1e6 * (time.perf_counter() - started_s)))
-        if self._config.time_source == "wall":
-            self._node.stop.wait(max(0.0, (frame.available_ns - time.time_ns()) / NANOSECONDS))
-        channel.publish()
-        self._node.health.count(f"frames/{frame.sensor}")
+        self._node.health.report(Health.OK, "emulating")
+
+    def publish_made(self) -> None:
+        """Publish the frames that a real sensor would have handed out by now; all of them in lockstep."""
+        now_ns = time.time_ns()
+        waiting = []
+        for made in self._made:
+            if self._by_wall and made.frame.available_ns > now_ns:
+                waiting.append(made)
+                continue
+            made.publish()
+            self._node.health.count(f"frames/{made.frame.sensor}")
+        self._made = waiting

@@ -9,11 +9,14 @@ from scipy.spatial.transform import RigidTransform
 from rpod_emulator.errors import TruthGapError
 from rpod_runtime import Received
 from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS, read_pose
 from rpod_schemas.poses import between
 
 MAX_GAP_S = 0.008
 """Two samples of truth further apart than this leave what is between them unknown (ICD section 1)."""
+
+_MAX_AHEAD_NS = NANOSECONDS
 
 
 @dataclass
@@ -34,17 +37,24 @@ class TruthBuffer:
         """Stamp of the newest sample; -1 where there is none."""
         return self._stamps_ns[-1] if self._stamps_ns else -1
 
-    def add(self, received: Received) -> bool:
-        """Take a message; return False where its stamp is not newer than the last one's."""
+    def add(self, received: Received, *, latest_ns: int | None = None) -> None:
+        """Take a message.
+
+        Raises:
+            MessageRejectedError: its stamp is not newer than the last one's, or beyond the latest by more
+                than a second: such a stamp would make all that follow it old.
+        """
         stamp_ns = peek_stamp(received.payload)
         if stamp_ns <= self.last_ns:
-            return False
+            raise MessageRejectedError(Reason.LATE, f"truth of {stamp_ns} ns after that of {self.last_ns} ns")
+        if latest_ns is not None and stamp_ns > latest_ns + _MAX_AHEAD_NS:
+            ahead_s = (stamp_ns - latest_ns) / NANOSECONDS
+            raise MessageRejectedError(Reason.FUTURE, f"truth {ahead_s:.3f} s ahead of its arrival")
         self._stamps_ns.append(stamp_ns)
         self._messages.append(received)
         while stamp_ns - self._stamps_ns[0] > self.keep_s * NANOSECONDS:
             self._stamps_ns.popleft()
             self._messages.popleft()
-        return True
 
     def pose(self, stamp_ns: int) -> RigidTransform:
         """Return T_chaser_target at a stamp: linear in position, spherical in attitude.

@@ -9,6 +9,7 @@ from rpod_motion.lockstep import Lockstep
 from rpod_motion.motion import build_motion
 from rpod_motion.truth import TruthPublisher
 from rpod_runtime import Node
+from rpod_runtime.errors import RefusedError
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import Accepted, StartRequest
 from rpod_schemas.messages import NANOSECONDS
@@ -64,6 +65,8 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
     requests: list[StartRequest] = []
 
     def start(request: StartRequest) -> Accepted:
+        if requests:
+            raise RefusedError("already started; a motion plays once, start another for the next run")
         requests.append(request)
         started.set()
         return Accepted()

@@ -1,0 +1,69 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.schedule import due_frames, frame_at, last_number
+
+EPOCH_NS = 1_767_225_600_000_000_000
+SECOND_NS = 1_000_000_000
+RATES_HZ = st.one_of(st.floats(0.1, 15.0), st.sampled_from([1.0, 3.0, 7.0, 10.0, 12.5, 15.0]))
+NUMBERS = st.integers(-1000, 10**6)
+
+
+def pmd(rate_hz: float, name: str = "pmd") -> PmdConfig:
+    return PmdConfig(name=name, rate_hz=rate_hz)
+
+
+@given(RATES_HZ, NUMBERS)
+def test_the_number_of_a_frame_is_its_time_from_the_epoch_times_the_rate(rate_hz, number):
+    frame = frame_at(pmd(rate_hz), number, epoch_ns=EPOCH_NS)
+    assert round((frame.stamp_ns - EPOCH_NS) * rate_hz / SECOND_NS) == frame.number == number
+
+
+@given(RATES_HZ, NUMBERS, st.integers(0, 10**10))
+def test_the_last_frame_up_to_a_time_is_not_beyond_it_and_the_next_one_is(rate_hz, number, after_ns):
+    sensor = pmd(rate_hz)
+    until_ns = frame_at(sensor, number, epoch_ns=EPOCH_NS).stamp_ns + after_ns
+    last = last_number(sensor, until_ns, epoch_ns=EPOCH_NS)
+    assert frame_at(sensor, last, epoch_ns=EPOCH_NS).stamp_ns <= until_ns
+    assert frame_at(sensor, last + 1, epoch_ns=EPOCH_NS).stamp_ns > until_ns
+
+
+@given(RATES_HZ, NUMBERS)
+def test_a_frame_is_the_last_one_up_to_its_own_stamp(rate_hz, number):
+    sensor = pmd(rate_hz)
+    stamp_ns = frame_at(sensor, number, epoch_ns=EPOCH_NS).stamp_ns
+    assert last_number(sensor, stamp_ns, epoch_ns=EPOCH_NS) == number
+    assert last_number(sensor, stamp_ns - 1, epoch_ns=EPOCH_NS) == number - 1
+
+
+def test_frames_are_due_in_order_of_stamp_and_then_of_the_sensors_name():
+    sensors = [pmd(2.0, "side"), pmd(2.0, "front"), LidarConfig()]
+    due = list(due_frames(sensors, epoch_ns=EPOCH_NS, duration_s=1.0))
+    assert [((frame.stamp_ns - EPOCH_NS) / SECOND_NS, frame.sensor) for frame in due] == [
+        (0.5, "front"),
+        (0.5, "side"),
+        (1.0, "front"),
+        (1.0, "lidar"),
+        (1.0, "side"),
+    ]
+
+
+def test_the_first_frame_comes_after_the_epoch_and_the_last_at_the_end():
+    due = list(due_frames([pmd(15.0)], epoch_ns=EPOCH_NS, duration_s=20.0))
+    assert [frame.number for frame in due] == list(range(1, 301))
+    assert due[-1].stamp_ns == EPOCH_NS + 20 * SECOND_NS
+
+
+@pytest.mark.parametrize("duration_s", [0.05, 1e-9])
+def test_a_scenario_shorter_than_a_period_has_no_frame(duration_s):
+    assert list(due_frames([pmd(15.0)], epoch_ns=EPOCH_NS, duration_s=duration_s)) == []
+
+
+@pytest.mark.parametrize("sensor", [PmdConfig(), LidarConfig()])
+def test_a_frame_is_handed_out_after_exposure_or_scan_and_readout(sensor):
+    frame = frame_at(sensor, 5, epoch_ns=EPOCH_NS)
+    assert frame.available_ns - frame.stamp_ns == round(sensor.latency_s * SECOND_NS)
+    assert sensor.latency_s > max(sensor.pose_times_s())
