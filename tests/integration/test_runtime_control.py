@@ -1,0 +1,282 @@
+"""The control plane, and how a node finds its router, or says that there is none."""
+
+import json
+import logging
+from threading import Event, Thread
+from time import monotonic
+
+import pytest
+from live_bus import TIMEOUT_S, router
+
+from rpod_runtime import NoRouterError, QueryFailedError
+from rpod_runtime.errors import EndpointError, LockstepError, RefusedError
+from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, run
+from rpod_runtime.node import Node
+from rpod_runtime.session import free_endpoint, open_client, open_router
+from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
+from rpod_schemas.control import Accepted, Empty, ErrorReply, FaultRequest, LogReply, StatusReply
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.topics import Namespace
+
+KEYS = Namespace()
+
+
+def config(endpoint: str, **bus: object) -> ServiceConfig:
+    return ServiceConfig(instance="late", bus=BusConfig(connect=endpoint, **bus))
+
+
+# --- queries ---
+
+
+def test_a_service_says_what_it_is(bus):
+    server, asker = bus.node("server"), bus.node("asker")
+    server.health.count("frames/pmd", 3)
+    server.target_digest = "abc"
+    server.ready("at work")
+    status = asker.ask("server", "status", StatusReply)
+    assert (status.name, status.version, status.state) == ("server", "test", "ready")
+    assert status.counters["frames/pmd"] == 3
+    assert status.configuration["bus"]["connect"] == bus.endpoint
+    assert status.target_digest == "abc"
+
+
+def test_every_service_can_be_asked_at_once(bus):
+    for instance in ("one", "two", "three"):
+        bus.node(instance)
+    names = {status.name for status in bus.node("asker").ask_all("status", StatusReply)}
+    assert names == {"one", "two", "three", "asker"}
+
+
+def test_who_answers_all_answers_on_its_own_key(bus):
+    bus.node("one")
+    with open_client(bus.config) as session:
+        replies = session.get(KEYS.control("*", "status"), timeout=2.0)
+        assert [str(reply.ok.key_expr) for reply in replies if reply.ok] == [KEYS.control("one", "status")]
+
+
+def test_a_service_ends_when_it_is_told_to(bus):
+    server = bus.node("server")
+    assert bus.node("asker").ask("server", "shutdown", Accepted).accepted
+    assert server.stop.wait(TIMEOUT_S)
+
+
+@pytest.mark.parametrize(("instance", "verb"), [("server", "dance"), ("nobody", "status")])
+def test_a_verb_that_nobody_answers_fails_and_names_the_key(bus, instance, verb):
+    bus.node("server")
+    with pytest.raises(QueryFailedError, match=f"^0/rpod/{instance}/{verb}: no answer"):
+        bus.node("asker").ask(instance, verb, Accepted, timeout_s=0.2)
+
+
+def test_a_handler_that_takes_too_long_is_no_answer(bus):
+    release = Event()
+
+    def wait(_: Empty) -> Accepted:
+        release.wait(TIMEOUT_S)
+        return Accepted()
+
+    bus.node("server").serve("wait", Empty, wait)
+    try:
+        with pytest.raises(QueryFailedError, match=r"^0/rpod/server/wait: "):
+            bus.node("asker").ask("server", "wait", Accepted, timeout_s=0.2)
+    finally:
+        release.set()
+
+
+@pytest.mark.parametrize(
+    ("payload", "field"),
+    [
+        (b"{", "request"),
+        (b"", "fault"),
+        (b"[]", "request"),
+        (b'{"fault": "fire", "duration_s": 1}', "fault"),
+        (b'{"fault": "dropout", "duration_s": -1}', "duration_s"),
+        (b'{"fault": "dropout", "duration_s": 1, "extra": 1}', "extra"),
+        (b"\xff\xfe", "request"),
+    ],
+)
+def test_a_request_that_is_none_is_refused_and_the_field_named(bus, payload, field):
+    bus.node("server").serve("fault", FaultRequest, lambda _: Accepted())
+    with open_client(bus.config) as session:
+        replies = list(session.get(KEYS.control("server", "fault"), payload=payload, timeout=2.0))
+    (reply,) = [
+        ErrorReply.model_validate_json(reply.err.payload.to_bytes()) for reply in replies if reply.err
+    ]
+    assert reply.error == "BadRequest"
+    assert reply.message.startswith(f"{field}: ")
+
+
+@pytest.mark.parametrize(
+    ("error", "text", "logged"),
+    [
+        (RefusedError("no log is open"), "RefusedError: no log is open", False),
+        (ConfigurationError("reset", "frame_id", "'x'"), "ConfigurationError: reset: frame_id: 'x'", False),
+        (ZeroDivisionError("by zero"), "ZeroDivisionError: by zero", True),
+    ],
+)
+def test_what_a_handler_raises_is_the_answer_and_the_service_goes_on(bus, caplog, error, text, logged):
+    def fail(_: Empty) -> Accepted:
+        raise error
+
+    bus.node("server").serve("fail", Empty, fail)
+    asker = bus.node("asker")
+    with caplog.at_level(logging.ERROR):
+        for _ in range(2):
+            with pytest.raises(QueryFailedError) as failed:
+                asker.ask("server", "fail", Accepted)
+            assert str(failed.value) == f"0/rpod/server/fail: {text}"
+    assert bool(caplog.records) is logged
+
+
+def test_an_answer_of_another_kind_is_a_failed_query(bus):
+    bus.node("server")
+    with pytest.raises(QueryFailedError, match="answered with no LogReply"):
+        bus.node("asker").ask("server", "status", LogReply)
+
+
+def test_requests_and_replies_are_json(bus):
+    bus.node("server")
+    with open_client(bus.config) as session:
+        (reply,) = session.get(KEYS.control("server", "status"), timeout=2.0)
+        assert json.loads(reply.ok.payload.to_bytes())["name"] == "server"
+
+
+# --- the router ---
+
+
+def test_without_a_router_a_node_says_so_and_what_to_do():
+    endpoint = free_endpoint()
+    with pytest.raises(NoRouterError) as error:
+        Node(config(endpoint, connect_timeout_s=0.1), version="test").__enter__()
+    assert str(error.value) == (
+        f"no router at {endpoint} after 0 s; start one with 'rpod router', name another with --connect, "
+        "or let this service wait with --wait"
+    )
+
+
+def test_a_node_that_waits_finds_the_router_when_it_comes():
+    endpoint, found, opened = free_endpoint(), Event(), Event()
+
+    def body() -> None:
+        with Node(config(endpoint, connect_timeout_s=0.1, wait=True), version="test"):
+            found.set()
+            opened.wait(TIMEOUT_S)
+
+    thread = Thread(target=body)
+    thread.start()
+    try:
+        assert not found.wait(0.5)
+        with open_router(RouterConfig(listen=endpoint)):
+            assert found.wait(TIMEOUT_S)
+            opened.set()
+            thread.join(TIMEOUT_S)
+    finally:
+        opened.set()
+    assert not thread.is_alive()
+
+
+def test_a_node_that_waits_can_be_stopped():
+    stop, raised = Event(), []
+
+    def body() -> None:
+        try:
+            Node(config(free_endpoint(), wait=True), version="test", stop=stop).__enter__()
+        except NoRouterError as error:
+            raised.append(error)
+
+    thread = Thread(target=body)
+    thread.start()
+    stop.set()
+    thread.join(TIMEOUT_S)
+    assert not thread.is_alive()
+    assert len(raised) == 1
+
+
+def test_an_identity_is_held_by_one_client_at_a_time(bus):
+    bus.node("estimator", zenoh_id="e57a7e")
+    taken = ServiceConfig(
+        instance="second",
+        zenoh_id="e57a7e",
+        bus=bus.config.model_copy(update={"connect_timeout_s": 0.1}),
+    )
+    with pytest.raises(NoRouterError, match="end the other client that holds the identity e57a7e"):
+        Node(taken, version="test").__enter__()
+
+
+def test_two_routers_cannot_listen_at_one_endpoint():
+    with router() as endpoint, pytest.raises(EndpointError, match=f"cannot listen on {endpoint}"):
+        open_router(RouterConfig(listen=endpoint))
+
+
+def test_a_router_without_estimators_to_guard_against_is_a_router():
+    endpoint = free_endpoint()
+    with open_router(RouterConfig(listen=endpoint, estimators=())), open_client(BusConfig(connect=endpoint)):
+        pass
+
+
+def test_nodes_find_a_router_that_was_restarted():
+    """A session reconnects by itself; the node is reachable again."""
+    endpoint = free_endpoint()
+    with open_router(RouterConfig(listen=endpoint)):
+        node = Node(config(endpoint), version="test").__enter__()
+    try:
+        with open_router(RouterConfig(listen=endpoint)), open_client(BusConfig(connect=endpoint)) as asker:
+            deadline_s = monotonic() + TIMEOUT_S
+            pause, replies = Event(), []
+            while not replies and monotonic() < deadline_s:
+                replies = [
+                    reply for reply in asker.get(KEYS.control("late", "status"), timeout=1.0) if reply.ok
+                ]
+                pause.wait(0.05)
+            assert replies
+    finally:
+        node.__exit__(None, None, None)
+
+
+# --- from body to exit code ---
+
+
+@pytest.fixture
+def quiet(monkeypatch):
+    """Keep the handlers of signals and logging as the tests need them."""
+    monkeypatch.setattr("rpod_runtime.lifecycle._stop_on_signals", lambda _: None)
+    monkeypatch.setattr("rpod_runtime.lifecycle.configure_logging", lambda _: None)
+    monkeypatch.delenv("RPOD_SUPERVISED", raising=False)
+
+
+@pytest.mark.usefixtures("quiet")
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (None, EXIT_OK),
+        (ConfigurationError("a.yaml", "rate_hz", "is odd"), EXIT_USAGE),
+        (LockstepError("estimator", "a status", 60.0), EXIT_FAILURE),
+        (ZeroDivisionError("by zero"), EXIT_FAILURE),
+    ],
+)
+def test_the_exit_code_tells_how_a_service_ended_and_the_reason_is_logged_once(bus, caplog, error, code):
+    def body(stop: Event) -> None:
+        with Node(bus.node("template").config, version="test", stop=stop):
+            if error:
+                raise error
+
+    with caplog.at_level(logging.ERROR):
+        assert run("service", body) == code
+    assert len(caplog.records) == (error is not None)
+    assert str(error or "") in caplog.text
+
+
+@pytest.mark.usefixtures("quiet")
+def test_who_finds_no_router_fails():
+    def body(_: Event) -> None:
+        raise NoRouterError("tcp/x", 5.0)
+
+    assert run("service", body) == EXIT_FAILURE
+
+
+@pytest.mark.usefixtures("quiet")
+def test_who_is_told_to_stop_while_it_waits_for_a_router_ends_well():
+    def body(stop: Event) -> None:
+        stop.set()
+        raise NoRouterError("tcp/x", 1.0)
+
+    assert run("service", body) == EXIT_OK
