@@ -41,6 +41,8 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
             outputs.publish(estimator.tick(node.clock.now_ns()))
             level = Health.WARN if estimator.mode == Mode.LOST else Health.OK
             node.health.report(level, estimator.mode.name.lower())
+        for arrived in inputs.rest():  # no frame goes without an answer or a count
+            outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)
 
 
 class Estimator:

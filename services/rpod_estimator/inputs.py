@@ -6,6 +6,7 @@ decoded.
 """
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from rpod_estimator.assembler import Assembled, Assembler, NewestFrames
@@ -78,13 +79,25 @@ class Inputs:
 
         Frames that are refused on arrival, for their stamps, come before it, each with its reason.
         """
-        parts = self._waiting.wait(0.0 if self._newest or self._refused else timeout_s)
+        self._take_in(0.0 if self._newest or self._refused else timeout_s)
+        return self._next()
+
+    def rest(self) -> Iterator[Arrived]:
+        """Yield what waits at this moment: what was refused, the newest complete frame of each sensor."""
+        self._take_in(0.0)
+        while (arrived := self._next()) is not None:
+            yield arrived
+
+    def _take_in(self, timeout_s: float) -> None:
+        parts = self._waiting.wait(timeout_s)
         for received in self._latched.wait(0.0) + parts:
             try:
                 self._take(received)
             except MessageRejectedError as error:
                 self._node.reject(received.topic.name, error)
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
+
+    def _next(self) -> Arrived | None:
         if self._refused:
             return self._refused.popleft()
         chosen = self._newest.take()

@@ -39,7 +39,7 @@ class TruthPublisher:
         """Publish the truth of a tick; the ideal robots are where they are told to be."""
         stamp_ns = self.stamp_ns(tick)
         state = self._motion.state(tick / self._rate_hz)
-        if tick % self._sun_every == 0:
+        if tick % self._sun_every == 0 or not self._sun.published:  # latched: known before any truth
             sun = self._motion.sun_W_m2(tick / self._rate_hz)
             self._sun.publish(write_vector_stamped(stamp_ns, CHASER, sun))
         odometry = Odometry(

@@ -136,6 +136,16 @@ def test_two_sensors_take_turns_by_stamp():
     assert [frame.sensor for frame in bench.arrived()] == ["lidar", "pmd"]
 
 
+def test_at_the_end_what_waits_is_handed_over_and_what_comes_then_is_not():
+    bench = Bench(sensors=[{"kind": "pmd", "T_chaser_sensor": {}}, {"kind": "lidar", "T_chaser_sensor": {}}])
+    bench.send_frame(NOW_NS)
+    bench.send_scan(NOW_NS - 5)
+    rest = bench.inputs.rest()
+    assert next(rest).sensor == "lidar"
+    bench.send_scan(NOW_NS)
+    assert [frame.sensor for frame in rest] == ["pmd"]
+
+
 @pytest.mark.parametrize(("time_source", "recovers"), [("wall", False), ("clock", True)])
 def test_only_in_lockstep_is_a_missed_part_asked_for_again(time_source, recovers):
     bench = Bench(time_source=time_source)
