@@ -59,6 +59,8 @@ class IcpNearestNeighbourConfig(Config):
     """Most iterations."""
     step_m: Positive = 1e-4
     """The iterations end where a step moves the target's surface by less than this."""
+    patience: Count = 20
+    """They end as well where f_CONV has not fallen in this many steps."""
     gate_m: Positive = 0.3
     """A point this near to the surface is never an outlier; it covers 4-sigma outliers."""
     gate_spread: Positive = 3.0

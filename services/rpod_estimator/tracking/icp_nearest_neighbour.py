@@ -112,6 +112,27 @@ def plane_equations(points, offsets, lines, inlier, resistance):  # type: ignore
     return information, gradient
 
 
+class Progress:
+    """When the iterations end: settled, without progress, or out of steps."""
+
+    def __init__(self, config: IcpNearestNeighbourConfig) -> None:
+        self._config = config
+        self._step_m, self._least_m2, self._least_at = np.inf, np.inf, 0
+        self.steps = 0
+
+    def add(self, step_m: float) -> None:
+        """Count a step that moved the target's surface by a length."""
+        self.steps, self._step_m = self.steps + 1, step_m
+
+    def ended(self, cost_m2: float) -> bool:
+        """Return whether to stop at a pose of this cost; wrong poses often end in a cycle."""
+        if cost_m2 < self._least_m2:
+            self._least_m2, self._least_at = cost_m2, self.steps
+        settled = self._step_m < self._config.step_m
+        stuck = self.steps - self._least_at >= self._config.patience
+        return settled or stuck or self.steps == self._config.iterations
+
+
 class NearestNeighbourIcp:
     """Registers scans by ICP with nearest neighbours: ports.Tracker[LidarScan]."""
 
@@ -136,18 +157,18 @@ class NearestNeighbourIcp:
         if len(points_m) < config.min_points:
             return _failed(f"{len(points_m)} returns, {config.min_points} needed")
         nearest = np.zeros(len(points_m), np.int32)
-        step_m, iteration = np.inf, 0
+        progress = Progress(config)
         while True:
             matches = self._match(points_m, T, nearest)
             if matches is None:
-                return _failed("no face of the target is seen from the sensor", iteration)
+                return _failed("no face of the target is seen from the sensor", progress.steps)
             if matches.inliers < config.min_points:
-                return _failed(f"{matches.inliers} inliers, {config.min_points} needed", iteration)
-            if step_m < config.step_m or iteration == config.iterations:
+                return _failed(f"{matches.inliers} inliers, {config.min_points} needed", progress.steps)
+            if progress.ended(matches.cost_m2):
                 break
             step = self._step(matches)
-            T, iteration = T * step, iteration + 1
-            step_m = float(np.linalg.norm(step.translation) + self._radius_m * step.rotation.magnitude())
+            T = T * step
+            progress.add(float(np.linalg.norm(step.translation) + self._radius_m * step.rotation.magnitude()))
         return Registration(
             Source.LIDAR,
             T_sensor_target=T,
@@ -156,7 +177,7 @@ class NearestNeighbourIcp:
             inlier_share=matches.inliers / len(points_m),
             explained_share=self._comparison.explained_share(measurement, T),
             covariance=self._covariance(matches, T),
-            iterations=iteration,
+            iterations=progress.steps,
         )
 
     def _match(
