@@ -5,8 +5,8 @@ Klionovska et al., "Close Range Tracking of an Uncooperative Target in a Sequenc
 
 ``point_to_point`` is the paper's. Each visible model point is projected with the camera's calibration, the
 pixels within a radius are searched for the measured point nearest to it, and the rigid motion that minimises
-the distances of all pairs follows in closed form. On a plane the nearest neighbours stay where they are, so it
-lags behind a turning target, and slides along one that is seen obliquely until it has lost it.
+the distances of all pairs follows in closed form. On a plane the nearest neighbours stay where they are, so
+it lags behind a turning target, and slides along one that is seen obliquely until it has lost it.
 
 ``point_to_plane`` is ours. Where depth close to the model point lies under its pixel and the neighbours, only
 the distance of their mean along the model's normal counts, so faces slide freely. Where it does not
