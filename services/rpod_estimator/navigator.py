@@ -130,15 +130,16 @@ class Navigator:
         return self._begin(state, event, best)
 
     def _best(self, event: Measurement, candidates: list[Candidate]) -> tuple[Registration, str]:
-        """Refine the first candidates; return the best believed one, or the first and the doubt about it."""
+        """Refine candidates in their order; return the first believed, or the first of all and its doubt."""
         methods = self._methods[event.sensor]
-        registrations = [
-            methods.tracker.track(event.data, candidate.T_sensor_target)
-            for candidate in candidates[: self._limits.candidates]
-        ]
-        doubts = [doubt(registration, methods.verification) for registration in registrations]
-        believed = [item for item, why in zip(registrations, doubts, strict=True) if not why]
-        return (max(believed, key=_merit), "") if believed else (registrations[0], doubts[0])
+        refused: list[tuple[Registration, str]] = []
+        for candidate in candidates[: self._limits.candidates]:
+            registration = methods.tracker.track(event.data, candidate.T_sensor_target)
+            why = doubt(registration, methods.verification)
+            if not why:
+                return registration, ""
+            refused.append((registration, why))
+        return refused[0]
 
     def _begin(
         self, state: NavigatorState, event: Measurement, registration: Registration
@@ -299,9 +300,3 @@ def in_chaser(
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = R
     return T_chaser_sensor * registration.T_sensor_target, turn @ registration.covariance @ turn.T
-
-
-def _merit(registration: Registration) -> tuple[float, float]:
-    """Rank believed candidates: by what they explain, then by their cost."""
-    explained = registration.explained_share
-    return (0.0 if np.isnan(explained) else explained, -registration.cost_m2)

@@ -52,7 +52,9 @@ class PmdInput(Config):
     """Without a prior pose."""
     tracking: PmdTrackingConfig = Field(default_factory=IcpReverseCalibrationConfig)
     """From a predicted pose."""
-    verification: VerificationConfig = VerificationConfig(max_cost_m2=0.01, min_explained_share=0.7)
+    verification: VerificationConfig = VerificationConfig(
+        max_cost_m2=0.003, min_explained_share=0.6, min_inlier_share=0.45
+    )
     """When a registration is believed."""
 
 
@@ -66,7 +68,7 @@ class NavigatorConfig(Config):
     confirmations: Annotated[int, Field(ge=0)] = 1
     """Frames after the acquisition's own that must verify it before TRACKING."""
     candidates: Annotated[int, Field(ge=1)] = 3
-    """Most candidates of an acquisition that are refined and verified."""
+    """Most candidates of an acquisition that are refined and verified, best first, until one is believed."""
     rejection_timeout_s: Positive = 1.5
     """Measurements rejected for longer than this: LOST."""
     rejected_frames: Annotated[int, Field(ge=1)] = 3

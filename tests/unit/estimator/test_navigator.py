@@ -209,23 +209,23 @@ def test_a_candidate_that_is_not_believed_is_no_hypothesis_and_says_why():
 
 
 @pytest.mark.parametrize(
-    ("others", "best"),
+    ("acquired", "best"),
     [
-        ([{"explained_share": 0.8}, {"explained_share": 0.95}, {"explained_share": 0.9}], 1),
-        ([{"cost_m2": 0.004}, {"cost_m2": 0.003}, {"cost_m2": 0.002}], 2),
-        ([{"explained_share": 0.99, "cost_m2": 0.5}, {}, {"explained_share": 0.8}], 1),
-        ([{"explained_share": float("nan")}, {"cost_m2": 0.009}, {"cost_m2": 0.5}], 1),
+        ([{"explained_share": 0.8}, {"explained_share": 0.95}], 0),
+        ([{"cost_m2": 0.5}, {"cost_m2": 0.009}, {"cost_m2": 0.002}], 1),
+        ([{"cost_m2": 0.5}, {"explained_share": 0.1}, {}], 2),
     ],
-    ids=["by what they explain", "then by cost", "of those believed", "knowing it is better than not"],
+    ids=["the first", "the second, where the first is too costly", "the third"],
 )
-def test_the_best_believed_candidate_is_taken(others, best):
+def test_the_first_believed_candidate_is_taken_and_no_further_one_refined(acquired, best):
     made = rig(candidates=3)
-    acquired = tuple(
+    registrations = tuple(
         registration(in_sensor(START_S + number), inliers=100 + number, **changes)
-        for number, changes in enumerate(others)
+        for number, changes in enumerate(acquired)
     )
-    output = made.see(replace(blind(START_S), acquired=acquired))
+    output = made.see(replace(blind(START_S), acquired=registrations))
     assert output.status.inliers == 100 + best
+    assert made.method.asked == ["acquire", *["refine"] * (best + 1)]
     np.testing.assert_allclose(
         made.state.history.state.T_chaser_target.as_matrix(), truth(START_S + best).as_matrix(), atol=1e-12
     )
