@@ -3,13 +3,14 @@
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from threading import Event
 from typing import Annotated, Any, NoReturn, TypeVar
 
 import typer
 from pydantic import BaseModel
 
 from rpod import __version__
-from rpod_runtime.lifecycle import EXIT_USAGE
+from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_runtime.lifecycle import run as run_service
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
@@ -33,8 +34,12 @@ WaitOption = Annotated[bool, typer.Option("--wait", help="Wait for the router as
 
 
 def main() -> None:
-    """Run the command line."""
-    app()
+    """Run the command line; a verb of an extra that is not installed says which package it lacks."""
+    try:
+        app()
+    except ModuleNotFoundError as error:
+        print(f"rpod: this verb needs {error.name}: pip install 'rpod[all]'", file=sys.stderr)
+        sys.exit(EXIT_FAILURE)
 
 
 def _refuse(error: ConfigurationError) -> NoReturn:
@@ -62,15 +67,25 @@ def _serve(
     verb: str, model: type[ConfigT], body: Callable[..., None], *, config: Path | None, **bus: Any
 ) -> NoReturn:
     """Load a service's configuration, with what the command line says of the bus on top, and run it."""
+    from rpod_target import TargetError
+
+    source = config or f"rpod {verb}"
     try:
         document = read_document(config) if config else {}
-        overrides = {key: value for key, value in bus.items() if value}
-        if overrides:
-            document["bus"] = dict(document.get("bus") or {}) | overrides
-        checked = check(model, document, source=config or f"rpod {verb}")
+        configured = document.get("bus") or {}
+        if isinstance(configured, dict):  # else the check below says what is wrong with it
+            document["bus"] = configured | {key: value for key, value in bus.items() if value}
+        checked = check(model, document, source=source)
     except ConfigurationError as error:
         _refuse(error)
-    raise typer.Exit(run_service(verb, lambda stop: body(checked, version=__version__, stop=stop)))
+
+    def serve(stop: Event) -> None:
+        try:
+            body(checked, version=__version__, stop=stop)
+        except TargetError as error:
+            raise ConfigurationError(source, "target", str(error)) from error
+
+    raise typer.Exit(run_service(verb, serve))
 
 
 @app.command()

@@ -14,9 +14,11 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.schedule import DueFrame
 from rpod_schemas.topics import optical_frame
 from rpod_schemas.types import LidarScan, PmdFrame
+from rpod_sim_sensor.geometry import SimSensorError
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import Target
@@ -109,7 +111,18 @@ class LidarChannel:
 
 
 def open_channel(node: Node, config: EmulatorConfig, sensor: SensorConfig, target: Target) -> Channel:
-    """Return the channel of a sensor, warmed up: its first frame is as fast as any other."""
+    """Return the channel of a sensor, warmed up: its first frame is as fast as any other.
+
+    Raises:
+        ConfigurationError: there is no such sensor, for its lens, say.
+    """
+    try:
+        return _warm_channel(node, config, sensor, target)
+    except SimSensorError as error:
+        raise ConfigurationError(config.instance, f"sensors.{sensor.name}", str(error)) from error
+
+
+def _warm_channel(node: Node, config: EmulatorConfig, sensor: SensorConfig, target: Target) -> Channel:
     if isinstance(sensor, PmdConfig):
         channel: Channel = PmdChannel(node, config, sensor, target)
     else:

@@ -1,0 +1,203 @@
+"""The estimator's daemon on a real bus: from first frame to LOST and back, and what it says of itself."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+from live_bus import TIMEOUT_S, daemon, first
+from pmd_frames import CAMERA, depth_frame
+from scipy.spatial.transform import Rotation
+
+from rpod_estimator.daemon import run
+from rpod_runtime import Inbox
+from rpod_runtime.sensors import CameraPublisher
+from rpod_schemas.config.estimator import EstimatorConfig, NavigatorConfig, PmdInput
+from rpod_schemas.control import Accepted, Empty, StatusReply
+from rpod_schemas.messages import read_diagnostics, read_odometry, read_status, read_transforms
+from rpod_schemas.poses import make_pose
+from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, STATUS, TF
+from rpod_schemas.types import Health, Mode
+from rpod_target import load_target
+
+MOUNT = make_pose(translation_m=[0.0, -0.05, 0.0])
+T_CHASER_TARGET = make_pose(
+    rotation=Rotation.from_euler("ZYX", [12.0, 65.0, 5.0], degrees=True), translation_m=[0.05, 0.0, 5.0]
+)
+
+
+class Camera:
+    """Publishes the same good view whenever it is asked to."""
+
+    def __init__(self, bus) -> None:
+        self._publisher = CameraPublisher(bus.node("camera"), "pmd", T_chaser_sensor=MOUNT)
+        self._frame = depth_frame(load_target("mockup"), MOUNT.inv() * T_CHASER_TARGET, noise_m=0.005)
+
+    def expose(self) -> int:
+        stamp_ns = time.time_ns()
+        amplitude = np.full((CAMERA.height, CAMERA.width), 800, np.uint16)
+        self._publisher.publish(self._frame.model_copy(update={"stamp_ns": stamp_ns, "amplitude": amplitude}))
+        return stamp_ns
+
+
+class Listener:
+    """What an estimator says, by topic."""
+
+    def __init__(self, bus, prefix: str = "estimate") -> None:
+        self.node = bus.node(f"listener_of_{prefix}")
+        self.statuses, self.odometry, self.health, self.tf = Inbox(), Inbox(), Inbox(), Inbox()
+        self.node.subscribe(STATUS.under(prefix), self.statuses.put)
+        self.node.subscribe(ESTIMATE.under(prefix), self.odometry.put)
+        self.node.subscribe(DIAGNOSTICS, self.health.put)
+        self.node.subscribe(TF, self.tf.put)
+
+    def counters(self) -> dict[str, int]:
+        return self.node.ask("estimator", "status", StatusReply).counters
+
+    def status(self, fits):
+        def pick(received):
+            status = read_status(received.decode())
+            return status if fits(status) else None
+
+        return first(self.statuses, pick)
+
+
+def config(bus, **changes) -> EstimatorConfig:
+    return EstimatorConfig(target="mockup", bus=bus.config, sensors=(PmdInput(),), **changes)
+
+
+def frames_until(camera: Camera, listener: Listener, mode: Mode):
+    """Expose frame after frame, each upon the status of the one before, until the mode is reached."""
+    for _ in range(100):
+        stamp_ns = camera.expose()
+        status = listener_status(listener, stamp_ns)
+        if status is not None and status.mode == mode:
+            return status
+    raise AssertionError(f"never {mode.name}")
+
+
+def listener_status(listener: Listener, stamp_ns: int):
+    def pick(received):
+        status = read_status(received.decode())
+        return status if status.stamp_ns >= stamp_ns else None
+
+    return first(listener.statuses, pick, 2.0)
+
+
+def test_a_target_is_found_tracked_lost_in_silence_and_found_again(bus):
+    listener, camera = Listener(bus), Camera(bus)
+    with daemon(run, config(bus, navigator=NavigatorConfig(silence_timeout_s=0.5))):
+        frames_until(camera, listener, Mode.TRACKING)
+        odometry = first(listener.odometry, lambda received: read_odometry(received.decode()))
+        assert (odometry.frame_id, odometry.child_frame_id) == ("chaser", "target_estimate")
+        np.testing.assert_allclose(odometry.pose.translation, T_CHASER_TARGET.translation, atol=0.05)
+        ((_, parent, child, pose),) = first(listener.tf, lambda received: read_transforms(received.decode()))
+        assert (parent, child) == ("chaser", "target_estimate")
+        np.testing.assert_allclose(pose.translation, T_CHASER_TARGET.translation, atol=0.05)
+
+        lost = listener.status(lambda status: status.mode == Mode.LOST)
+        assert lost.reason.startswith("no measurement for")
+        warned = first(
+            listener.health,
+            lambda received: [
+                item
+                for item in read_diagnostics(received.decode())
+                if (item.name, item.level, item.message) == ("estimator", Health.WARN, "lost")
+            ],
+        )
+        assert warned
+        frames_until(camera, listener, Mode.TRACKING)
+
+
+def test_frames_that_cannot_be_used_do_not_hide_that_the_target_is_lost(bus):
+    """A stream of late frames is as good as silence."""
+    listener, camera = Listener(bus), Camera(bus)
+    settings = NavigatorConfig(silence_timeout_s=0.5)
+    with daemon(run, config(bus, initial_pose=T_CHASER_TARGET, navigator=settings)):
+        frames_until(camera, listener, Mode.TRACKING)
+        for _ in range(400):
+            camera._publisher.publish(camera._frame.model_copy(update={"stamp_ns": time.time_ns() - 10**10}))
+            status = listener.status(lambda _: True)
+            if status.mode == Mode.LOST:
+                break
+        assert status.mode == Mode.LOST
+
+
+def test_two_estimators_run_side_by_side(bus):
+    listeners, camera = [Listener(bus), Listener(bus, "second")], Camera(bus)
+    one = config(bus, initial_pose=T_CHASER_TARGET)
+    two = config(
+        bus, initial_pose=T_CHASER_TARGET, prefix="second", instance="estimator2", zenoh_id="e57a7e2"
+    )
+    with daemon(run, one), daemon(run, two):
+        for listener in listeners:
+            frames_until(camera, listener, Mode.TRACKING)
+            assert first(listener.odometry, lambda received: read_odometry(received.decode()))
+
+
+def test_what_is_passed_over_is_counted_and_has_no_status(bus):
+    listener, camera = Listener(bus), Camera(bus)
+    with daemon(run, config(bus, initial_pose=T_CHASER_TARGET)):
+        frames_until(camera, listener, Mode.TRACKING)
+        before = listener.counters()
+        sent = [camera.expose() for _ in range(40)]
+        processed = []
+
+        def is_last(received) -> bool:
+            processed.append(read_status(received.decode()).stamp_ns)
+            return processed[-1] == sent[-1]
+
+        assert first(listener.statuses, is_last), "the newest is never passed over"
+        after = listener.counters()
+        passed_over = sum(
+            after.get(name, 0) - before.get(name, 0) for name in ("dropped/pmd", "incomplete/pmd")
+        )
+        assert len(processed) + passed_over == len(sent)
+        assert processed == sorted(processed)
+        assert "received/truth/odometry" not in after
+
+
+def test_the_daemon_ends_when_it_is_told_to_over_the_bus(bus):
+    listener = Listener(bus)
+    with daemon(run, config(bus)) as stop:
+        ready = first(
+            listener.health,
+            lambda received: [
+                item for item in read_diagnostics(received.decode()) if item.name == "estimator"
+            ],
+            120.0,
+        )
+        assert ready
+        status = listener.node.ask("estimator", "status", StatusReply)
+        assert status.target_digest == load_target("mockup").digest
+        assert status.configuration["sensors"][0]["kind"] == "pmd"
+        assert listener.node.ask("estimator", "shutdown", Accepted, Empty()).accepted
+        assert stop.wait(TIMEOUT_S)
+
+
+def test_a_process_that_is_told_to_stop_ends_well_and_does_not_hang(bus, tmp_path):
+    listener = Listener(bus)
+    file = tmp_path / "estimator.json"
+    file.write_text(config(bus).model_dump_json(), "utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rpod", "estimator", "--config", file],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert first(
+            listener.health,
+            lambda received: [
+                item for item in read_diagnostics(received.decode()) if item.name == "estimator"
+            ],
+            120.0,
+        )
+        process.send_signal(signal.SIGTERM)
+        stdout, stderr = process.communicate(timeout=TIMEOUT_S)
+    finally:
+        process.kill()
+    assert process.returncode == 0, stderr
+    assert stdout == ""
+    assert "stopped" in stderr.splitlines()[-1]
