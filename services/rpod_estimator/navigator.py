@@ -130,16 +130,21 @@ class Navigator:
         return self._begin(state, event, best)
 
     def _best(self, event: Measurement, candidates: list[Candidate]) -> tuple[Registration, str]:
-        """Refine candidates in their order; return the first believed, or the first of all and its doubt."""
+        """Refine candidates; return the believed one that is chosen, or the first of all and its doubt."""
         methods = self._methods[event.sensor]
+        limits = methods.verification
+        believed: list[Registration] = []
         refused: list[tuple[Registration, str]] = []
-        for candidate in candidates[: self._limits.candidates]:
+        for candidate in candidates[: limits.candidates]:
             registration = methods.tracker.track(event.data, candidate.T_sensor_target)
-            why = doubt(registration, methods.verification)
-            if not why:
+            why = doubt(registration, limits)
+            if why:
+                refused.append((registration, why))
+            elif limits.choice == "first":
                 return registration, ""
-            refused.append((registration, why))
-        return refused[0]
+            else:
+                believed.append(registration)
+        return (max(believed, key=_explained), "") if believed else refused[0]
 
     def _begin(
         self, state: NavigatorState, event: Measurement, registration: Registration
@@ -300,3 +305,8 @@ def in_chaser(
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = R
     return T_chaser_sensor * registration.T_sensor_target, turn @ registration.covariance @ turn.T
+
+
+def _explained(registration: Registration) -> float:
+    share = registration.explained_share
+    return 0.0 if np.isnan(share) else share

@@ -35,7 +35,9 @@ class LidarInput(Config):
     """Without a prior pose."""
     tracking: IcpNearestNeighbourConfig = Field(default_factory=IcpNearestNeighbourConfig)
     """From a predicted pose."""
-    verification: VerificationConfig = VerificationConfig(max_cost_m2=0.003, min_explained_share=0.75)
+    verification: VerificationConfig = VerificationConfig(
+        max_cost_m2=0.003, min_explained_share=0.97, candidates=10, choice="best_explained"
+    )
     """When a registration is believed."""
 
 
@@ -67,8 +69,6 @@ class NavigatorConfig(Config):
 
     confirmations: Annotated[int, Field(ge=0)] = 1
     """Frames after the acquisition's own that must verify it before TRACKING."""
-    candidates: Annotated[int, Field(ge=1)] = 3
-    """Most candidates of an acquisition that are refined and verified, best first, until one is believed."""
     rejection_timeout_s: Positive = 1.5
     """Measurements rejected for longer than this: LOST."""
     rejected_frames: Annotated[int, Field(ge=1)] = 3

@@ -1,6 +1,6 @@
 """When a registration is believed."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -16,5 +16,9 @@ class VerificationConfig(Config):
     """Least share of rays or pixels on which model and measurement agree; not asked where it is not known."""
     min_inlier_share: Share = 0.3
     """Least share of inliers among the points that could have matched."""
+    candidates: Annotated[int, Field(ge=1)] = 3
+    """Most candidates of a search that are refined and verified."""
+    choice: Literal["first", "best_explained"] = "first"
+    """Of the candidates that are believed: the first in the search's own order, or the one that explains most."""
     min_inliers: Annotated[int, Field(ge=6)] = 12
     """Least number of inliers."""

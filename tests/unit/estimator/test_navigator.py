@@ -117,14 +117,14 @@ class Rig:
         return self.state.mode
 
 
-def rig(*, pose=None, filter_config: FilterConfig | None = None, **limits: float) -> Rig:
+def rig(*, pose=None, filter_config: FilterConfig | None = None, verification=LIMITS, **limits: float) -> Rig:
     settings = EstimatorSettings(
-        sensors=(PmdInput(verification=LIMITS),),
+        sensors=(PmdInput(verification=verification),),
         navigator=NavigatorConfig(**limits),
         filter=filter_config or FilterConfig(),
     )
     method = Method()
-    navigator = Navigator(settings, {"pmd": Methods(method, method, LIMITS)})
+    navigator = Navigator(settings, {"pmd": Methods(method, method, verification)})
     return Rig(navigator, method, navigator.start(pose))
 
 
@@ -218,7 +218,7 @@ def test_a_candidate_that_is_not_believed_is_no_hypothesis_and_says_why():
     ids=["the first", "the second, where the first is too costly", "the third"],
 )
 def test_the_first_believed_candidate_is_taken_and_no_further_one_refined(acquired, best):
-    made = rig(candidates=3)
+    made = rig(verification=LIMITS.model_copy(update={"candidates": 3}))
     registrations = tuple(
         registration(in_sensor(START_S + number), inliers=100 + number, **changes)
         for number, changes in enumerate(acquired)
@@ -231,8 +231,19 @@ def test_the_first_believed_candidate_is_taken_and_no_further_one_refined(acquir
     )
 
 
+def test_the_believed_candidate_that_explains_most_is_taken_where_configured():
+    made = rig(verification=LIMITS.model_copy(update={"choice": "best_explained"}))
+    shares = (0.8, 0.95, 0.9)
+    acquired = tuple(
+        registration(in_sensor(START_S), inliers=100 + number, explained_share=share)
+        for number, share in enumerate(shares)
+    )
+    assert made.see(replace(blind(START_S), acquired=acquired)).status.inliers == 101
+    assert made.method.asked == ["acquire", *["refine"] * 3]
+
+
 def test_only_as_many_candidates_are_refined_as_configured():
-    made = rig(candidates=2)
+    made = rig(verification=LIMITS.model_copy(update={"candidates": 2}))
     acquired = (failed(), failed(), registration(in_sensor(START_S)))
     assert not made.see(replace(blind(START_S), acquired=acquired)).status.accepted
     assert made.method.asked == ["acquire", "refine", "refine"]
