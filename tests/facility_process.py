@@ -15,12 +15,14 @@ from time import monotonic
 from typing import IO
 
 import psutil
+from logs import messages_of
 
 from rpod_schemas.summary import Summary
+from rpod_schemas.topics import TRUTH
 
 DEADLINE_S = 120.0
-_PLAYING_BYTES = 30_000
-"""A log of this size holds truth: what the services say while they start is a tenth of it."""
+_PLAYED = 100
+"""Messages of truth in the log of a run that plays: 0.4 s of it."""
 
 
 class Lines:
@@ -90,7 +92,7 @@ class FacilityProcess:
         """Wait until the scenario plays and its truth is in the log."""
         self.await_services()
         self.stderr.wait_for(r"\d / \d")
-        until(lambda: self.log.exists() and self.log.stat().st_size > _PLAYING_BYTES)
+        until(lambda: self.log.exists() and len(messages_of(self.log, f"/{TRUTH.name}")) >= _PLAYED)
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal to the supervisor."""
