@@ -19,6 +19,6 @@ class VerificationConfig(Config):
     candidates: Annotated[int, Field(ge=1)] = 3
     """Most candidates of a search that are refined and verified."""
     choice: Literal["first", "best_explained"] = "first"
-    """Of the candidates that are believed: the first in the search's own order, or the one that explains most."""
+    """Of the believed candidates: the first in the search's own order, or the one that explains most."""
     min_inliers: Annotated[int, Field(ge=6)] = 12
     """Least number of inliers."""
