@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
@@ -15,6 +16,7 @@ from rpod_emulator.faults import Fault, Faults
 from rpod_emulator.truth_buffer import TruthBuffer
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.errors import RefusedError
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.control import Accepted, FaultRequest, StartRequest
 from rpod_schemas.errors import MessageRejectedError
@@ -27,6 +29,9 @@ from rpod_target import load_target
 log = logging.getLogger(__name__)
 
 _WAIT_S = 0.05
+_DARKNESS = 0, np.zeros(3)
+_SUN_PERIOD_NS = NANOSECONDS
+"""Between two messages of the sun (ICD section 2)."""
 
 
 def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
@@ -60,14 +65,14 @@ class Emulator:
         self._by_wall = config.time_source == "wall"
         self._channels = channels
         self._faults = Faults()
-        self._sun_W_m2 = np.zeros(3)
+        self._suns: deque[tuple[int, FloatArray]] = deque([_DARKNESS], maxlen=4)
         self._inbox = Inbox()
         self._starts: SimpleQueue[StartRequest] = SimpleQueue()
         self._begin(config.epoch_ns)
         node.serve("fault", FaultRequest, self._plan_fault)
         node.serve("start", StartRequest, self._ask_to_start)
         node.subscribe(TRUTH, self._inbox.put, recover=True, history=True)
-        node.subscribe(SUN, self._inbox.put)
+        node.subscribe(SUN, self._inbox.put, recover=True)
 
     def _begin(self, epoch_ns: int | None) -> None:
         self._epoch_ns = epoch_ns
@@ -105,10 +110,12 @@ class Emulator:
                 self._begin(self._starts.get_nowait().epoch_ns)
             except Empty:
                 return
+            if not self._by_wall:
+                self._suns.append(_DARKNESS)  # until this run's own sun has come
 
     def _take(self, received: Received) -> None:
         if received.topic == SUN:
-            _, self._sun_W_m2 = read_vector_stamped(received.decode())
+            self._suns.append(read_vector_stamped(received.decode()))
         else:
             self._truth.add(received, latest_ns=received.arrival_ns if self._by_wall else None)
 
@@ -119,7 +126,8 @@ class Emulator:
     def due(self) -> list[tuple[Channel, DueFrame]]:
         """Return the frames whose exposure the truth covers, in order of stamp and sensor's name.
 
-        By the wall clock only the newest of a sensor; those that it passes over are counted.
+        By the wall clock only the newest of a sensor; those that it passes over are counted. In lockstep
+        the sun must have come too: the same frame comes out whichever message is handed over first.
         """
         if self._epoch_ns is None:
             return []
@@ -133,6 +141,8 @@ class Emulator:
     def _covered(self, channel: Channel, *, epoch_ns: int) -> list[DueFrame]:
         sensor = channel.sensor
         covered_ns = self._truth.last_ns - round(max(sensor.pose_times_s()) * NANOSECONDS)
+        if not self._by_wall:
+            covered_ns = min(covered_ns, self._suns[-1][0] + _SUN_PERIOD_NS - 1)
         first, last = self._next[sensor.name], last_number(sensor, covered_ns, epoch_ns=epoch_ns)
         if last < first:
             return []
@@ -163,9 +173,13 @@ class Emulator:
             return
         self._in_gap = False
         started_s = time.perf_counter()
-        self._made.append(_Made(frame, channel.emulate(poses, self._sun_W_m2, frame, fault)))
+        self._made.append(_Made(frame, channel.emulate(poses, self._sun_W_m2(frame.stamp_ns), frame, fault)))
         self._node.health.put(f"emulation_us/{frame.sensor}", round(1e6 * (time.perf_counter() - started_s)))
         self._node.health.report(Health.OK, "emulating")
+
+    def _sun_W_m2(self, stamp_ns: int) -> FloatArray:  # noqa: N802 - watt
+        """Return the last sun up to a stamp; the oldest that is known where all are newer."""
+        return next((sun for sun_ns, sun in reversed(self._suns) if sun_ns <= stamp_ns), self._suns[0][1])
 
     def publish_made(self) -> None:
         """Publish the frames that a real sensor would have handed out by now; all of them in lockstep."""

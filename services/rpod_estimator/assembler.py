@@ -4,6 +4,7 @@ Pure bookkeeping on stamps: parts are whatever the caller hands in, decoded only
 is chosen. One slot a sensor; a frame that is passed over is counted, not processed.
 """
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -13,6 +14,8 @@ _PENDING = 8
 """Frames that may wait for parts at once; older ones are given up."""
 _PATIENCE = 10
 """Frames without an optional part after which it is no longer waited for, until it is seen again."""
+_REMEMBERED = 64
+"""Frames whose late parts are known to belong to them."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,9 @@ class Assembled(Generic[PartT]):
 class Assembler(Generic[PartT]):
     """Collects parts that carry the same stamp; the stamps of its frames rise.
 
+    Parts of one frame keep no order among themselves, nor with those of the next: the bus hands over each
+    topic in a thread of its own.
+
     A frame is complete with all its required parts and, as long as they keep coming, its optional
     ones; an optional part that is missing is not waited for beyond the next frame's first part.
     """
@@ -34,15 +40,16 @@ class Assembler(Generic[PartT]):
     required: frozenset[str]
     optional: frozenset[str] = frozenset()
     incomplete: int = 0
-    """Frames given up."""
+    """Frames given up: a newer one was complete first."""
     done_ns: int = -1
     """Stamp of the last complete frame: what is not newer comes too late."""
     _pending: dict[int, dict[str, PartT]] = field(default_factory=dict)
+    _past: deque[int] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     _without_optional: int = 0
 
     def add(self, name: str, stamp_ns: int, part: PartT) -> list[Assembled[PartT]]:
         """Take a part; return the frames that it completes, oldest first."""
-        if stamp_ns <= self.done_ns:
+        if stamp_ns <= self.done_ns or stamp_ns in self._past:
             self._note_straggler(name, stamp_ns)
             return []
         self._pending.setdefault(stamp_ns, {})[name] = part
@@ -67,15 +74,19 @@ class Assembler(Generic[PartT]):
         for older_ns in [pending_ns for pending_ns in self._pending if pending_ns < stamp_ns]:
             self._give_up(older_ns)
         self.done_ns = stamp_ns
+        self._past.append(stamp_ns)
         return Assembled(stamp_ns, parts)
 
     def _give_up(self, stamp_ns: int) -> None:
-        del self._pending[stamp_ns]
+        self._pending.pop(stamp_ns, None)
+        self._past.append(stamp_ns)
         self.incomplete += 1
 
     def _note_straggler(self, name: str, stamp_ns: int) -> None:
         """Wait again for an optional part that comes before the next frame, if after the required ones."""
-        if name in self.optional and stamp_ns == self.done_ns and not self._pending:
+        if stamp_ns not in self._past:
+            self._give_up(stamp_ns)
+        elif name in self.optional and stamp_ns == self.done_ns and not self._pending:
             self._without_optional = 0
 
 

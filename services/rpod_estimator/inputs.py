@@ -15,7 +15,7 @@ from rpod_estimator.extrinsics import Extrinsics
 from rpod_estimator.frames import PartRejectedError, read_frame, read_scan
 from rpod_estimator.measurement import Measurement
 from rpod_estimator.methods import ScanPattern
-from rpod_runtime import Inbox, Node, Received
+from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, SensorInput
 from rpod_schemas.errors import MessageRejectedError, Reason
@@ -30,6 +30,8 @@ _LEADING = frozenset({"points", "depth"})
 """The part in whose place a frame is refused that never gets complete."""
 _WAITING_PARTS = 512
 """Parts between the bus and the assembler: some 200 MB of images."""
+_CLOCK_LAG_S = 0.2
+"""How long a clock message may be behind a frame that was published after it."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +125,8 @@ class Inputs:
         stamp_ns = peek_stamp(received.payload)
         try:
             self._check_freshness(received, stamp_ns)
-            if part in assembler.required:
-                _check_order(stamp_ns, assembler.done_ns)
+            if stamp_ns == assembler.done_ns and part in assembler.required:
+                raise MessageRejectedError(Reason.DUPLICATE, "a frame of this stamp is complete already")
         except MessageRejectedError as error:
             if part in _LEADING:
                 self._refused.append(Arrived(sensor, stamp_ns, received.arrival_s, None, str(error)))
@@ -136,8 +138,10 @@ class Inputs:
 
     def _check_freshness(self, received: Received, stamp_ns: int) -> None:
         """Judge a stamp by its arrival: what then waits for the methods is not late by its sensor's fault."""
-        by_wall = self._config.time_source == "wall"
-        now_ns = received.arrival_ns if by_wall else self._node.clock.now_ns()
+        now_ns, clock = received.arrival_ns, self._node.clock
+        if isinstance(clock, BusClock):
+            clock.await_ns(stamp_ns - round(self._config.max_future_s * NANOSECONDS), _CLOCK_LAG_S)
+            now_ns = clock.now_ns()
         age_s = (now_ns - stamp_ns) / NANOSECONDS
         if age_s > self._config.max_age_s:
             raise MessageRejectedError(
@@ -172,15 +176,6 @@ class Inputs:
         except ExtrinsicsError as error:
             rejection = MessageRejectedError(Reason.UNKNOWN_FRAME, str(error))
             raise PartRejectedError(leading, rejection) from error
-
-
-def _check_order(stamp_ns: int, done_ns: int) -> None:
-    if stamp_ns == done_ns:
-        raise MessageRejectedError(Reason.DUPLICATE, "a frame of this stamp is complete already")
-    if stamp_ns < done_ns:
-        raise MessageRejectedError(
-            Reason.LATE, f"{(done_ns - stamp_ns) / NANOSECONDS:.3f} s behind a frame that is complete already"
-        )
 
 
 def _sensor_of(topic: Topic) -> str:

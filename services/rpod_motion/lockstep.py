@@ -4,7 +4,7 @@ import time
 from queue import Empty, SimpleQueue
 
 from rpod_motion.truth import TruthPublisher
-from rpod_runtime import Node
+from rpod_runtime import Node, Received
 from rpod_runtime.errors import LockstepError, QueryFailedError
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import StatusReply
@@ -27,9 +27,13 @@ class Lockstep:
         self._clock = node.publisher(CLOCK)
         self._truth_sent = 0
         self._frames_done = 0
-        node.subscribe(
-            STATUS, lambda received: self._statuses.put(read_status(received.decode())), recover=True
-        )
+        self._begun_ns = time.time_ns()
+        node.subscribe(STATUS, self._take, recover=True)
+
+    def _take(self, received: Received) -> None:
+        """Keep a status of this run: those of an earlier one, of the same stamps, may be recovered too."""
+        if received.attachment.stamp_ns >= self._begun_ns:
+            self._statuses.put(read_status(received.decode()))
 
     def play(self, first_tick: int, last_tick: int) -> None:
         """Publish all truth, frame by frame.

@@ -1,6 +1,7 @@
 """Time sources: this machine's clock, or the topic ``clock`` (ICD section 1)."""
 
 import time
+from threading import Condition
 from typing import Protocol
 
 from rpod_schemas.messages import read_stamp
@@ -27,10 +28,19 @@ class BusClock:
 
     def __init__(self) -> None:
         self._now_ns = 0
+        self._moved = Condition()
 
     def set(self, message: object) -> None:
         """Take a rosgraph_msgs/Clock."""
-        self._now_ns = max(self._now_ns, read_stamp(message))
+        stamp_ns = read_stamp(message)
+        with self._moved:
+            self._now_ns = max(self._now_ns, stamp_ns)
+            self._moved.notify_all()
+
+    def await_ns(self, stamp_ns: int, timeout_s: float) -> None:
+        """Wait for a time: what was published after a clock message may be handed over before it."""
+        with self._moved:
+            self._moved.wait_for(lambda: self._now_ns >= stamp_ns, timeout_s)
 
     def now_ns(self) -> int:
         """Return the time of the last clock message."""

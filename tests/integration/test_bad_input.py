@@ -5,8 +5,8 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from live_bus import Bus, collect, daemon, first
-from pmd_frames import CAMERA, depth_frame
+from live_bus import TIMEOUT_S, Bus, collect, daemon, first
+from pmd_frames import depth_frame
 from scipy.spatial.transform import Rotation
 
 from rpod_estimator.daemon import run
@@ -34,11 +34,13 @@ from rpod_schemas.topics import (
     TF_STATIC,
     Namespace,
 )
-from rpod_schemas.types import EstimatorStatus, Mode, Source
+from rpod_schemas.types import Camera, EstimatorStatus, Mode, Source
 from rpod_schemas.wire import Attachment
 from rpod_target import load_target
 
 KEYS = Namespace()
+CAMERA = Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5)
+"""Small, so that no frame is dropped by a bus that is short of processor time."""
 MOUNT = make_pose(translation_m=[0.0, -0.05, 0.0])
 T_CHASER_TARGET = make_pose(
     rotation=Rotation.from_euler("ZYX", [12.0, 65.0, 5.0], degrees=True), translation_m=[0.05, 0.0, 5.0]
@@ -54,14 +56,14 @@ class Lab:
         self.statuses, self.odometry, self.health = Inbox(), Inbox(), Inbox()
         watcher = bus.node("watcher")
         for topic, inbox in ((STATUS, self.statuses), (ESTIMATE, self.odometry), (DIAGNOSTICS, self.health)):
-            watcher.subscribe(topic, inbox.put)
+            watcher.subscribe(topic, inbox.put, recover=True)
         self.watcher = watcher
         camera = bus.node("camera")
         camera.publisher(TF_STATIC).publish(write_transforms(0, [("chaser", "pmd_optical", MOUNT)]))
         self.parts = {topic: camera.publisher(topic.of("pmd")) for topic in (CAMERA_INFO, DEPTH, AMPLITUDE)}
         target = load_target("mockup")
         self.amplitude = np.full((CAMERA.height, CAMERA.width), 800, np.uint16)
-        self.frame = depth_frame(target, MOUNT.inv() * T_CHASER_TARGET, noise_m=0.005)
+        self.frame = depth_frame(target, MOUNT.inv() * T_CHASER_TARGET, noise_m=0.005, camera=CAMERA)
 
     def messages(self, stamp_ns: int, frame_id: str = "pmd_optical") -> dict:
         return {
@@ -93,7 +95,7 @@ class Lab:
         return found
 
     def counter(self, name: str) -> int:
-        return self.watcher.ask("estimator", "status", StatusReply).counters.get(name, 0)
+        return self.watcher.ask("estimator", "status", StatusReply, timeout_s=TIMEOUT_S).counters.get(name, 0)
 
     def told(self, name: str) -> bool:
         """Return whether the diagnostics on the bus name a counter, now or soon."""
@@ -155,7 +157,7 @@ def changed(message, **changes):
 
 
 def nan_image(stamp_ns):
-    return write_image(stamp_ns, "pmd_optical", np.full((287, 352), np.nan, np.float32), "32FC1")
+    return write_image(stamp_ns, "pmd_optical", np.full((72, 88), np.nan, np.float32), "32FC1")
 
 
 CONTENT = {
@@ -168,7 +170,7 @@ CONTENT = {
     "of the wrong encoding": (
         DEPTH,
         lambda stamp_ns: changed(
-            write_image(stamp_ns, "pmd_optical", np.ones((287, 352), np.float32), "32FC1"), encoding="bgr8"
+            write_image(stamp_ns, "pmd_optical", np.ones((72, 88), np.float32), "32FC1"), encoding="bgr8"
         ),
         "wrong_type",
     ),
@@ -216,7 +218,7 @@ def test_junk_is_counted(lab, junk):
     lab.parts[DEPTH].put(bytearray(junk))
     stamp_ns = lab.expose()
     assert lab.status(stamp_ns).accepted
-    counters = lab.watcher.ask("estimator", "status", StatusReply).counters
+    counters = lab.watcher.ask("estimator", "status", StatusReply, timeout_s=TIMEOUT_S).counters
     late = counters.get("rejected/pmd/depth/image_raw/late", 0)  # zeros are a stamp: 1970
     assert counters.get("rejected/pmd/depth/image_raw/malformed", 0) + late > before
 

@@ -1,10 +1,11 @@
 """The emulator's daemon on a real bus: truth in, frames out, faults on request."""
 
 import time
+from time import monotonic
 
 import numpy as np
 import pytest
-from live_bus import daemon, first
+from live_bus import TIMEOUT_S, daemon, first
 
 from rpod_emulator.daemon import run
 from rpod_motion.daemon import run as run_motion
@@ -19,7 +20,6 @@ from rpod_schemas.messages import (
     NANOSECONDS,
     read_camera,
     read_depth,
-    read_diagnostics,
     read_lidar_info,
     read_pmd_info,
     read_points,
@@ -60,21 +60,24 @@ class Viewer:
     def hear(self, *topics) -> None:
         for topic in topics:
             self.inboxes[topic.name] = Inbox()
-            self.node.subscribe(topic, self.inboxes[topic.name].put)
+            self.node.subscribe(topic, self.inboxes[topic.name].put, recover=True)
 
     def next(self, topic, read):
         return first(self.inboxes[topic.name], lambda received: read(received.decode()))
 
     def ready(self, *instances: str) -> None:
-        waiting = set(instances)
+        """Wait until services say that they are; their heartbeats set the pace of asking."""
+        deadline_s = monotonic() + 120.0
+        for instance in instances:
+            while self._state(instance) != "ready":
+                assert monotonic() < deadline_s, f"{instance} is not ready"
+                self.inboxes[DIAGNOSTICS.name].wait(0.1)
 
-        def pick(received) -> bool:
-            for item in read_diagnostics(received.decode()):
-                if item.message.startswith(("emulating", "waiting for the start")):
-                    waiting.discard(item.name)
-            return not waiting
-
-        assert first(self.inboxes[DIAGNOSTICS.name], pick, 120.0), f"{waiting} are not ready"
+    def _state(self, instance: str) -> str:
+        try:
+            return self.node.ask(instance, "status", StatusReply, timeout_s=TIMEOUT_S).state
+        except QueryFailedError:
+            return "absent"
 
 
 def facility(bus, *sensors, speed="1", duration_s=5.0, **motion):
@@ -101,7 +104,9 @@ def facility(bus, *sensors, speed="1", duration_s=5.0, **motion):
 
 def start(viewer: Viewer, epoch_ns: int) -> None:
     for instance in ("emulator", "motion"):
-        assert viewer.node.ask(instance, "start", Accepted, StartRequest(epoch_ns=epoch_ns)).accepted
+        assert viewer.node.ask(
+            instance, "start", Accepted, StartRequest(epoch_ns=epoch_ns), timeout_s=TIMEOUT_S
+        ).accepted
 
 
 def test_truth_becomes_frames_of_every_sensor(bus):
@@ -138,12 +143,16 @@ def test_truth_becomes_frames_of_every_sensor(bus):
         np.testing.assert_allclose(mounts["pmd_optical"][3].translation, [0.0, -0.05, 0.0])
 
         assert viewer.node.ask(
-            "emulator", "fault", Accepted, FaultRequest(fault="blackout", duration_s=60.0)
+            "emulator",
+            "fault",
+            Accepted,
+            FaultRequest(fault="blackout", duration_s=60.0),
+            timeout_s=TIMEOUT_S,
         ).accepted
         assert viewer.next(
             DEPTH.of("pmd"), lambda message: not np.isfinite(message.data.view(np.float32)).any()
         )
-        status = viewer.node.ask("emulator", "status", StatusReply)
+        status = viewer.node.ask("emulator", "status", StatusReply, timeout_s=TIMEOUT_S)
         assert status.counters["frames/pmd"] >= 2
         assert status.target_digest == load_target("mockup").digest
         with pytest.raises(QueryFailedError, match="already started"):
@@ -175,7 +184,10 @@ def test_in_lockstep_every_frame_is_made_and_waited_for_and_comes_out_the_same_t
                         )
                     )
                 )
-            assert viewer.node.ask("emulator", "status", StatusReply).counters["frames/pmd"] == 10
+            assert (
+                viewer.node.ask("emulator", "status", StatusReply, timeout_s=TIMEOUT_S).counters["frames/pmd"]
+                == 10
+            )
     half = len(payloads) // 2
     assert half == 12
     assert payloads[:half] == payloads[half:]

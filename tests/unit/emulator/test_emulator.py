@@ -60,8 +60,11 @@ class Bench:
         configuration = EmulatorConfig(target="mockup", sensors=sensors, epoch_ns=epoch_ns, **config)
         self.emulator = Emulator(self.node, configuration, self.channels)
 
-    def truth(self, first_s, last_s, *, epoch_ns=EPOCH_NS):
-        """Send truth at 250 Hz from one time to another, from the epoch."""
+    def truth(self, first_s, last_s, *, epoch_ns=EPOCH_NS, sun_W_m2=1.0):
+        """Send truth at 250 Hz from one time to another, from the epoch, and the sun of its first second."""
+        if sun_W_m2 is not None:
+            first_sun_ns = epoch_ns + int(first_s // 1) * SECOND_NS
+            self.receive(SUN, write_vector_stamped(first_sun_ns, "chaser", np.array([0.0, 0.0, sun_W_m2])))
         for stamp_ns in range(
             epoch_ns + round(first_s * SECOND_NS), epoch_ns + round(last_s * SECOND_NS) + 1, STEP_NS
         ):
@@ -120,13 +123,35 @@ def test_the_poses_are_those_of_the_target_in_the_sensor():
     np.testing.assert_allclose(channel.poses[0].translation, [0.0, 0.0, 6.0])
 
 
-def test_the_last_sun_shines():
+def sun(time_s, watts):
+    return write_vector_stamped(EPOCH_NS + round(time_s * SECOND_NS), "chaser", np.array([0.0, 0.0, watts]))
+
+
+def test_the_last_sun_up_to_the_frame_shines():
     bench = in_lockstep()
-    for watts in (5.0, 7.0):
-        bench.receive(SUN, write_vector_stamped(EPOCH_NS, "chaser", np.array([0.0, 0.0, watts])))
-    bench.truth(0.0, 0.2)
+    bench.truth(0.0, 0.2, sun_W_m2=None)
+    for time_s, watts in ((-1.0, 5.0), (0.0, 7.0), (1.0, 9.0)):
+        bench.receive(SUN, sun(time_s, watts))
     bench.turn()
     np.testing.assert_array_equal(bench.channels[0].sun_W_m2, [0.0, 0.0, 7.0])
+
+
+def test_in_lockstep_a_frame_waits_for_its_sun():
+    bench = in_lockstep()
+    bench.truth(0.8, 1.03, sun_W_m2=7.0)
+    bench.turn()
+    assert bench.published[-1] == ("pmd", 9)
+    bench.receive(SUN, sun(1.0, 9.0))
+    bench.turn()
+    assert bench.published[-1] == ("pmd", 10)
+    np.testing.assert_array_equal(bench.channels[0].sun_W_m2, [0.0, 0.0, 9.0])
+
+
+def test_by_the_wall_it_is_dark_until_the_sun_comes():
+    bench = Bench()
+    bench.truth(0.0, 0.2, sun_W_m2=None)
+    bench.turn()
+    np.testing.assert_array_equal(bench.channels[0].sun_W_m2, np.zeros(3))
 
 
 def test_in_lockstep_every_frame_is_made_in_order_of_stamp_and_name():
@@ -262,7 +287,7 @@ def test_a_start_that_is_awaited_tells_the_epoch():
     assert bench.log == []
     bench.node.served["start"](StartRequest(epoch_ns=EPOCH_NS + SECOND_NS))
     bench.turn()
-    bench.truth(0.9, 1.2)
+    bench.truth(1.0, 1.2)
     bench.turn()
     assert bench.published == [("pmd", 1)]
 

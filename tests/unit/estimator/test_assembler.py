@@ -94,8 +94,20 @@ def test_a_missing_required_part_leaves_its_frame_incomplete():
 
 def test_parts_of_a_frame_that_is_done_are_left_out():
     done = assembler()
-    assert stamps(feed(done, *whole(5), *whole(5), *whole(4))) == [5]
+    assert stamps(feed(done, *whole(5), *whole(6), *whole(5), *whole(6))) == [5, 6]
     assert done.incomplete == 0
+
+
+def test_a_frame_that_comes_behind_a_newer_one_is_given_up_once():
+    done = assembler()
+    assert stamps(feed(done, *whole(5), *whole(4), *whole(4))) == [5]
+    assert done.incomplete == 1
+
+
+def test_the_late_parts_of_a_frame_that_was_given_up_are_not_counted_again():
+    lossy = assembler()
+    feed(lossy, ("depth", 5), *whole(6), ("camera_info", 5), ("amplitude", 5))
+    assert lossy.incomplete == 1
 
 
 def test_interleaved_frames_come_out_oldest_first():
@@ -124,6 +136,20 @@ def test_whatever_the_order_no_frame_is_mispaired_doubled_or_out_of_order(arriva
         assert REQUIRED <= frame.parts.keys() <= REQUIRED | OPTIONAL
         assert all(part == (name, frame.stamp_ns) for name, part in frame.parts.items())
     assert stamps(frames) == sorted(set(stamps(frames)))
+
+
+THREADS = st.lists(st.sampled_from(PARTS), min_size=60, max_size=60)  # whose turn it is
+
+
+@given(THREADS)
+def test_every_frame_is_complete_or_given_up_however_the_topics_run_ahead_of_each_other(turns):
+    """Each topic keeps its order, as on the bus; among them there is none."""
+    queues = {name: list(range(1, 21)) for name in PARTS}
+    arrivals = [(name, queues[name].pop(0)) for name in turns if queues[name]]
+    arrivals += [(name, stamp) for name in PARTS for stamp in queues[name]]
+    collecting = assembler()
+    frames = feed(collecting, *arrivals, ("depth", 99))
+    assert len(frames) + collecting.incomplete == 20
 
 
 @given(st.lists(st.permutations(PARTS), min_size=5, max_size=5))
