@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from zlib import crc32
 
 import numpy as np
 from numpy.random import Generator
@@ -14,6 +13,7 @@ from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.geometry import RayGrid, cast
 from rpod_sim_sensor.lidar.detection import echo
 from rpod_sim_sensor.lidar.noise import noisy_directions, noisy_range_m
+from rpod_sim_sensor.noise import noise_stream
 from rpod_target import Target
 
 
@@ -50,7 +50,7 @@ class LidarEmulator:
             frame: its number, which with seed and sensor name gives its noise.
         """
         config = self._config
-        generator = np.random.default_rng((self._seed, crc32(config.name.encode()), frame))
+        generator = noise_stream(self._seed, config.name, frame)
         range_m, cos_incidence, reflectivity = self._met(poses)
         signal_e, probability = echo(
             config, reflectivity=reflectivity, cos_incidence=cos_incidence, range_m=range_m
