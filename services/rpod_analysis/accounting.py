@@ -10,6 +10,8 @@ from rpod_schemas.types import Diagnostic
 
 _PUBLISHED = "published/"
 _DROPPED = "dropped"
+_PASSED_OVER = (f"{_DROPPED}/", "incomplete/")
+"""By sensor: complete but not the newest, and never complete before a newer one was."""
 
 
 @dataclass
@@ -61,6 +63,6 @@ class Account:
         total = 0
         for counters in self.counters.values():
             if _PUBLISHED + status_topic in counters:
-                by_sensor = [value for name, value in counters.items() if name.startswith(f"{_DROPPED}/")]
+                by_sensor = [value for name, value in counters.items() if name.startswith(_PASSED_OVER)]
                 total += sum(by_sensor) if by_sensor else counters[_DROPPED]
         return total

@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from threading import Event
 
+from rpod_motion.errors import MotionError
 from rpod_motion.lockstep import Lockstep
 from rpod_motion.motion import build_motion
 from rpod_motion.truth import TruthPublisher
@@ -12,6 +13,7 @@ from rpod_runtime import Node
 from rpod_runtime.errors import RefusedError
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import Accepted, StartRequest
+from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import Health
 from rpod_target import load_target
@@ -28,15 +30,19 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
     """Publish the scenario's truth from start to end, then return.
 
     Raises:
+        ConfigurationError: the target cannot move as configured.
         LockstepError: in lockstep, a service did not keep up.
     """
     target = load_target(config.target)
-    motion = build_motion(
-        config.motion,
-        centre_of_mass_m=target.centre_of_mass_m,
-        inertia_kg_m2=target.inertia_kg_m2,
-        duration_s=config.duration_s,
-    )
+    try:
+        motion = build_motion(
+            config.motion,
+            centre_of_mass_m=target.centre_of_mass_m,
+            inertia_kg_m2=target.inertia_kg_m2,
+            duration_s=config.duration_s,
+        )
+    except MotionError as error:
+        raise ConfigurationError(config.instance, "motion", str(error)) from error
     with Node(config, version=version, stop=stop) as node:
         epoch_ns = _epoch(node, config)
         if epoch_ns is None:

@@ -63,12 +63,12 @@ class Lockstep:
     def _await_status(self, sensor: str, stamp_ns: int) -> None:
         deadline_s = time.monotonic() + self._config.lockstep.timeout_s
         while not self._node.stop.is_set():
+            self._check(
+                deadline_s, self._config.lockstep.estimator, f"a status for {sensor} at {stamp_ns} ns"
+            )
             try:
                 status = self._statuses.get(timeout=0.05)
             except Empty:
-                self._check(
-                    deadline_s, self._config.lockstep.estimator, f"a status for {sensor} at {stamp_ns} ns"
-                )
                 continue
             self._frames_done += 1
             if (status.sensor, status.stamp_ns) == (sensor, stamp_ns):

@@ -40,6 +40,14 @@ class LidarInput(Config):
     )
     """When a registration is believed."""
 
+    @model_validator(mode="after")
+    def _the_pattern_is_whole(self) -> Self:
+        if (self.azimuth_rad is None) != (self.elevation_rad is None):
+            raise ValueError(
+                "azimuth_rad and elevation_rad make the scan pattern together: give both or none"
+            )
+        return self
+
 
 class PmdInput(Config):
     """A PMD camera and the methods for it."""
