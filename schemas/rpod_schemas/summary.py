@@ -44,7 +44,7 @@ class EstimateCount(Config):
     rejected: Count
     """Frames whose measurement was rejected, with a reason in their status."""
     dropped: Count
-    """Frames that the estimator passed over in favour of newer ones."""
+    """Frames that the estimator passed over in favour of newer ones, complete or not."""
     unscored: Count
     """Estimates without truth at their stamp."""
     lost_s: NonNegative

@@ -212,3 +212,9 @@ def test_only_the_estimator_whose_status_it_is_has_dropped_frames():
     account.hear(heartbeat("logger", dropped=70))
     assert account.dropped("estimate/status") == 4
     assert account.dropped("other/status") == 50
+
+
+def test_a_frame_that_never_became_complete_is_dropped_too():
+    account = Account()
+    account.hear(heartbeat("a", published__estimate__status=9, dropped__pmd=3, incomplete__pmd=2))
+    assert account.dropped("estimate/status") == 5
