@@ -11,7 +11,8 @@ from rpod_runtime.lifecycle import SUPERVISED
 
 TIMEOUT_S = 30.0
 BODY = """
-import os, signal, sys
+import signal, sys
+from threading import Event
 from rpod_runtime import lifecycle
 from rpod_runtime.errors import EndpointError
 from rpod_schemas.errors import ConfigurationError
@@ -61,7 +62,7 @@ def test_a_signal_is_heeded_while_the_main_thread_holds_the_lock_of_the_event():
 
 
 def test_the_second_signal_forces_the_exit():
-    process = serve("print('on', flush=True); stop.wait(); print('draining', flush=True); signal.pause()")
+    process = serve("print('on', flush=True); stop.wait(); print('draining', flush=True); Event().wait()")
     assert process.stdout.readline() == "on\n"
     process.send_signal(signal.SIGINT)
     assert process.stdout.readline() == "draining\n"
