@@ -34,7 +34,8 @@ class Assembler(Generic[PartT]):
     topic in a thread of its own.
 
     A frame is complete with all its required parts and, as long as they keep coming, its optional
-    ones; an optional part that is missing is not waited for beyond the next frame's first part.
+    ones; an optional part that is missing is not waited for beyond the next frame's first part, nor, as
+    ``release`` has it, once nothing comes any more.
     """
 
     required: frozenset[str]
@@ -62,6 +63,11 @@ class Assembler(Generic[PartT]):
         while len(self._pending) > _PENDING:
             self._give_up(min(self._pending))
         return complete
+
+    def release(self) -> list[Assembled[PartT]]:
+        """Return the frames that lack optional parts only, oldest first: nothing comes any more."""
+        ready = [stamp_ns for stamp_ns, parts in self._pending.items() if self.required <= parts.keys()]
+        return [self._finish(stamp_ns) for stamp_ns in sorted(ready)]
 
     def _satisfied(self, parts: dict[str, PartT], *, newest: bool) -> bool:
         waits = newest and self._without_optional < _PATIENCE

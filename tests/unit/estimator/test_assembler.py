@@ -179,3 +179,12 @@ def test_sensors_have_a_slot_each_and_the_oldest_stamp_goes_first_then_the_name(
     order = [slots.take()[0] for _ in range(3)]
     assert order == ["side", "lidar", "pmd"]
     assert not slots
+
+
+def test_once_nothing_comes_any_more_a_frame_goes_without_its_optional_part():
+    waiting = assembler()
+    assert feed(waiting, *required(5), ("depth", 6)) == [Assembled(5, {n: (n, 5) for n, _ in required(5)})]
+    assert waiting.release() == []
+    assert feed(waiting, ("camera_info", 6)) == []
+    assert stamps(waiting.release()) == [6]
+    assert waiting.done_ns == 6
