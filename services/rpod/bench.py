@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event
@@ -97,13 +99,13 @@ def _table(rows: list[Row]) -> Table:
     return table
 
 
-def _timed(name: str, call: Callable[[int], object], *, runs: int, rate_hz: float | None = None) -> Row:
-    """Time a call in ms; it gets the number of its run. The first run is not counted."""
-    call(0)
+def _timed(name: str, call: Callable[[], object], *, runs: int, rate_hz: float | None = None) -> Row:
+    """Time a call in ms. The first run is not counted."""
+    call()
     wall_ms, busy_s = np.empty(runs), np.empty(runs)
     for index in range(runs):
         started_s, started_busy_s = time.perf_counter(), time.process_time()
-        call(index + 1)
+        call()
         busy_s[index] = time.process_time() - started_busy_s
         wall_ms[index] = 1e3 * (time.perf_counter() - started_s)
     low, median, high = np.percentile(wall_ms, [25, 50, 75])
@@ -132,7 +134,7 @@ def _rays() -> Iterator[Row]:
         ("rays, mock-up at 2.5 m, 704 x 574", pixels, mockup, 2.5),
         ("rays, ENVISAT mesh at 30 m, 41 x 41", scan, envisat, 30.0),
     ):
-        row = _timed(name, lambda _, g=grid, t=target, r=range_m: cast(g, t.triangles_m, _facing(r)), runs=40)  # type: ignore[misc]
+        row = _timed(name, partial(cast, grid, target.triangles_m, _facing(range_m)), runs=40)
         yield _per_second(row, items=grid.directions.shape[0] * grid.directions.shape[1], unit="million/s")
 
 
@@ -141,27 +143,36 @@ def _lidar() -> Iterator[Row]:
     emulator = LidarEmulator(config, target, seed=1)
     methods = lidar_methods(LidarInput(), target, ScanPattern(config.azimuth_rad, config.elevation_rad))
     for range_m in (20.0, 50.0):
-        pose = make_pose(rotation=FACING, translation_m=[0.0, 0.0, range_m])
+        pose = _facing(range_m)
+        poses = [pose] * len(config.pose_times_s())
         yield _timed(
             f"LIDAR scan, ENVISAT at {range_m:g} m",
-            lambda number, p=pose: emulator.scan([p] * len(config.pose_times_s()), frame=number),  # type: ignore[misc]
+            partial(_next_scan, emulator, poses, count()),
             runs=40,
             rate_hz=config.rate_hz,
         )
-        returns = emulator.scan([pose] * len(config.pose_times_s()), frame=0)
+        returns = emulator.scan(poses, frame=0)
         scan = LidarScan(stamp_ns=0, frame_id="lidar", points_m=returns.points_m)
         yield _timed(
             f"template matching, ENVISAT at {range_m:g} m",
-            lambda _, s=scan: methods.acquisition.acquire(s),  # type: ignore[misc]
+            partial(methods.acquisition.acquire, scan),
             runs=5,
         )
         guess = make_pose(translation_m=[0.1, -0.2, 0.1]) * pose * _turn_deg(4.0)
         yield _timed(
             f"nearest-neighbour ICP, ENVISAT at {range_m:g} m",
-            lambda _, s=scan, g=guess: methods.tracker.track(s, g),  # type: ignore[misc]
+            partial(methods.tracker.track, scan, guess),
             runs=20,
             rate_hz=config.rate_hz,
         )
+
+
+def _next_scan(emulator: LidarEmulator, poses: list[RigidTransform], frames: Iterator[int]) -> None:
+    emulator.scan(poses, frame=next(frames))
+
+
+def _next_exposure(emulator: PmdEmulator, poses: list[RigidTransform], frames: Iterator[int]) -> None:
+    emulator.expose(poses, sun_W_m2=_SUN_W_m2, frame=next(frames))
 
 
 def _pmd() -> Iterator[Row]:
@@ -172,7 +183,7 @@ def _pmd() -> Iterator[Row]:
         pose = _facing(range_m)
         yield _timed(
             f"PMD frame, mock-up at {range_m:g} m",
-            lambda number, p=pose: emulator.expose([p] * 4, sun_W_m2=_SUN_W_m2, frame=number),  # type: ignore[misc]
+            partial(_next_exposure, emulator, [pose] * 4, count()),
             runs=40,
             rate_hz=config.rate_hz,
         )
@@ -187,13 +198,13 @@ def _pmd() -> Iterator[Row]:
         guess = make_pose(translation_m=[0.01, -0.02, 0.02]) * pose * _turn_deg(1.0)
         yield _timed(
             f"ICP with reverse calibration at {range_m:g} m",
-            lambda _, f=frame, g=guess: methods.tracker.track(f, g),  # type: ignore[misc]
+            partial(methods.tracker.track, frame, guess),
             runs=40,
             rate_hz=config.rate_hz,
         )
         yield _timed(
             f"view search at {range_m:g} m",
-            lambda _, f=frame: methods.acquisition.acquire(f),  # type: ignore[misc]
+            partial(methods.acquisition.acquire, frame),
             runs=5,
         )
 
@@ -241,10 +252,11 @@ def _log() -> Iterator[Row]:
     topic = DEPTH.of("pmd")
     frames = 90
     with TemporaryDirectory() as folder:
+        names = count()
 
-        def write(number: int) -> None:
+        def write() -> None:
             settings = WriterSettings(keys=keys, library=f"rpod {__version__}")
-            log = LogFile(Path(folder) / f"{number}.mcap", settings)
+            log = LogFile(Path(folder) / f"{next(names)}.mcap", settings)
             for index in range(frames):
                 attachment = Attachment(index + 1, index, bytes(16))
                 log.write(Received(topic, keys.key(topic), payload, attachment, index))
