@@ -27,10 +27,13 @@ def read_frame(frame: Assembled[Received]) -> PmdFrame:
     depth, amplitude = frame.parts["depth"], frame.parts.get("amplitude")
     camera = _read(frame.parts["camera_info"], read_camera)
     size = (camera.height, camera.width)
+    frame_id, depth_m = _read(
+        depth, lambda message: (str(message.header.frame_id), _sized(read_depth(message), size))
+    )
     return PmdFrame(
         stamp_ns=frame.stamp_ns,
-        frame_id=_read(depth, lambda message: str(message.header.frame_id)),
-        depth_m=_read(depth, lambda message: _sized(read_depth(message), size)),
+        frame_id=frame_id,
+        depth_m=depth_m,
         amplitude=_read(amplitude, lambda message: _sized(read_amplitude(message), size))
         if amplitude
         else None,
