@@ -155,7 +155,7 @@ def _lidar() -> Iterator[Row]:
         scan = LidarScan(stamp_ns=0, frame_id="lidar", points_m=returns.points_m)
         yield _timed(
             f"template matching, ENVISAT at {range_m:g} m",
-            partial(methods.acquisition.acquire, scan),
+            partial(methods.acquirer.acquire, scan),
             runs=5,
         )
         guess = make_pose(translation_m=[0.1, -0.2, 0.1]) * pose * _turn_deg(4.0)
@@ -204,7 +204,7 @@ def _pmd() -> Iterator[Row]:
         )
         yield _timed(
             f"view search at {range_m:g} m",
-            partial(methods.acquisition.acquire, frame),
+            partial(methods.acquirer.acquire, frame),
             runs=5,
         )
 

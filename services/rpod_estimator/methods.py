@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_estimator.acquisition.template_matching import OnlineTemplateMatching
+from rpod_estimator.acquisition.verified_search import VerifiedSearch
 from rpod_estimator.acquisition.view_search import ViewSearch
 from rpod_estimator.ports import Methods, Tracker
 from rpod_estimator.tracking.icp_nearest_neighbour import NearestNeighbourIcp
@@ -48,18 +49,19 @@ def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
         tracker = ReverseCalibrationIcp(sensor.tracking, target)
     else:
         tracker = SignedDistanceTracker(sensor.tracking, target)
-    return Methods(ViewSearch(sensor.acquisition, target), tracker, sensor.verification)
+    search = ViewSearch(sensor.acquisition, target)
+    return Methods(VerifiedSearch(search, tracker, sensor.verification), tracker, sensor.verification)
 
 
 def lidar_methods(sensor: LidarInput, target: Target, pattern: ScanPattern) -> Methods:
     """Return the methods for a LIDAR with a known scan pattern."""
-    acquisition = OnlineTemplateMatching(
+    search = OnlineTemplateMatching(
         sensor.acquisition, target, azimuth_rad=pattern.azimuth_rad, elevation_rad=pattern.elevation_rad
     )
     tracker = NearestNeighbourIcp(
         sensor.tracking, target, azimuth_rad=pattern.azimuth_rad, elevation_rad=pattern.elevation_rad
     )
-    return Methods(acquisition, tracker, sensor.verification)
+    return Methods(VerifiedSearch(search, tracker, sensor.verification), tracker, sensor.verification)
 
 
 def configured_pattern(sensor: SensorInput) -> ScanPattern | None:
@@ -74,7 +76,7 @@ def warm_up(methods: Methods, target: Target, pattern: ScanPattern | None) -> No
     away_m = 3.0 * target.radius_m + 1.0
     T_sensor_target = make_pose(translation_m=[0.0, 0.0, away_m])
     data = _ideal_scan(target, T_sensor_target, pattern) if pattern else _ideal_frame(target, T_sensor_target)
-    methods.acquisition.acquire(data)
+    methods.acquirer.acquire(data)
     methods.tracker.track(data, T_sensor_target)
 
 

@@ -19,13 +19,13 @@ from scipy.spatial.transform import RigidTransform
 from rpod_estimator.filter import FilterState, predict, start, to_odometry
 from rpod_estimator.history import History, PoseMeasurement, apply
 from rpod_estimator.measurement import Measurement, Tick
-from rpod_estimator.ports import Candidate, Methods, Registration
+from rpod_estimator.ports import Acquisition, Methods, Registration, Verdict
 from rpod_estimator.verification import doubt
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
-from rpod_schemas.types import EstimatorStatus, Mode, Odometry, Source
+from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, Odometry, Source
 
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.05
 """Of a given first pose whose covariance is not given."""
@@ -120,31 +120,11 @@ class Navigator:
     # --- ACQUIRING ---
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
-        """Search without a guess, refine the best candidates, believe the best of those that hold."""
-        candidates = self._methods[event.sensor].acquisition.acquire(event.data)
-        if not candidates:
-            return state, self._output(state, event, reason="acquisition found nothing to work on")
-        best, why = self._best(event, candidates)
-        if why:
-            return state, self._output(state, event, best, reason=f"not believed: {why}")
-        return self._begin(state, event, best)
-
-    def _best(self, event: Measurement, candidates: list[Candidate]) -> tuple[Registration, str]:
-        """Refine candidates; return the believed one that is chosen, or the first of all and its doubt."""
-        methods = self._methods[event.sensor]
-        limits = methods.verification
-        believed: list[Registration] = []
-        refused: list[tuple[Registration, str]] = []
-        for candidate in candidates[: limits.candidates]:
-            registration = methods.tracker.track(event.data, candidate.T_sensor_target)
-            why = doubt(registration, limits)
-            if why:
-                refused.append((registration, why))
-            elif limits.choice == "first":
-                return registration, ""
-            else:
-                believed.append(registration)
-        return (max(believed, key=_explained), "") if believed else refused[0]
+        """Search without a guess; begin where one pose explains the measurement."""
+        found = self._methods[event.sensor].acquirer.acquire(event.data)
+        if found.verdict is Verdict.ACCEPTED:
+            return self._begin(state, event, found.registration)
+        return state, self._output(state, event, found.registration, reason=found.reason, found=found)
 
     def _begin(
         self, state: NavigatorState, event: Measurement, registration: Registration
@@ -212,8 +192,11 @@ class Navigator:
         T_sensor_target = event.T_chaser_sensor.inv() * predicted.T_chaser_target
         registration = methods.tracker.track(event.data, T_sensor_target)
         why = doubt(registration, methods.verification)
-        candidates = methods.acquisition.near(event.data, T_sensor_target) if why and wide else []
-        return self._best(event, candidates) if candidates else (registration, why)
+        if why and wide:
+            found = methods.acquirer.near(event.data, T_sensor_target)
+            if found.verdict is Verdict.ACCEPTED:
+                return found.registration, ""
+        return registration, why
 
     def _reject(
         self,
@@ -273,20 +256,23 @@ class Navigator:
         *,
         reason: str = "",
         nis: float = float("nan"),
+        found: Acquisition | None = None,
     ) -> Output:
-        found = registration or Registration(Source.NONE)
+        measured = registration or Registration(Source.NONE)
         status = EstimatorStatus(
             stamp_ns=event.stamp_ns,
             frame_id=CHASER,
             mode=state.mode,
-            source=found.source,
+            source=measured.source,
             sensor=event.sensor,
             accepted=not reason,
             reason=reason,
-            cost_m2=found.cost_m2,
+            cost_m2=measured.cost_m2,
             nis=nis,
-            inliers=found.inliers,
-            inlier_share=found.inlier_share,
+            inliers=measured.inliers,
+            inlier_share=measured.inlier_share,
+            ambiguous=found is not None and found.verdict is Verdict.AMBIGUOUS,
+            hypotheses=_in_chaser(found.hypotheses, event.T_chaser_sensor) if found else (),
         )
         if state.mode != Mode.TRACKING or state.history is None:
             return Output(status, None)
@@ -307,6 +293,5 @@ def in_chaser(
     return T_chaser_sensor * registration.T_sensor_target, turn @ registration.covariance @ turn.T
 
 
-def _explained(registration: Registration) -> float:
-    share = registration.explained_share
-    return 0.0 if np.isnan(share) else share
+def _in_chaser(hypotheses: tuple[Hypothesis, ...], T_chaser_sensor: RigidTransform) -> tuple[Hypothesis, ...]:
+    return tuple(Hypothesis(pose=T_chaser_sensor * item.pose, weight=item.weight) for item in hypotheses)

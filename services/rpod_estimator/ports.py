@@ -5,6 +5,7 @@ measurement in its sensor's axes and the target's model, and neither bus, clock 
 """
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -12,14 +13,14 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.verification import VerificationConfig
-from rpod_schemas.types import LidarScan, PmdFrame, Source
+from rpod_schemas.types import Hypothesis, LidarScan, PmdFrame, Source
 
 MeasurementT_contra = TypeVar("MeasurementT_contra", LidarScan, PmdFrame, contravariant=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A pose that an acquisition proposes."""
+    """A pose that a search proposes."""
 
     T_sensor_target: RigidTransform
     cost_m2: float
@@ -46,15 +47,75 @@ class Registration:
     iterations: int = 0
 
 
-class Acquisition(Protocol, Generic[MeasurementT_contra]):
-    """Finds the target in one measurement, without any prior pose."""
+class Verdict(StrEnum):
+    """What an acquisition says of its own result."""
 
-    def acquire(self, measurement: MeasurementT_contra) -> list[Candidate]:
-        """Return candidates, best first; empty where there is nothing to work on. Deterministic."""
+    ACCEPTED = "accepted"
+    AMBIGUOUS = "ambiguous"
+    """Several poses explain the measurement; the hypotheses list them."""
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, eq=False)
+class Acquisition:
+    """What a search without a guess made of one measurement, checked and ranked."""
+
+    verdict: Verdict
+    registration: Registration
+    """The best pose with its covariance, cost and self-check; without a pose where nothing was found."""
+    reason: str = ""
+    """Why it failed or what is ambiguous, in words for the operator; empty if accepted."""
+    hypotheses: tuple[Hypothesis, ...] = ()
+    """T_sensor_target of what explains the measurement, best first; weights sum to 1. Empty if failed."""
+    templates: int = 0
+    """Attitudes in the search."""
+    excluded_share: float = 0.0
+    """Of them, those left out before they were compared with the measurement."""
+
+    @property
+    def pose(self) -> RigidTransform | None:
+        """T_sensor_target of the best pose; None where nothing was found."""
+        return self.registration.T_sensor_target
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6)."""
+        return self.registration.covariance
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """What a search proposes, unchecked."""
+
+    poses: tuple[Candidate, ...] = ()
+    """Best first; empty where there is nothing to work on."""
+    templates: int = 0
+    """Attitudes in the search."""
+    excluded_share: float = 0.0
+    """Of them, those left out before they were compared with the measurement."""
+
+
+class Search(Protocol, Generic[MeasurementT_contra]):
+    """Proposes poses for one measurement, for a tracker to refine and check."""
+
+    def search(self, measurement: MeasurementT_contra) -> Candidates:
+        """Return candidates from everywhere. Deterministic."""
         ...
 
-    def near(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> list[Candidate]:
-        """Return candidates, best first, around a pose that is too far off for the tracker. Deterministic."""
+    def near(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Candidates:
+        """Return candidates around a pose that is too far off for the tracker. Deterministic."""
+        ...
+
+
+class Acquirer(Protocol, Generic[MeasurementT_contra]):
+    """Finds the target in one measurement and judges what it found."""
+
+    def acquire(self, measurement: MeasurementT_contra) -> Acquisition:
+        """Search without any prior pose; never raises on data. Deterministic."""
+        ...
+
+    def near(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Acquisition:
+        """Search around a pose that is too far off for the tracker; never raises on data. Deterministic."""
         ...
 
 
@@ -68,8 +129,8 @@ class Tracker(Protocol, Generic[MeasurementT_contra]):
 
 @dataclass(frozen=True, eq=False)
 class Methods:
-    """One sensor's acquisition and tracker, and when their results are believed."""
+    """How one sensor's target is found and tracked, and when a registration is believed."""
 
-    acquisition: Acquisition[Any]
+    acquirer: Acquirer[Any]
     tracker: Tracker[Any]
     verification: VerificationConfig

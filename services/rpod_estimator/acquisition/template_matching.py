@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_estimator.ports import Candidate
+from rpod_estimator.ports import Candidate, Candidates
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
 from rpod_schemas.types import LidarScan
@@ -24,7 +24,7 @@ BOUND_MARGIN_DEG = 1e-6
 
 
 class OnlineTemplateMatching:
-    """Finds the target in a scan: ports.Acquisition[LidarScan]."""
+    """Finds the target in a scan: ports.Search[LidarScan]."""
 
     def __init__(
         self,
@@ -38,25 +38,27 @@ class OnlineTemplateMatching:
         self._grid = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad)
         self._attitudes = euler_grid(config.step_deg)
 
-    def acquire(self, measurement: LidarScan) -> list[Candidate]:
+    def search(self, measurement: LidarScan) -> Candidates:
         """Return candidates of distinct attitudes, least mean squared distance first.
 
         Empty where the scan has too few returns, or where no template has any.
         """
         return self._matched(measurement, self._attitudes, self._config.distinct_deg)
 
-    def near(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> list[Candidate]:
+    def near(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Candidates:
         """Return the candidates among the templates within ``near_deg`` of an attitude, neighbours too."""
         away_rad = (T_sensor_target.rotation.inv() * self._attitudes).magnitude()
         close = np.flatnonzero(away_rad <= radians(self._config.near_deg))
         distinct_deg = self._config.step_deg / 2.0
-        return self._matched(measurement, self._attitudes[close], distinct_deg) if close.size else []
+        return (
+            self._matched(measurement, self._attitudes[close], distinct_deg) if close.size else Candidates()
+        )
 
-    def _matched(self, measurement: LidarScan, attitudes: Rotation, distinct_deg: float) -> list[Candidate]:
+    def _matched(self, measurement: LidarScan, attitudes: Rotation, distinct_deg: float) -> Candidates:
         config = self._config
         points_m = measurement.returns_m.astype(np.float64)
         if len(points_m) < config.min_points:
-            return []
+            return Candidates()
         centroid_m = points_m.mean(axis=0)
         spread_m = boresight_distance_m(points_m)
         poses = RigidTransform.from_components(centroid_m, attitudes)
@@ -71,7 +73,8 @@ class OnlineTemplateMatching:
         if config.centroid_offset:
             poses = RigidTransform.from_components(centroid_m - offsets_m, attitudes)
         best = self._best_distinct(costs_m2, attitudes, distinct_deg)
-        return [Candidate(poses[index], float(costs_m2[index])) for index in best]
+        found = tuple(Candidate(poses[index], float(costs_m2[index])) for index in best)
+        return Candidates(found, templates=len(poses), excluded_share=float(np.mean(~np.isfinite(costs_m2))))
 
     def _template_m(self, T_sensor_target: RigidTransform, hits: Hits) -> FloatArray:
         """Return the points of the ideal scan, shape (M, 3)."""

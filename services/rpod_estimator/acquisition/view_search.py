@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_estimator.ports import Candidate
+from rpod_estimator.ports import Candidate, Candidates
 from rpod_estimator.tracking.depth_view import DepthImage, usable_image
 from rpod_estimator.tracking.signed_distance import field_arrays, refine
 from rpod_schemas.arrays import FloatArray
@@ -26,7 +26,7 @@ SEGMENTATION_ROUNDS = 5
 
 
 class ViewSearch:
-    """Finds the target in a depth image: ports.Acquisition[PmdFrame].
+    """Finds the target in a depth image: ports.Search[PmdFrame].
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
@@ -43,12 +43,12 @@ class ViewSearch:
         self._turns = symmetry_turns(target)
         self._centroids_m = np.repeat(visible_centroids(target, directions), config.rolls, axis=0)
 
-    def acquire(self, measurement: PmdFrame) -> list[Candidate]:
+    def search(self, measurement: PmdFrame) -> Candidates:
         """Return distinct candidates, best by render and compare first; empty where no target is in sight."""
         config = self._config
         seen = self._seen(measurement)
         if seen is None:
-            return []
+            return Candidates()
         image, measured_m = seen
         poses, costs = self._drawn_in(measured_m, self._first_guesses(measured_m))
         best = self._compared(image, measured_m, poses[self._distinct(poses, costs, config.kept)])
@@ -61,13 +61,14 @@ class ViewSearch:
             best = best + self._compared(image, measured_m, RigidTransform.concatenate(turns))
         costs = np.array([candidate.cost_m2 for candidate in best])
         poses = RigidTransform.concatenate([candidate.T_sensor_target for candidate in best])
-        return [best[k] for k in self._distinct(poses, costs, config.candidates)]
+        distinct = self._distinct(poses, costs, config.candidates)
+        return Candidates(tuple(best[k] for k in distinct), templates=len(self._attitudes))
 
-    def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> list[Candidate]:
+    def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Candidates:
         """Return candidates, best first, from a rough attitude and its turns, laid on the points."""
         seen = self._seen(measurement)
         if seen is None:
-            return []
+            return Candidates()
         image, measured_m = seen
         attitudes = T_sensor_target.rotation * _small_turns(self._config.near_rad)
         centroid_m = measured_m.mean(axis=0)
@@ -76,7 +77,7 @@ class ViewSearch:
         poses, _ = self._drawn_in(
             measured_m, RigidTransform.from_components(centroid_m - offsets_m, attitudes)
         )
-        return self._compared(image, measured_m, poses)
+        return Candidates(tuple(self._compared(image, measured_m, poses)), templates=len(attitudes))
 
     def _seen(self, measurement: PmdFrame) -> tuple[DepthImage, FloatArray] | None:
         """Return the image and the points that are the target's, (N, 3); None where they are too few."""

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_estimator.acquisition.verified_search import VerifiedSearch
 from rpod_estimator.measurement import Measurement, Tick
 from rpod_estimator.navigator import Navigator
-from rpod_estimator.ports import Candidate, Methods, Registration
+from rpod_estimator.ports import Candidate, Candidates, Methods, Registration
 from rpod_schemas.config.estimator import EstimatorSettings, NavigatorConfig, PmdInput
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.verification import VerificationConfig
@@ -68,11 +69,11 @@ class Method:
     asked: list[str] = field(default_factory=list)
     _refined: dict[int, Registration] = field(default_factory=dict)
 
-    def acquire(self, view: View) -> list[Candidate]:
+    def search(self, view: View) -> Candidates:
         self.asked.append("acquire")
         return self._candidates(view.acquired)
 
-    def near(self, view: View, _: RigidTransform) -> list[Candidate]:
+    def near(self, view: View, _: RigidTransform) -> Candidates:
         self.asked.append("near")
         return self._candidates(view.nearby)
 
@@ -81,14 +82,14 @@ class Method:
         self.asked.append("track" if refined is None else "refine")
         return view.tracked if refined is None else refined
 
-    def _candidates(self, registrations: tuple[Registration, ...]) -> list[Candidate]:
+    def _candidates(self, registrations: tuple[Registration, ...]) -> Candidates:
         candidates = [Candidate(make_pose(), 0.0) for _ in registrations]
         self._refined = {
             id(candidate.T_sensor_target): refined
             for candidate, refined in zip(candidates, registrations, strict=True)
         }
         self._kept = candidates  # so that no id is used twice
-        return candidates
+        return Candidates(tuple(candidates))
 
 
 @dataclass
@@ -124,7 +125,9 @@ def rig(*, pose=None, filter_config: FilterConfig | None = None, verification=LI
         filter=filter_config or FilterConfig(),
     )
     method = Method()
-    navigator = Navigator(settings, {"pmd": Methods(method, method, verification)})
+    navigator = Navigator(
+        settings, {"pmd": Methods(VerifiedSearch(method, method, verification), method, verification)}
+    )
     return Rig(navigator, method, navigator.start(pose))
 
 
@@ -195,7 +198,7 @@ def test_without_candidates_the_search_goes_on():
     output = made.see(blind(START_S))
     assert made.mode == Mode.ACQUIRING
     assert not output.status.accepted
-    assert output.status.reason == "acquisition found nothing to work on"
+    assert output.status.reason == "the search found nothing to work on"
 
 
 def test_a_candidate_that_is_not_believed_is_no_hypothesis_and_says_why():
@@ -425,7 +428,7 @@ def test_what_stays_lost_says_why():
     made = lost()
     output = made.see(blind(START_S + 6.1))
     assert made.mode == Mode.LOST
-    assert output.status.reason == "acquisition found nothing to work on"
+    assert output.status.reason == "the search found nothing to work on"
     assert output.odometry is None
 
 

@@ -72,7 +72,7 @@ def test_the_spread_is_the_mean_distance_from_the_boresight():
 
 def test_an_attitude_of_the_grid_is_found_at_its_place():
     T = make_pose(rotation=euler_grid(30)[431], translation_m=(0.4, -0.3, 22.0))
-    attitude_deg, position_m = errors(T, matching().acquire(scan_at(T))[0])
+    attitude_deg, position_m = errors(T, matching().search(scan_at(T)).poses[0])
     assert attitude_deg < 0.1
     assert position_m < 0.5
 
@@ -80,11 +80,11 @@ def test_an_attitude_of_the_grid_is_found_at_its_place():
 @pytest.mark.parametrize("seed", [0, 2, 4])
 def test_one_of_the_candidates_lies_within_a_step_of_any_attitude(seed):
     T = random_pose(seed)
-    assert min(errors(T, candidate)[0] for candidate in matching().acquire(scan_at(T))) < 25.0
+    assert min(errors(T, candidate)[0] for candidate in matching().search(scan_at(T)).poses) < 25.0
 
 
 def test_candidates_are_distinct_and_best_first():
-    candidates = matching().acquire(scan_at(random_pose(1)))
+    candidates = matching().search(scan_at(random_pose(1))).poses
     costs_m2 = [candidate.cost_m2 for candidate in candidates]
     assert len(candidates) == TemplateMatchingConfig().candidates
     assert costs_m2 == sorted(costs_m2)
@@ -95,7 +95,7 @@ def test_candidates_are_distinct_and_best_first():
 
 def test_without_the_offset_the_position_is_the_scans_centroid():
     scan = scan_at(random_pose(3))
-    candidates = matching(centroid_offset=False).acquire(scan)
+    candidates = matching(centroid_offset=False).search(scan).poses
     centroid_m = scan.returns_m.astype(float).mean(axis=0)
     for candidate in candidates:
         assert candidate.T_sensor_target.translation == pytest.approx(centroid_m)
@@ -107,7 +107,7 @@ def test_the_fast_variant_correlates_only_templates_spread_like_the_scan():
         matching(distinct_deg=0, candidates=2000),
         matching(distinct_deg=0, candidates=2000, fast=True),
     )
-    kept, all_of_them = fast.acquire(scan), every.acquire(scan)
+    kept, all_of_them = fast.search(scan).poses, every.search(scan).poses
     assert 0.05 < len(kept) / len(all_of_them) < 0.5
     costs_m2 = {candidate.cost_m2 for candidate in all_of_them}
     assert all(candidate.cost_m2 in costs_m2 for candidate in kept)
@@ -116,7 +116,7 @@ def test_the_fast_variant_correlates_only_templates_spread_like_the_scan():
 def test_a_search_near_a_rough_attitude_stays_near_and_finds_the_truth():
     T = random_pose(2)
     rough = T * make_pose(rotation=Rotation.from_rotvec([0.0, 0.4, 0.2]))
-    candidates = matching().near(scan_at(T), rough)
+    candidates = matching().near(scan_at(T), rough).poses
     turns_deg = [
         np.rad2deg((rough.rotation.inv() * c.T_sensor_target.rotation).magnitude()) for c in candidates
     ]
@@ -126,7 +126,7 @@ def test_a_search_near_a_rough_attitude_stays_near_and_finds_the_truth():
 
 def test_an_unorganised_scan_gives_the_same_candidates():
     scan = scan_at(random_pose(1))
-    organised, flat = matching().acquire(scan), matching().acquire(scan_of(scan.returns_m))
+    organised, flat = matching().search(scan).poses, matching().search(scan_of(scan.returns_m)).poses
     assert [candidate.cost_m2 for candidate in organised] == [candidate.cost_m2 for candidate in flat]
 
 
@@ -139,8 +139,8 @@ STRANGE = {
 
 @pytest.mark.parametrize("points_m", STRANGE.values(), ids=STRANGE)
 def test_too_few_returns_give_no_candidate(points_m):
-    assert matching().acquire(scan_of(points_m)) == []
-    assert matching().near(scan_of(points_m), random_pose(0)) == []
+    assert matching().search(scan_of(points_m)).poses == ()
+    assert matching().near(scan_of(points_m), random_pose(0)).poses == ()
 
 
 def test_points_on_a_plane_or_all_in_one_place_are_searched_without_fuss():
@@ -149,5 +149,6 @@ def test_points_on_a_plane_or_all_in_one_place_are_searched_without_fuss():
     )
     for points_m in (plane, np.full((10, 3), 15.0), np.full((10, 3), -15.0)):
         assert all(
-            np.isfinite(candidate.cost_m2) for candidate in matching(step_deg=60).acquire(scan_of(points_m))
+            np.isfinite(candidate.cost_m2)
+            for candidate in matching(step_deg=60).search(scan_of(points_m)).poses
         )

@@ -15,7 +15,7 @@ FRONTAL = make_pose(rotation=FACING, translation_m=(0.1, -0.1, 4.5))
 mockup = cache(lambda: load_target("mockup"))
 search = cache(lambda: ViewSearch(PmdAcquisitionConfig(), mockup()))
 frontal = cache(lambda: depth_frame(mockup(), FRONTAL, noise_m=0.01))
-found = cache(lambda: search().acquire(frontal()))
+found = cache(lambda: search().search(frontal()).poses)
 
 
 def attitude_error_deg(T_truth, T):
@@ -25,7 +25,7 @@ def attitude_error_deg(T_truth, T):
 @pytest.mark.parametrize("seed", range(3))
 def test_any_attitude_is_found_without_a_guess(seed):
     T = make_pose(rotation=Rotation.random(random_state=seed), translation_m=(0.2, 0.1, 3.5 + 0.5 * seed))
-    best = search().acquire(depth_frame(mockup(), T, noise_m=0.01, seed=seed))[0]
+    best = search().search(depth_frame(mockup(), T, noise_m=0.01, seed=seed)).poses[0]
     assert attitude_error_deg(T, best.T_sensor_target) < 3.0
     assert np.linalg.norm(best.T_sensor_target.translation - T.translation) < 0.03
 
@@ -51,23 +51,23 @@ def test_candidates_are_distinct_and_best_first():
 def test_a_background_within_range_is_left_out():
     depth_m = frontal().depth_m.copy()
     depth_m[::9, ::9] = np.where(np.isfinite(depth_m[::9, ::9]), depth_m[::9, ::9], 7.2)
-    best = search().acquire(frame_of(depth_m))[0]
+    best = search().search(frame_of(depth_m)).poses[0]
     assert attitude_error_deg(FRONTAL, best.T_sensor_target) < 3.0
 
 
 def test_the_same_frame_gives_the_same_candidates():
-    again = search().acquire(frontal())
+    again = search().search(frontal()).poses
     assert [candidate.cost_m2 for candidate in again] == [candidate.cost_m2 for candidate in found()]
 
 
 @pytest.mark.parametrize("frame", strange_frames().values(), ids=strange_frames().keys())
 def test_no_frame_raises(frame):
-    for candidate in search().acquire(frame):
+    for candidate in search().search(frame).poses:
         assert np.isfinite(candidate.cost_m2)
 
 
 def test_nothing_in_sight_is_no_candidate():
-    assert search().acquire(frame_of(np.nan)) == []
+    assert search().search(frame_of(np.nan)).poses == ()
 
 
 def test_directions_are_even():
