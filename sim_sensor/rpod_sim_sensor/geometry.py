@@ -20,6 +20,7 @@ from rpod_schemas.types import Camera, Float32Array
 
 NEAR_M = 0.05
 """A triangle with a corner nearer than this along the boresight is tried on every ray."""
+GridArrays = tuple[FloatArray, tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 _NEWTON_STEPS = 8
 _NEWTON_TOLERANCE = 1e-9
 
@@ -65,6 +66,11 @@ class RayGrid:
     def directions(self) -> FloatArray:
         """Unit rays in sensor axes, shape (rows, columns, 3); a view."""
         return np.moveaxis(self.components, 0, -1)
+
+    @property
+    def arrays(self) -> "GridArrays":
+        """The rays and their bounds, as kernels take them."""
+        return self.components, self._columns, self._rows
 
     @classmethod
     def pinhole(cls, camera: Camera, samples: int = 1) -> Self:
@@ -122,14 +128,8 @@ def cast(
         cull_back_faces: skip triangles seen from behind, which are hidden anyway where the bodies are closed.
     """
     hits = Hits.of(grid) if out is None else out
-    corners = T_sensor_target.apply(triangles_m.reshape(-1, 3)).reshape(-1, 3, 3)
-    sides = np.cross(corners, np.roll(corners, -1, axis=1))  # v_i x v_j, shape (T, 3, 3)
-    volume = np.einsum("ti,ti->t", corners[:, 0], sides[:, 1])  # negative where seen from outside
-    usable = (volume < 0.0) if cull_back_faces else (volume != 0.0)
-    blocks = np.where(usable[:, None], _blocks(grid, corners), 0)
-    sides *= np.sign(volume)[:, None, None]
-    nearness = np.divide(1.0, np.abs(volume), where=usable, out=np.zeros_like(volume))
-    _cast(grid.components, sides, nearness, blocks, hits.range_m, hits.triangle)
+    R, t = T_sensor_target.rotation.as_matrix(), T_sensor_target.translation
+    cast_pose(grid.arrays, triangles_m, R, t, cull_back_faces, hits.range_m, hits.triangle)
     return hits
 
 
@@ -195,44 +195,80 @@ def _envelope(slope: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.minimum.accumulate(lower[::-1])[::-1].copy(), np.maximum.accumulate(upper)
 
 
-def _blocks(grid: RayGrid, corners: FloatArray) -> NDArray[np.intp]:
-    """Return the cells that may meet each triangle, shape (T, 4): first and last + 1 of rows and columns."""
-    depth = corners[..., 2:]
-    crossing = depth.min(axis=1) < NEAR_M
-    slope = corners[..., :2] / np.maximum(depth, NEAR_M)
-    low = np.where(crossing, -np.inf, slope.min(axis=1))
-    high = np.where(crossing, np.inf, slope.max(axis=1))
-    return np.stack(
-        (
-            np.searchsorted(grid._rows[1], low[:, 1], side="left"),
-            np.searchsorted(grid._rows[0], high[:, 1], side="right"),
-            np.searchsorted(grid._columns[1], low[:, 0], side="left"),
-            np.searchsorted(grid._columns[0], high[:, 0], side="right"),
-        ),
-        axis=1,
-    )
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast(rays, sides, nearness, blocks, range_m, triangle):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Fill ``range_m`` and ``triangle``; the innermost loop has no branch, so that it is vectorised."""
-    x, y, z = rays
+def cast_pose(grid, triangles, R, t, cull, range_m, triangle):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Fill ``range_m`` and ``triangle`` as ``cast`` does, for kernels that try many poses.
+
+    Args:
+        grid: ``RayGrid.arrays``.
+        triangles: target axes, shape (T, 3, 3).
+        R: of the target in the sensor, shape (3, 3).
+        t: of the target in the sensor, shape (3,), m.
+        cull: skip triangles seen from behind.
+        range_m: shape (rows, columns), out.
+        triangle: shape (rows, columns), out.
+    """
+    rays, columns, rows = grid
     inverse = range_m  # 1 / range until the end: the largest wins, and nothing is divided
     inverse[:] = 0.0
     triangle[:] = -1
-    for index in range(sides.shape[0]):
-        top, bottom, left, right = blocks[index]
-        (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = sides[index, 0], sides[index, 1], sides[index, 2]
-        scale = nearness[index]
-        for row in range(top, bottom):
-            dx, dy, dz = x[row, left:right], y[row, left:right], z[row, left:right]
-            best, owner = inverse[row, left:right], triangle[row, left:right]
-            for k in range(best.size):
-                s0 = a0 * dx[k] + a1 * dy[k] + a2 * dz[k]
-                s1 = b0 * dx[k] + b1 * dy[k] + b2 * dz[k]
-                s2 = c0 * dx[k] + c1 * dy[k] + c2 * dz[k]
-                near = np.float32((s0 + s1 + s2) * scale)
-                wins = (s0 >= 0.0) & (s1 >= 0.0) & (s2 >= 0.0) & (near > best[k])
-                best[k] = near if wins else best[k]
-                owner[k] = np.int32(index) if wins else owner[k]
+    corner, side = np.empty((3, 3)), np.empty((3, 3), rays.dtype)
+    for index in range(triangles.shape[0]):
+        for i in range(3):
+            for k in range(3):
+                corner[i, k] = t[k]
+                for j in range(3):
+                    corner[i, k] += R[k, j] * triangles[index, i, j]
+        volume = _sides(corner, side)  # negative where seen from outside
+        if volume == 0.0 or (cull and volume > 0.0):
+            continue
+        top, bottom = _block(corner[0, 1], corner[1, 1], corner[2, 1], corner[:, 2], rows)
+        left, right = _block(corner[0, 0], corner[1, 0], corner[2, 0], corner[:, 2], columns)
+        if top < bottom and left < right:
+            _draw(rays, side, 1.0 / abs(volume), (top, bottom, left, right), index, inverse, triangle)
     range_m[:] = 1.0 / inverse
+
+
+@njit(cache=True, nogil=True)
+def _sides(corner, side):  # type: ignore[no-untyped-def]
+    """Fill the products v_i x v_j, so signed that a ray inside has none negative; return v0 . (v1 x v2)."""
+    v0, v1, v2 = corner[0], corner[1], corner[2]
+    x, y, z = v1[1] * v2[2] - v1[2] * v2[1], v1[2] * v2[0] - v1[0] * v2[2], v1[0] * v2[1] - v1[1] * v2[0]
+    volume = v0[0] * x + v0[1] * y + v0[2] * z
+    sign = 1.0 if volume > 0.0 else -1.0
+    for i in range(3):
+        a, b = corner[i], corner[(i + 1) % 3]
+        side[i, 0] = sign * (a[1] * b[2] - a[2] * b[1])
+        side[i, 1] = sign * (a[2] * b[0] - a[0] * b[2])
+        side[i, 2] = sign * (a[0] * b[1] - a[1] * b[0])
+    return volume
+
+
+@njit(cache=True, nogil=True)
+def _block(a, b, c, depth, bounds):  # type: ignore[no-untyped-def]
+    """Return the first and last + 1 of the lines that may meet a triangle with these coordinates."""
+    if min(depth[0], depth[1], depth[2]) < NEAR_M:
+        return 0, bounds[0].size
+    a, b, c = a / depth[0], b / depth[1], c / depth[2]
+    first = np.searchsorted(bounds[1], min(a, b, c), side="left")
+    return first, np.searchsorted(bounds[0], max(a, b, c), side="right")
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw(rays, side, scale, block, index, inverse, triangle):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Let one triangle win the rays that it meets first; no branch in the inner loop, so it is vectorised."""
+    top, bottom, left, right = block
+    a0, a1, a2 = side[0, 0], side[0, 1], side[0, 2]
+    b0, b1, b2 = side[1, 0], side[1, 1], side[1, 2]
+    c0, c1, c2 = side[2, 0], side[2, 1], side[2, 2]
+    for row in range(top, bottom):
+        dx, dy, dz = rays[0, row, left:right], rays[1, row, left:right], rays[2, row, left:right]
+        best, owner = inverse[row, left:right], triangle[row, left:right]
+        for k in range(best.size):
+            s0 = a0 * dx[k] + a1 * dy[k] + a2 * dz[k]
+            s1 = b0 * dx[k] + b1 * dy[k] + b2 * dz[k]
+            s2 = c0 * dx[k] + c1 * dy[k] + c2 * dz[k]
+            near = np.float32((s0 + s1 + s2) * scale)
+            wins = (s0 >= 0.0) & (s1 >= 0.0) & (s2 >= 0.0) & (near > best[k])
+            best[k] = near if wins else best[k]
+            owner[k] = np.int32(index) if wins else owner[k]
