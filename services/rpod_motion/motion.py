@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_motion.approach import Approach
 from rpod_motion.attitude import FixedAttitude, Spin, TargetAttitude, integrate_tumble
 from rpod_motion.errors import MotionError
+from rpod_motion.relative_orbit import cross
 from rpod_motion.station_keeping import StationKeeping
 from rpod_motion.trajectory import Trajectory
 from rpod_schemas.arrays import FloatArray
@@ -63,7 +64,7 @@ class Motion:
         anchor_m = self.trajectory.anchor_m
         return MotionState(
             T_chaser_target=_pose(R_chaser_target, chaser.position_m - R_chaser_target @ anchor_m),
-            linear_m_s=R_chaser_target.T @ chaser.velocity_m_s - np.cross(angular_rad_s, anchor_m),
+            linear_m_s=R_chaser_target.T @ chaser.velocity_m_s - cross(angular_rad_s, anchor_m),
             angular_rad_s=angular_rad_s,
             chaser_angular_rad_s=chaser.chaser_angular_rad_s,
         )
@@ -107,12 +108,13 @@ def build_motion(
 def _trajectory(config: TrajectoryConfig, centre_of_mass_m: FloatArray, duration_s: float) -> Trajectory:
     if isinstance(config, ApproachConfig):
         return Approach(config.start_m, config.end_m, duration_s, config.ramp_share)
-    return StationKeeping(
-        anchor_m=centre_of_mass_m,
+    return StationKeeping.on_safety_ellipse(
+        centre_of_mass_m,
         least_range_m=config.least_range_m,
         greatest_range_m=config.greatest_range_m,
         phase_rad=np.deg2rad(config.phase_deg).item(),
         semi_major_axis_m=config.semi_major_axis_m,
+        inclination_rad=np.deg2rad(config.inclination_deg).item(),
     )
 
 

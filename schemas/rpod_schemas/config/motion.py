@@ -63,9 +63,12 @@ class StationKeepingConfig(Config):
     greatest_range_m: Positive = 50.0
     """Semi-major axis of the ellipse, along and across the track."""
     phase_deg: Finite = 0.0
-    """At the epoch: 0 is straight below the target, at the least range; 90 ahead of it, at the greatest."""
+    """At the epoch: 0 is straight below the target, at the least range; 90 ahead of it, at the greatest. The
+    target's argument of latitude is 90 deg more."""
     semi_major_axis_m: Annotated[float, Field(gt=6.4e6, allow_inf_nan=False)] = 7.144e6
-    """Of the target's circular orbit; the default is ENVISAT's, with a period of 100.2 min."""
+    """Of the target's mean orbit, a circle; the default is ENVISAT's, with a period of 100.3 min."""
+    inclination_deg: Annotated[float, Field(ge=1, le=179)] = 98.5
+    """Of the target's mean orbit; the default is ENVISAT's."""
 
     @model_validator(mode="after")
     def _clears_the_track(self) -> Self:

@@ -66,14 +66,14 @@ def vee(skew: FloatArray) -> FloatArray:
 
 @given(kind=st.sampled_from(KINDS), time_s=st.floats(-0.9, DURATION_S + 0.9))
 def test_the_twist_is_the_derivative_of_the_pose(kind: tuple[str, str], time_s: float) -> None:
-    motion, half_s = motion_of(*kind), 5e-3
+    motion, half_s = motion_of(*kind), 1e-2
     state = motion.state(time_s)
     before, after = (motion.state(time_s + step).T_chaser_target for step in (-half_s, half_s))
 
     R = state.T_chaser_target.rotation.as_matrix()
     velocity = (after.translation - before.translation) / (2 * half_s)
     R_rate = (after.rotation.as_matrix() - before.rotation.as_matrix()) / (2 * half_s)
-    np.testing.assert_allclose(state.linear_m_s, R.T @ velocity, atol=2e-7)
+    np.testing.assert_allclose(state.linear_m_s, R.T @ velocity, atol=1e-6)  # orbits are rounded at 1e-9 m
     np.testing.assert_allclose(state.angular_rad_s, vee(R.T @ R_rate), atol=2e-7)
 
 
