@@ -2,7 +2,7 @@
 
 The ellipse (``relative_orbit``) reads a cos(p) e1 + A sin(p) e2 with e1 = (-1, 0, 0), e2 = (0, 2a, b) / A and
 A^2 = 4 a^2 + b^2 in the target's local frame: its semi-axes a and A are the least and the greatest range.
-They are kept to a millimetre: what is neglected is of second order in the ranges over the radius of the orbit.
+They are kept to a millimetre: what is neglected is of second order in the range over the orbit's radius.
 """
 
 from dataclasses import dataclass

@@ -45,10 +45,12 @@ class ScanComparisonConfig(Config):
 
 
 class IcpNearestNeighbourConfig(Config):
-    """ICP from measured points to the closest points of the target's surface."""
+    """ICP from measured points to the target's surface."""
 
     kind: Literal["icp_nearest_neighbour"] = "icp_nearest_neighbour"
     """Selects this method."""
+    matcher: Literal["nearest_neighbour", "normal_shooting"] = "nearest_neighbour"
+    """What a point is matched with: the surface's closest point, or the closest face along its normal."""
     metric: Literal["point_to_point", "point_to_plane"] = "point_to_plane"
     """What a step minimises: distances to the closest points, as in the paper, or distances along the lines
     to them, which lets faces slide and converges in a tenth of the steps."""

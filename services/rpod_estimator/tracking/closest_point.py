@@ -1,7 +1,7 @@
-"""The closest point of a triangulated surface, exactly, for many points that move little between calls.
+"""What points match on a triangulated surface, exactly: the closest point, or the closest foot of a normal.
 
-Each point first tries the triangle that was closest the last time; its distance then lets most others
-be passed over by their bounding spheres.
+For the closest point each point first tries the triangle that was closest the last time; its distance then
+lets most others be passed over by their bounding spheres.
 """
 
 from dataclasses import dataclass
@@ -12,6 +12,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
+
+EDGE_M2 = 1e-9
+"""So much outside (distance times length of the edge) counts as inside: no foot falls between two faces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +56,53 @@ class Surface:
             points_m, self.triangles_m, self.centres_m, self.radii_m, usable, nearest
         )
         return closest_m
+
+    def projected(
+        self, points_m: FloatArray, usable: NDArray[np.bool_], nearest: NDArray[np.int32]
+    ) -> FloatArray:
+        """Return the closest of the feet of the normals on the usable triangles, shape (N, 3).
+
+        Args:
+            points_m: shape (N, 3).
+            usable: which triangles count, shape (T,).
+            nearest: out: the triangle of each point's foot, shape (N,); -1 where the point lies above or
+                below none, which is its own foot then.
+        """
+        projected_m: FloatArray = projected_points(points_m, self.triangles_m, self.normals, usable, nearest)
+        return projected_m
+
+
+@njit(cache=True, nogil=True)
+def projected_points(points, triangles, normals, usable, nearest):  # type: ignore[no-untyped-def]
+    """Return ``Surface.projected``."""
+    projected = points.copy()
+    for n in range(points.shape[0]):
+        best, height = np.inf, 0.0
+        nearest[n] = -1
+        for t in range(triangles.shape[0]):
+            if not usable[t]:
+                continue
+            distance = 0.0
+            for k in range(3):
+                distance += normals[t, k] * (points[n, k] - triangles[t, 0, k])
+            if abs(distance) < best and is_above(points[n], triangles[t], normals[t]):
+                best, height, nearest[n] = abs(distance), distance, t
+        if nearest[n] >= 0:
+            projected[n] -= height * normals[nearest[n]]
+    return projected
+
+
+@njit(cache=True, nogil=True)
+def is_above(p, triangle, normal):  # type: ignore[no-untyped-def]
+    """Return whether the foot of p, shape (3,), on a triangle's plane lies in it, or on an edge."""
+    for i in range(3):
+        a, b = triangle[i], triangle[(i + 1) % 3]
+        x, y, z = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+        dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        side = normal[0] * (dy * z - dz * y) + normal[1] * (dz * x - dx * z) + normal[2] * (dx * y - dy * x)
+        if side < -EDGE_M2:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)

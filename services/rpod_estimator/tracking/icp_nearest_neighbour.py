@@ -1,8 +1,16 @@
-"""ICP with nearest neighbours: measured points against the target's surface, from a predicted pose.
+"""ICP: measured points against the target's surface, from a predicted pose.
 
 Source: P. J. Besl, N. D. McKay, A Method for Registration of 3-D Shapes, IEEE PAMI 14 (1992), as
-Opromolla et al., Sensors 15(3), 2015, section 4.2 use it. Each measured point is matched with the
-closest point of the faces that the sensor can see, exactly. Two metrics:
+Opromolla et al., Sensors 15(3), 2015, section 4.2 use it. Each measured point is matched, exactly and among
+the faces that the sensor can see, by one of two matchers:
+
+``nearest_neighbour`` takes the closest point of the surface.
+
+``normal_shooting`` takes the closest foot of a normal of the surface that passes through the point; a point
+beside all faces has no match. From a rough start points beside their own face shoot at another one behind
+it, so that it fails more often (section 4.4).
+
+Two metrics:
 
 ``point_to_point`` is the paper's: the rigid motion that minimises the squared distances of the pairs,
 in closed form. Points keep to where they are on a face, so it converges slowly, and may stop early.
@@ -46,7 +54,7 @@ class Matches:
     normals: FloatArray
     """Of the faces of the closest points, shape (N, 3)."""
     inlier: NDArray[np.bool_]
-    """Shape (N,)."""
+    """Shape (N,); points without a match are none."""
 
     @property
     def inliers(self) -> int:
@@ -134,7 +142,7 @@ class Progress:
 
 
 class NearestNeighbourIcp:
-    """Registers scans by ICP with nearest neighbours: ports.Tracker[LidarScan]."""
+    """Registers scans by ICP: ports.Tracker[LidarScan]."""
 
     def __init__(
         self,
@@ -146,6 +154,8 @@ class NearestNeighbourIcp:
     ) -> None:
         self._config, self._radius_m = config, target.radius_m
         self._surface = Surface.of(target.triangles_m, target.normals)
+        shooting = config.matcher == "normal_shooting"
+        self._match_on_surface = self._surface.projected if shooting else self._surface.closest
         self._comparison = ScanComparison(
             config.comparison, target, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad
         )
@@ -189,11 +199,11 @@ class NearestNeighbourIcp:
         if not facing.any():
             return None
         local_m = T_target_sensor.apply(points_m)
-        closest_m = self._surface.closest(local_m, facing, nearest)
-        distance_m = np.linalg.norm(local_m - closest_m, axis=1)
-        spread_m = TO_SIGMA * float(np.median(distance_m))
+        closest_m = self._match_on_surface(local_m, facing, nearest)
+        matched, distance_m = nearest >= 0, np.linalg.norm(local_m - closest_m, axis=1)
+        spread_m = TO_SIGMA * float(np.median(distance_m[matched])) if matched.any() else 0.0
         gate_m = max(self._config.gate_m, self._config.gate_spread * spread_m)
-        return Matches(local_m, closest_m, self._surface.normals[nearest], distance_m <= gate_m)
+        return Matches(local_m, closest_m, self._surface.normals[nearest], matched & (distance_m <= gate_m))
 
     def _step(self, matches: Matches) -> RigidTransform:
         if self._config.metric == "point_to_point":

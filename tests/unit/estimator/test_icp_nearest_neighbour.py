@@ -17,6 +17,8 @@ LIDAR = LidarConfig()
 PATTERN = {"azimuth_rad": LIDAR.azimuth_rad, "elevation_rad": LIDAR.elevation_rad}
 load = cache(load_target)
 BULKY = "envisat-bulky"
+MATCHERS = ["nearest_neighbour", "normal_shooting"]
+METRICS = ["point_to_point", "point_to_plane"]
 HALF_TURN = make_pose(rotation=Rotation.from_rotvec([np.pi, 0.0, 0.0]))
 
 
@@ -61,13 +63,31 @@ def test_a_scan_is_registered_from_five_degrees_and_thirty_centimetres(target, r
     assert registration.explained_share >= 0.97
 
 
-@pytest.mark.parametrize("metric", ["point_to_point", "point_to_plane"])
-def test_without_noise_both_metrics_end_at_the_truth(metric):
+@pytest.mark.parametrize("matcher", MATCHERS)
+@pytest.mark.parametrize("metric", METRICS)
+def test_without_noise_every_matcher_and_metric_ends_at_the_truth(matcher, metric):
     T, guess = pose_and_guess(7, angle_deg=2.0, offset_m=0.1)
     scan = scan_at(T, sigma_range_m=0.0, sigma_pointing_rad=0.0, outlier_share=0.0)
-    attitude_deg, position_m = errors(T, icp(metric=metric).track(scan, guess))
+    attitude_deg, position_m = errors(T, icp(matcher=matcher, metric=metric).track(scan, guess))
     assert attitude_deg < 0.02
     assert position_m < 0.02
+
+
+def test_normals_shot_from_a_rough_start_fail_where_nearest_neighbours_do_not():
+    lost = dict.fromkeys(MATCHERS, 0)
+    for seed in range(12):
+        T, guess = pose_and_guess(seed, angle_deg=18.0, offset_m=0.5)
+        for matcher in MATCHERS:
+            registration = icp(matcher=matcher, metric="point_to_point").track(scan_at(T), guess)
+            lost[matcher] += registration.T_sensor_target is None or errors(T, registration)[0] > 3.0
+    assert lost["nearest_neighbour"] < lost["normal_shooting"]
+
+
+def test_points_beside_all_faces_are_no_registration():
+    beside = scan_of(np.random.default_rng(1).uniform((40, 40, 40), (50, 50, 50), (30, 3)))
+    registration = icp(matcher="normal_shooting").track(beside, make_pose(translation_m=(0, 0, 20)))
+    assert registration.T_sensor_target is None
+    assert registration.reason.startswith("0 inliers")
 
 
 def test_sliding_faces_converge_in_far_fewer_steps_than_sticking_points():
@@ -135,14 +155,15 @@ def test_too_few_returns_are_a_reason():
         assert "6 needed" in registration.reason
 
 
-@pytest.mark.parametrize("metric", ["point_to_point", "point_to_plane"])
-def test_strange_scans_and_predictions_never_raise(metric):
+@pytest.mark.parametrize("matcher", MATCHERS)
+@pytest.mark.parametrize("metric", METRICS)
+def test_strange_scans_and_predictions_never_raise(matcher, metric):
     T, guess = pose_and_guess(1)
     inside, behind = make_pose(), make_pose(translation_m=(0.0, 0.0, -30.0))
     line = np.linspace((-3, 0, 20), (3, 0, 20), 40)
     for scan in (scan_at(T), scan_of(line), scan_of(np.full((12, 3), 20.0)), scan_of(1e4 * np.ones((9, 3)))):
         for pose in (guess, inside, behind):
-            registration = icp(metric=metric, iterations=20).track(scan, pose)
+            registration = icp(matcher=matcher, metric=metric, iterations=20).track(scan, pose)
             assert bool(registration.reason) == (registration.T_sensor_target is None)
 
 

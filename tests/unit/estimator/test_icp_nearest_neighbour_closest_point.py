@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from rpod_estimator.tracking.closest_point import Surface, on_triangle
 
@@ -59,6 +60,37 @@ def test_pruning_and_a_wrong_first_guess_change_nothing(seed):
     assert usable[nearest].all()
     own = [on_triangle(p, surface.triangles_m[k]) for p, k in zip(points_m, nearest, strict=True)]
     assert closest_m == pytest.approx(np.array(own))
+
+
+@settings(deadline=None)
+@given(SEEDS)
+def test_a_projected_point_is_the_closest_foot_of_a_normal_within_a_usable_triangle(seed):
+    random = np.random.default_rng(seed)
+    surface, points_m = random_surface(random), random.normal(scale=2.0, size=(20, 3))
+    usable, nearest = random.random(30) < 0.7, np.zeros(20, np.int32)
+    projected_m = surface.projected(points_m, usable, nearest)
+    height_m = ((points_m[:, None] - surface.triangles_m[:, 0]) * surface.normals).sum(axis=2)
+    feet_m = points_m[:, None] - height_m[..., None] * surface.normals
+    own_m = [
+        [on_triangle(foot, triangle) for foot, triangle in zip(feet, surface.triangles_m, strict=True)]
+        for feet in feet_m
+    ]
+    within = (np.linalg.norm(feet_m - own_m, axis=2) < 1e-12) & usable
+    expected_m = np.where(within, np.abs(height_m), np.inf).min(axis=1)
+    met = np.isfinite(expected_m)
+    assert np.array_equal(nearest >= 0, met)
+    assert np.linalg.norm(projected_m - points_m, axis=1)[met] == pytest.approx(expected_m[met])
+    assert within[np.flatnonzero(met), nearest[met]].all()
+
+
+def test_a_foot_on_the_edge_between_two_faces_is_on_the_surface():
+    square = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float)
+    square = Rotation.from_rotvec([0.3, 0.8, -0.4]).apply(square.reshape(-1, 3)).reshape(2, 3, 3)
+    normal = np.cross(square[0, 1], square[0, 2])
+    points_m = np.linspace(0.0, 1.0, 101)[:, None] * square[0, 2] + 0.7 * normal
+    nearest = np.zeros(101, np.int32)
+    Surface.of(square, np.stack((normal, normal))).projected(points_m, np.ones(2, bool), nearest)
+    assert (nearest >= 0).all()
 
 
 def test_a_face_is_seen_from_its_outer_side_only():
