@@ -4,14 +4,16 @@ State: position p and attitude R of the target in chaser axes, v = dp/dt, and w 
 all in chaser axes: (dp, dtheta, dv, dw), estimate minus truth, dtheta = Log(R_est R^T): the pose block of
 the covariance is the one that the ICD publishes (section 1). Values are immutable, functions are pure.
 
-Model: v and w are random walks. With phi = w dt the error propagates, to first order in itself and exactly
-in phi, as dtheta+ = Exp(phi) dtheta + J_l(phi) dt dw (J_l is the left Jacobian of SO(3)). After an update
-by delta the attitude error is left-multiplied by J_l(delta). Source: J. Sola, Quaternion kinematics for the
+Model: the velocity of the centre of mass and w are random walks. With phi = w dt the error propagates, to
+first order in itself and exactly in phi, as dtheta+ = Exp(phi) dtheta + J_l(phi) dt dw (J_l is the left
+Jacobian of SO(3)). The origin's swing about the centre of mass, at R r from it, is kinematics, not noise:
+a prediction goes to the centre by p + R r and v + w x R r, moves it, and comes back. After an update by
+delta the attitude error is left-multiplied by J_l(delta). Source: J. Sola, Quaternion kinematics for the
 error-state Kalman filter, arXiv:1711.02508, section 7 (errors in global axes), with J_l in place of its
 first-order terms.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +49,8 @@ class FilterState:
     """Rate of the target relative to the chaser, chaser axes, shape (3,)."""
     covariance: FloatArray
     """Of (dp, dtheta, dv, dw), shape (12, 12)."""
+    centre_of_mass_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """r, of the target, target axes, shape (3,)."""
 
 
 class Update(NamedTuple):
@@ -60,7 +64,12 @@ class Update(NamedTuple):
 
 
 def start(
-    T_chaser_target: RigidTransform, covariance: FloatArray, stamp_ns: int, *, config: FilterConfig
+    T_chaser_target: RigidTransform,
+    covariance: FloatArray,
+    stamp_ns: int,
+    *,
+    config: FilterConfig,
+    centre_of_mass_m: FloatArray | None = None,
 ) -> FilterState:
     """Return the state after a first measured pose: no twist is known.
 
@@ -69,17 +78,23 @@ def start(
         covariance: of its (dp, dtheta), ICD section 1, shape (6, 6).
         stamp_ns: when it held.
         config: noise.
+        centre_of_mass_m: of the target, target axes, shape (3,); its origin where left out.
     """
+    centre_m = np.zeros(3) if centre_of_mass_m is None else centre_of_mass_m
+    from_centre = np.eye(12)
+    from_centre[VELOCITY, RATE] = _cross_matrix(T_chaser_target.rotation.apply(centre_m))
+    covariance = block_diag(
+        _measurement_noise(covariance, config),
+        config.initial_velocity_sigma_m_s**2 * np.eye(3),
+        np.deg2rad(config.initial_rate_sigma_deg_s) ** 2 * np.eye(3),
+    )
     return FilterState(
         stamp_ns=stamp_ns,
         T_chaser_target=T_chaser_target,
         velocity_m_s=np.zeros(3),
         rate_rad_s=np.zeros(3),
-        covariance=block_diag(
-            _measurement_noise(covariance, config),
-            config.initial_velocity_sigma_m_s**2 * np.eye(3),
-            np.deg2rad(config.initial_rate_sigma_deg_s) ** 2 * np.eye(3),
-        ),
+        covariance=_symmetric(from_centre @ covariance @ from_centre.T),
+        centre_of_mass_m=centre_m,
     )
 
 
@@ -92,21 +107,29 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     if stamp_ns < state.stamp_ns:
         raise StampOrderError(state.stamp_ns, stamp_ns)
     step_s = (stamp_ns - state.stamp_ns) * 1e-9
-    phi = state.rate_rad_s * step_s
+    rate_rad_s, rotation = state.rate_rad_s, state.T_chaser_target.rotation
+    phi = rate_rad_s * step_s
     turn = Rotation.from_rotvec(phi)
+    arm_m = rotation.apply(state.centre_of_mass_m)
+    arm_after_m = turn.apply(arm_m)
+    centre_m_s = state.velocity_m_s + np.cross(rate_rad_s, arm_m)
 
     F = np.eye(12)
     F[POSITION, VELOCITY] = step_s * np.eye(3)
     F[ATTITUDE, ATTITUDE] = turn.as_matrix()
     F[ATTITUDE, RATE] = step_s * left_jacobian(phi)
+    from_centre = np.eye(12) - _swing(arm_after_m, rate_rad_s)
+    F = F @ (np.eye(12) + _swing(arm_m, rate_rad_s))
+    covariance = from_centre @ (F @ state.covariance @ F.T + _process_noise(step_s, config)) @ from_centre.T
     return replace(
         state,
         stamp_ns=stamp_ns,
         T_chaser_target=make_pose(
-            rotation=turn * state.T_chaser_target.rotation,
-            translation_m=state.T_chaser_target.translation + state.velocity_m_s * step_s,
+            rotation=turn * rotation,
+            translation_m=state.T_chaser_target.translation + arm_m + centre_m_s * step_s - arm_after_m,
         ),
-        covariance=_symmetric(F @ state.covariance @ F.T + _process_noise(step_s, config)),
+        velocity_m_s=centre_m_s - np.cross(rate_rad_s, arm_after_m),
+        covariance=_symmetric(covariance),
     )
 
 
@@ -202,6 +225,18 @@ def _corrected(state: FilterState, correction: FloatArray) -> FilterState:
 def _measurement_noise(covariance: FloatArray, config: FilterConfig) -> FloatArray:
     floor = np.repeat([config.position_floor_m**2, np.deg2rad(config.attitude_floor_deg) ** 2], 3)
     return config.correlation_inflation * (covariance + np.diag(floor))
+
+
+def _swing(arm_m: FloatArray, rate_rad_s: FloatArray) -> FloatArray:
+    """Return N, shape (12, 12): at the end of an arm on the target errors are 1 + N times those here.
+
+    From p + a and v + w x a with da = dtheta x a. N N = 0, so the way back is 1 - N.
+    """
+    cross = _cross_matrix(arm_m)
+    N = np.zeros((12, 12))
+    N[POSITION, ATTITUDE] = N[VELOCITY, RATE] = -cross
+    N[VELOCITY, ATTITUDE] = -_cross_matrix(rate_rad_s) @ cross
+    return N
 
 
 def _process_noise(step_s: float, config: FilterConfig) -> FloatArray:

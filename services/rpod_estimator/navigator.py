@@ -11,11 +11,13 @@ of a log and a Monte-Carlo campaign run this very function.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import overload
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rpod_estimator.deskew import as_of_stamp
 from rpod_estimator.filter import FilterState, predict, start, to_odometry
 from rpod_estimator.history import History, PoseMeasurement, apply
 from rpod_estimator.measurement import Measurement, Tick
@@ -71,10 +73,13 @@ class Output:
 
 
 class Navigator:
-    """The transitions; its only state is its configuration."""
+    """The transitions; its only state is its configuration and the target's centre of mass, target axes."""
 
-    def __init__(self, settings: EstimatorSettings, methods: Mapping[str, Methods]) -> None:
+    def __init__(
+        self, settings: EstimatorSettings, methods: Mapping[str, Methods], *, centre_of_mass_m: FloatArray
+    ) -> None:
         self._settings = settings
+        self._start_filter = partial(start, config=settings.filter, centre_of_mass_m=centre_of_mass_m)
         self._limits = settings.navigator
         self._methods = methods
 
@@ -133,7 +138,7 @@ class Navigator:
         state = replace(
             state,
             mode=Mode.VERIFYING if self._limits.confirmations else Mode.TRACKING,
-            history=History(start(pose, covariance, event.stamp_ns, config=self._settings.filter)),
+            history=History(self._start_filter(pose, covariance, event.stamp_ns)),
             accepted_ns=event.stamp_ns,
             rejections=0,
             confirmations=0,
@@ -144,12 +149,11 @@ class Navigator:
         given = state.given
         assert given is not None  # noqa: S101 - told by the caller
         stamp_ns = event.stamp_ns if given.stamp_ns is None else min(given.stamp_ns, event.stamp_ns)
-        begun = start(given.T_chaser_target, given.covariance, stamp_ns, config=self._settings.filter)
         return replace(
             state,
             mode=Mode.VERIFYING,
             given=None,
-            history=History(begun),
+            history=History(self._start_filter(given.T_chaser_target, given.covariance, stamp_ns)),
             accepted_ns=stamp_ns,
             confirmations=self._limits.confirmations - 1,
         )
@@ -190,10 +194,11 @@ class Navigator:
         """
         methods = self._methods[event.sensor]
         T_sensor_target = event.T_chaser_sensor.inv() * predicted.T_chaser_target
-        registration = methods.tracker.track(event.data, T_sensor_target)
+        data = as_of_stamp(event, predicted)
+        registration = methods.tracker.track(data, T_sensor_target)
         why = doubt(registration, methods.verification)
         if why and wide:
-            found = methods.acquirer.near(event.data, T_sensor_target)
+            found = methods.acquirer.near(data, T_sensor_target)
             if found.verdict is Verdict.ACCEPTED:
                 return found.registration, ""
         return registration, why

@@ -10,12 +10,13 @@ from rpod_schemas.config.base import Config, NonNegative, Positive
 class FilterConfig(Config):
     """Constant velocity driven by white noise, gated measurements of the pose.
 
-    The densities cover a tumbling target of ENVISAT's size at 8 deg/s seen once a second, and do not
-    slow a camera at 15 Hz; a target that is known to be calm is filtered better with smaller ones.
+    The densities cover a tumbling target of ENVISAT's size at 8 deg/s seen once a second, even where its
+    centre of mass is declared 4 m off, and do not slow a camera at 15 Hz; where the centre of mass is known,
+    a twentieth of the acceleration does as well and filters slow motions better.
     """
 
     acceleration_density_m2_s3: Positive = 2e-3
-    """Spectral density of the white acceleration of the target's origin, each axis."""
+    """Spectral density of the white acceleration of the target's centre of mass, each axis."""
     angular_acceleration_density_rad2_s3: Positive = 1e-4
     """Spectral density of the white angular acceleration, each axis."""
     position_floor_m: NonNegative = 0.002

@@ -24,6 +24,8 @@ from rpod_schemas.poses import make_pose
 SECOND_NS = 1_000_000_000
 PLAIN = FilterConfig(position_floor_m=0.0, attitude_floor_deg=0.0, correlation_inflation=1.0, gate_nis=1e9)
 """Takes measurements at their word."""
+ORIGIN, CENTRE_M = np.zeros(3), np.array([-3.86, -0.4, 0.7])
+"""Where the centre of mass lies, target axes."""
 COVARIANCE = np.diag([2e-3, 3e-3, 8e-3, 4e-3, 5e-3, 3e-3]) ** 2
 COVARIANCE[0, 4] = COVARIANCE[4, 0] = 4e-6
 
@@ -47,15 +49,33 @@ def measured(truth: Truth, covariance: FloatArray, rng: np.random.Generator) -> 
     return turned(error[3:], error[:3], truth.pose)
 
 
-def moved(truth: Truth, step_s: float, config: FilterConfig, rng: np.random.Generator) -> Truth:
-    """Return the truth after a step of the filter's model."""
+def moved(
+    truth: Truth,
+    step_s: float,
+    config: FilterConfig,
+    rng: np.random.Generator,
+    centre_m: FloatArray = ORIGIN,
+) -> Truth:
+    """Return the truth after a step of the filter's model: about the centre of mass."""
+    centre = at_point(truth, centre_m)
     walk = np.array([[step_s**3 / 3, step_s**2 / 2], [step_s**2 / 2, step_s]])
     root = np.linalg.cholesky(walk)
     linear = np.sqrt(config.acceleration_density_m2_s3) * root @ rng.standard_normal((2, 3))
     angular = np.sqrt(config.angular_acceleration_density_rad2_s3) * root @ rng.standard_normal((2, 3))
-    steady = turned(truth.rate_rad_s * step_s, truth.velocity_m_s * step_s, truth.pose)
+    steady = turned(centre.rate_rad_s * step_s, centre.velocity_m_s * step_s, centre.pose)
+    later = Truth(
+        turned(angular[0], linear[0], steady), centre.velocity_m_s + linear[1], centre.rate_rad_s + angular[1]
+    )
+    return at_point(later, -centre_m)
+
+
+def at_point(truth: Truth, point_m: FloatArray) -> Truth:
+    """Return pose and twist of a point that is fixed in the target, target axes."""
+    arm_m = truth.pose.rotation.apply(point_m)
     return Truth(
-        turned(angular[0], linear[0], steady), truth.velocity_m_s + linear[1], truth.rate_rad_s + angular[1]
+        turned(np.zeros(3), arm_m, truth.pose),
+        truth.velocity_m_s + np.cross(truth.rate_rad_s, arm_m),
+        truth.rate_rad_s,
     )
 
 
@@ -71,23 +91,26 @@ def error_of(state: FilterState, truth: Truth) -> FloatArray:
     )
 
 
-def random_truth(rng: np.random.Generator, config: FilterConfig) -> Truth:
-    return Truth(
+def random_truth(rng: np.random.Generator, config: FilterConfig, centre_m: FloatArray = ORIGIN) -> Truth:
+    centre = Truth(
         make_pose(rotation=Rotation.random(rng=rng), translation_m=rng.normal(0, 5, 3)),
         config.initial_velocity_sigma_m_s * rng.standard_normal(3),
         np.deg2rad(config.initial_rate_sigma_deg_s) * rng.standard_normal(3),
     )
+    return at_point(centre, -centre_m)
 
 
+@pytest.mark.parametrize("centre_m", [ORIGIN, CENTRE_M], ids=["about the origin", "about a point off it"])
 @pytest.mark.parametrize("step_s", [1.0 / 15.0, 1.0])
-def test_errors_and_innovations_are_as_large_as_the_filter_says(step_s: float) -> None:
+def test_errors_and_innovations_are_as_large_as_the_filter_says(step_s: float, centre_m: FloatArray) -> None:
     rng, runs, steps = np.random.default_rng(7), 60, 12
     nees, nis = [], []
     for _ in range(runs):
-        truth = random_truth(rng, PLAIN)
-        state = start(measured(truth, COVARIANCE, rng), COVARIANCE, 0, config=PLAIN)
+        truth = random_truth(rng, PLAIN, centre_m)
+        first = measured(truth, COVARIANCE, rng)
+        state = start(first, COVARIANCE, 0, config=PLAIN, centre_of_mass_m=centre_m)
         for frame in range(1, steps + 1):
-            truth = moved(truth, step_s, PLAIN, rng)
+            truth = moved(truth, step_s, PLAIN, rng, centre_m)
             state = predict(state, round(frame * step_s * SECOND_NS), PLAIN)
             state, innovation, _ = update(state, measured(truth, COVARIANCE, rng), COVARIANCE, config=PLAIN)
             nis.append(innovation)
@@ -98,7 +121,8 @@ def test_errors_and_innovations_are_as_large_as_the_filter_says(step_s: float) -
     assert np.mean(nis) == pytest.approx(6.0, abs=4.0 * np.sqrt(2 * 6 / (runs * steps)))
 
 
-def test_a_long_prediction_of_a_fast_rotation_is_consistent_too() -> None:
+@pytest.mark.parametrize("centre_m", [ORIGIN, CENTRE_M], ids=["about the origin", "about a point off it"])
+def test_a_long_prediction_of_a_fast_rotation_is_consistent_too(centre_m: FloatArray) -> None:
     rng, runs = np.random.default_rng(8), 300
     config = PLAIN.model_copy(update={"angular_acceleration_density_rad2_s3": 1e-8})
     covariance_12 = np.diag([0.01, 0.01, 0.01, 0.02, 0.01, 0.03, 0.01, 0.01, 0.01, 0.004, 0.008, 0.006]) ** 2
@@ -112,9 +136,10 @@ def test_a_long_prediction_of_a_fast_rotation_is_consistent_too() -> None:
             truth.velocity_m_s + error[6:9],
             truth.rate_rad_s + error[9:],
             covariance_12,
+            centre_m,
         )
         later = predict(state, 4 * SECOND_NS, config)  # about 160 degrees
-        error = error_of(later, moved(truth, 4.0, config, rng))
+        error = error_of(later, moved(truth, 4.0, config, rng, centre_m))
         nees.append(error @ np.linalg.solve(later.covariance, error))
     assert np.mean(nees) == pytest.approx(12.0, abs=4.0 * np.sqrt(2 * 12 / runs))
 
@@ -254,6 +279,21 @@ def test_prediction_follows_the_twist_and_refuses_to_go_back() -> None:
     np.testing.assert_allclose(later.T_chaser_target.as_matrix(), expected.as_matrix(), atol=1e-12)
     with pytest.raises(StampOrderError, match="cannot be predicted back"):
         predict(later, state.stamp_ns, PLAIN)
+
+
+def test_a_prediction_turns_the_target_about_its_centre_of_mass() -> None:
+    rate_rad_s, centre_0_m = np.array([0.1, 0.0, 0.05]), np.array([1.0, 2.0, 30.0])
+    arm_m = -CENTRE_M
+    swinging = FilterState(
+        0,
+        make_pose(translation_m=centre_0_m + arm_m),
+        np.cross(rate_rad_s, arm_m) + np.array([0.0, 0.0, -0.2]),
+        rate_rad_s,
+        np.eye(12),
+        CENTRE_M,
+    )
+    later = predict(swinging, 5 * SECOND_NS, PLAIN)
+    np.testing.assert_allclose(later.T_chaser_target.apply(CENTRE_M), centre_0_m - [0.0, 0.0, 1.0])
 
 
 def test_two_short_predictions_are_one_long_one() -> None:

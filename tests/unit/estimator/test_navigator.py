@@ -17,7 +17,7 @@ from rpod_schemas.config.estimator import EstimatorSettings, NavigatorConfig, Pm
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.verification import VerificationConfig
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Mode, Source
+from rpod_schemas.types import LidarScan, Mode, Source
 
 SECOND_NS = 1_000_000_000
 START_S = 100.0
@@ -125,9 +125,8 @@ def rig(*, pose=None, filter_config: FilterConfig | None = None, verification=LI
         filter=filter_config or FilterConfig(),
     )
     method = Method()
-    navigator = Navigator(
-        settings, {"pmd": Methods(VerifiedSearch(method, method, verification), method, verification)}
-    )
+    methods = Methods(VerifiedSearch(method, method, verification), method, verification)
+    navigator = Navigator(settings, {"pmd": methods}, centre_of_mass_m=np.zeros(3))
     return Rig(navigator, method, navigator.start(pose))
 
 
@@ -471,6 +470,29 @@ def test_a_given_pose_of_the_future_holds_for_the_first_frame():
     made = rig()
     made.state = made.navigator.start(truth(START_S), stamp_ns=round((START_S + 9.0) * SECOND_NS))
     assert made.see(good(START_S)).odometry.stamp_ns == round(START_S * SECOND_NS)
+
+
+def test_a_scan_that_took_its_time_is_tracked_as_of_its_stamp_once_a_twist_is_known():
+    made = tracking(START_S + 3.0)
+    points_m = np.tile(in_sensor(START_S + 3.1).translation, (2, 1)).astype(np.float32)
+    scan = LidarScan(
+        stamp_ns=round((START_S + 3.1) * SECOND_NS),
+        frame_id="lidar",
+        points_m=points_m,
+        time_s=np.array([-0.5, 0.5], np.float32),
+    )
+    given: list[LidarScan] = []
+
+    def track(data: LidarScan, _: RigidTransform) -> Registration:
+        given.append(data)
+        return failed()
+
+    made.method.track = track
+    made.see(scan)
+    moved_m = given[0].points_m - points_m
+    # the target comes closer by 0.1 m/s: an early return is moved on, a late one back
+    velocity_m_s = MOUNT.rotation.inv().apply([0.0, 0.0, -0.1])
+    np.testing.assert_allclose(moved_m, np.outer([0.5, -0.5], velocity_m_s), atol=0.01)
 
 
 # --- late measurements ---
