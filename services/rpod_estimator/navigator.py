@@ -12,13 +12,14 @@ of a log and a Monte-Carlo campaign run this very function.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from math import radians
 from typing import overload
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_estimator.deskew import as_of_stamp
-from rpod_estimator.filter import FilterState, predict, start, to_odometry
+from rpod_estimator.filter import ATTITUDE, FilterState, predict, start, to_odometry
 from rpod_estimator.history import History, PoseMeasurement, apply
 from rpod_estimator.measurement import Measurement, Tick
 from rpod_estimator.ports import Acquisition, Methods, Registration, Verdict
@@ -164,7 +165,7 @@ class Navigator:
         self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, believe or reject, update the filter."""
-        registration, reason = self._register(event, predicted, wide=state.mode == Mode.VERIFYING)
+        registration, reason = self._register(event, predicted, tracked=state.mode == Mode.TRACKING)
         if reason:
             return self._reject(state, event, registration, reason=reason)
         pose, covariance = in_chaser(registration, event.T_chaser_sensor)
@@ -186,22 +187,28 @@ class Navigator:
         return state, self._output(state, event, registration, nis=nis)
 
     def _register(
-        self, event: Measurement, predicted: FilterState, *, wide: bool
+        self, event: Measurement, predicted: FilterState, *, tracked: bool
     ) -> tuple[Registration, str]:
         """Return the registration from the prediction, and why it is not believed.
 
-        ``wide`` searches around a prediction that did not do: while no twist is known, it may be far off.
+        Around a prediction that did not do it is searched, unless a track should have done: while no twist is
+        known, or after a gap, the prediction may be far off.
         """
         methods = self._methods[event.sensor]
         T_sensor_target = event.T_chaser_sensor.inv() * predicted.T_chaser_target
         data = as_of_stamp(event, predicted)
         registration = methods.tracker.track(data, T_sensor_target)
-        why = doubt(registration, methods.verification)
-        if why and wide:
+        limits = methods.verification
+        why = doubt(registration, limits.while_tracking if tracked else limits)
+        if why and not (tracked and self._is_sharp(predicted)):
             found = methods.acquirer.near(data, T_sensor_target)
             if found.verdict is Verdict.ACCEPTED:
                 return found.registration, ""
         return registration, why
+
+    def _is_sharp(self, predicted: FilterState) -> bool:
+        sigma_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[ATTITUDE, ATTITUDE])[-1]))
+        return sigma_rad <= radians(self._limits.vague_deg)
 
     def _reject(
         self,
@@ -233,7 +240,7 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Look near the prediction first, then everywhere."""
         if (event.stamp_ns - state.lost_ns) / NANOSECONDS <= self._limits.near_search_s:
-            registration, why = self._register(event, predicted, wide=True)
+            registration, why = self._register(event, predicted, tracked=False)
             if not why:
                 return self._begin(state, event, registration)
         return self._acquire(state, event)

@@ -36,7 +36,11 @@ class LidarInput(Config):
     tracking: IcpNearestNeighbourConfig = Field(default_factory=IcpNearestNeighbourConfig)
     """From a predicted pose."""
     verification: VerificationConfig = VerificationConfig(
-        max_cost_m2=0.003, min_explained_share=0.97, candidates=10, choice="best_explained"
+        max_cost_m2=0.003,
+        min_explained_share=0.97,
+        min_tracked_share=0.9,
+        candidates=10,
+        choice="best_explained",
     )
     """When a registration is believed."""
 
@@ -77,6 +81,8 @@ class NavigatorConfig(Config):
 
     confirmations: Annotated[int, Field(ge=0)] = 1
     """Frames after the acquisition's own that must verify it before TRACKING."""
+    vague_deg: Positive = 3.0
+    """A prediction whose attitude has a larger sigma than this is searched around where it does not do."""
     rejection_timeout_s: Positive = 1.5
     """Measurements rejected for longer than this: LOST."""
     rejected_frames: Annotated[int, Field(ge=1)] = 3

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -326,6 +326,30 @@ def test_tracking_searches_nothing():
     assert made.method.asked == ["track"]
 
 
+def test_a_track_whose_prediction_has_become_vague_is_searched_around():
+    made = tracking(vague_deg=3.0)
+    made.see(replace(untracked(START_S + 1.5), nearby=(registration(in_sensor(START_S + 1.5)),)))
+    assert made.method.asked == ["track"]
+    output = made.see(replace(untracked(START_S + 9.0), nearby=(registration(in_sensor(START_S + 9.0)),)))
+    assert made.method.asked == ["track", "near", "refine"]
+    assert output.status.accepted
+
+
+def test_a_track_goes_on_with_less_explained_than_it_began_with():
+    limits = LIMITS.model_copy(update={"min_tracked_share": 0.5})
+    made = rig(verification=limits)
+    made.see(good(START_S))
+    assert (
+        made.see(good(START_S + 0.1, explained_share=0.6)).status.reason == "explained share 0.60 below 0.70"
+    )
+    made.see(good(START_S + 0.2))
+    made.see(good(START_S + 0.3))
+    assert made.see(good(START_S + 0.4, explained_share=0.6)).status.accepted
+    assert (
+        made.see(good(START_S + 0.5, explained_share=0.4)).status.reason == "explained share 0.40 below 0.50"
+    )
+
+
 def test_a_fast_sensors_rejections_are_a_loss_after_the_time_out():
     made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
     modes = [made.see(blind(START_S + 1.0 + 0.25 * number)).status.mode for number in range(1, 8)]
@@ -596,6 +620,7 @@ def played(events) -> list:
     return outputs
 
 
+@settings(deadline=None)
 @given(EVENTS)
 def test_whatever_happens_the_outputs_keep_their_promises(events):
     newest_ns = 0
@@ -609,6 +634,7 @@ def test_whatever_happens_the_outputs_keep_their_promises(events):
             newest_ns = output.odometry.stamp_ns
 
 
+@settings(deadline=None)
 @given(EVENTS)
 def test_the_same_events_give_the_same_outputs(events):
     assert pickle.dumps(played(events)) == pickle.dumps(played(events))

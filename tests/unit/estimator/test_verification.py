@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from rpod_estimator.ports import Registration
 from rpod_estimator.verification import doubt
@@ -49,3 +50,11 @@ def test_a_share_that_the_method_does_not_know_is_not_asked(unknown):
 
 def test_the_first_of_several_doubts_is_told():
     assert doubt(replace(GOOD, cost_m2=1.0, inliers=0), LIMITS).startswith("cost")
+
+
+def test_a_track_may_be_asked_for_less_and_never_for_more() -> None:
+    limits = LIMITS.model_copy(update={"min_tracked_share": 0.5})
+    assert limits.while_tracking.min_explained_share == 0.5
+    assert LIMITS.while_tracking == LIMITS
+    with pytest.raises(ValidationError, match="a track asks no more than an acquisition"):
+        VerificationConfig(max_cost_m2=0.01, min_explained_share=0.7, min_tracked_share=0.8)
