@@ -184,6 +184,53 @@ def report(
 
 
 @app.command()
+def campaign(
+    name: Annotated[str, typer.Argument(help="Name of the campaign, for example lidar-acquisition.")],
+    trials: Annotated[int | None, typer.Option("--trials", help="Of each cell.")] = None,
+    ranges: Annotated[str | None, typer.Option("--ranges", help="In m, for example 20,50.")] = None,
+    steps: Annotated[
+        str | None, typer.Option("--steps", help="Of the templates, deg: 60,40,30,20,10.")
+    ] = None,
+    method: Annotated[str | None, typer.Option("--method", help="One or several, with commas.")] = None,
+    target: Annotated[str | None, typer.Option("--target", help="One or several, with commas.")] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Of all randomness.")] = None,
+    eq4: Annotated[
+        str | None, typer.Option("--eq4", help="Of the 2015 paper: usual, printed or both.")
+    ] = None,
+    sampling: Annotated[
+        str | None, typer.Option("--sampling", help="Of the attitudes: euler, so3 or both.")
+    ] = None,
+    centroid: Annotated[
+        str | None, typer.Option("--centroid", help="Of template matching: plain, offset or both.")
+    ] = None,
+    matcher: Annotated[
+        str | None, typer.Option("--matcher", help="ICP after template matching, with commas.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", help="Where the campaign's folder is made.")] = Path(
+        "campaigns"
+    ),
+    jobs: Annotated[int | None, typer.Option("--jobs", help="Processes; all cores where left out.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the cells as one JSON object only.")] = False,
+) -> None:
+    """Monte-Carlo trials of the methods, beside the papers."""
+    from rpod.command_campaign import campaign_command
+
+    options = {
+        "trials": trials,
+        "ranges": ranges,
+        "steps": steps,
+        "method": method,
+        "target": target,
+        "seed": seed,
+        "eq4": eq4,
+        "sampling": sampling,
+        "centroid": centroid,
+        "matcher": matcher,
+    }
+    raise typer.Exit(campaign_command(name, options=options, jobs=jobs, out=out, as_json=as_json))
+
+
+@app.command()
 def bench(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:

@@ -60,7 +60,7 @@ def error_figure(run: Run) -> go.Figure:
             figure.update_yaxes(title_text=f"error [{unit}]", row=row, col=column)
         figure.update_yaxes(rangemode="tozero", row=1, col=column)
         figure.update_xaxes(title_text="time [s]", row=4, col=column)
-    return _styled(figure, height=860)
+    return styled(figure, height=860)
 
 
 def state_figure(run: Run) -> go.Figure:
@@ -106,7 +106,7 @@ def state_figure(run: Run) -> go.Figure:
     figure.update_yaxes(title_text="distance [m]", row=2, col=1)
     figure.update_xaxes(title_text="time [s]", row=2, col=1)
     figure.update_layout(legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0})
-    return _styled(figure, height=320, top=44, legend=True)
+    return styled(figure, height=320, top=44, legend=True)
 
 
 def histogram_figure(run: Run) -> go.Figure:
@@ -127,7 +127,7 @@ def histogram_figure(run: Run) -> go.Figure:
         _histogram(figure, values.clip(None, end), axis + note, col=column, density=title == _NEES)
         if title == _NEES:
             _chi_squared(figure, col=column)
-    return _styled(figure, height=300)
+    return styled(figure, height=300)
 
 
 def _chi_squared(figure: go.Figure, *, col: int) -> None:
@@ -263,7 +263,8 @@ def _histogram(figure: go.Figure, values: FloatArray, title: str, *, col: int, d
     )
 
 
-def _styled(figure: go.Figure, *, height: int, top: int = 28, legend: bool = False) -> go.Figure:
+def styled(figure: go.Figure, *, height: int, top: int = 28, legend: bool = False) -> go.Figure:
+    """Give a figure the reports' looks, and return it."""
     axis: dict[str, Any] = {
         "gridcolor": "rgba(139,148,158,0.22)",
         "zerolinecolor": "rgba(139,148,158,0.55)",

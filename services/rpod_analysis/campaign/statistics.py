@@ -1,0 +1,49 @@
+"""The few numbers that every campaign states."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+from scipy.stats import binomtest
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of trials with its Wilson interval of 95 %."""
+
+    count: int
+    of: int
+    low: float
+    high: float
+
+    @property
+    def value(self) -> float:
+        """The point estimate; NaN of nothing."""
+        return self.count / self.of if self.of else float("nan")
+
+    def __str__(self) -> str:
+        if not self.of:
+            return "-"
+        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}]"
+
+
+def rate(count: int, of: int) -> Rate:
+    """Return a share with its Wilson interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+    if not of:
+        return Rate(0, 0, float("nan"), float("nan"))
+    interval = binomtest(count, of).proportion_ci(confidence_level=0.95, method="wilson")
+    return Rate(count, of, float(interval.low), float(interval.high))
+
+
+def quantile(values: pl.Series, share: float) -> float | None:
+    """Return a quantile of the finite values; None of none."""
+    finite = values.drop_nulls().to_numpy().astype(np.float64)
+    finite = finite[np.isfinite(finite)]
+    return float(np.quantile(finite, share)) if finite.size else None
+
+
+def mean(values: pl.Series) -> float | None:
+    """Return the mean of the finite values; None of none."""
+    finite = values.drop_nulls().to_numpy().astype(np.float64)
+    finite = finite[np.isfinite(finite)]
+    return float(finite.mean()) if finite.size else None

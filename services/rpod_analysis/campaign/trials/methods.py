@@ -1,0 +1,172 @@
+"""Methods under trial, by the names of the command line, with a stopwatch on their steps."""
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from scipy.spatial.transform import RigidTransform
+
+from rpod_estimator.acquisition.template_matching import OnlineTemplateMatching
+from rpod_estimator.acquisition.verified_search import VerifiedSearch
+from rpod_estimator.methods import ScanPattern, lidar_methods, warm_up
+from rpod_estimator.ports import Acquirer, Acquisition, Candidates, Registration, Search, Tracker
+from rpod_schemas.config.base import check
+from rpod_schemas.config.estimator import LidarInput
+from rpod_schemas.config.lidar import LidarConfig, LidarDetectionConfig, ScanPatternConfig
+from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.types import LidarScan
+from rpod_target import Target
+
+TEMPLATE_MATCHING: dict[str, dict[str, Any]] = {
+    "template-matching": {},
+    "fast-template-matching": {"fast": True},
+    "cued-template-matching": {"cued": True},
+}
+"""Methods of the 2015 paper, section 2, and what each adds to the configuration of template matching."""
+METHODS = (*TEMPLATE_MATCHING, "global")
+
+MATCHERS: dict[str, dict[str, Any]] = {
+    "nearest-neighbour": {"metric": "point_to_point", "gate_m": 1e3},
+    "normal-shooting": {"metric": "point_to_point", "gate_m": 1e3, "matcher": "normal_shooting"},
+    "nearest-neighbour-plane": {},
+}
+"""The ICP after template matching: the paper's two, point to point and without a gate for outliers, so that
+f_CONV is the mean over all points as in its Table 4; and the facility's own, point to plane with a gate."""
+
+PRINTED_SURE_RANGE_M = 150.0
+"""Of ``ScanComparisonConfig.sure_range_m`` where Eq. 4 is read as printed."""
+
+
+def lidar_config(*, eq4: str = "usual", step_deg: float = 1.0) -> LidarConfig:
+    """Return the LIDAR of the paper's Table 1 with one reading of Eq. 4, and a scan step."""
+    pattern = ScanPatternConfig(step_deg=step_deg)
+    config = LidarConfig.model_construct(pattern=pattern)
+    slowest_hz = 0.999 / config.scan_time_s
+    return LidarConfig(
+        pattern=pattern,
+        rate_hz=min(1.0, slowest_hz),
+        detection=LidarDetectionConfig.model_validate({"threshold": eq4}),
+    )
+
+
+def lidar_input(
+    method: str,
+    *,
+    step_deg: float | None = None,
+    centroid: str | None = None,
+    matcher: str | None = None,
+    eq4: str = "usual",
+) -> LidarInput:
+    """Return the configuration of a method.
+
+    Raises:
+        ConfigurationError: the method or the matcher is not known.
+    """
+    if method == "global":
+        return check(LidarInput, {"acquisition": {"kind": "global"}}, source="--method global")
+    if method not in TEMPLATE_MATCHING:
+        raise ConfigurationError("--method", "", f"needs {', '.join(METHODS)}, not {method!r}")
+    if matcher not in MATCHERS:
+        raise ConfigurationError("--matcher", "", f"needs {', '.join(MATCHERS)}, not {matcher!r}")
+    sure = {"comparison": {"sure_range_m": PRINTED_SURE_RANGE_M}} if eq4 == "printed" else {}
+    document = {
+        "acquisition": {
+            "kind": "template_matching",
+            "step_deg": step_deg,
+            "centroid_offset": centroid == "offset",
+            **TEMPLATE_MATCHING[method],
+        },
+        "tracking": {"kind": "icp_nearest_neighbour", **MATCHERS[matcher], **sure},
+        "verification": {"max_cost_m2": 0.003, "min_explained_share": 0.97, "candidates": 1},
+    }
+    return check(LidarInput, document, source=f"--method {method} --matcher {matcher}")
+
+
+@dataclass
+class TimedSearch:
+    """A search that remembers what it proposed, and how long that took."""
+
+    search_: Search[LidarScan]
+    found: Candidates = field(default_factory=Candidates)
+    took_s: float = float("nan")
+
+    def search(self, measurement: LidarScan) -> Candidates:
+        """Return what the search proposes."""
+        begin_s = time.perf_counter()
+        self.found = self.search_.search(measurement)
+        self.took_s = time.perf_counter() - begin_s
+        return self.found
+
+    def near(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Candidates:
+        """Return what the search proposes around a pose."""
+        return self.search_.near(measurement, T_sensor_target)
+
+
+@dataclass
+class TimedTracker:
+    """A tracker that remembers how long its last call took."""
+
+    tracker: Tracker[LidarScan]
+    took_s: float = float("nan")
+
+    def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration."""
+        begin_s = time.perf_counter()
+        registration = self.tracker.track(measurement, T_sensor_target)
+        self.took_s = time.perf_counter() - begin_s
+        return registration
+
+
+@dataclass(frozen=True, eq=False)
+class TimedAcquisition:
+    """What came of one scan."""
+
+    acquisition: Acquisition
+    acquire_s: float
+    """Up to the method's answer; of template matching its search alone."""
+    icp_s: float | None
+    """Of the ICP after template matching; None where the method refines by itself."""
+    template: RigidTransform | None
+    """T_sensor_target of the best template before ICP; None of other methods."""
+
+
+class Acquiring:
+    """A method of acquisition under the stopwatch; warmed up when it is made."""
+
+    def __init__(self, sensor: LidarInput, target: Target, pattern: ScanPattern) -> None:
+        methods = lidar_methods(sensor, target, pattern)
+        self._search: TimedSearch | None = None
+        self._tracker = TimedTracker(methods.tracker)
+        self._acquirer: Acquirer[LidarScan] = methods.acquirer
+        if isinstance(sensor.acquisition, TemplateMatchingConfig):
+            self._search = TimedSearch(template_search(sensor, target, pattern))
+            self._acquirer = VerifiedSearch(self._search, self._tracker, sensor.verification)
+        warm_up(methods, target, pattern)
+
+    def acquire(self, scan: LidarScan) -> TimedAcquisition:
+        """Return what the method makes of a scan, and how long it took."""
+        begin_s = time.perf_counter()
+        acquisition = self._acquirer.acquire(scan)
+        took_s = time.perf_counter() - begin_s
+        if self._search is None:
+            return TimedAcquisition(acquisition, took_s, None, None)
+        found = self._search.found.poses
+        template = found[0].T_sensor_target if found else None
+        return TimedAcquisition(
+            acquisition, self._search.took_s, self._tracker.took_s if found else None, template
+        )
+
+
+def template_search(sensor: LidarInput, target: Target, pattern: ScanPattern) -> Search[LidarScan]:
+    """Return template matching without what refines and judges its templates."""
+    if not isinstance(sensor.acquisition, TemplateMatchingConfig):
+        raise TypeError(f"{type(sensor.acquisition).__name__} is no template matching")
+    return OnlineTemplateMatching(
+        sensor.acquisition, target, azimuth_rad=pattern.azimuth_rad, elevation_rad=pattern.elevation_rad
+    )
+
+
+def pattern_of(config: LidarConfig) -> ScanPattern:
+    """Return where a LIDAR looks."""
+    return ScanPattern(config.azimuth_rad, config.elevation_rad)

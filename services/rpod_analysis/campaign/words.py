@@ -1,0 +1,36 @@
+"""Numbers as tables show them; a dash where there is none."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+NONE = "-"
+
+
+def number(value: float | None, form: str = ".3g", *, unit: str = "") -> str:
+    """Return a number in a format, with its unit."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    return f"{value:{form}}{unit}"
+
+
+def milliseconds(value_s: float | None) -> str:
+    """Return a time in ms."""
+    return number(None if value_s is None else 1e3 * value_s, ".2f")
+
+
+def percent(value: float | None) -> str:
+    """Return a share in percent."""
+    return number(None if value is None else 100.0 * value, ".1f", unit=" %")
+
+
+def word(value: Any) -> str:
+    """Return a parameter as a word."""
+    if value is None:
+        return NONE
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def printed(values: Mapping[Any, Any], key: Any) -> str:
+    """Return what a paper prints; blank where it prints nothing."""
+    return str(values[key]) if key in values else ""

@@ -1,0 +1,70 @@
+"""``rpod campaign`` as an operator meets it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import polars as pl
+
+CELL = {
+    "target", "method", "eq4", "sampling", "centroid", "matcher", "range_m", "step_deg", "trials",
+    "discarded_share", "templates", "excluded_share", "success_rate", "wilson_low", "wilson_high", "median_s",
+    "p95_s", "wrong_accepted", "right_rejected",
+}  # fmt: skip
+SMALL = ("lidar-acquisition", "--method", "template-matching", "--steps", "60", "--ranges", "50")
+
+
+def command(*arguments: str | Path) -> list[str]:
+    return [sys.executable, "-m", "rpod", "campaign", *map(str, arguments)]
+
+
+def campaign(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=120.0, check=False)
+
+
+def test_json_is_one_object_and_the_report_stands_beside_the_trials(tmp_path):
+    done = campaign(*SMALL, "--trials", "3", "--seed", "7", "--jobs", "1", "--json", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    (cell,) = json.loads(done.stdout)["cells"]
+    assert set(cell) == CELL
+    assert cell["trials"] == 3
+    (folder,) = tmp_path.iterdir()
+    assert pl.read_parquet(folder / "trials.parquet").height == 3
+    assert "Success rate" in (folder / "report.html").read_text("utf-8")
+    again = campaign(*SMALL, "--trials", "3", "--seed", "7", "--jobs", "1", "--out", tmp_path)
+    assert again.returncode == 0
+    assert "3 of 3 trials are there" in again.stderr
+    assert str(folder / "report.html") in again.stdout
+
+
+def test_an_interrupt_leaves_what_is_done_to_the_next_run(tmp_path):
+    arguments = (*SMALL, "--trials", "2000", "--jobs", "1", "--out", tmp_path)
+    running = subprocess.Popen(
+        command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline_s = time.monotonic() + 60.0
+    while not list(tmp_path.glob("*/part-*.parquet")):
+        assert running.poll() is None
+        assert time.monotonic() < deadline_s
+        time.sleep(0.1)
+    os.killpg(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=30.0)
+    assert running.returncode == 130
+    assert "interrupted; what is done is kept in" in said.splitlines()[-1]
+    kept = pl.concat([pl.read_parquet(file) for file in tmp_path.glob("*/part-*.parquet")]).height
+    resumed = campaign(*arguments[:-4], "--trials", str(kept), "--jobs", "1", "--out", tmp_path)
+    assert f"{kept} of {kept} trials are there" in resumed.stderr
+
+
+def test_a_wrong_value_is_one_line_that_names_the_option(tmp_path):
+    refused = campaign("lidar-acquisition", "--ranges", "20,near", "--out", tmp_path)
+    assert refused.returncode == 2, refused.stderr
+    assert not refused.stdout
+    (line,) = refused.stderr.splitlines()
+    assert line.startswith("rpod campaign: --ranges: ")
+    assert line.endswith("('20,near')")

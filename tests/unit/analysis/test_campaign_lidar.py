@@ -1,0 +1,160 @@
+from itertools import pairwise
+
+import numpy as np
+import polars as pl
+import pytest
+
+from rpod_analysis.campaign import Options, lidar_acquisition, lidar_trajectory
+from rpod_analysis.campaign import paper_2015 as paper
+from rpod_analysis.campaign.campaign import CellResult
+from rpod_analysis.campaign.run import prepare, run_campaign
+from rpod_analysis.campaign.trials import acquisition, trajectory
+from rpod_analysis.campaign.trials.scene import (
+    cached_target,
+    clearance_m,
+    random_attitude,
+    random_pose,
+    stream,
+)
+from rpod_schemas.errors import ConfigurationError
+
+TARGET = "envisat-bulky"
+
+
+def test_a_drawn_pose_depends_on_seed_and_trial_alone():
+    def draw(seed=7, trial=3, range_m=50.0):
+        pose = random_pose(TARGET, range_m=range_m, sampling="euler", seed=seed, trial=trial)
+        return pose.T_sensor_target.rotation.as_quat().tolist()
+
+    assert draw() == draw() == draw(range_m=40.0)
+    assert draw() != draw(trial=4)
+    assert draw() != draw(seed=8)
+
+
+def test_no_part_of_the_target_is_near_the_sensor_and_what_was_discarded_is_counted():
+    drawn = [random_pose(TARGET, range_m=20.0, sampling="so3", seed=1, trial=trial) for trial in range(600)]
+    assert min(clearance_m(TARGET, pose.T_sensor_target) for pose in drawn) >= 2.0
+    assert 0 < sum(pose.discarded for pose in drawn) < 100
+
+
+def test_the_clearance_is_the_distance_to_the_nearest_corner_edge_or_face():
+    pose = random_pose(TARGET, range_m=30.0, sampling="so3", seed=1, trial=5).T_sensor_target
+    corners_m = pose.apply(cached_target(TARGET).triangles_m.reshape(-1, 3))
+    nearest_corner_m = float(np.linalg.norm(corners_m, axis=1).min())
+    assert 0.8 * nearest_corner_m < clearance_m(TARGET, pose) <= nearest_corner_m
+
+
+def test_euler_uniform_attitudes_favour_the_poles_of_the_pitch_and_uniform_ones_do_not():
+    generator = stream(3, 0)
+    steep = {}
+    for sampling in ("euler", "so3"):
+        attitudes = [random_attitude(sampling, generator) for _ in range(2000)]
+        pitch_deg = [attitude.as_euler("ZYX", degrees=True)[1] for attitude in attitudes]
+        steep[sampling] = float(np.mean(np.abs(pitch_deg) > 60.0))
+    assert steep["euler"] == pytest.approx(1 / 3, abs=0.04)
+    assert steep["so3"] == pytest.approx(1 - np.sin(np.radians(60.0)), abs=0.03)
+
+
+@pytest.fixture(scope="module")
+def acquired():
+    """Return a cell of coarse template matching and three of its rows."""
+    options = Options(method=(paper.TM,), ranges=(20.0,), steps=(60.0,))
+    (cell,) = lidar_acquisition.cells(options)
+    return cell, [acquisition.run(cell, 7, trial) for trial in range(3)]
+
+
+def test_a_trial_of_acquisition_fills_every_column(acquired):
+    _, rows = acquired
+    for row in rows:
+        assert set(row) == set(acquisition.SCHEMA)
+        assert row["templates"] == 196
+        assert row["returns"] > 100
+        assert row["acquire_s"] > 0.0
+        assert row["icp_s"] > 0.0
+        # the paper's position is the centroid of the cloud, metres off before ICP
+        assert row["template_position_error_m"] > 0.3
+
+
+def test_a_trial_is_the_same_whoever_runs_it(acquired):
+    cell, rows = acquired
+    clocks = {"acquire_s", "icp_s"}
+    again = acquisition.run(cell, 7, 1)
+    assert {k: v for k, v in again.items() if k not in clocks} == {
+        k: v for k, v in rows[1].items() if k not in clocks
+    }
+
+
+def test_the_summary_counts_wrong_poses_that_were_accepted_and_right_ones_that_were_not(acquired):
+    cell, rows = acquired
+    changes = (
+        {"success": True, "accepted": False, "attitude_error_deg": 0.1, "position_error_m": 0.01},
+        {"success": False, "accepted": True, "attitude_error_deg": 90.0, "position_error_m": 0.01},
+        {"success": True, "accepted": True, "attitude_error_deg": 0.1, "position_error_m": 0.5},
+    )
+    frame = pl.DataFrame(
+        [row | change for row, change in zip(rows, changes, strict=True)], schema=acquisition.SCHEMA
+    )
+    summary = lidar_acquisition.summarise(cell, frame)
+    assert summary["success_rate"] == pytest.approx(2 / 3)
+    assert (summary["wrong_accepted"], summary["right_rejected"]) == (2, 1)
+    assert summary["wilson_low"] < summary["success_rate"] < summary["wilson_high"]
+
+
+def test_the_trajectory_is_that_of_the_paper():
+    motion = trajectory.motion_of(TARGET)
+    centre_m = cached_target(TARGET).centre_of_mass_m
+    poses = [motion.state(50.0 * n).T_chaser_target for n in range(trajectory.POSITIONS)]
+    ranges_m = np.linalg.norm([pose.apply(centre_m) for pose in poses], axis=1)
+    assert ranges_m.min() == pytest.approx(25.0, abs=0.1)
+    assert ranges_m.max() == pytest.approx(53.0, abs=0.1)
+    turns_deg = [np.rad2deg((a.rotation.inv() * b.rotation).magnitude()) for a, b in pairwise(poses)]
+    assert min(turns_deg) > 10.0
+
+
+def test_a_trial_of_the_trajectory_refines_one_template_by_both_ways_to_pair_points(tmp_path):
+    options = Options(
+        trials=2, steps=(60.0,), target=(TARGET,), eq4="printed", method=(paper.TM, paper.FAST_TM)
+    )
+    results = run_campaign(prepare(lidar_trajectory.CAMPAIGN, options, out=tmp_path, version="1"), jobs=1)
+    for result in results:
+        assert set(result.rows.columns) == {"cell", "trial", *trajectory.SCHEMA}
+        assert result.rows["nn_found"].null_count() == result.rows["ns_found"].null_count() == 0
+        for row in result.rows.iter_rows(named=True):
+            assert max(row["euler_wrapped_deg"]) <= 180.0
+            assert row["template_attitude_error_deg"] <= 180.0
+    _check_sections(lidar_trajectory.sections(results))
+
+
+def test_tables_hold_the_papers_numbers_beside_ours(acquired):
+    cell, rows = acquired
+    frame = pl.DataFrame(rows, schema=acquisition.SCHEMA)
+    result = CellResult(cell, frame, lidar_acquisition.summarise(cell, frame))
+    success = lidar_acquisition.sections([result])[0].tables[0]
+    assert success.rows[0][success.columns.index("paper")] == "0.65"
+
+
+def _check_sections(sections):
+    for section in sections:
+        for table in section.tables:
+            assert all(len(row) == len(table.columns) for row in table.rows), table.title
+
+
+def test_what_the_paper_prints_twice_agrees():
+    shares = {step: count / paper.TRAJECTORY_POSITIONS for step, count in paper.TRAJECTORY_SUCCESSES.items()}
+    assert shares[10.0] == pytest.approx(0.76, abs=0.005)
+    assert shares[60.0] == pytest.approx(0.59, abs=0.005)
+    assert shares[30.0] == pytest.approx(0.72, abs=0.005)
+    assert set(paper.COSTS) == {(m, s) for m in (paper.TM, paper.FAST_TM) for s in shares}
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"method": ("magic",)}, "--method: needs template-matching"),
+        ({"target": ("hubble",)}, "--target: .*hubble"),
+        ({"matcher": ("thumb",)}, "--matcher: needs nearest-neighbour"),
+    ],
+)
+def test_what_is_not_known_is_refused_by_the_name_of_its_option(options, reason):
+    with pytest.raises(ConfigurationError, match=reason):
+        lidar_acquisition.cells(Options(**options))
