@@ -191,6 +191,9 @@ def campaign(
     steps: Annotated[
         str | None, typer.Option("--steps", help="Of the templates, deg: 60,40,30,20,10.")
     ] = None,
+    scan_steps: Annotated[
+        str | None, typer.Option("--scan-steps", help="Of the scan, deg: 1,0.5,0.2,0.1.")
+    ] = None,
     method: Annotated[str | None, typer.Option("--method", help="One or several, with commas.")] = None,
     target: Annotated[str | None, typer.Option("--target", help="One or several, with commas.")] = None,
     seed: Annotated[int | None, typer.Option("--seed", help="Of all randomness.")] = None,
@@ -219,6 +222,7 @@ def campaign(
         "trials": trials,
         "ranges": ranges,
         "steps": steps,
+        "scan_steps": scan_steps,
         "method": method,
         "target": target,
         "seed": seed,

@@ -33,7 +33,7 @@ from rpod_schemas.errors import ConfigurationError
 from rpod_target import TargetError
 
 _PLAIN_PERIOD_S, _PLAIN_WIDTH = 10.0, 200
-_LISTS = ("ranges", "steps", "method", "target", "matcher")
+_LISTS = ("ranges", "steps", "scan_steps", "method", "target", "matcher")
 
 
 def campaign_command(
@@ -81,7 +81,8 @@ def _options(given: dict[str, Any]) -> Options:
         return check(Options, document, source="")
     except ConfigurationError as error:
         option = error.field.split(".")[0]
-        raise ConfigurationError(f"--{option}", "", f"{error.reason} ({given[option]!r})") from error
+        name = option.replace("_", "-")
+        raise ConfigurationError(f"--{name}", "", f"{error.reason} ({given[option]!r})") from error
 
 
 def _jobs(jobs: int | None) -> int:

@@ -76,6 +76,8 @@ class LidarReceiverConfig(Config):
 class LidarDetectionConfig(Config):
     """Which reading of the paper's detection model is used."""
 
+    returned: Literal["detected", "all"] = "detected"
+    """all switches the model off: every ray that meets the target comes back."""
     false_alarm: Annotated[float, Field(gt=0, lt=1)] = 1e-4
     """P_FA (section 3.2)."""
     threshold: Literal["usual", "printed"] = "usual"

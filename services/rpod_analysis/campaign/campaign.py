@@ -24,6 +24,8 @@ class Options(Config):
     """Distances of the target's origin, m."""
     steps: Annotated[tuple[Annotated[float, Field(ge=5, le=90)], ...], Field(min_length=1)] | None = None
     """Steps of the template grid, deg."""
+    scan_steps: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    """Steps of the scan, deg."""
     method: Choices | None = None
     """Names of methods."""
     target: Choices | None = None
@@ -123,7 +125,7 @@ class Campaign(Generic[CellT]):
         given = options.model_fields_set - {"trials", "seed"}
         for name in sorted(given - self.accepts):
             if getattr(options, name) is not None:
-                raise ConfigurationError(f"--{name}", "", f"has no meaning for {self.name}")
+                raise ConfigurationError(f"--{name.replace('_', '-')}", "", f"has no meaning for {self.name}")
         if self.most_trials and (options.trials or 0) > self.most_trials:
             raise ConfigurationError("--trials", "", f"{self.name} has {self.most_trials} at most")
 

@@ -7,6 +7,8 @@ from rpod_analysis.campaign.trials.methods import METHODS, TEMPLATE_MATCHING, li
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import TargetError, load_target
 
+DEFAULT_METHODS = ("global",)
+
 
 def targets(options: Options, default: tuple[str, ...]) -> tuple[str, ...]:
     """Return the targets, each of which can be loaded. Raises ConfigurationError."""
@@ -44,3 +46,11 @@ def variants(
             for pairing in options.matcher or (matcher,):
                 lidar_input(method, step_deg=step_deg, centroid=position, matcher=pairing)
                 yield step_deg, position, pairing
+
+
+def steps_of(method: str, options: Options, default_deg: float = 30.0) -> tuple[float | None, ...]:
+    """Return the template steps of a method, one None where it has none. Raises ConfigurationError."""
+    steps = (options.steps or (default_deg,)) if method in TEMPLATE_MATCHING else (None,)
+    for step_deg in steps:
+        lidar_input(method, step_deg=step_deg, centroid="offset", matcher="nearest-neighbour")
+    return steps

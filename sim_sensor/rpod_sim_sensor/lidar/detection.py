@@ -98,10 +98,12 @@ def signal_to_noise(
 def echo(
     config: LidarConfig, *, reflectivity: FloatArray, cos_incidence: FloatArray, range_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the mean signal electrons N_Sig of rays that meet a surface, and their P_D."""
+    """Return the mean signal electrons N_Sig of rays that meet a surface, and their P_D; NaN of others."""
     laser, receiver, detection = config.transmitter, config.receiver, config.detection
     power_W = echo_power_W(reflectivity, cos_incidence, range_m, laser, receiver)
     signal_e = electrons(power_W, laser, receiver)
     background_e = background_electrons(reflectivity, laser, receiver)
+    if detection.returned == "all":
+        return signal_e, np.where(np.isnan(range_m), np.nan, 1.0)
     snr = signal_to_noise(signal_e, background_e, detection, receiver)
     return signal_e, detection_probability(snr, detection.false_alarm, detection.threshold)

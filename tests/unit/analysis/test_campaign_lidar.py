@@ -1,22 +1,32 @@
+import json
 from itertools import pairwise
 
 import numpy as np
 import polars as pl
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rpod_analysis.campaign import Options, lidar_acquisition, lidar_trajectory
 from rpod_analysis.campaign import paper_2015 as paper
 from rpod_analysis.campaign.campaign import CellResult
+from rpod_analysis.campaign.catalogue import CAMPAIGNS
+from rpod_analysis.campaign.lidar_verdict import roc
 from rpod_analysis.campaign.run import prepare, run_campaign
-from rpod_analysis.campaign.trials import acquisition, trajectory
+from rpod_analysis.campaign.trials import acquisition, judged, tracking, trajectory
+from rpod_analysis.campaign.trials.distant import window_deg
+from rpod_analysis.campaign.trials.judged import JudgedCell
+from rpod_analysis.campaign.trials.methods import lidar_config
 from rpod_analysis.campaign.trials.scene import (
     cached_target,
     clearance_m,
+    emulator_of,
     random_attitude,
     random_pose,
+    scan_of,
     stream,
 )
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.poses import make_pose
 
 TARGET = "envisat-bulky"
 
@@ -158,3 +168,78 @@ def test_what_the_paper_prints_twice_agrees():
 def test_what_is_not_known_is_refused_by_the_name_of_its_option(options, reason):
     with pytest.raises(ConfigurationError, match=reason):
         lidar_acquisition.cells(Options(**options))
+
+
+OTHERS = {
+    "lidar-tracking": {"ranges": (50.0,), "matcher": ("nearest-neighbour-plane",)},
+    "lidar-robustness": {"ranges": (50.0,), "method": (paper.TM,), "steps": (60.0,)},
+    "lidar-range": {"ranges": (80.0,), "method": (paper.TM,), "steps": (60.0,), "scan_steps": (1.0,)},
+    "lidar-verdict": {"ranges": (50.0,), "method": (paper.TM,), "steps": (60.0,), "target": (TARGET,)},
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_row_of_every_campaign_has_the_columns_of_its_schema_and_a_place_in_its_tables(name, monkeypatch):
+    monkeypatch.setattr(tracking, "FRAMES", 5)
+    campaign = CAMPAIGNS[name]
+    results = []
+    for cell in campaign.cells(Options(**{"target": (TARGET,), **OTHERS[name]})):
+        row = campaign.trial(cell, 7, 0)
+        assert set(row) == set(campaign.schema)
+        frame = pl.DataFrame([row], schema=campaign.schema)
+        results.append(CellResult(cell, frame, campaign.summarise(cell, frame)))
+    json.dumps([result.summary for result in results])
+    _check_sections(campaign.sections(results))
+
+
+def test_the_verdict_is_on_wrong_poses_wherever_something_else_was_scanned():
+    slim = JudgedCell(
+        target=TARGET, scanned_target="envisat-slim", method=paper.TM, step_deg=60.0, range_m=50.0
+    )
+    row = judged.run(slim, 7, 0)
+    assert row["wrong"]
+    assert 40.0 < row["scanned_range_m"] < 50.0  # the smaller one stands nearer
+
+
+def test_a_curve_of_shares_runs_from_none_to_all_and_is_perfect_where_a_score_separates():
+    wrong = np.array([True, True, False, False])
+    false, true = roc(np.array([0.1, 0.2, 0.8, 0.9]), wrong)
+    assert (false, true) == ([0.0, 0.0, 0.0, 0.5, 1.0], [0.0, 0.5, 1.0, 1.0, 1.0])
+    assert roc(np.array([-np.inf, 0.9, 0.8, 0.1]), wrong)[0] == [0.0, 0.5, 0.5, 0.5]
+
+
+def test_nees_of_errors_of_one_sigma_is_their_number():
+    turn = Rotation.from_rotvec([0.001, -0.001, 0.001])
+    truth = make_pose(
+        rotation=Rotation.from_euler("ZYX", [40, 20, 10], degrees=True), translation_m=[1, 2, 30]
+    )
+    found = make_pose(
+        rotation=turn * truth.rotation, translation_m=truth.translation + np.array([0.01, 0.01, -0.01])
+    )
+    assert tracking.nees(truth, found, np.diag([0.01**2] * 3 + [0.001**2] * 3)) == pytest.approx(
+        6.0, rel=1e-6
+    )
+
+
+def test_the_scan_window_holds_the_bounding_sphere():
+    radius_m = cached_target(TARGET).radius_m
+    assert window_deg(TARGET, 20.0) == 40.0
+    for range_m in (80.0, 120.0):
+        half_deg = window_deg(TARGET, range_m) / 2.0
+        assert range_m * np.sin(np.radians(half_deg)) >= radius_m
+        assert range_m * np.sin(np.radians(half_deg - 1.0)) < radius_m
+
+
+def test_a_disturbed_world_differs_in_what_its_name_says():
+    pose = make_pose(translation_m=[0, 0, 30])
+    exact = lidar_config(noise={"sigma_range_m": 0.0, "sigma_pointing_rad": 0.0, "outlier_share": 0.0})
+    spans_m = [
+        np.ptp(scan_of(emulator_of(TARGET, exact, 1, scale=scale), pose, trial=0).returns_m[:, 2])
+        for scale in (1.0, 1.01)
+    ]
+    assert spans_m[1] == pytest.approx(1.01 * spans_m[0], abs=0.02)
+    returned = [
+        len(scan_of(emulator_of(TARGET, lidar_config(**world), 1), pose, trial=0).returns_m)
+        for world in ({"detection": {"returned": "all"}}, {}, {"detection": {"threshold": "printed"}})
+    ]
+    assert returned[0] >= returned[1] >= returned[2]

@@ -143,3 +143,13 @@ def test_mean_returns_of_bulky_envisat_are_those_measured_before():
     assert mean_returns(bulky(), 20.0) == pytest.approx(490, rel=0.04)
     usual, printed = mean_returns(bulky(), 50.0), mean_returns(bulky(), 50.0, threshold="printed")
     assert 86 < printed < usual < 120
+
+
+def test_without_the_detection_model_every_ray_that_meets_the_target_comes_back():
+    far = make_pose(translation_m=(0, 0, 200))
+    config = LidarConfig(detection=LidarDetectionConfig(returned="all"))
+    everything = LidarEmulator(config, bulky(), seed=3).scan([far], frame=0)
+    detected = LidarEmulator(LidarConfig(), bulky(), seed=3).scan([far], frame=0)
+    returned, seen = (np.isfinite(scan.points_m[..., 2]) for scan in (everything, detected))
+    assert 0 < np.count_nonzero(seen) < np.count_nonzero(returned) < returned.size
+    assert not (seen & ~returned).any()

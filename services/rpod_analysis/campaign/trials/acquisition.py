@@ -7,7 +7,7 @@ from typing import Any
 import polars as pl
 
 from rpod_analysis.campaign.trials.methods import Acquiring, lidar_config, lidar_input, pattern_of
-from rpod_analysis.campaign.trials.scene import cached_target, emulator_of, random_pose, scan_of
+from rpod_analysis.campaign.trials.scene import Drawn, cached_target, emulator_of, random_pose, scan_of
 from rpod_analysis.campaign.trials.scores import ACQUISITION_SCHEMA, POSE, acquisition_row, errors, numbers
 from rpod_sim_sensor.lidar import LidarEmulator
 
@@ -46,6 +46,11 @@ def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one trial."""
     emulator, acquiring = _bench(cell, seed)
     drawn = random_pose(cell.target, range_m=cell.range_m, sampling=cell.sampling, seed=seed, trial=trial)
+    return acquired(acquiring, emulator, drawn, trial=trial)
+
+
+def acquired(acquiring: Acquiring, emulator: LidarEmulator, drawn: Drawn, *, trial: int) -> dict[str, Any]:
+    """Return the row of a method that is given the scan of a pose."""
     scan = scan_of(emulator, drawn.T_sensor_target, trial=trial)
     timed = acquiring.acquire(scan)
     attitude_deg, position_m = errors(drawn.T_sensor_target, timed.template)

@@ -1,6 +1,7 @@
 """Methods under trial, by the names of the command line, with a stopwatch on their steps."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,19 +13,24 @@ from rpod_estimator.methods import ScanPattern, lidar_methods, warm_up
 from rpod_estimator.ports import Acquirer, Acquisition, Candidates, Registration, Search, Tracker
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import LidarInput
-from rpod_schemas.config.lidar import LidarConfig, LidarDetectionConfig, ScanPatternConfig
+from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.types import LidarScan
 from rpod_target import Target
 
 TEMPLATE_MATCHING: dict[str, dict[str, Any]] = {
-    "template-matching": {},
-    "fast-template-matching": {"fast": True},
-    "cued-template-matching": {"cued": True},
+    "template-matching": {"variant": "plain"},
+    "fast-template-matching": {"variant": "fast"},
+    "cued-template-matching": {"variant": "cued"},
 }
-"""Methods of the 2015 paper, section 2, and what each adds to the configuration of template matching."""
-METHODS = (*TEMPLATE_MATCHING, "global")
+"""Methods of the 2015 paper, section 2, and the variant that its conclusions call for, with their fields."""
+GLOBAL: dict[str, dict[str, Any]] = {
+    "global": {},
+    "starved-global": {"levels": ({"attitudes": 100, "compared": 30, "refined": 3},)},
+}
+"""The facility's own search, and the same left with so little to try that it mostly goes wrong."""
+METHODS = (*TEMPLATE_MATCHING, *GLOBAL)
 
 MATCHERS: dict[str, dict[str, Any]] = {
     "nearest-neighbour": {"metric": "point_to_point", "gate_m": 1e3},
@@ -34,19 +40,41 @@ MATCHERS: dict[str, dict[str, Any]] = {
 """The ICP after template matching: the paper's two, point to point and without a gate for outliers, so that
 f_CONV is the mean over all points as in its Table 4; and the facility's own, point to plane with a gate."""
 
+TRACKERS: dict[str, dict[str, Any]] = {
+    **{name: {"kind": "icp_nearest_neighbour", **fields} for name, fields in MATCHERS.items()},
+    "projective": {"kind": "projective_point_to_plane"},
+}
+"""All trackers of scans by name."""
+
 PRINTED_SURE_RANGE_M = 150.0
 """Of ``ScanComparisonConfig.sure_range_m`` where Eq. 4 is read as printed."""
 
 
-def lidar_config(*, eq4: str = "usual", step_deg: float = 1.0) -> LidarConfig:
-    """Return the LIDAR of the paper's Table 1 with one reading of Eq. 4, and a scan step."""
-    pattern = ScanPatternConfig(step_deg=step_deg)
-    config = LidarConfig.model_construct(pattern=pattern)
-    slowest_hz = 0.999 / config.scan_time_s
-    return LidarConfig(
-        pattern=pattern,
-        rate_hz=min(1.0, slowest_hz),
-        detection=LidarDetectionConfig.model_validate({"threshold": eq4}),
+def lidar_config(
+    *,
+    eq4: str = "usual",
+    step_deg: float = 1.0,
+    span_deg: float = 40.0,
+    detection: Mapping[str, Any] | None = None,
+    noise: Mapping[str, Any] | None = None,
+) -> LidarConfig:
+    """Return the LIDAR of the paper's Table 1 with one reading of Eq. 4.
+
+    Args:
+        eq4: usual or printed.
+        step_deg: of the scan.
+        span_deg: of the scan, both ways; a multiple of the step.
+        detection: fields that differ from the paper.
+        noise: fields that differ from the paper.
+    """
+    pattern = {"step_deg": step_deg, "azimuth_span_deg": span_deg, "elevation_span_deg": span_deg}
+    return LidarConfig.model_validate(
+        {
+            "pattern": pattern,
+            "detection": {"threshold": eq4, **(detection or {})},
+            "noise": noise or {},
+            "rate_hz": 1e-3,  # of single scans, which may take long
+        }
     )
 
 
@@ -63,8 +91,10 @@ def lidar_input(
     Raises:
         ConfigurationError: the method or the matcher is not known.
     """
-    if method == "global":
-        return check(LidarInput, {"acquisition": {"kind": "global"}}, source="--method global")
+    if method in GLOBAL:
+        model = {"tracking": {"model": {"threshold": eq4}}} if eq4 == "printed" else {}
+        acquisition = {"kind": "global", **GLOBAL[method], **model}
+        return check(LidarInput, {"acquisition": acquisition}, source=f"--method {method}")
     if method not in TEMPLATE_MATCHING:
         raise ConfigurationError("--method", "", f"needs {', '.join(METHODS)}, not {method!r}")
     if matcher not in MATCHERS:
@@ -81,6 +111,13 @@ def lidar_input(
         "verification": {"max_cost_m2": 0.003, "min_explained_share": 0.97, "candidates": 1},
     }
     return check(LidarInput, document, source=f"--method {method} --matcher {matcher}")
+
+
+def tracking_input(tracker: str) -> LidarInput:
+    """Return the configuration with a tracker. Raises ConfigurationError."""
+    if tracker not in TRACKERS:
+        raise ConfigurationError("--matcher", "", f"needs {', '.join(TRACKERS)}, not {tracker!r}")
+    return check(LidarInput, {"tracking": TRACKERS[tracker]}, source=f"--matcher {tracker}")
 
 
 @dataclass

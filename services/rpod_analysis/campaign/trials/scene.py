@@ -1,5 +1,6 @@
 """What is scanned: a target at a random attitude, and the scan of it."""
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -73,12 +74,19 @@ def clearance_m(target: str, T_sensor_target: RigidTransform) -> float:
     return float(np.linalg.norm(closest_m - sensor_m))
 
 
-def emulator_of(target: str, config: LidarConfig, seed: int) -> LidarEmulator:
-    """Return the emulated LIDAR that looks at a target."""
-    return LidarEmulator(config, cached_target(target), seed=seed)
+def emulator_of(target: str, config: LidarConfig, seed: int, *, scale: float = 1.0) -> LidarEmulator:
+    """Return the emulated LIDAR that looks at a target, larger than its model by a scale."""
+    looked_at = cached_target(target)
+    if scale != 1.0:
+        looked_at = replace(looked_at, triangles_m=scale * looked_at.triangles_m)
+    return LidarEmulator(config, looked_at, seed=seed)
 
 
-def scan_of(emulator: LidarEmulator, T_sensor_target: RigidTransform, *, trial: int) -> LidarScan:
-    """Return the scan of a target that stands still; the trial's number gives its noise."""
+def scan_of(
+    emulator: LidarEmulator, T_sensor_target: RigidTransform, *, trial: int, stamp_ns: int = 0
+) -> LidarScan:
+    """Return the scan of a target that stands still; the number of trial or frame gives its noise."""
     returns = emulator.scan([T_sensor_target], frame=trial)
-    return LidarScan(stamp_ns=0, frame_id="lidar", points_m=returns.points_m, intensity=returns.intensity)
+    return LidarScan(
+        stamp_ns=stamp_ns, frame_id="lidar", points_m=returns.points_m, intensity=returns.intensity
+    )
