@@ -16,10 +16,13 @@ class TemplateMatchingConfig(Config):
     """Selects this method."""
     step_deg: Annotated[float, Field(ge=5, le=90)] = 30.0
     """Delta, step of the grid of Euler angles: 60, 30 and 10 give 196, 1183 and 26011 templates."""
-    fast: bool = False
-    """The fast variant (section 2.2): only templates spread like the scan are correlated with it."""
+    variant: Literal["plain", "fast", "cued"] = "plain"
+    """plain: every template is cast and correlated. fast (section 2.2): every one is cast, and correlated
+    where it is spread about the boresight like the scan. cued: a share, extended like the scan, is cast."""
     tau: Positive = 0.1
-    """Largest relative difference of the spreads D_BOR (Eq. 3); counts where fast."""
+    """fast: largest relative difference of the spreads D_BOR (Eq. 3)."""
+    cued_share: Annotated[float, Field(gt=0, le=1)] = 0.1
+    """cued: share of the templates that are cast."""
     centroid_offset: bool = True
     """Correct the position by where the template's own centroid lies; the paper takes the scan's as it is."""
     near_deg: Positive = 45.0

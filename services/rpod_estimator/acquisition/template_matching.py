@@ -4,23 +4,42 @@ Source: Opromolla et al., Sensors 15(3), 2015, section 2. The scan's centroid st
 a template, the ideal scan of the target there, is cast for each attitude of a grid of Euler angles
 (321: R_sensor_target = Rz(yaw) Ry(pitch) Rx(roll)), laid on the scan by its centroid, and correlated
 by the mean squared distance of nearest neighbours (Eq. 1).
+
+``plain`` casts and correlates every template. ``fast`` casts every one, and correlates those spread about
+the boresight like the scan (Eqs. 2, 3). ``cued`` casts and correlates only a share of them, chosen by the
+scan's own covariance before anything is cast (``covariance_cue``).
 """
 
+from dataclasses import dataclass
 from math import floor, radians
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_estimator.acquisition.correlation import match_templates, packed
+from rpod_estimator.acquisition.covariance_cue import CovarianceCue
 from rpod_estimator.ports import Candidate, Candidates
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
 from rpod_schemas.types import LidarScan
-from rpod_sim_sensor.geometry import Hits, RayGrid, cast
+from rpod_sim_sensor.geometry import RayGrid
 from rpod_target import Target
 
 BOUND_MARGIN_DEG = 1e-6
 """The bounds of the angles are left out by this, so that both ends of a range are templates."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A scan compared with templates at its centroid."""
+
+    costs_m2: FloatArray
+    """C of Eq. 1, shape (K,); inf where a template was left out or has no point."""
+    centroids_m: FloatArray
+    """Of the templates' points, sensor axes, shape (K, 3)."""
+    spread_differences: FloatArray
+    """|D_BOR of the template - D_BOR of the scan| over the latter (Eq. 3), shape (K,); NaN without points."""
 
 
 class OnlineTemplateMatching:
@@ -37,55 +56,63 @@ class OnlineTemplateMatching:
         self._config, self._target = config, target
         self._grid = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad)
         self._attitudes = euler_grid(config.step_deg)
+        self._rotations = self._attitudes.as_matrix()
+        self._cue: CovarianceCue | None = None
+        if config.variant == "cued":
+            self._cue = CovarianceCue.of(self._grid, target, self._rotations)
 
     def search(self, measurement: LidarScan) -> Candidates:
         """Return candidates of distinct attitudes, least mean squared distance first.
 
         Empty where the scan has too few returns, or where no template has any.
         """
-        return self._matched(measurement, self._attitudes, self._config.distinct_deg)
+        return self._matched(measurement, np.arange(len(self._attitudes)), self._config.distinct_deg)
 
     def near(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Candidates:
         """Return the candidates among the templates within ``near_deg`` of an attitude, neighbours too."""
         away_rad = (T_sensor_target.rotation.inv() * self._attitudes).magnitude()
         close = np.flatnonzero(away_rad <= radians(self._config.near_deg))
-        distinct_deg = self._config.step_deg / 2.0
-        return (
-            self._matched(measurement, self._attitudes[close], distinct_deg) if close.size else Candidates()
+        return self._matched(measurement, close, self._config.step_deg / 2.0)
+
+    def compare(self, points_m: FloatArray, which: NDArray[np.intp] | None = None) -> Comparison:
+        """Compare returns, shape (N, 3), with templates of some attitudes of the grid, or with all.
+
+        Templates that the variant ``fast`` leaves out are not correlated; a cue is not asked.
+        """
+        centroid_m, spread_m = points_m.mean(axis=0), boresight_distance_m(points_m)
+        costs_m2, centroids_m, spreads_m = match_templates(
+            self._grid.arrays,
+            self._target.triangles_m,
+            self._rotations if which is None else self._rotations[which],
+            centroid_m,
+            packed(points_m - centroid_m),
+            len(points_m),
+            spread_m,
+            self._config.tau if self._config.variant == "fast" else np.inf,
         )
+        differences = np.abs(spreads_m - spread_m) / max(spread_m, np.finfo(np.float64).tiny)
+        return Comparison(costs_m2, centroids_m, differences)
 
-    def _matched(self, measurement: LidarScan, attitudes: Rotation, distinct_deg: float) -> Candidates:
-        config = self._config
+    def _matched(self, measurement: LidarScan, which: NDArray[np.intp], distinct_deg: float) -> Candidates:
         points_m = measurement.returns_m.astype(np.float64)
-        if len(points_m) < config.min_points:
+        if len(points_m) < self._config.min_points or not which.size:
             return Candidates()
-        centroid_m = points_m.mean(axis=0)
-        spread_m = boresight_distance_m(points_m)
-        poses = RigidTransform.from_components(centroid_m, attitudes)
-        costs_m2, offsets_m = np.full(len(poses), np.inf), np.zeros((len(poses), 3))
-        centred_m, hits = points_m - centroid_m, Hits.of(self._grid)
-        for index, pose in enumerate(poses):
-            template_m = self._template_m(pose, hits)
-            if not len(template_m) or (config.fast and self._unlike(template_m, spread_m)):
-                continue
-            offsets_m[index] = template_m.mean(axis=0) - centroid_m
-            costs_m2[index] = mean_squared_distance(centred_m, template_m - template_m.mean(axis=0))
-        if config.centroid_offset:
-            poses = RigidTransform.from_components(centroid_m - offsets_m, attitudes)
-        best = self._best_distinct(costs_m2, attitudes, distinct_deg)
-        found = tuple(Candidate(poses[index], float(costs_m2[index])) for index in best)
-        return Candidates(found, templates=len(poses), excluded_share=float(np.mean(~np.isfinite(costs_m2))))
-
-    def _template_m(self, T_sensor_target: RigidTransform, hits: Hits) -> FloatArray:
-        """Return the points of the ideal scan, shape (M, 3)."""
-        cast(self._grid, self._target.triangles_m, T_sensor_target, out=hits, cull_back_faces=True)
-        met = hits.triangle >= 0
-        template_m: FloatArray = self._grid.directions[met] * hits.range_m[met, None]
-        return template_m
-
-    def _unlike(self, template_m: FloatArray, spread_m: float) -> bool:
-        """Return whether the template is spread about the boresight unlike the scan (Eq. 3)."""
-        return abs(spread_m - boresight_distance_m(template_m)) > self._config.tau * spread_m
+        asked = which
+        if self._cue is not None:
+            asked = which[self._cue.most_alike(points_m, which, self._config.cued_share)]
+        compared = self.compare(points_m, asked)
+        positions_m = np.broadcast_to(points_m.mean(axis=0), compared.centroids_m.shape)
+        if self._config.centroid_offset:
+            positions_m = 2.0 * positions_m - compared.centroids_m
+        attitudes = self._attitudes[asked]
+        poses = RigidTransform.from_components(positions_m, attitudes)
+        best = self._best_distinct(compared.costs_m2, attitudes, distinct_deg)
+        correlated = np.count_nonzero(np.isfinite(compared.costs_m2))
+        return Candidates(
+            tuple(Candidate(poses[index], float(compared.costs_m2[index])) for index in best),
+            templates=which.size,
+            excluded_share=1.0 - correlated / which.size,
+        )
 
     def _best_distinct(self, costs_m2: FloatArray, attitudes: Rotation, distinct_deg: float) -> list[int]:
         """Return indices of templates, cheapest first, passing over those close to a cheaper one."""
@@ -121,26 +148,3 @@ def _centred_steps_deg(bound_deg: float, step_deg: float) -> FloatArray:
 def boresight_distance_m(points_m: FloatArray) -> float:
     """Return D_BOR, the mean distance of points, shape (N, 3), from the boresight (Eq. 2)."""
     return float(np.hypot(points_m[:, 0], points_m[:, 1]).mean())
-
-
-def mean_squared_distance(points_m: FloatArray, template_m: FloatArray) -> float:
-    """Return C, the mean squared distance of points, shape (N, 3), to their nearest ones (Eq. 1)."""
-    points = np.ascontiguousarray(points_m.T, dtype=np.float32)
-    return float(nearest_squares(points, template_m.astype(np.float32)).mean(dtype=np.float64))
-
-
-@njit(cache=True, nogil=True)
-def nearest_squares(points, template):  # type: ignore[no-untyped-def]
-    """Return the squared distance of each point, shape (3, N), to its nearest in the template, shape (M, 3).
-
-    All pairs, in single precision: the inner loop has no branch and no carried minimum, so that it is
-    vectorised, which outruns a search tree at these sizes by far.
-    """
-    x, y, z = points[0], points[1], points[2]
-    nearest = np.full(x.size, np.inf, np.float32)
-    for m in range(template.shape[0]):
-        tx, ty, tz = template[m, 0], template[m, 1], template[m, 2]
-        for n in range(x.size):
-            square = (x[n] - tx) ** 2 + (y[n] - ty) ** 2 + (z[n] - tz) ** 2
-            nearest[n] = square if square < nearest[n] else nearest[n]
-    return nearest

@@ -2,16 +2,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from rpod_estimator.acquisition.template_matching import (
     OnlineTemplateMatching,
     boresight_distance_m,
     euler_grid,
-    mean_squared_distance,
 )
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
@@ -57,15 +53,6 @@ def test_a_step_that_does_not_divide_the_pitch_centres_its_grid():
     assert pitch_deg == pytest.approx([-80, -40, 0, 40, 80])
 
 
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(1, 60))
-def test_the_correlation_is_that_of_a_search_tree(seed, points, templates):
-    random = np.random.default_rng(seed)
-    points_m, template_m = random.normal(size=(points, 3)), random.normal(size=(templates, 3))
-    expected = (cKDTree(template_m).query(points_m)[0] ** 2).mean()
-    assert mean_squared_distance(points_m, template_m) == pytest.approx(expected, rel=1e-4, abs=1e-9)
-
-
 def test_the_spread_is_the_mean_distance_from_the_boresight():
     assert boresight_distance_m(np.array([[3.0, 4.0, 10.0], [0.0, 0.0, 30.0]])) == pytest.approx(2.5)
 
@@ -105,12 +92,28 @@ def test_the_fast_variant_correlates_only_templates_spread_like_the_scan():
     scan = scan_at(random_pose(0))
     every, fast = (
         matching(distinct_deg=0, candidates=2000),
-        matching(distinct_deg=0, candidates=2000, fast=True),
+        matching(distinct_deg=0, candidates=2000, variant="fast"),
     )
     kept, all_of_them = fast.search(scan).poses, every.search(scan).poses
     assert 0.05 < len(kept) / len(all_of_them) < 0.5
     costs_m2 = {candidate.cost_m2 for candidate in all_of_them}
     assert all(candidate.cost_m2 in costs_m2 for candidate in kept)
+
+
+def test_the_cued_variant_casts_its_share_of_the_templates_and_still_finds_an_attitude_of_the_grid():
+    T = make_pose(rotation=euler_grid(30)[431], translation_m=(0.4, -0.3, 22.0))
+    found = matching(variant="cued").search(scan_at(T))
+    attitude_deg, position_m = errors(T, found.poses[0])
+    assert attitude_deg < 0.1
+    assert position_m < 0.5
+    assert found.templates == 1183
+    assert found.excluded_share == pytest.approx(1.0 - TemplateMatchingConfig().cued_share, abs=1e-3)
+
+
+def test_a_cue_that_keeps_every_template_changes_nothing():
+    scan = scan_at(random_pose(4))
+    plain, cued = matching().search(scan), matching(variant="cued", cued_share=1.0).search(scan)
+    assert [c.cost_m2 for c in cued.poses] == [c.cost_m2 for c in plain.poses]
 
 
 def test_a_search_near_a_rough_attitude_stays_near_and_finds_the_truth():
