@@ -18,7 +18,7 @@ from rpod_target.parameters import MeshParameters, PartParameters, PrismParamete
 from rpod_target.target import DistanceField, Material, Symmetry, Target
 
 _SHIPPED = Path(__file__).parent / "targets"
-_BUILDER_VERSION = 3
+_BUILDER_VERSION = 4
 """Raised whenever the same parameters make other arrays, so that old cache files are not taken."""
 
 
@@ -136,7 +136,7 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         inertia_kg_m2=parameters.inertia_kg_m2,
         radius_m=float(np.linalg.norm(arrays["triangles_m"], axis=-1).max()),
         symmetries=tuple(
-            Symmetry(axis=tuple(symmetry.axis.tolist()), order=symmetry.order)
+            Symmetry(axis=tuple(symmetry.axis.tolist()), order=symmetry.order, exact=symmetry.exact)
             for symmetry in parameters.symmetries
         ),
         **arrays,

@@ -124,12 +124,14 @@ class FieldParameters(Config):
 
 
 class SymmetryParameters(Config):
-    """A turn about an axis through the origin that nearly maps the target onto itself."""
+    """A turn about an axis through the origin that maps the target onto itself, nearly or exactly."""
 
     axis: Vector3
     """Direction, of any length but zero."""
     order: Annotated[int, Field(ge=2, le=64)]
     """The turn is by 360 degrees over the order."""
+    exact: bool = False
+    """Surfaces and materials are the same after the turn: no measurement tells the two poses apart."""
 
     @field_validator("axis")
     @classmethod
@@ -160,7 +162,7 @@ class TargetParameters(Config):
     edge_crease_deg: Annotated[float, Field(gt=0, lt=180)] = 30.0
     """Faces of a part that meet at more than this angle make a segment of the wireframe."""
     symmetries: tuple[SymmetryParameters, ...] = ()
-    """Turns after which the target looks nearly the same: acquisition tries them as siblings."""
+    """Turns after which the target looks the same or nearly so: acquisition tries them as siblings."""
 
     @field_validator("inertia_kg_m2")
     @classmethod

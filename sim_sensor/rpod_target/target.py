@@ -28,12 +28,14 @@ class Material:
 
 @dataclass(frozen=True)
 class Symmetry:
-    """A turn about an axis through the target's origin that nearly maps the target onto itself."""
+    """A turn about an axis through the target's origin that maps it onto itself, nearly or exactly."""
 
     axis: tuple[float, float, float]
     """Unit vector."""
     order: int
     """The turn is by 360 degrees over the order, and its multiples."""
+    exact: bool = False
+    """No measurement tells the target from itself turned."""
 
 
 @dataclass(frozen=True, eq=False)

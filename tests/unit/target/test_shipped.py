@@ -39,7 +39,14 @@ def extent_m(target: Target, *parts: str) -> tuple[list[float], list[float]]:
 
 
 def test_these_ship() -> None:
-    assert shipped_targets() == ("envisat-bulky", "envisat-mesh", "envisat-slim", "mockup")
+    assert shipped_targets() == (
+        "envisat-bulky",
+        "envisat-mesh",
+        "envisat-slim",
+        "hexagonal-body",
+        "mockup",
+        "rocket-stage",
+    )
 
 
 @pytest.mark.parametrize("name", shipped_targets())
@@ -92,6 +99,72 @@ def test_no_turn_by_sixty_degrees_maps_the_mockup_onto_itself(shipped: dict[str,
     for turn in range(1, 6):
         turned_m = Rotation.from_euler("x", 60.0 * turn, degrees=True).apply(points_m)
         assert np.max(surface.query(turned_m)[0]) > 0.15
+
+
+def planes(target: Target, turn: Rotation) -> dict[tuple[float, ...], float]:
+    """Return the area of the surface, turned, in each plane (unit normal, distance) and of each material."""
+    corners_m = turn.apply(target.triangles_m.reshape(-1, 3)).reshape(-1, 3, 3)
+    products = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    areas_m2 = np.linalg.norm(products, axis=1) / 2.0
+    normals = turn.apply(target.normals)
+    distances_m = (normals * corners_m[:, 0]).sum(axis=1)
+    keys = np.round(np.column_stack([normals, distances_m, target.triangle_material]), 6) + 0.0
+    found: dict[tuple[float, ...], float] = {}
+    for key, area_m2 in zip(keys.tolist(), areas_m2.tolist(), strict=True):
+        found[tuple(key)] = found.get(tuple(key), 0.0) + area_m2
+    return found
+
+
+def corners(target: Target, turn: Rotation) -> set[tuple[float, ...]]:
+    turned_m = np.round(turn.apply(target.triangles_m.reshape(-1, 3)), 6) + 0.0
+    return {tuple(corner) for corner in turned_m.tolist()}
+
+
+def maps_onto_itself(target: Target, turn: Rotation) -> bool:
+    still = Rotation.identity()
+    same = planes(target, turn) == pytest.approx(planes(target, still))
+    return same and corners(target, turn) == corners(target, still)
+
+
+def turns(target: Target) -> list[Rotation]:
+    return [
+        Rotation.from_rotvec(2.0 * np.pi * step / symmetry.order * np.array(symmetry.axis))
+        for symmetry in target.symmetries
+        if symmetry.exact
+        for step in range(1, symmetry.order)
+    ]
+
+
+@pytest.mark.parametrize(("name", "count"), [("hexagonal-body", 11), ("rocket-stage", 7)])
+def test_every_exact_symmetry_maps_the_target_onto_itself(
+    name: str, count: int, shipped: dict[str, Target]
+) -> None:
+    target = shipped[name]
+    assert len(turns(target)) == count
+    assert all(maps_onto_itself(target, turn) for turn in turns(target))
+
+
+@pytest.mark.parametrize("name", ["hexagonal-body", "rocket-stage"])
+def test_exact_symmetries_are_all_there_are_and_make_a_group(name: str, shipped: dict[str, Target]) -> None:
+    target = shipped[name]
+    declared = [Rotation.identity(), *turns(target)]
+    for one in declared:
+        for other in declared:
+            assert min((one * other * turn.inv()).magnitude() for turn in declared) < 1e-9
+    flips = [
+        Rotation.from_rotvec(np.pi * np.array([0.0, np.cos(a), np.sin(a)]))
+        for a in np.pi / 48 * np.arange(48)
+    ]
+    about = [Rotation.from_euler("x", 7.5 * step, degrees=True) for step in range(1, 48)]
+    for turn in [*flips, *about]:
+        known = min((turn * known.inv()).magnitude() for known in declared) < 1e-9
+        assert maps_onto_itself(target, turn) == known
+
+
+@pytest.mark.parametrize("name", ["mockup", "envisat-slim", "envisat-bulky", "envisat-mesh"])
+def test_targets_with_details_have_no_exact_symmetry(name: str, shipped: dict[str, Target]) -> None:
+    assert shipped[name].symmetries
+    assert not turns(shipped[name])
 
 
 @pytest.mark.parametrize(
