@@ -4,11 +4,12 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+PEERS := .venv-peers
 
 SCENARIO ?= mockup-tumbling
 ARGS ?=
 
-.PHONY: help run test check format lint types layers bench setup clean
+.PHONY: help run test check format lint types layers bench peers setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -43,5 +44,12 @@ layers: $(READY) ## Import layers
 bench: $(READY) ## Measured speed of this machine
 	$(BIN)/python -m rpod bench $(ARGS)
 
-clean: ## Remove the virtual environment and caches
-	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+peers: $(PEERS)/.ready ## Registration packages beside our methods, on the same scans
+	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 PYTHONPATH=benchmarks $(PEERS)/bin/python -m peers $(ARGS)
+
+$(PEERS)/.ready: pyproject.toml constraints.txt deploy/setup.sh deploy/peers.sh
+	bash deploy/peers.sh $(PEERS)
+	@touch $@
+
+clean: ## Remove the virtual environments and caches
+	rm -rf $(VENV) $(PEERS) .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
