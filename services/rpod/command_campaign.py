@@ -33,6 +33,8 @@ from rpod_schemas.errors import ConfigurationError
 from rpod_target import TargetError
 
 _PLAIN_PERIOD_S, _PLAIN_WIDTH = 10.0, 200
+_SPEED_PERIOD_S = 600.0
+"""Over which the time left is estimated: trials of one cell may take a hundred times those of another."""
 _LISTS = ("ranges", "steps", "scan_steps", "method", "target", "matcher")
 
 
@@ -119,10 +121,11 @@ class _Told:
                 TimeRemainingColumn(),
                 console=self._console,
                 transient=True,
+                speed_estimate_period=_SPEED_PERIOD_S,
             )
             self._bar.start()
-            bar, task = self._bar, self._bar.add_task(prepared.campaign.name, total=prepared.total)
-            bar.update(task, completed=self._done)
+            bar = self._bar
+            task = bar.add_task(prepared.campaign.name, total=prepared.total, completed=self._done)
             self._show = lambda: bar.update(task, completed=self._done)
         return self
 

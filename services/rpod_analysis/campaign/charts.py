@@ -1,6 +1,7 @@
 """The figures that the campaigns share. Colours of text, grid and paper come from the page's style sheet."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import plotly.graph_objects as go
 
@@ -77,9 +78,13 @@ def curve_figure(
                 marker={"color": COLOURS[index % len(COLOURS)], "size": 5},
             )
         )
-    figure.update_xaxes(title_text=x_title, type="log" if log_x else "linear")
-    figure.update_yaxes(title_text=y_title, type="log" if log_y else "linear")
+    figure.update_xaxes(title_text=x_title, **_scale(log_x))
+    figure.update_yaxes(title_text=y_title, **_scale(log_y))
     return with_legend(figure, height=360)
+
+
+def _scale(logarithmic: bool) -> dict[str, Any]:
+    return {"type": "log", "dtick": 1, "exponentformat": "power"} if logarithmic else {}
 
 
 def with_legend(figure: go.Figure, *, height: int) -> go.Figure:

@@ -9,7 +9,7 @@ from rpod_analysis.campaign import paper_2015 as paper
 from rpod_analysis.campaign.campaign import CellResult, Table
 from rpod_analysis.campaign.statistics import Rate, mean, quantile, rate
 from rpod_analysis.campaign.trials.trajectory import TrajectoryCell
-from rpod_analysis.campaign.words import milliseconds, number, percent, printed, word
+from rpod_analysis.campaign.words import milliseconds, number, printed, word
 
 Result = CellResult[TrajectoryCell]
 Results = Sequence[Result]
@@ -58,9 +58,9 @@ def fast_table(results: Results) -> Table:
                 *_name(fast.cell),
                 number(success(basic).value - success(fast).value, "+.3f"),
                 printed(paper.TRAJECTORY_LOSS, step_deg),
-                percent(mean(fast.rows["excluded_share"])),
+                number(mean(fast.rows["excluded_share"]), ".3f"),
                 str(paper.EXCLUDED),
-                percent(saved),
+                number(saved, "+.3f"),
                 str(paper.TIME_SAVED),
             )
         )

@@ -65,8 +65,8 @@ RETURNS = {20.0: Printed("about 490", "4.4"), 50.0: Printed("about 120", "4.4")}
 
 TRAJECTORY_SUCCESS = {
     10.0: Printed("about 0.76", "4.4, Fig. 6"),
-    20.0: Printed("slightly above 0.70", "4.4, Fig. 6"),
-    30.0: Printed("slightly above 0.70; 0.72 (4.5); about 0.78 (Conclusions)", "4.4, 4.5, Conclusions"),
+    20.0: Printed("above 0.70", "4.4, Fig. 6"),
+    30.0: Printed("above 0.70; 0.72; about 0.78", "4.4, Fig. 6; 4.5; Conclusions"),
     60.0: Printed("0.59", "4.4, Fig. 6"),
 }
 """SR_TM over the trajectory, nearest neighbour, by step in deg."""

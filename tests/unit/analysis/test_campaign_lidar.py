@@ -11,7 +11,6 @@ from rpod_analysis.campaign import paper_2015 as paper
 from rpod_analysis.campaign.campaign import CellResult
 from rpod_analysis.campaign.catalogue import CAMPAIGNS
 from rpod_analysis.campaign.lidar_verdict import roc
-from rpod_analysis.campaign.run import prepare, run_campaign
 from rpod_analysis.campaign.trials import acquisition, judged, tracking, trajectory
 from rpod_analysis.campaign.trials.distant import window_deg
 from rpod_analysis.campaign.trials.judged import JudgedCell
@@ -25,6 +24,7 @@ from rpod_analysis.campaign.trials.scene import (
     scan_of,
     stream,
 )
+from rpod_analysis.campaign.trials.scores import errors, exact_turns
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import make_pose
 
@@ -121,17 +121,18 @@ def test_the_trajectory_is_that_of_the_paper():
     assert min(turns_deg) > 10.0
 
 
-def test_a_trial_of_the_trajectory_refines_one_template_by_both_ways_to_pair_points(tmp_path):
-    options = Options(
-        trials=2, steps=(60.0,), target=(TARGET,), eq4="printed", method=(paper.TM, paper.FAST_TM)
-    )
-    results = run_campaign(prepare(lidar_trajectory.CAMPAIGN, options, out=tmp_path, version="1"), jobs=1)
-    for result in results:
-        assert set(result.rows.columns) == {"cell", "trial", *trajectory.SCHEMA}
-        assert result.rows["nn_found"].null_count() == result.rows["ns_found"].null_count() == 0
-        for row in result.rows.iter_rows(named=True):
+def test_a_trial_of_the_trajectory_refines_one_template_by_both_ways_to_pair_points():
+    options = Options(steps=(60.0,), target=(TARGET,), eq4="printed", method=(paper.TM, paper.FAST_TM))
+    results = []
+    for cell in lidar_trajectory.cells(options):
+        rows = [trajectory.run(cell, 7, position) for position in (0, 120)]
+        for row in rows:
+            assert set(row) == set(trajectory.SCHEMA)
+            assert len(row["nn_found"]) == len(row["ns_found"]) == 7
             assert max(row["euler_wrapped_deg"]) <= 180.0
             assert row["template_attitude_error_deg"] <= 180.0
+        frame = pl.DataFrame(rows, schema=trajectory.SCHEMA)
+        results.append(CellResult(cell, frame, lidar_trajectory.summarise(cell, frame)))
     _check_sections(lidar_trajectory.sections(results))
 
 
@@ -243,3 +244,15 @@ def test_a_disturbed_world_differs_in_what_its_name_says():
         for world in ({"detection": {"returned": "all"}}, {}, {"detection": {"threshold": "printed"}})
     ]
     assert returned[0] >= returned[1] >= returned[2]
+
+
+def test_a_pose_that_an_exact_symmetry_turns_into_the_truth_is_right():
+    truth = make_pose(
+        rotation=Rotation.from_euler("ZYX", [40, 20, 10], degrees=True), translation_m=[1, 2, 30]
+    )
+    for name, turns in (("rocket-stage", 8), ("hexagonal-body", 12), (TARGET, 1)):
+        target = cached_target(name)
+        assert len(exact_turns(target)) == turns
+        turned = truth * make_pose(rotation=Rotation.from_euler("x", 180.0, degrees=True))
+        expected_deg = 180.0 if turns == 1 else 0.0
+        assert errors(truth, turned, target) == pytest.approx((expected_deg, 0.0), abs=1e-6)

@@ -53,9 +53,10 @@ def acquired(acquiring: Acquiring, emulator: LidarEmulator, drawn: Drawn, *, tri
     """Return the row of a method that is given the scan of a pose."""
     scan = scan_of(emulator, drawn.T_sensor_target, trial=trial)
     timed = acquiring.acquire(scan)
-    attitude_deg, position_m = errors(drawn.T_sensor_target, timed.template)
+    truth, target = drawn.T_sensor_target, acquiring.target
+    attitude_deg, position_m = errors(truth, timed.template, target)
     return {
-        **acquisition_row(drawn.T_sensor_target, timed.acquisition, len(scan.returns_m)),
+        **acquisition_row(truth, timed.acquisition, len(scan.returns_m), target),
         "template": numbers(timed.template),
         "template_attitude_error_deg": attitude_deg,
         "template_position_error_m": position_m,

@@ -172,6 +172,7 @@ class Acquiring:
     """A method of acquisition under the stopwatch; warmed up when it is made."""
 
     def __init__(self, sensor: LidarInput, target: Target, pattern: ScanPattern) -> None:
+        self.target = target
         methods = lidar_methods(sensor, target, pattern)
         self._search: TimedSearch | None = None
         self._tracker = TimedTracker(methods.tracker)

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_estimator.ports import Acquisition, Verdict
 from rpod_schemas.poses import pose_error
+from rpod_target import Target
 
 SUCCESS_DEG = 3.0
 """An attitude nearer than this is a success (2015 paper, section 4.2)."""
@@ -43,12 +44,29 @@ def numbers(pose: RigidTransform | None) -> list[float] | None:
     return [*pose.translation.tolist(), *pose.rotation.as_quat().tolist()]
 
 
-def errors(truth: RigidTransform, found: RigidTransform | None) -> tuple[float | None, float | None]:
-    """Return the attitude error, deg, and the position error, m; None without a pose."""
+def errors(
+    truth: RigidTransform, found: RigidTransform | None, target: Target
+) -> tuple[float | None, float | None]:
+    """Return the attitude error, deg, and the position error, m; None without a pose.
+
+    Of a target with an exact symmetry the nearest of the poses that cannot be told from the truth counts.
+    """
     if found is None:
         return None, None
-    attitude_rad, position_m = pose_error(truth, found)
+    alike = [pose_error(truth * turn, found) for turn in exact_turns(target)]
+    attitude_rad, position_m = min(alike, key=lambda error: float(np.linalg.norm(error[0])))
     return float(np.rad2deg(np.linalg.norm(attitude_rad))), float(np.linalg.norm(position_m))
+
+
+def exact_turns(target: Target) -> list[RigidTransform]:
+    """Return the turns that nobody sees, the identity first."""
+    turns = [
+        Rotation.from_rotvec(2.0 * np.pi * k / symmetry.order * np.array(symmetry.axis))
+        for symmetry in target.symmetries
+        if symmetry.exact
+        for k in range(1, symmetry.order)
+    ]
+    return [RigidTransform.identity(), *(RigidTransform.from_rotation(turn) for turn in turns)]
 
 
 def is_wrong(attitude_deg: float | None, position_m: float | None) -> bool:
@@ -58,10 +76,12 @@ def is_wrong(attitude_deg: float | None, position_m: float | None) -> bool:
     return attitude_deg >= SUCCESS_DEG or position_m >= RIGHT_M
 
 
-def acquisition_row(truth: RigidTransform, acquisition: Acquisition, returns: int) -> dict[str, Any]:
+def acquisition_row(
+    truth: RigidTransform, acquisition: Acquisition, returns: int, target: Target
+) -> dict[str, Any]:
     """Return the columns of ``ACQUISITION_SCHEMA``."""
     registration = acquisition.registration
-    attitude_deg, position_m = errors(truth, acquisition.pose)
+    attitude_deg, position_m = errors(truth, acquisition.pose, target)
     return {
         "truth": numbers(truth),
         "found": numbers(acquisition.pose),

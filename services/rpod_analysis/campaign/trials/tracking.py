@@ -81,7 +81,7 @@ def _single(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
     registration = methods.tracker.track(scan, start)
     took_s = time.perf_counter() - begin_s
     found = registration.T_sensor_target
-    attitude_deg, position_m = errors(truth, found)
+    attitude_deg, position_m = errors(truth, found, cached_target(cell.target))
     return {
         "truth": numbers(truth),
         "found": numbers(found),
@@ -125,7 +125,7 @@ def _frames(cell: TrackingCell, seed: int, trial: int) -> Iterator[tuple[float, 
         scan = scan_of(emulator, truth, trial=trial * FRAMES + k, stamp_ns=k * NANOSECONDS)
         state, output = navigator.step(state, Measurement(SENSOR, scan, make_pose()))
         believed = state.history.state.T_chaser_target if state.history else None
-        angle_deg = errors(truth, believed)[0]
+        angle_deg = errors(truth, believed, cached_target(cell.target))[0]
         yield 180.0 if angle_deg is None else angle_deg, output.status.accepted, state.mode
 
 

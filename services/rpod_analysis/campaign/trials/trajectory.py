@@ -21,12 +21,13 @@ from rpod_analysis.campaign.trials.methods import (
 from rpod_analysis.campaign.trials.scene import cached_target, emulator_of, scan_of
 from rpod_analysis.campaign.trials.scores import POSE, SUCCESS_DEG, errors, numbers
 from rpod_estimator.methods import lidar_methods
-from rpod_estimator.ports import Tracker
+from rpod_estimator.ports import Registration, Tracker
 from rpod_motion.motion import Motion, build_motion
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
+from rpod_target import Target
 
 POSITIONS, INTERVAL_S = 241, 50.0
 TUMBLE_DEG_S = (0.1, 0.2, 2.67)
@@ -83,16 +84,17 @@ SCHEMA: dict[str, Any] = {
 def run(cell: TrajectoryCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one position."""
     emulator, search, trackers = _bench(cell, seed)
+    target = cached_target(cell.target)
     truth = motion_of(cell.target).state(trial * INTERVAL_S).T_chaser_target
     scan = scan_of(emulator, truth, trial=trial)
     found = search.search(scan)
     template = found.poses[0].T_sensor_target if found.poses else None
     row: dict[str, Any] = {
         "time_s": trial * INTERVAL_S,
-        "range_m": float(np.linalg.norm(truth.apply(cached_target(cell.target).centre_of_mass_m))),
+        "range_m": float(np.linalg.norm(truth.apply(target.centre_of_mass_m))),
         "truth": numbers(truth),
         "template": numbers(template),
-        "template_attitude_error_deg": errors(truth, template)[0],
+        "template_attitude_error_deg": errors(truth, template, target)[0],
         **_raw_errors(truth, template),
         "returns": len(scan.returns_m),
         "templates": found.templates,
@@ -100,16 +102,15 @@ def run(cell: TrajectoryCell, seed: int, trial: int) -> dict[str, Any]:
         "search_s": search.took_s,
     }
     for icp, tracker in trackers.items():
-        row |= {f"{icp}_{name}": value for name, value in _refined(truth, template, tracker, scan).items()}
+        registration = tracker.track(scan, template) if template is not None else None
+        columns = _refined(truth, registration, target)
+        row |= {f"{icp}_{name}": value for name, value in columns.items()}
     return row
 
 
-def _refined(
-    truth: RigidTransform, template: RigidTransform | None, tracker: Tracker[LidarScan], scan: LidarScan
-) -> dict[str, Any]:
-    registration = tracker.track(scan, template) if template is not None else None
+def _refined(truth: RigidTransform, registration: Registration | None, target: Target) -> dict[str, Any]:
     pose = registration.T_sensor_target if registration else None
-    attitude_deg, position_m = errors(truth, pose)
+    attitude_deg, position_m = errors(truth, pose, target)
     return {
         "found": numbers(pose),
         "attitude_error_deg": attitude_deg,
