@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -76,6 +76,7 @@ def test_an_unorganised_and_an_empty_scan_will_do() -> None:
         assert moved.points_m.shape == points_m.shape
 
 
+@settings(deadline=None)
 @given(velocity_m_s=VECTORS, rate_rad_s=VECTORS)
 def test_distances_within_a_row_that_is_taken_at_once_are_kept(velocity_m_s, rate_rad_s) -> None:
     points_m = np.random.default_rng(2).uniform(-5.0, 5.0, (1, 8, 3)) + POSE.translation

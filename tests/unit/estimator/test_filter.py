@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -246,6 +246,7 @@ def test_the_covariance_stays_symmetric_and_positive_definite() -> None:
         assert np.linalg.eigvalsh(state.covariance).min() > 0.0
 
 
+@settings(deadline=None)
 @given(
     step_rad=st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3),
     shift_m=st.lists(st.floats(-5.0, 5.0), min_size=3, max_size=3),
@@ -346,6 +347,7 @@ def test_the_published_covariances_are_those_of_sampled_errors() -> None:
     np.testing.assert_array_equal(odometry.pose_covariance, state.covariance[:6, :6])
 
 
+@settings(deadline=None)
 @given(
     phi=st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3), scale=st.sampled_from([1.0, 1e-3, 1e-5, 0.0])
 )
