@@ -1,5 +1,7 @@
 """A campaign whose trials cost nothing, in a module of its own so that another process finds it."""
 
+import os
+import signal
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +21,8 @@ def cells(options: Options) -> list[CountingCell]:
 
 
 def trial(cell: CountingCell, seed: int, number: int) -> dict[str, Any]:
+    if cell.factor == 99.0:
+        os.kill(os.getpid(), signal.SIGKILL)
     if cell.factor == 13.0:
         raise ArithmeticError("unlucky")
     return {"value": cell.factor * float(np.random.default_rng((seed, number)).random())}

@@ -185,7 +185,9 @@ def report(
 
 @app.command()
 def campaign(
-    name: Annotated[str, typer.Argument(help="Name of the campaign, for example lidar-acquisition.")],
+    name: Annotated[
+        str, typer.Argument(help="lidar-acquisition, -trajectory, -verdict, -tracking, -robustness, -range.")
+    ],
     trials: Annotated[int | None, typer.Option("--trials", help="Of each cell.")] = None,
     ranges: Annotated[str | None, typer.Option("--ranges", help="In m, for example 20,50.")] = None,
     steps: Annotated[

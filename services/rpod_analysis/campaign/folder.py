@@ -7,6 +7,7 @@ same campaign finds its folder again and goes on where it stopped; any change ma
 import hashlib
 import json
 import os
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -81,8 +82,8 @@ class CampaignFolder:
     def add(self, rows: Sequence[Row]) -> None:
         """Keep a batch of rows; it appears whole or not at all."""
         if rows:
-            number = max((int(part.stem[5:]) for part in self._parts()), default=-1) + 1
-            self._write(self.path / f"part-{number:06d}.parquet", pl.DataFrame(rows, schema=self.schema))
+            name = f"part-{time.time_ns()}-{os.getpid()}.parquet"  # two runs at once do not meet
+            self._write(self.path / name, pl.DataFrame(rows, schema=self.schema))
 
     def close(self) -> pl.DataFrame:
         """Make one file of all batches and return its rows."""

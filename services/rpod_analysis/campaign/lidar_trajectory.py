@@ -93,7 +93,8 @@ def sections(results: Results) -> list[Section]:
             "Attitude of the template (Table 2)",
             "Averages over the successes (nearest neighbour). The paper does not say how its differences of "
             "Euler angles are taken: raw is the absolute difference as it is, wrapped the shorter way round, "
-            "geodesic the angle of the turn between both attitudes.",
+            "geodesic the angle of the turn between both attitudes. At a pitch of 90 deg, where roll and "
+            "yaw are one turn, the roll is taken as zero.",
             (attitude_table(results),),
         ),
         Section(

@@ -3,13 +3,15 @@
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import islice
 from typing import Any
 
 from rpod_analysis.campaign.campaign import Row
+from rpod_analysis.errors import AnalysisError
 
 _ONE_THREAD = (
     "OMP_NUM_THREADS",
@@ -26,21 +28,31 @@ Task = tuple[int, Any, int]
 """Index of a cell, the cell, number of a trial."""
 
 
+class WorkerDiedError(AnalysisError):
+    """A process of the trials was ended from outside."""
+
+    def __init__(self) -> None:
+        super().__init__("a process of the trials was killed, for want of memory perhaps; try fewer --jobs")
+
+
 def cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_trials(trial: Trial, seed: int, tasks: Iterable[Task], *, jobs: int) -> Iterator[Row]:
+def run_trials(trial: Trial, seed: int, tasks: Iterable[Task], *, jobs: int) -> Generator[Row]:
     """Yield the rows of trials as they finish, with cell and trial in front.
 
-    Whoever stops early, by an exception or by closing the iterator, stops the processes at once.
+    Whoever stops early, by an exception or by closing the generator, stops the processes at once.
 
     Args:
         trial: a function of a module.
         seed: of all randomness.
         tasks: what is to be run.
         jobs: number of processes; 1 is one process beside this one, too.
+
+    Raises:
+        WorkerDiedError: a process was killed.
     """
     remaining = iter(tasks)
     with _processes(jobs) as executor:
@@ -52,8 +64,19 @@ def run_trials(trial: Trial, seed: int, tasks: Iterable[Task], *, jobs: int) -> 
         while pending:
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
             pending |= {submitted(task) for task in islice(remaining, len(done))}
-            for future in done:
-                yield future.result()
+            for future in sorted(done, key=_failed):  # what is done is told before what failed
+                yield _row(future)
+
+
+def _failed(future: Future[Row]) -> bool:
+    return future.exception() is not None
+
+
+def _row(future: Future[Row]) -> Row:
+    try:
+        return future.result()
+    except BrokenProcessPool as error:
+        raise WorkerDiedError from error
 
 
 def _run(trial: Trial, seed: int, task: Task) -> Row:

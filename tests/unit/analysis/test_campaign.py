@@ -8,6 +8,7 @@ from counting_campaign import CAMPAIGN
 from rpod_analysis.campaign import Options, Prepared, Table, prepare, run_campaign
 from rpod_analysis.campaign.folder import ForeignFolderError
 from rpod_analysis.campaign.page import write_page
+from rpod_analysis.campaign.pool import WorkerDiedError
 from rpod_analysis.campaign.run import results
 from rpod_analysis.campaign.statistics import mean, quantile, rate
 from rpod_schemas.errors import ConfigurationError
@@ -72,6 +73,12 @@ def test_a_trial_that_fails_ends_the_campaign_and_the_others_are_kept(tmp_path):
     with pytest.raises(ArithmeticError, match="unlucky"):
         run_campaign(prepared(tmp_path, ranges=(1.0, 13.0), trials=3), jobs=1)
     assert set(prepared(tmp_path, ranges=(1.0, 13.0), trials=3).done) == {(0, 0), (0, 1), (0, 2)}
+
+
+def test_a_process_that_is_killed_is_told_in_a_line_and_the_others_are_kept(tmp_path):
+    with pytest.raises(WorkerDiedError, match="try fewer --jobs"):
+        run_campaign(prepared(tmp_path, ranges=(1.0, 99.0), trials=2), jobs=1)
+    assert set(prepared(tmp_path, ranges=(1.0, 99.0), trials=2).done) == {(0, 0), (0, 1)}
 
 
 def test_a_changed_parameter_is_another_folder(tmp_path):
