@@ -45,7 +45,7 @@ bench: $(READY) ## Measured speed of this machine
 	$(BIN)/python -m rpod bench $(ARGS)
 
 peers: $(PEERS)/.ready ## Registration packages beside our methods, on the same scans
-	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 PYTHONPATH=benchmarks $(PEERS)/bin/python -m peers $(ARGS)
+	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 PYTHONPATH=benchmarks $(PEERS)/bin/python -m peers $(ARGS)
 
 $(PEERS)/.ready: pyproject.toml constraints.txt deploy/setup.sh deploy/peers.sh
 	bash deploy/peers.sh $(PEERS)
