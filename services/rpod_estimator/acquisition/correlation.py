@@ -34,7 +34,7 @@ def packed(points_m: FloatArray) -> Float32Array:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def match_templates(grid, triangles, rotations, centroid, scan, scan_count, spread, tau):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def match_templates(grid, triangles, rotations, centroid, scan, scan_count, spread, tau, best_only):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return what each template is like: mean squared distance, centroid and spread about the boresight.
 
     Args:
@@ -46,10 +46,11 @@ def match_templates(grid, triangles, rotations, centroid, scan, scan_count, spre
         scan_count: number of points.
         spread: D_BOR of the scan, m (Eq. 2).
         tau: templates whose D_BOR differs by a larger share are not correlated (Eq. 3).
+        best_only: give a template up as soon as it is worse than the best before it.
 
     Returns:
-        C of Eq. 1, m2, shape (K,), inf where not correlated; centroids, shape (K, 3), m; D_BOR, shape (K,),
-        m, NaN for a template without any point.
+        C of Eq. 1, m2, shape (K,), inf where not correlated or given up; centroids, shape (K, 3), m;
+        D_BOR, shape (K,), m, NaN for a template without any point.
     """
     rows, columns = grid[0].shape[1:]
     range_m, triangle = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.int32)
@@ -62,6 +63,7 @@ def match_templates(grid, triangles, rotations, centroid, scan, scan_count, spre
     nearest = np.empty(BLOCK, np.float32)
     count = rotations.shape[0]
     costs, centroids, spreads = np.full(count, np.inf), np.zeros((count, 3)), np.full(count, np.nan)
+    limit = np.inf
     for k in range(count):
         cast_pose(grid, triangles, rotations[k], centroid, True, range_m, triangle)
         size, segments = _collect(grid[0], range_m, triangle, points, ends)
@@ -73,11 +75,15 @@ def match_templates(grid, triangles, rotations, centroid, scan, scan_count, spre
         _pack(points, centroids[k], ends[:segments], template, box)
         total = 0.0
         for block in range(scan.shape[0]):
+            if total > limit:
+                break
             _gaps(scan_box[block], box, gaps[:segments])
             _nearest_squares(scan[block], template, gaps[:segments], nearest)
             for n in range(min(BLOCK, scan_count - block * BLOCK)):
                 total += nearest[n]
-        costs[k] = total / scan_count
+        if total <= limit:
+            costs[k] = total / scan_count
+            limit = total if best_only else limit
     return costs, centroids, spreads
 
 

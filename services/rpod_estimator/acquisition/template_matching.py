@@ -35,7 +35,7 @@ class Comparison:
     """A scan compared with templates at its centroid."""
 
     costs_m2: FloatArray
-    """C of Eq. 1, shape (K,); inf where a template was left out or has no point."""
+    """C of Eq. 1, shape (K,); inf where a template was left out, was given up or has no point."""
     centroids_m: FloatArray
     """Of the templates' points, sensor axes, shape (K, 3)."""
     spread_differences: FloatArray
@@ -57,6 +57,7 @@ class OnlineTemplateMatching:
         self._grid = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad)
         self._attitudes = euler_grid(config.step_deg)
         self._rotations = self._attitudes.as_matrix()
+        self._tau = config.tau if config.variant == "fast" else np.inf
         self._cue: CovarianceCue | None = None
         if config.variant == "cued":
             self._cue = CovarianceCue.of(self._grid, target, self._rotations)
@@ -74,10 +75,13 @@ class OnlineTemplateMatching:
         close = np.flatnonzero(away_rad <= radians(self._config.near_deg))
         return self._matched(measurement, close, self._config.step_deg / 2.0)
 
-    def compare(self, points_m: FloatArray, which: NDArray[np.intp] | None = None) -> Comparison:
+    def compare(
+        self, points_m: FloatArray, which: NDArray[np.intp] | None = None, *, best_only: bool = False
+    ) -> Comparison:
         """Compare returns, shape (N, 3), with templates of some attitudes of the grid, or with all.
 
-        Templates that the variant ``fast`` leaves out are not correlated; a cue is not asked.
+        Templates that the variant ``fast`` leaves out are not correlated; a cue is not asked. For the best
+        alone, a template is given up as soon as it is worse than one before it.
         """
         centroid_m, spread_m = points_m.mean(axis=0), boresight_distance_m(points_m)
         costs_m2, centroids_m, spreads_m = match_templates(
@@ -88,7 +92,8 @@ class OnlineTemplateMatching:
             packed(points_m - centroid_m),
             len(points_m),
             spread_m,
-            self._config.tau if self._config.variant == "fast" else np.inf,
+            self._tau,
+            best_only,
         )
         differences = np.abs(spreads_m - spread_m) / max(spread_m, np.finfo(np.float64).tiny)
         return Comparison(costs_m2, centroids_m, differences)
@@ -100,14 +105,14 @@ class OnlineTemplateMatching:
         asked = which
         if self._cue is not None:
             asked = which[self._cue.most_alike(points_m, which, self._config.cued_share)]
-        compared = self.compare(points_m, asked)
+        compared = self.compare(points_m, asked, best_only=self._config.candidates == 1)
         positions_m = np.broadcast_to(points_m.mean(axis=0), compared.centroids_m.shape)
         if self._config.centroid_offset:
             positions_m = 2.0 * positions_m - compared.centroids_m
         attitudes = self._attitudes[asked]
         poses = RigidTransform.from_components(positions_m, attitudes)
         best = self._best_distinct(compared.costs_m2, attitudes, distinct_deg)
-        correlated = np.count_nonzero(np.isfinite(compared.costs_m2))
+        correlated = np.count_nonzero(compared.spread_differences <= self._tau)
         return Candidates(
             tuple(Candidate(poses[index], float(compared.costs_m2[index])) for index in best),
             templates=which.size,

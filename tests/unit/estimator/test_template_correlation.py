@@ -27,7 +27,7 @@ def spread_m(points_m):
     return float(np.mean(np.hypot(points_m[:, 0], points_m[:, 1])))
 
 
-def matched(points_m, tau=np.inf):
+def matched(points_m, tau=np.inf, *, best_only=False):
     centroid_m = points_m.mean(axis=0)
     return match_templates(
         GRID.arrays,
@@ -38,6 +38,7 @@ def matched(points_m, tau=np.inf):
         len(points_m),
         spread_m(points_m),
         tau,
+        best_only,
     )
 
 
@@ -67,6 +68,16 @@ def test_templates_spread_unlike_the_scan_are_not_correlated_and_the_others_are_
     alike = np.abs(spreads_m - spread_m(points_m)) <= 0.1 * spread_m(points_m)
     assert 0 < alike.sum() < len(ATTITUDES)
     assert np.array_equal(some, np.where(alike, every, np.inf))
+
+
+def test_for_the_best_alone_what_is_worse_is_given_up_and_the_best_is_the_same():
+    points_m = cloud()
+    every, _, spreads_m = matched(points_m)
+    some, _, same_m = matched(points_m, best_only=True)
+    falling = every == np.minimum.accumulate(every)
+    assert 0 < falling.sum() < len(ATTITUDES)
+    assert np.array_equal(some, np.where(falling, every, np.inf))
+    assert np.array_equal(same_m, spreads_m)
 
 
 def test_a_template_without_any_point_has_no_cost():

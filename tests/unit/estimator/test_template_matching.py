@@ -127,6 +127,16 @@ def test_a_search_near_a_rough_attitude_stays_near_and_finds_the_truth():
     assert min(errors(T, candidate)[0] for candidate in candidates) < 25.0
 
 
+@pytest.mark.parametrize("variant", ["plain", "fast", "cued"])
+def test_a_single_candidate_is_the_best_of_many_and_as_many_templates_are_left_out(variant):
+    scan = scan_at(random_pose(5))
+    many = matching(variant=variant).search(scan)
+    one = matching(variant=variant, candidates=1).search(scan)
+    assert [candidate.cost_m2 for candidate in one.poses] == [many.poses[0].cost_m2]
+    assert np.array_equal(one.poses[0].T_sensor_target.as_matrix(), many.poses[0].T_sensor_target.as_matrix())
+    assert one.excluded_share == many.excluded_share
+
+
 def test_an_unorganised_scan_gives_the_same_candidates():
     scan = scan_at(random_pose(1))
     organised, flat = matching().search(scan).poses, matching().search(scan_of(scan.returns_m)).poses
