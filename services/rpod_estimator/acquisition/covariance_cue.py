@@ -50,7 +50,7 @@ class CovarianceCue:
             which: indices of attitudes, shape (K,).
             share: of them to be kept; at least one is.
         """
-        level = np.argmin(np.abs(np.log(self.ranges_m / np.linalg.norm(points_m.mean(axis=0)))))
+        level = np.argmin(np.abs(self.ranges_m - np.linalg.norm(points_m.mean(axis=0))))
         spread_m = _square_roots(np.cov(points_m.T, bias=True))
         apart_m = np.linalg.norm(self.spreads_m[level, which] - spread_m, axis=(1, 2))
         count = max(1, round(share * which.size))

@@ -28,6 +28,8 @@ from rpod_target import Target
 
 BOUND_MARGIN_DEG = 1e-6
 """The bounds of the angles are left out by this, so that both ends of a range are templates."""
+LEAST_SPREAD_M = 1e-9
+"""Stands for the spread of a scan that lies on the boresight altogether."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +97,7 @@ class OnlineTemplateMatching:
             self._tau,
             best_only,
         )
-        differences = np.abs(spreads_m - spread_m) / max(spread_m, np.finfo(np.float64).tiny)
+        differences = np.abs(spreads_m - spread_m) / max(spread_m, LEAST_SPREAD_M)
         return Comparison(costs_m2, centroids_m, differences)
 
     def _matched(self, measurement: LidarScan, which: NDArray[np.intp], distinct_deg: float) -> Candidates:

@@ -156,12 +156,14 @@ def test_too_few_returns_give_no_candidate(points_m):
     assert matching().near(scan_of(points_m), random_pose(0)).poses == ()
 
 
-def test_points_on_a_plane_or_all_in_one_place_are_searched_without_fuss():
+@pytest.mark.parametrize("variant", ["plain", "fast", "cued"])
+def test_points_on_a_plane_or_all_in_one_place_are_searched_without_fuss(variant):
     plane = np.stack(
         (*np.meshgrid(np.arange(-3.0, 3.0), np.arange(-3.0, 3.0)), np.full((6, 6), 20.0)), axis=-1
     )
-    for points_m in (plane, np.full((10, 3), 15.0), np.full((10, 3), -15.0)):
+    ahead = np.tile([0.0, 0.0, 15.0], (10, 1))
+    for points_m in (plane, np.full((10, 3), 15.0), np.full((10, 3), -15.0), ahead, np.zeros((10, 3))):
         assert all(
             np.isfinite(candidate.cost_m2)
-            for candidate in matching(step_deg=60).search(scan_of(points_m)).poses
+            for candidate in matching(step_deg=60, variant=variant).search(scan_of(points_m)).poses
         )
