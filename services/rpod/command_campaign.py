@@ -3,10 +3,13 @@
 import json
 import math
 import platform
+import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from signal import SIGHUP, SIGTERM
 from typing import Any
 
 from rich.console import Console
@@ -50,7 +53,7 @@ def campaign_command(
     except (TargetError, AnalysisError, OSError) as error:
         return _fail(error, EXIT_FAILURE)
     try:
-        with _Told(prepared, quiet=as_json) as told:
+        with _every_signal_interrupts(), _Told(prepared, quiet=as_json) as told:
             results = run_campaign(prepared, jobs=processes, told=told.one)
         sections = prepared.campaign.sections(results)
         report = write_page(prepared, sections, version=__version__, machine=_machine(processes))
@@ -65,6 +68,17 @@ def campaign_command(
     else:
         _tell(sections, report, prepared.folder.trials_file)
     return EXIT_OK
+
+
+@contextmanager
+def _every_signal_interrupts() -> Iterator[None]:
+    """Let the signals that end a process end it as an interrupt does, so that no trial's process is left."""
+    before = {number: signal.signal(number, signal.default_int_handler) for number in (SIGTERM, SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _campaign(name: str) -> AnyCampaign:
@@ -106,12 +120,7 @@ class _Told:
 
     def __enter__(self) -> "_Told":
         prepared = self._prepared
-        if self._done:
-            self._console.print(
-                f"resuming {prepared.folder.path}: {self._done} of {prepared.total} trials are there",
-                soft_wrap=True,
-                highlight=False,
-            )
+        self._console.print(_beginning(prepared), soft_wrap=True, highlight=False)
         if self._console.is_terminal and not self._console.quiet:
             self._bar = Progress(
                 TextColumn("{task.description}"),
@@ -146,6 +155,16 @@ class _Told:
         each_s = (now_s - self._begin_s) / (self._done - self._resumed)
         left_min = each_s * (total - self._done) / 60.0
         self._console.print(f"{self._done} of {total} trials, {left_min:.1f} min left", highlight=False)
+
+
+def _beginning(prepared: Prepared) -> str:
+    """Return whether the campaign begins or goes on, and if it begins, why it does not go on."""
+    path = prepared.folder.path
+    if prepared.done:
+        return f"resuming {path}: {len(prepared.done)} of {prepared.total} trials are there"
+    other = prepared.folder.most_alike()
+    because = f"; {other[0].name} beside it differs in {', '.join(other[1])}" if other else ""
+    return f"beginning {path}{because}"
 
 
 def _tell(sections: Sequence[Section], report: Path, trials: Path) -> None:

@@ -1,7 +1,6 @@
 """``rpod campaign`` as an operator meets it."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -9,6 +8,8 @@ import time
 from pathlib import Path
 
 import polars as pl
+import psutil
+import pytest
 
 CELL = {
     "target", "method", "eq4", "sampling", "centroid", "matcher", "range_m", "step_deg", "trials",
@@ -38,12 +39,13 @@ def test_json_is_one_object_and_the_report_stands_beside_the_trials(tmp_path):
     assert "Success rate" in (folder / "report.html").read_text("utf-8")
     again = campaign(*SMALL, "--trials", "3", "--seed", "7", "--jobs", "1", "--out", tmp_path)
     assert again.returncode == 0
-    assert "3 of 3 trials are there" in again.stderr
+    assert again.stderr == f"resuming {folder}: 3 of 3 trials are there\n"
     assert str(folder / "report.html") in again.stdout
 
 
-def test_an_interrupt_leaves_what_is_done_to_the_next_run(tmp_path):
-    arguments = (*SMALL, "--trials", "2000", "--jobs", "1", "--out", tmp_path)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_what_is_done_to_the_next_run_and_no_process_behind(number, tmp_path):
+    arguments = (*SMALL, "--trials", "20000", "--jobs", "1", "--out", tmp_path)
     running = subprocess.Popen(
         command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -52,13 +54,17 @@ def test_an_interrupt_leaves_what_is_done_to_the_next_run(tmp_path):
         assert running.poll() is None
         assert time.monotonic() < deadline_s
         time.sleep(0.1)
-    os.killpg(running.pid, signal.SIGINT)
+    children = psutil.Process(running.pid).children(recursive=True)
+    assert children
+    running.send_signal(number)
     _, said = running.communicate(timeout=30.0)
     assert running.returncode == 130
     assert "interrupted; what is done is kept in" in said.splitlines()[-1]
-    kept = pl.concat([pl.read_parquet(file) for file in tmp_path.glob("*/part-*.parquet")]).height
-    resumed = campaign(*arguments[:-4], "--trials", str(kept), "--jobs", "1", "--out", tmp_path)
-    assert f"{kept} of {kept} trials are there" in resumed.stderr
+    assert not psutil.wait_procs(children, timeout=10.0)[1]
+    kept = pl.concat([pl.read_parquet(file) for file in tmp_path.glob("*/part-*.parquet")])["trial"]
+    enough = str(kept.len())
+    resumed = campaign(*SMALL, "--trials", enough, "--jobs", "1", "--out", tmp_path)
+    assert f"{enough} of {enough} trials are there" in resumed.stderr
 
 
 def test_a_wrong_value_is_one_line_that_names_the_option(tmp_path):

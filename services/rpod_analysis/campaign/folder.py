@@ -19,6 +19,7 @@ from rpod_analysis.campaign.campaign import Row
 from rpod_analysis.errors import AnalysisError
 
 CELL, TRIAL = "cell", "trial"
+_MANIFEST = "manifest.json"
 
 
 class ForeignFolderError(AnalysisError):
@@ -53,7 +54,7 @@ class CampaignFolder:
         digest = hashlib.sha256(text.encode()).hexdigest()[:10]
         folder = cls(out / f"{manifest['campaign']}-{digest}", {CELL: pl.Int64, TRIAL: pl.Int64, **schema})
         folder.path.mkdir(parents=True, exist_ok=True)
-        file = folder.path / "manifest.json"
+        file = folder.path / _MANIFEST
         if not file.exists():
             if any(folder.path.iterdir()):
                 raise ForeignFolderError(folder.path, "has no manifest.json, but is not empty")
@@ -93,6 +94,17 @@ class CampaignFolder:
             for part in parts:
                 part.unlink()
         return rows
+
+    def most_alike(self) -> tuple[Path, tuple[str, ...]] | None:
+        """Return the folder of the same campaign beside this one that differs least, and in what."""
+        mine = json.loads((self.path / _MANIFEST).read_text("utf-8"))
+        others = []
+        for file in self.path.parent.glob(f"{mine['campaign']}-*/{_MANIFEST}"):
+            theirs = json.loads(file.read_text("utf-8"))
+            differs = tuple(key for key in mine if mine[key] != theirs.get(key))
+            if differs:
+                others.append((file.parent, differs))
+        return min(others, key=lambda other: len(other[1]), default=None)
 
     def _parts(self) -> list[Path]:
         return sorted(self.path.glob("part-*.parquet"))

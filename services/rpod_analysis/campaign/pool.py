@@ -57,26 +57,22 @@ def run_trials(trial: Trial, seed: int, tasks: Iterable[Task], *, jobs: int) -> 
     remaining = iter(tasks)
     with _processes(jobs) as executor:
 
-        def submitted(task: Task) -> Future[Row]:
-            return executor.submit(_run, trial, seed, task)
+        def submitted(count: int) -> set[Future[Row]]:
+            return {executor.submit(_run, trial, seed, task) for task in islice(remaining, count)}
 
-        pending = {submitted(task) for task in islice(remaining, _WAITING * jobs)}
-        while pending:
-            done, pending = wait(pending, return_when=FIRST_COMPLETED)
-            pending |= {submitted(task) for task in islice(remaining, len(done))}
-            for future in sorted(done, key=_failed):  # what is done is told before what failed
-                yield _row(future)
+        try:
+            pending = submitted(_WAITING * jobs)
+            while pending:
+                done, pending = wait(pending, return_when=FIRST_COMPLETED)
+                for future in sorted(done, key=_failed):  # what is done is told before what failed
+                    yield future.result()
+                pending |= submitted(len(done))
+        except BrokenProcessPool as error:
+            raise WorkerDiedError from error
 
 
 def _failed(future: Future[Row]) -> bool:
     return future.exception() is not None
-
-
-def _row(future: Future[Row]) -> Row:
-    try:
-        return future.result()
-    except BrokenProcessPool as error:
-        raise WorkerDiedError from error
 
 
 def _run(trial: Trial, seed: int, task: Task) -> Row:

@@ -88,7 +88,9 @@ def test_a_changed_parameter_is_another_folder(tmp_path):
     }
     assert len(paths) == 4
     assert prepared(tmp_path, trials=9).folder.path in paths
-    assert prepare(CAMPAIGN, Options(), out=tmp_path, version="2").folder.path not in paths
+    newer = prepare(CAMPAIGN, Options(), out=tmp_path, version="2").folder
+    assert newer.path not in paths
+    assert newer.most_alike() == (prepared(tmp_path).folder.path, ("version",))
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):
