@@ -7,6 +7,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 import polars as pl
 from pydantic import Field
 
+from rpod_analysis.campaign.words import NONE
 from rpod_schemas.config.base import Config, Positive
 from rpod_schemas.errors import ConfigurationError
 
@@ -68,12 +69,18 @@ class Table:
         """
         shared = [k for k in range(names) if self.rows and len({row[k] for row in self.rows}) == 1]
         kept = [k for k in range(len(self.columns)) if k not in shared]
-        about = ", ".join(f"{self.columns[k]} {self.rows[0][k]}" for k in shared if self.rows[0][k] != "-")
+        about = ", ".join(_said(self.columns[k], self.rows[0][k]) for k in shared if self.rows[0][k] != NONE)
         return Table(
             f"{self.title} ({about})" if about else self.title,
             tuple(self.columns[k] for k in kept),
             tuple(tuple(row[k] for k in kept) for row in self.rows),
         )
+
+
+def _said(column: str, value: str) -> str:
+    """Return a value with its column's name, and the unit where it belongs."""
+    name, _, unit = column.partition(", ")
+    return f"{name} {value} {unit}".rstrip()
 
 
 @dataclass(frozen=True)

@@ -64,8 +64,9 @@ def curve_figure(
     markers: bool = False,
     log_x: bool = False,
     log_y: bool = False,
+    points: Mapping[str, tuple[float, float]] | None = None,
 ) -> go.Figure:
-    """Named curves, or clouds of points."""
+    """Named curves, or clouds of points; single points beside them as crosses."""
     figure = go.Figure()
     for index, (name, (x, y)) in enumerate(curves.items()):
         figure.add_trace(
@@ -78,6 +79,9 @@ def curve_figure(
                 marker={"color": COLOURS[index % len(COLOURS)], "size": 5},
             )
         )
+    for index, (name, point) in enumerate((points or {}).items()):
+        marker = {"symbol": "x", "size": 10, "color": COLOURS[index % len(COLOURS)]}
+        figure.add_trace(go.Scatter(x=[point[0]], y=[point[1]], mode="markers", name=name, marker=marker))
     figure.update_xaxes(title_text=x_title, **_scale(log_x))
     figure.update_yaxes(title_text=y_title, **_scale(log_y))
     return with_legend(figure, height=360)

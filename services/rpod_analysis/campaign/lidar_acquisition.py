@@ -18,7 +18,7 @@ from rpod_analysis.campaign.words import NONE, milliseconds, number, percent, pr
 
 Results = Sequence[CellResult[AcquisitionCell]]
 
-_METHODS = (paper.TM, paper.FAST_TM)
+_METHODS = (paper.TM, paper.FAST_TM, "global")
 _RANGES_M = (20.0, 30.0, 40.0, 50.0)
 _STEPS_DEG = (30.0,)
 

@@ -5,6 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 import polars as pl
 
 from rpod_analysis.campaign.campaign import Campaign, CellResult, Options, Section, Table
@@ -79,32 +80,43 @@ def _answered(cell: JudgedCell, rows: pl.DataFrame) -> pl.Series:
 def sections(results: Results) -> list[Section]:
     """Return the report."""
     groups = _grouped(results)
-    curves = {
-        f"{method}, {target}, {range_m:g} m, {score}": roc(_scores(rows, score), rows["wrong"].to_numpy())
-        for (method, target, range_m), rows in groups.items()
-        for score in SCORES
-        if 0 < int(rows["wrong"].sum()) < rows.height
-    }
     return [
         Section(
             "Verdicts",
             "Wrong: 3 deg or 0.3 m off, or of a scan of something else; trials without a pose count for "
             "neither. Attitudes are uniform on SO(3). Ranges are for the bulky ENVISAT; others stand nearer "
-            "by their size, the square root of the surface. A model with an exact symmetry is answered "
-            "rightly as ambiguous. Shares with 95 % Wilson bounds.",
+            "by their size, the square root of the surface. A model with an exact symmetry is "
+            "answered rightly as ambiguous. Shares with 95 % Wilson bounds.",
             (_verdict_table(results), _total_table(results)),
         ),
         Section(
             "f_CONV alone and the share of explained rays",
-            "Shares of right and of wrong poses that are accepted as the limit of one score moves.",
+            "Shares of right and of wrong poses that are accepted as the limit of one score moves; crosses "
+            "are the method's own verdicts.",
             (_score_table(groups),),
-            (
-                curve_figure(
-                    curves, x_title="share of wrong poses accepted", y_title="share of right poses accepted"
-                ),
-            ),
+            tuple(_figure(groups, target) for target in dict.fromkeys(group[1] for group in groups)),
         ),
     ]
+
+
+def _figure(groups: dict[Group, pl.DataFrame], target: str) -> go.Figure:
+    """Return the curves of a model's scores, and where its verdicts stand."""
+    curves, verdicts = {}, {}
+    for (method, model, range_m), rows in groups.items():
+        wrong = rows["wrong"].to_numpy()
+        if model != target or not 0 < wrong.sum() < wrong.size:
+            continue
+        about = f"{method}, {range_m:g} m"
+        for score in SCORES:
+            curves[f"{about}, {score}"] = roc(_scores(rows, score), wrong)
+        answered = rows["answered"].to_numpy()
+        verdicts[f"{about}, verdict"] = float(answered[wrong].mean()), float(answered[~wrong].mean())
+    return curve_figure(
+        curves,
+        x_title=f"share of wrong poses accepted, {target}",
+        y_title="share of right poses accepted",
+        points=verdicts,
+    )
 
 
 def roc(scores: FloatArray, wrong: Any) -> tuple[list[float], list[float]]:
@@ -138,9 +150,9 @@ def _grouped(results: Results) -> dict[Group, pl.DataFrame]:
     found: dict[Group, list[pl.DataFrame]] = {}
     for result in results:
         method = result.cell.method.removeprefix("starved-")
-        found.setdefault((method, result.cell.target, result.cell.range_m), []).append(
-            result.rows.filter(pl.col("found").is_not_null())
-        )
+        rows = result.rows.with_columns(_answered(result.cell, result.rows).alias("answered"))
+        group = method, result.cell.target, result.cell.range_m
+        found.setdefault(group, []).append(rows.filter(pl.col("found").is_not_null()))
     return {group: pl.concat(frames) for group, frames in found.items()}
 
 

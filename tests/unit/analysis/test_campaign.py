@@ -154,6 +154,12 @@ def test_numbers_of_nothing_are_none():
 
 
 def test_names_that_all_rows_share_go_into_the_title_of_a_table():
-    table = Table("Success", ("target", "range", "rate"), (("a", "20", "1"), ("a", "50", "1")))
-    condensed = table.condensed(2)
-    assert condensed == Table("Success (target a)", ("range", "rate"), (("20", "1"), ("50", "1")))
+    table = Table(
+        "Success",
+        ("target", "step, deg", "range, m", "rate"),
+        (("a", "30", "20", "1"), ("a", "30", "50", "1")),
+    )
+    condensed = table.condensed(3)
+    assert condensed == Table(
+        "Success (target a, step 30 deg)", ("range, m", "rate"), (("20", "1"), ("50", "1"))
+    )

@@ -105,6 +105,7 @@ def lidar_input(
             "kind": "template_matching",
             "step_deg": step_deg,
             "centroid_offset": centroid == "offset",
+            "candidates": 1,
             **TEMPLATE_MATCHING[method],
         },
         "tracking": {"kind": "icp_nearest_neighbour", **MATCHERS[matcher], **sure},
