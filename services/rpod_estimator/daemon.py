@@ -55,7 +55,12 @@ class Estimator:
         self._methods: dict[str, Methods] = {}
         for sensor in config.sensors:
             self._build(sensor)
-        self._navigator = Navigator(config, self._methods, centre_of_mass_m=target.centre_of_mass_m)
+        self._navigator = Navigator(
+            config,
+            self._methods,
+            centre_of_mass_m=target.centre_of_mass_m,
+            alike=target.turns(exact=True),
+        )
         self._state: NavigatorState = self._navigator.start(config.initial_pose)
         self._resets: SimpleQueue[ResetRequest] = SimpleQueue()
 

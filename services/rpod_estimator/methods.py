@@ -5,15 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rpod_estimator.acquisition.global_search import GlobalSearch
 from rpod_estimator.acquisition.template_matching import OnlineTemplateMatching
 from rpod_estimator.acquisition.verified_search import VerifiedSearch
 from rpod_estimator.acquisition.view_search import ViewSearch
-from rpod_estimator.ports import Methods, Tracker
+from rpod_estimator.ports import Acquirer, Methods, Tracker
 from rpod_estimator.tracking.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_estimator.tracking.icp_reverse_calibration import ReverseCalibrationIcp
+from rpod_estimator.tracking.projective_icp import ProjectiveIcp
 from rpod_estimator.tracking.signed_distance import SignedDistanceTracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import LidarInput, PmdInput, SensorInput
+from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, LidarInfo, LidarScan, PmdFrame
@@ -55,13 +58,19 @@ def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
 
 def lidar_methods(sensor: LidarInput, target: Target, pattern: ScanPattern) -> Methods:
     """Return the methods for a LIDAR with a known scan pattern."""
-    search = OnlineTemplateMatching(
-        sensor.acquisition, target, azimuth_rad=pattern.azimuth_rad, elevation_rad=pattern.elevation_rad
-    )
-    tracker = NearestNeighbourIcp(
-        sensor.tracking, target, azimuth_rad=pattern.azimuth_rad, elevation_rad=pattern.elevation_rad
-    )
-    return Methods(VerifiedSearch(search, tracker, sensor.verification), tracker, sensor.verification)
+    rays = {"azimuth_rad": pattern.azimuth_rad, "elevation_rad": pattern.elevation_rad}
+    tracker: Tracker[LidarScan]
+    if isinstance(sensor.tracking, ProjectiveIcpConfig):
+        tracker = ProjectiveIcp(sensor.tracking, target, **rays)
+    else:
+        tracker = NearestNeighbourIcp(sensor.tracking, target, **rays)
+    acquirer: Acquirer[LidarScan]
+    if isinstance(sensor.acquisition, GlobalSearchConfig):
+        acquirer = GlobalSearch(sensor.acquisition, target, **rays)
+    else:
+        search = OnlineTemplateMatching(sensor.acquisition, target, **rays)
+        acquirer = VerifiedSearch(search, tracker, sensor.verification)
+    return Methods(acquirer, tracker, sensor.verification)
 
 
 def configured_pattern(sensor: SensorInput) -> ScanPattern | None:

@@ -9,7 +9,7 @@ LOST       --believed near the prediction, or searched-->   VERIFYING
 of a log and a Monte-Carlo campaign run this very function.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import radians
@@ -22,7 +22,7 @@ from rpod_estimator.deskew import as_of_stamp
 from rpod_estimator.filter import ATTITUDE, FilterState, predict, start, to_odometry
 from rpod_estimator.history import History, PoseMeasurement, apply
 from rpod_estimator.measurement import Measurement, Tick
-from rpod_estimator.ports import Acquisition, Methods, Registration, Verdict
+from rpod_estimator.ports import Acquisition, Methods, Registration
 from rpod_estimator.verification import doubt
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
@@ -74,12 +74,24 @@ class Output:
 
 
 class Navigator:
-    """The transitions; its only state is its configuration and the target's centre of mass, target axes."""
+    """The transitions; its only state is its configuration and what it must know of the target.
+
+    Args:
+        settings: of the estimator.
+        methods: by the sensor's name.
+        centre_of_mass_m: of the target, target axes, shape (3,).
+        alike: turns that map the target onto itself exactly: every estimate is as ambiguous as they are many.
+    """
 
     def __init__(
-        self, settings: EstimatorSettings, methods: Mapping[str, Methods], *, centre_of_mass_m: FloatArray
+        self,
+        settings: EstimatorSettings,
+        methods: Mapping[str, Methods],
+        *,
+        centre_of_mass_m: FloatArray,
+        alike: Sequence[RigidTransform] = (),
     ) -> None:
-        self._settings = settings
+        self._settings, self._alike = settings, alike
         self._start_filter = partial(start, config=settings.filter, centre_of_mass_m=centre_of_mass_m)
         self._limits = settings.navigator
         self._methods = methods
@@ -128,7 +140,7 @@ class Navigator:
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Search without a guess; begin where one pose explains the measurement."""
         found = self._methods[event.sensor].acquirer.acquire(event.data)
-        if found.verdict is Verdict.ACCEPTED:
+        if found.trackable:
             return self._begin(state, event, found.registration)
         return state, self._output(state, event, found.registration, reason=found.reason, found=found)
 
@@ -202,7 +214,7 @@ class Navigator:
         why = doubt(registration, limits.while_tracking if tracked else limits)
         if why and not (tracked and self._is_sharp(predicted)):
             found = methods.acquirer.near(data, T_sensor_target)
-            if found.verdict is Verdict.ACCEPTED:
+            if found.trackable:
                 return found.registration, ""
         return registration, why
 
@@ -271,6 +283,7 @@ class Navigator:
         found: Acquisition | None = None,
     ) -> Output:
         measured = registration or Registration(Source.NONE)
+        hypotheses = self._hypotheses(state, event, found)
         status = EstimatorStatus(
             stamp_ns=event.stamp_ns,
             frame_id=CHASER,
@@ -283,8 +296,8 @@ class Navigator:
             nis=nis,
             inliers=measured.inliers,
             inlier_share=measured.inlier_share,
-            ambiguous=found is not None and found.verdict is Verdict.AMBIGUOUS,
-            hypotheses=_in_chaser(found.hypotheses, event.T_chaser_sensor) if found else (),
+            ambiguous=len(hypotheses) > 1,
+            hypotheses=hypotheses,
         )
         if state.mode != Mode.TRACKING or state.history is None:
             return Output(status, None)
@@ -292,6 +305,21 @@ class Navigator:
         stamp_ns = max(event.stamp_ns, newest.stamp_ns, state.shown_ns)
         shown = predict(newest, stamp_ns, self._settings.filter)
         return Output(status, to_odometry(shown, frame_id=CHASER, child_frame_id=TARGET_ESTIMATE))
+
+    def _hypotheses(
+        self, state: NavigatorState, event: Measurement, found: Acquisition | None
+    ) -> tuple[Hypothesis, ...]:
+        """Return T_chaser_target of what explains the frame: as acquired, or by the target's exact turns."""
+        if found is not None:
+            return tuple(
+                Hypothesis(pose=event.T_chaser_sensor * item.pose, weight=item.weight)
+                for item in found.hypotheses
+            )
+        if not self._alike or state.history is None:
+            return ()
+        pose = state.history.state.T_chaser_target
+        poses = (pose, *(pose * turn for turn in self._alike))
+        return tuple(Hypothesis(pose=pose, weight=1.0 / len(poses)) for pose in poses)
 
 
 def in_chaser(
@@ -303,7 +331,3 @@ def in_chaser(
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = R
     return T_chaser_sensor * registration.T_sensor_target, turn @ registration.covariance @ turn.T
-
-
-def _in_chaser(hypotheses: tuple[Hypothesis, ...], T_chaser_sensor: RigidTransform) -> tuple[Hypothesis, ...]:
-    return tuple(Hypothesis(pose=T_chaser_sensor * item.pose, weight=item.weight) for item in hypotheses)

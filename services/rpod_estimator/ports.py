@@ -34,7 +34,7 @@ class Registration:
     source: Source
     T_sensor_target: RigidTransform | None = None
     reason: str = ""
-    """Why there is no pose; empty if there is one."""
+    """Why there is no pose, or why it is not to be believed; empty otherwise."""
     cost_m2: float = float("nan")
     """f_CONV: mean squared residual of the inliers at convergence, m2."""
     inliers: int = 0
@@ -42,6 +42,8 @@ class Registration:
     """Inliers over the points that could have matched."""
     explained_share: float = float("nan")
     """Self-check: of the rays where model or measurement say "surface", the share that agrees."""
+    judged: bool = False
+    """Whether the method has judged the pose by itself, so that its shares and cost are not asked."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     """Of (dp, dtheta) in the sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1); shape (6, 6)."""
     iterations: int = 0
@@ -71,6 +73,13 @@ class Acquisition:
     """Attitudes in the search."""
     excluded_share: float = 0.0
     """Of them, those left out before they were compared with the measurement."""
+    by_symmetry: bool = False
+    """Whether the hypotheses differ by exact symmetries of the target alone: any of them may be tracked."""
+
+    @property
+    def trackable(self) -> bool:
+        """Whether a track may begin at the best pose."""
+        return self.verdict is Verdict.ACCEPTED or self.by_symmetry
 
     @property
     def pose(self) -> RigidTransform | None:

@@ -15,10 +15,13 @@ from rpod_schemas.config.verification import VerificationConfig
 def doubt(registration: Registration, limits: VerificationConfig) -> str:
     """Return why a registration is not believed, in words for the operator; empty if it is.
 
-    What a method does not know, inlier share and explained share, is not asked.
+    What a method does not know, inlier share and explained share, is not asked; nor is anything of a method
+    that judges its results by itself.
     """
-    if registration.T_sensor_target is None:
+    if registration.reason or registration.T_sensor_target is None:
         return registration.reason or "no pose"
+    if registration.judged:
+        return ""
     cost, inliers = registration.cost_m2, registration.inliers
     share, explained = registration.inlier_share, registration.explained_share
     demands = (

@@ -72,6 +72,12 @@ class RayGrid:
         """The rays and their bounds, as kernels take them."""
         return self.components, self._columns, self._rows
 
+    def block(self, rows: slice, columns: slice) -> "GridArrays":
+        """Return the rays of some neighbouring rows and columns, as kernels take them."""
+        components = np.ascontiguousarray(self.components[:, rows, columns])
+        across, down = self._columns, self._rows
+        return components, (across[0][columns], across[1][columns]), (down[0][rows], down[1][rows])
+
     @classmethod
     def pinhole(cls, camera: Camera, samples: int = 1) -> Self:
         """Return ``samples`` x ``samples`` rays a pixel, evenly spread over it, without the lens distortion.

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target.errors import TargetError
@@ -97,3 +98,14 @@ class Target:
         if self.field is None:
             raise TargetError(self.source, "distance_field", self.not_closed)
         return self.field
+
+    def turns(self, *, exact: bool = False) -> list[RigidTransform]:
+        """Return the turns by the symmetries, or by the exact ones alone, without the identity."""
+        return [
+            RigidTransform.from_rotation(
+                Rotation.from_rotvec(2.0 * np.pi * k / symmetry.order * np.array(symmetry.axis))
+            )
+            for symmetry in self.symmetries
+            if symmetry.exact or not exact
+            for k in range(1, symmetry.order)
+        ]

@@ -8,6 +8,7 @@ from rpod_schemas.arrays import VectorN
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
+from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.config.pmd_methods import (
     IcpReverseCalibrationConfig,
     PmdAcquisitionConfig,
@@ -16,6 +17,11 @@ from rpod_schemas.config.pmd_methods import (
 from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
 from rpod_schemas.config.verification import VerificationConfig
 from rpod_schemas.poses import Pose
+
+LidarAcquisitionConfig = Annotated[GlobalSearchConfig | TemplateMatchingConfig, Field(discriminator="kind")]
+"""How a LIDAR's target is found, told by ``kind``."""
+LidarTrackingConfig = Annotated[ProjectiveIcpConfig | IcpNearestNeighbourConfig, Field(discriminator="kind")]
+"""How a LIDAR's target is tracked, told by ``kind``."""
 
 
 class LidarInput(Config):
@@ -31,9 +37,9 @@ class LidarInput(Config):
     """Scan pattern, where the latched info does not tell."""
     elevation_rad: VectorN | None = None
     """Scan pattern, where the latched info does not tell."""
-    acquisition: TemplateMatchingConfig = Field(default_factory=TemplateMatchingConfig)
+    acquisition: LidarAcquisitionConfig = Field(default_factory=GlobalSearchConfig)
     """Without a prior pose."""
-    tracking: IcpNearestNeighbourConfig = Field(default_factory=IcpNearestNeighbourConfig)
+    tracking: LidarTrackingConfig = Field(default_factory=ProjectiveIcpConfig)
     """From a predicted pose."""
     verification: VerificationConfig = VerificationConfig(
         max_cost_m2=0.003,

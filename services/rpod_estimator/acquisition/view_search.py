@@ -40,7 +40,7 @@ class ViewSearch:
         )
         views = [Rotation.align_vectors(-BORESIGHT, direction)[0] for direction in directions]
         self._attitudes = Rotation.concatenate([rolls * view for view in views])
-        self._turns = symmetry_turns(target)
+        self._turns = target.turns()
         self._centroids_m = np.repeat(visible_centroids(target, directions), config.rolls, axis=0)
 
     def search(self, measurement: PmdFrame) -> Candidates:
@@ -177,14 +177,3 @@ def _small_turns(angle_rad: float) -> Rotation:
     """Return no turn, and turns both ways about each axis."""
     axes = np.vstack((np.zeros((1, 3)), np.eye(3), -np.eye(3)))
     return Rotation.from_rotvec(angle_rad * axes)
-
-
-def symmetry_turns(target: Target) -> list[RigidTransform]:
-    """Return the turns by the target's near-symmetries, without the identity."""
-    return [
-        RigidTransform.from_rotation(
-            Rotation.from_rotvec(2.0 * np.pi * k / symmetry.order * np.array(symmetry.axis))
-        )
-        for symmetry in target.symmetries
-        for k in range(1, symmetry.order)
-    ]

@@ -1,0 +1,145 @@
+"""Parameters of the global search in LIDAR scans, and of the tracker that casts the target."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+
+Count = Annotated[int, Field(gt=0)]
+
+
+class ScanModelConfig(Config):
+    """What a method assumes of a scan's statistics; they need not be exact."""
+
+    snr_m2: Positive = 7.14e5
+    """Signal-to-noise ratio of a white surface seen squarely, times the square of its range (2015 paper,
+    Eqs. 5 to 9 with Table 1)."""
+    false_alarm: Annotated[float, Field(gt=0, lt=1)] = 1e-4
+    """P_FA of Eq. 4."""
+    threshold: Literal["usual", "printed"] = "usual"
+    """Which reading of Eq. 4, as in the sensor's own configuration."""
+    surest_detection: Annotated[float, Field(gt=0, lt=1)] = 0.95
+    """P_D is never taken for more than this: models of materials are rough."""
+    sigma_range_m: Positive = 0.025
+    """Standard deviation of a range."""
+    slack_m: Positive = 0.01
+    """Standard deviation of the target's faces about their model."""
+    outlier_share: Share = 0.06
+    """Share of returns whose sigma is four times as large."""
+    clutter_share: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    """Share of rays whose return, or its lack, says nothing."""
+    clutter_depth_m: Positive = 20.0
+    """Depth over which such returns are spread."""
+
+
+class ScanVerdictConfig(Config):
+    """When a pose explains a scan: by the likelihood, and by the share of rays that agree.
+
+    Either the scan's model or the pessimistic one must be content: what is known of materials, noise and
+    target is never exact.
+    """
+
+    max_deficit: NonNegative = 1.0
+    """Expected minus actual log likelihood is at most this many of its standard deviations, and ..."""
+    max_deficit_per_return: NonNegative = 0.1
+    """... this much a return on top."""
+    contrary_share: Share = 0.055
+    """Share of rays that may contradict the pose, or be missing; two standard deviations of their number more
+    where returns are few."""
+    pessimistic: ScanModelConfig = ScanModelConfig(
+        snr_m2=2.5e5, sigma_range_m=0.05, slack_m=0.03, clutter_share=0.05
+    )
+    """A sensor that detects less and errs more than it is said to."""
+
+
+class ProjectiveIcpConfig(Config):
+    """Tracking by casting the target: each return against the face that its own ray meets."""
+
+    kind: Literal["projective_point_to_plane"] = "projective_point_to_plane"
+    """Selects this method."""
+    points: Count = 160
+    """Returns that the first steps work on."""
+    draw_in_steps: Annotated[int, Field(ge=0)] = 6
+    """Steps in the distance field, on ``points`` returns."""
+    settle_steps: Count = 5
+    """Steps to the faces, on all returns."""
+    widest_m: Positive = 1.0
+    """Scale beyond which a return is an outlier, of the first step."""
+    narrowest_m: Positive = 0.1
+    """The same of the last step; it covers 4-sigma outliers."""
+    min_points: Annotated[int, Field(ge=6)] = 6
+    """Fewer returns, or fewer of them on faces, are no registration."""
+    unobserved_m: Positive = 1.0
+    """Standard deviation of a position that no face determines."""
+    unobserved_deg: Positive = 20.0
+    """Standard deviation of a rotation that no face determines."""
+    model: ScanModelConfig = ScanModelConfig()
+    """Of the scans."""
+    verdict: ScanVerdictConfig = ScanVerdictConfig()
+    """When a registration explains its scan."""
+
+
+class SearchLevelConfig(Config):
+    """One pass of the search."""
+
+    attitudes: Count
+    """Spread over all of SO(3), each compared with some of the scan."""
+    compared: Count
+    """Of them, the best ones that are compared with more of it."""
+    refined: Count
+    """Of those, the best ones that are drawn onto the scan."""
+
+
+class GlobalSearchConfig(Config):
+    """Search over all attitudes by predicted against measured scans."""
+
+    kind: Literal["global"] = "global"
+    """Selects this method."""
+    levels: tuple[SearchLevelConfig, ...] = Field(
+        default=(
+            SearchLevelConfig(attitudes=900, compared=120, refined=16),
+            SearchLevelConfig(attitudes=2000, compared=200, refined=20),
+            SearchLevelConfig(attitudes=12000, compared=1500, refined=150),
+        ),
+        min_length=1,
+    )
+    """The next one is entered where the one before found nothing that explains the scan; scans of less than
+    ``sure_returns`` begin with the second."""
+    model_points: Count = 240
+    """Surface points that stand for the target while attitudes are compared."""
+    truncation_m: Positive = 1.5
+    """Distances beyond this cost no more."""
+    draw_in_points: Count = 128
+    """Returns that candidates are drawn in on."""
+    draw_in_steps: Count = 6
+    """Steps in the distance field, of each candidate."""
+    most_returns: Count = 900
+    """Scans with more are thinned by rows and columns."""
+    sure_returns: Count = 150
+    """From so many returns on, the first candidate that explains them for sure ends the search: its actual
+    log likelihood exceeds what is expected by ..."""
+    sure_surplus: NonNegative = 0.15
+    """... this much a return."""
+    sharpened_returns: Annotated[int, Field(ge=0)] = 70
+    """Scans with fewer are searched for the outline too, once the best poses are drawn in."""
+    rival_log_likelihood: Positive = 25.0
+    """Of their best poses those that are behind the best by no more."""
+    siblings: Count = 2
+    """Best distinct poses that must have been turned; the best one alone where it is sure."""
+    turned: Count = 5
+    """Most poses that are turned on the way there."""
+    turns: Count = 6
+    """Best turns of each, by quarters about the axes and by near-symmetries, that are drawn onto the scan."""
+    finished: Count = 4
+    """Best distinct poses that are finished."""
+    distinct_deg: NonNegative = 5.0
+    """Poses whose attitudes differ by less are one."""
+    min_points: Annotated[int, Field(ge=6)] = 6
+    """Scans with fewer returns are not searched."""
+    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1)] = 0.95
+    """Below this weight of the best hypothesis the result is ambiguous."""
+    near_deg: Positive = 45.0
+    """How far attitudes may be from a pose that is known roughly, where only that is searched."""
+    tracking: ProjectiveIcpConfig = ProjectiveIcpConfig()
+    """How the result is refined, and the statistics of the scans."""

@@ -1,0 +1,20 @@
+"""Attitudes spread evenly over all of SO(3)."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def super_fibonacci(count: int) -> Rotation:
+    """Return ``count`` attitudes, low in discrepancy and always the same ones.
+
+    Source: M. Alexa, Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3), CVPR 2022.
+    """
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(count) + 0.5
+    inner, outer = np.sqrt(s / count), np.sqrt(1.0 - s / count)
+    alpha, beta = 2.0 * np.pi * s / phi, 2.0 * np.pi * s / psi
+    return Rotation.from_quat(
+        np.column_stack(
+            (inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta), outer * np.cos(beta))
+        )
+    )

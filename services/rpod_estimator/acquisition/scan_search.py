@@ -1,0 +1,276 @@
+"""The search in one scan: from thousands of attitudes to a few poses, ranked by likelihood."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import cos, radians
+from typing import Self
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rpod_estimator.acquisition.energy import NOTHING_IN_VIEW, ReturnDistances, energies
+from rpod_estimator.acquisition.view_model import ViewModel, centroids_in_view
+from rpod_estimator.tracking.scan_alignment import draw_in, settle
+from rpod_estimator.tracking.scan_fit import ScanFit, ScanModel
+from rpod_estimator.tracking.scan_view import ScanView, SeenScan
+from rpod_estimator.tracking.surface_model import SurfaceModel
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.lidar_search import GlobalSearchConfig, SearchLevelConfig
+from rpod_schemas.types import Float32Array
+from rpod_target import Target
+
+HALF_TURNS = Rotation.from_rotvec(np.pi * np.eye(3))
+"""About the target's axes: what it is most easily mistaken by, where it declares no near-symmetries."""
+LEAST_TURN_RAD = 1e-6
+"""Smaller turns are none."""
+FEW_RETURNS, FEW_POINTS = 64, 80
+"""Of the scan and of the model, that all attitudes are compared on."""
+MORE_RETURNS = 256
+"""Of the scan, that the better ones are compared on, with all points of the model."""
+DRAW_IN_SCALES_M = 1.0, 0.15
+"""Of the first and the last step that draws a candidate onto the scan."""
+SETTLE_SCALES_M = np.array([0.5, 0.3, 0.2])
+"""Of a candidate's steps to the faces."""
+FINE_SCALES_M = np.array([0.2, 0.1, 0.1])
+"""Of the steps that the best ones are finished with."""
+OPEN_M, OPEN_RAD = 0.3, 0.1
+"""Standard deviations within which the outline is searched for what the faces leave open."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A pose of the target in the sensor, and how well it explains the scan."""
+
+    R: FloatArray
+    t: FloatArray
+    fit: ScanFit
+    information: FloatArray
+    """About (dtau, dtheta) of ``normal_equations``, shape (6, 6)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """What a target may be mistaken for itself by."""
+
+    all: FloatArray
+    """Without the identity, the declared ones first, shape (T, 3, 3)."""
+    declared: int
+    exact: FloatArray
+    """Those that nobody sees, the identity first, shape (E, 3, 3)."""
+
+    @classmethod
+    def of(cls, target: Target) -> Self:
+        """Return the declared near-symmetries, else half turns, and quarter turns about the axes."""
+        exact = Rotation.concatenate(
+            [Rotation.identity(1), *(turn.rotation for turn in target.turns(exact=True))]
+        )
+        declared = _told_apart([turn.rotation for turn in target.turns()] or list(HALF_TURNS), exact)
+        every = _told_apart([*declared, *Rotation.create_group("O")], exact)
+        matrices = np.array([turn.as_matrix() for turn in every]).reshape(-1, 3, 3)
+        return cls(matrices, len(declared), exact.as_matrix())
+
+
+def _told_apart(turns: Sequence[Rotation], exact: Rotation) -> list[Rotation]:
+    """Return the turns that differ from the exact ones, and from each other by more than those."""
+    kept: list[Rotation] = []
+    for turn in turns:
+        known = [exact, *(exact * other for other in kept)]
+        if all(((turn.inv() * others).magnitude() > LEAST_TURN_RAD).all() for others in known):
+            kept.append(turn)
+    return kept
+
+
+@dataclass(frozen=True, eq=False)
+class Scanner:
+    """The rays of every few rows and columns of a pattern, and what is expected of them."""
+
+    view: ScanView
+    distances: ReturnDistances
+    statistics: ScanModel
+
+    @classmethod
+    def of(cls, view: ScanView, config: GlobalSearchConfig, surface: SurfaceModel) -> Self:
+        """Return the scanner of a view."""
+        tracking = config.tracking
+        return cls(view, ReturnDistances.of(view), ScanModel(tracking.model, tracking.verdict, view, surface))
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The target in the three forms that the search needs."""
+
+    views: ViewModel
+    surface: SurfaceModel
+    turns: Turns
+
+
+class ScanSearch:
+    """Searches one scan."""
+
+    def __init__(self, config: GlobalSearchConfig, model: Model, scanner: Scanner, seen: SeenScan) -> None:
+        self._config, self._model, self._scanner, self.seen = config, model, scanner, seen
+        self._image = scanner.distances.image(seen)
+        self._centroid_m = seen.points_m.mean(axis=0)
+        self._few_m = seen.thinned(config.draw_in_points)
+        self._far_m = np.geomspace(*DRAW_IN_SCALES_M, config.draw_in_steps)
+
+    def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
+        """Return distinct poses, likeliest first; empty where no attitude shows the target to the sensor.
+
+        Args:
+            attitudes: R_sensor_target to begin with, shape (M, 3, 3).
+            level: how many of them are followed.
+        """
+        found: list[Pose] = []
+        for R, t in self._candidates(attitudes, level):
+            found.append(self._drawn_in(R, t))
+            if self._is_sure(found[-1]):
+                return self.completed(found, siblings=1)
+        return self.completed(found, siblings=self._config.siblings)
+
+    def completed(self, found: list[Pose], *, siblings: int) -> list[Pose]:
+        """Return distinct poses, likeliest first: those found, and what they may be mistaken for.
+
+        The best of them, ``siblings`` of their number, have all been turned.
+        """
+        config, turned = self._config, list[Pose]()
+        found = list(found)
+        for _ in range(config.turned):
+            best = self._distinct(found)[:siblings]
+            asked = next((pose for pose in best if not self.alike(pose, turned)), None)
+            if asked is None:
+                break
+            turned.append(asked)
+            found += self._turned(asked)
+        best = self._distinct(found)[: config.finished]
+        finished = self._distinct([self.settled(pose.R, pose.t, FINE_SCALES_M) for pose in best])
+        if not finished or self.seen.returns >= config.sharpened_returns:
+            return finished
+        least = finished[0].fit.log_likelihood - config.rival_log_likelihood
+        return self._distinct(
+            [self._sharpened(pose) if pose.fit.log_likelihood >= least else pose for pose in finished]
+        )
+
+    def alike(self, pose: Pose, others: Sequence[Pose]) -> bool:
+        """Return whether a pose's attitude is close to that of another one, or to an exact turn of it."""
+        least = 1.0 + 2.0 * cos(radians(self._config.distinct_deg))
+        turned = pose.R @ self._model.turns.exact
+        return any(float(np.max((turned * other.R).sum(axis=(1, 2)))) > least for other in others)
+
+    def settled(self, R: FloatArray, t: FloatArray, scales_m: FloatArray) -> Pose:
+        """Return a nearly right pose after a step to the faces for each scale."""
+        view, model = self._scanner.view, self._config.tracking.model
+        R, t, information, *_ = settle(
+            self.seen.points_m,
+            self.seen.rays,
+            R,
+            t,
+            view.grid.arrays,
+            self._model.surface.faces,
+            (model.sigma_range_m, model.slack_m),
+            scales_m,
+            view.hits.range_m,
+            view.hits.triangle,
+        )
+        return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), information)
+
+    def doubt(self, pose: Pose) -> str:
+        """Return why a pose does not explain the scan; empty if it does."""
+        return self._scanner.statistics.doubt(self.seen, pose.R, pose.t, pose.fit)
+
+    def _is_sure(self, pose: Pose) -> bool:
+        returns = self.seen.returns
+        return (
+            returns >= self._config.sure_returns and pose.fit.deficit <= -self._config.sure_surplus * returns
+        )
+
+    def _candidates(
+        self, attitudes: Float32Array, level: SearchLevelConfig
+    ) -> Iterator[tuple[Float32Array, Float32Array]]:
+        """Return rough poses R, t, least energy first."""
+        if self.seen.cut_off:  # several places for each
+            attitudes = attitudes[:: len(self._model.views.anchors_m) // 2]
+        attitudes, places_m = self._laid(attitudes)
+        energy = self._energies(attitudes, places_m, rounds=1, roughly=True)
+        better = np.argsort(energy, kind="stable")[: level.compared]
+        attitudes, places_m = attitudes[better], places_m[better]
+        energy = self._energies(attitudes, places_m, rounds=2)
+        for index in np.argsort(energy, kind="stable")[: level.refined]:
+            if energy[index] < NOTHING_IN_VIEW:
+                yield attitudes[index], places_m[index]
+
+    def _laid(self, attitudes: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """Return attitudes and first guesses of the target's place, laid on the scan's centroid.
+
+        A scan that the field of view cuts off shows any region of the target: each is tried.
+        """
+        views = self._model.views
+        if self.seen.cut_off:
+            attitudes = np.repeat(attitudes, len(views.anchors_m), axis=0)
+            offsets_m = np.tile(views.anchors_m, (len(attitudes) // len(views.anchors_m), 1))
+        else:
+            offsets_m = centroids_in_view(attitudes, self._centroid_m, views.centroids_m, views.cube)
+        places_m = self._centroid_m - (attitudes @ offsets_m[..., None])[..., 0]
+        return attitudes, places_m.astype(np.float32)
+
+    def _energies(
+        self, attitudes: Float32Array, places_m: Float32Array, *, rounds: int, roughly: bool = False
+    ) -> Float32Array:
+        """Return the energies of poses, whose places are laid on the scan anew."""
+        views = self._model.views
+        return energies(
+            attitudes,
+            places_m,
+            seen=self.seen,
+            points=views.few_points if roughly else views.points,
+            squares=views.squares,
+            image=self._image,
+            detection=self._scanner.statistics.detection,
+            returns=FEW_RETURNS if roughly else MORE_RETURNS,
+            rounds=rounds,
+            truncation_m=self._config.truncation_m,
+        )
+
+    def _turned(self, pose: Pose) -> list[Pose]:
+        """Return a pose's turns by near-symmetries, and the best of the others, where it is and laid anew."""
+        turns = self._model.turns
+        turned = (pose.R @ turns.all).astype(np.float32)
+        here_m = np.tile(pose.t, (len(turned), 1)).astype(np.float32)
+        here = self._energies(turned, here_m, rounds=0)
+        here[: turns.declared] = 0.0
+        anew, anew_m = self._laid(turned)
+        laid = self._energies(anew, anew_m, rounds=2).reshape(len(turned), -1)
+        best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), laid.argmin(axis=1)]
+        order = np.argsort(np.concatenate((here, laid.min(axis=1))), kind="stable")[: self._config.turns]
+        return [
+            self.settled(pose.R @ turns.all[index], pose.t, SETTLE_SCALES_M)
+            if index < len(turned)
+            else self._drawn_in(turned[index - len(turned)], best_m[index - len(turned)])
+            for index in order
+        ]
+
+    def _drawn_in(self, R: Float32Array, t: Float32Array) -> Pose:
+        """Return a rough pose drawn onto the scan."""
+        drawn_R, drawn_t = draw_in(
+            self._few_m,
+            R.astype(np.float64),
+            t.astype(np.float64),
+            self._model.views.coarse_field,
+            self._far_m,
+        )
+        return self.settled(drawn_R, drawn_t, SETTLE_SCALES_M)
+
+    def _sharpened(self, pose: Pose) -> Pose:
+        """Return a pose moved to where the outline is explained best too."""
+        held: FloatArray = np.repeat((OPEN_M, OPEN_RAD), 3)
+        covariance = np.linalg.inv(pose.information + np.diag(held**-2)).astype(np.float64)
+        R, t = self._scanner.statistics.sharpen(self.seen, pose.R, pose.t, covariance)
+        return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), pose.information)
+
+    def _distinct(self, poses: list[Pose]) -> list[Pose]:
+        """Return the poses, likeliest first, without those close to a likelier one."""
+        kept: list[Pose] = []
+        for pose in sorted(poses, key=lambda pose: -pose.fit.log_likelihood):
+            if not self.alike(pose, kept):
+                kept.append(pose)
+        return kept

@@ -1,0 +1,105 @@
+"""Tracking in scans by casting the target: projective point to plane, from a predicted pose.
+
+A few steps in the target's distance field on some of the returns bring the pose near, a few to the faces on
+all returns finish it (``scan_alignment``). The likelihood of the scan at the pose is the self-check
+(``scan_fit``).
+"""
+
+from math import radians
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_estimator.ports import Registration
+from rpod_estimator.tracking.scan_alignment import draw_in, settle
+from rpod_estimator.tracking.scan_fit import ScanModel
+from rpod_estimator.tracking.scan_view import ScanView, SeenScan
+from rpod_estimator.tracking.surface_model import SurfaceModel
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+from rpod_schemas.types import LidarScan, Source
+from rpod_target import Target
+
+
+class ProjectiveIcp:
+    """Registers scans: ports.Tracker[LidarScan].
+
+    Raises:
+        rpod_target.TargetError: the target has no distance field.
+    """
+
+    def __init__(
+        self,
+        config: ProjectiveIcpConfig,
+        target: Target,
+        *,
+        azimuth_rad: FloatArray,
+        elevation_rad: FloatArray,
+    ) -> None:
+        self._config = config
+        self.view = ScanView.of(azimuth_rad, elevation_rad)
+        self.surface = SurfaceModel.of(target)
+        self.model = ScanModel(config.model, config.verdict, self.view, self.surface)
+        middle_m = np.sqrt(config.widest_m * config.narrowest_m)
+        self._far = np.geomspace(config.widest_m, middle_m, config.draw_in_steps)
+        self._near = np.geomspace(middle_m, config.narrowest_m, config.settle_steps)
+
+    def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration from a predicted pose, or the reason why there is none."""
+        seen = self.view.seen(measurement)
+        if seen.returns < self._config.min_points:
+            return _failed(f"{seen.returns} returns, {self._config.min_points} needed")
+        R, t = T_sensor_target.rotation.as_matrix(), T_sensor_target.translation
+        if len(self._far):
+            R, t = draw_in(seen.thinned(self._config.points), R, t, self.surface.field, self._far)
+        return self.finish(seen, R, t)
+
+    def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
+        """Return the registration from a pose R, t, sensor axes, that is nearly right."""
+        config, hits = self._config, self.view.hits
+        settled_R, settled_t, information, squares, inliers = settle(
+            seen.points_m,
+            seen.rays,
+            R,
+            t,
+            self.view.grid.arrays,
+            self.surface.faces,
+            (config.model.sigma_range_m, config.model.slack_m),
+            self._near,
+            hits.range_m,
+            hits.triangle,
+        )
+        if inliers < config.min_points:
+            return _failed(f"{inliers} returns on faces, {config.min_points} needed")
+        fit, before = self.model.fit(seen, settled_R, settled_t), self.model.fit(seen, R, t)
+        if fit.log_likelihood >= before.log_likelihood:
+            R, t = settled_R, settled_t
+        else:  # few returns on faces can lead astray what the outline had right
+            fit = before
+        return Registration(
+            Source.LIDAR,
+            T_sensor_target=RigidTransform.from_components(t, Rotation.from_matrix(R)),
+            reason=self.model.doubt(seen, R, t, fit),
+            judged=True,
+            cost_m2=squares / inliers,
+            inliers=inliers,
+            inlier_share=inliers / seen.returns,
+            explained_share=fit.explained_share,
+            covariance=self._covariance(information, squares / inliers, R),
+            iterations=len(self._far) + len(self._near),
+        )
+
+    def _covariance(self, information: FloatArray, cost_m2: float, R: FloatArray) -> FloatArray:
+        """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6)."""
+        config = self._config
+        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
+        excess = max(1.0, cost_m2 / config.model.sigma_range_m**2)
+        to_sensor = np.kron(np.eye(2), R)
+        covariance: FloatArray = (
+            to_sensor @ np.linalg.inv(information / excess + np.diag(weak**-2)) @ to_sensor.T
+        )
+        return covariance
+
+
+def _failed(reason: str) -> Registration:
+    return Registration(Source.LIDAR, reason=reason)

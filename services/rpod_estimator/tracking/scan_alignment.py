@@ -1,0 +1,173 @@
+"""Drawing the target onto a scan: steps in the distance field from afar, steps to the faces to finish.
+
+From afar each return is drawn along the distance field's gradient, which needs no correspondence. To finish,
+the target is cast at the pose: each return belongs to the face that its own ray meets, and its residual is
+the distance from that face's plane, weighted for an error along the ray (projective point to plane, after
+G. Blais, M. D. Levine, Registering Multiview Range Data to Create 3D Computer Objects, IEEE PAMI 17, 1995).
+Both steps share the unknowns of ``normal_equations``; outliers fade by Geman-McClure weights.
+"""
+
+import numpy as np
+from numba import njit
+
+from rpod_estimator.tracking.signed_distance import distance_and_gradient, turned
+from rpod_sim_sensor.geometry import cast_pose
+
+AWAY = 0.5
+"""A face turned from the ray by more than this cosine cannot have sent it back."""
+FEWEST = 3
+"""Fewer returns on faces determine no step."""
+REACH_M, REACH_RAD = 0.5, 0.1
+"""Standard deviation of a step that no return asks for: what they do not determine stays where it is."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_upper(information, gradient, normal, place, residual, weight):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Add a distance along a normal at a place, target axes; of the symmetric sum only the upper half."""
+    n0, n1, n2 = normal
+    x, y, z = place
+    j0, j1, j2, j3, j4, j5 = -n0, -n1, -n2, n1 * z - n2 * y, n2 * x - n0 * z, n0 * y - n1 * x
+    w0, w1, w2, w3, w4, w5 = weight * j0, weight * j1, weight * j2, weight * j3, weight * j4, weight * j5
+    information[0, 0] += w0 * j0
+    information[0, 1] += w0 * j1
+    information[0, 2] += w0 * j2
+    information[0, 3] += w0 * j3
+    information[0, 4] += w0 * j4
+    information[0, 5] += w0 * j5
+    information[1, 1] += w1 * j1
+    information[1, 2] += w1 * j2
+    information[1, 3] += w1 * j3
+    information[1, 4] += w1 * j4
+    information[1, 5] += w1 * j5
+    information[2, 2] += w2 * j2
+    information[2, 3] += w2 * j3
+    information[2, 4] += w2 * j4
+    information[2, 5] += w2 * j5
+    information[3, 3] += w3 * j3
+    information[3, 4] += w3 * j4
+    information[3, 5] += w3 * j5
+    information[4, 4] += w4 * j4
+    information[4, 5] += w4 * j5
+    information[5, 5] += w5 * j5
+    gradient[0] += w0 * residual
+    gradient[1] += w1 * residual
+    gradient[2] += w2 * residual
+    gradient[3] += w3 * residual
+    gradient[4] += w4 * residual
+    gradient[5] += w5 * residual
+
+
+@njit(cache=True, nogil=True)
+def mirror(information):  # type: ignore[no-untyped-def]
+    """Fill the lower half of a symmetric sum."""
+    for i in range(6):
+        for j in range(i):
+            information[i, j] = information[j, i]
+
+
+@njit(cache=True, nogil=True)
+def in_target(R, x, y, z):  # type: ignore[no-untyped-def]
+    """Return R^T (x, y, z)."""
+    return (
+        R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
+        R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
+        R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
+    )
+
+
+@njit(cache=True, nogil=True)
+def held(information, gradient, variance):  # type: ignore[no-untyped-def]
+    """Return the Gauss-Newton step of residuals of a variance, held back where they say little."""
+    held_back = information.copy()
+    for i in range(3):
+        held_back[i, i] += variance / REACH_M**2
+        held_back[i + 3, i + 3] += variance / REACH_RAD**2
+    return np.linalg.solve(held_back, -gradient)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def draw_in(points, R, t, field, scales):  # type: ignore[no-untyped-def]
+    """Return R and t after one step in the distance field for each Geman-McClure scale, m.
+
+    Args:
+        points: returns, sensor axes, shape (N, 3), m.
+        R: of the target in the sensor, shape (3, 3).
+        t: of the target in the sensor, shape (3,), m.
+        field: ``SurfaceModel.field``.
+        scales: shape (steps,), m.
+    """
+    origin, spacing, values = field
+    per_m = 1.0 / spacing
+    for scale in scales:
+        information, gradient, weights, c2 = np.zeros((6, 6)), np.zeros(6), 0.0, scale * scale
+        for n in range(points.shape[0]):
+            px, py, pz = points[n, 0], points[n, 1], points[n, 2]
+            x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
+            d, gx, gy, gz = distance_and_gradient(
+                (x - origin[0]) * per_m, (y - origin[1]) * per_m, (z - origin[2]) * per_m, values
+            )
+            gx, gy, gz = gx * per_m, gy * per_m, gz * per_m
+            dx, dy, dz = in_target(R, px, py, pz)
+            if gx * dx + gy * dy + gz * dz > AWAY * np.sqrt(px * px + py * py + pz * pz):
+                continue
+            weight = (c2 / (c2 + d * d)) ** 2
+            weights += weight
+            add_upper(information, gradient, (gx, gy, gz), (x, y, z), d, weight)
+        mirror(information)
+        step = held(information, gradient, 0.01 * c2)
+        t = t + R @ step[:3]
+        R = turned(R, step[3:])
+    return R, t
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def settle(points, rays, R, t, grid, faces, noise, scales, range_m, owner):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return R, t, information, squares and inliers after one step to the faces for each scale, m.
+
+    Args:
+        points: returns, sensor axes, shape (N, 3), m.
+        rays: row-major index of each return's ray, -1 for none, shape (N,).
+        R: of the target in the sensor, shape (3, 3).
+        t: of the target in the sensor, shape (3,), m.
+        grid: ``RayGrid.arrays``.
+        faces: ``SurfaceModel.faces``.
+        noise: sigma of a range and slack of a plane, m.
+        scales: Geman-McClure scales of a range's residual, shape (steps,), m.
+        range_m: buffer, shape (rows, columns).
+        owner: buffer, shape (rows, columns).
+
+    The information is that of the last step, in units of one over its weights' sigmas; the squares, m2, and
+    the number of inliers are those within the last scale.
+    """
+    triangles, normals, offsets, _ = faces
+    sigma, slack = noise
+    flat = owner.reshape(-1)
+    information, squares, inliers = np.zeros((6, 6)), 0.0, 0
+    for scale in scales:
+        cast_pose(grid, triangles, R, t, True, range_m, owner)
+        information, gradient, weights, c2 = np.zeros((6, 6)), np.zeros(6), 0.0, scale * scale
+        squares, inliers = 0.0, 0
+        for n in range(points.shape[0]):
+            face = flat[rays[n]] if rays[n] >= 0 else -1
+            if face < 0:
+                continue
+            px, py, pz = points[n, 0], points[n, 1], points[n, 2]
+            x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
+            dx, dy, dz = in_target(R, px, py, pz)
+            n0, n1, n2 = normals[face, 0], normals[face, 1], normals[face, 2]
+            e = n0 * x + n1 * y + n2 * z - offsets[face]
+            cosine2 = (n0 * dx + n1 * dy + n2 * dz) ** 2 / (px * px + py * py + pz * pz)
+            along2 = e * e / (cosine2 + 1e-6)
+            weight = (c2 / (c2 + along2)) ** 2 / (sigma * sigma * cosine2 + slack * slack)
+            weights += weight
+            add_upper(information, gradient, (n0, n1, n2), (x, y, z), e, weight)
+            if along2 < c2:
+                inliers += 1
+                squares += e * e
+        mirror(information)
+        if inliers < FEWEST:
+            break
+        step = held(information, gradient, 1.0)
+        t = t + R @ step[:3]
+        R = turned(R, step[3:])
+    return R, t, information, squares, inliers
