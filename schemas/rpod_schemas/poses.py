@@ -17,6 +17,13 @@ def make_pose(*, rotation: Rotation | None = None, translation_m: Any = (0.0, 0.
     return RigidTransform.from_components(np.asarray(translation_m, float), rotation or Rotation.identity())
 
 
+def pose_of(R: FloatArray, t: FloatArray) -> RigidTransform:
+    """Return the pose of a rotation matrix, shape (3, 3), and a translation, shape (3,), as they are."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = R, t
+    return RigidTransform(matrix, normalize=False)
+
+
 def pose_error(T_truth: RigidTransform, T_estimate: RigidTransform) -> tuple[FloatArray, FloatArray]:
     """Return attitude error Log(R_truth^T R_estimate), rad, target axes, and position error, m, parent axes.
 

@@ -23,7 +23,7 @@ class ScanModelConfig(Config):
     """P_D is never taken for more than this: models of materials are rough."""
     sigma_range_m: Positive = 0.025
     """Standard deviation of a range."""
-    slack_m: Positive = 0.01
+    slack_m: Positive = 0.008
     """Standard deviation of the target's faces about their model."""
     outlier_share: Share = 0.06
     """Share of returns whose sigma is four times as large."""
@@ -58,11 +58,11 @@ class ProjectiveIcpConfig(Config):
 
     kind: Literal["projective_point_to_plane"] = "projective_point_to_plane"
     """Selects this method."""
-    points: Count = 160
+    points: Count = 100
     """Returns that the first steps work on."""
-    draw_in_steps: Annotated[int, Field(ge=0)] = 6
+    draw_in_steps: Annotated[int, Field(ge=0)] = 5
     """Steps in the distance field, on ``points`` returns."""
-    settle_steps: Count = 5
+    settle_steps: Count = 3
     """Steps to the faces, on all returns."""
     widest_m: Positive = 1.0
     """Scale beyond which a return is an outlier, of the first step."""
@@ -70,6 +70,8 @@ class ProjectiveIcpConfig(Config):
     """The same of the last step; it covers 4-sigma outliers."""
     min_points: Annotated[int, Field(ge=6)] = 6
     """Fewer returns, or fewer of them on faces, are no registration."""
+    outlined_returns: Annotated[int, Field(ge=0)] = 150
+    """With fewer, a pose that the steps to the faces make less likely is left as it was before them."""
     unobserved_m: Positive = 1.0
     """Standard deviation of a position that no face determines."""
     unobserved_deg: Positive = 20.0

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from rpod_estimator.acquisition.view_model import Points, view_of
@@ -40,9 +41,9 @@ class ReturnDistances:
     """
 
     view: ScanView
-    columns: FloatArray
+    columns: NDArray[np.intp]
     """Column of the pattern nearest to each column of the image."""
-    rows: FloatArray
+    rows: NDArray[np.intp]
     low: tuple[float, float]
     step: tuple[float, float]
 
@@ -61,7 +62,7 @@ class ReturnDistances:
         return squares, self.low[0], self.step[0], self.low[1], self.step[1]
 
 
-def _axis(angles_rad: FloatArray) -> tuple[FloatArray, float, float]:
+def _axis(angles_rad: FloatArray) -> tuple[NDArray[np.intp], float, float]:
     half = spacing_rad(angles_rad) / 2.0
     low, high = np.tan(angles_rad.min() - half), np.tan(angles_rad.max() + half)
     step = (high - low) / CELLS

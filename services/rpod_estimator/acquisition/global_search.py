@@ -36,6 +36,7 @@ from rpod_estimator.tracking.projective_icp import ProjectiveIcp
 from rpod_estimator.tracking.scan_view import SeenScan
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import GlobalSearchConfig
+from rpod_schemas.poses import pose_of
 from rpod_schemas.types import Float32Array, Hypothesis, LidarScan, Source
 from rpod_target import Target
 
@@ -62,10 +63,15 @@ class GlobalSearch:
         self._tracker = ProjectiveIcp(
             config.tracking, target, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad
         )
+        surface = self._tracker.surface
         views = ViewModel.of(
-            target, count=config.model_points, few=FEW_POINTS, truncation_m=config.truncation_m
+            target,
+            surface.coarse_field,
+            count=config.model_points,
+            few=FEW_POINTS,
+            truncation_m=config.truncation_m,
         )
-        self._model = Model(views, self._tracker.surface, Turns.of(target))
+        self._model = Model(views, surface, Turns.of(target))
         self._scanners: dict[int, Scanner] = {}
 
     def acquire(self, measurement: LidarScan) -> Acquisition:
@@ -155,10 +161,7 @@ class GlobalSearch:
         listed = weights > NEGLIGIBLE
         shares = weights / weights[listed].sum() / len(exact)
         return tuple(
-            Hypothesis(
-                pose=RigidTransform.from_components(pose.t, Rotation.from_matrix(pose.R @ turn)),
-                weight=float(share),
-            )
+            Hypothesis(pose=pose_of(pose.R @ turn, pose.t), weight=float(share))
             for pose, share, kept in zip(poses, shares, listed, strict=True)
             if kept
             for turn in exact

@@ -255,7 +255,7 @@ class ScanSearch:
             self._few_m,
             R.astype(np.float64),
             t.astype(np.float64),
-            self._model.views.coarse_field,
+            self._model.surface.coarse_field,
             self._far_m,
         )
         return self.settled(drawn_R, drawn_t, SETTLE_SCALES_M)

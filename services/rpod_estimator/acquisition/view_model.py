@@ -33,9 +33,6 @@ PIXELS = 128
 """Of the images that tell what is hidden, along each side."""
 ANCHORS = 5
 """Regions of the surface, any of which may be what a truncated scan shows."""
-COARSE_CELLS = 3
-"""Cells of the distance field that make one of the coarse field."""
-
 AREA = 7
 """Row of the points' areas."""
 
@@ -59,18 +56,12 @@ class ViewModel:
     """The origin, and centres of the surface's regions, shape (1 + ANCHORS, 3)."""
     squares: Field
     """Origin, spacing, and values of the squared distance field, truncated."""
-    coarse_field: Field
-    """Origin, spacing, and values of the distance field."""
 
     @classmethod
-    def of(cls, target: Target, *, count: int, few: int, truncation_m: float) -> Self:
-        """Return the model of a target with at most ``count`` points, and ``few``.
-
-        Raises:
-            rpod_target.TargetError: the target has no distance field.
-        """
-        field = target.require_field()
-        scale_m = np.sqrt(field.spacing_m * target.radius_m) / 2.0  # so that both sides of a panel are kept
+    def of(cls, target: Target, coarse_field: Field, *, count: int, few: int, truncation_m: float) -> Self:
+        """Return the model of a target with at most ``count`` points, and ``few``."""
+        origin_m, spacing_m, distances_m = coarse_field
+        scale_m = np.sqrt(spacing_m * target.radius_m) / 4.0  # so that both sides of a panel are kept
         lifted = np.hstack((target.model_points_m, scale_m * target.model_normals))
         chosen = spread(lifted, count)
         places_m, normals = target.model_points_m[chosen], target.model_normals[chosen]
@@ -84,11 +75,9 @@ class ViewModel:
             rows = (places_m[:number].T, normals[:number].T, offsets_m, areas, reflectivity[:number])
             return np.ascontiguousarray(np.vstack(rows), np.float32), seen[:, :number].copy(), cube
 
-        coarse = field.values[::COARSE_CELLS, ::COARSE_CELLS, ::COARSE_CELLS].copy()
-        squares = np.full(coarse.shape, truncation_m**2, np.float32)  # its border stands for all outside
+        squares = np.full(distances_m.shape, truncation_m**2, np.float32)  # its border stands for all outside
         inner = (slice(1, -1),) * 3
-        squares[inner] = np.minimum(coarse[inner] ** 2, truncation_m**2)
-        spacing_m = COARSE_CELLS * field.spacing_m
+        squares[inner] = np.minimum(distances_m[inner] ** 2, truncation_m**2)
         every = first(count)
         weights = np.maximum(directions @ normals.T, 0.0) * seen * every[0][AREA]
         centroids_m = weights @ places_m / weights.sum(axis=1, keepdims=True)
@@ -99,8 +88,7 @@ class ViewModel:
             cube,
             centroids_m,
             np.vstack((np.zeros(3), regions_m)),
-            (field.origin_m, spacing_m, squares),
-            (field.origin_m, spacing_m, coarse),
+            (origin_m, spacing_m, squares),
         )
 
 

@@ -8,7 +8,7 @@ all returns finish it (``scan_alignment``). The likelihood of the scan at the po
 from math import radians
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from rpod_estimator.ports import Registration
 from rpod_estimator.tracking.scan_alignment import draw_in, settle
@@ -17,6 +17,7 @@ from rpod_estimator.tracking.scan_view import ScanView, SeenScan
 from rpod_estimator.tracking.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+from rpod_schemas.poses import pose_of
 from rpod_schemas.types import LidarScan, Source
 from rpod_target import Target
 
@@ -37,6 +38,8 @@ class ProjectiveIcp:
         elevation_rad: FloatArray,
     ) -> None:
         self._config = config
+        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
+        self._weak = np.diag(weak**-2)
         self.view = ScanView.of(azimuth_rad, elevation_rad)
         self.surface = SurfaceModel.of(target)
         self.model = ScanModel(config.model, config.verdict, self.view, self.surface)
@@ -49,9 +52,10 @@ class ProjectiveIcp:
         seen = self.view.seen(measurement)
         if seen.returns < self._config.min_points:
             return _failed(f"{seen.returns} returns, {self._config.min_points} needed")
-        R, t = T_sensor_target.rotation.as_matrix(), T_sensor_target.translation
+        matrix = T_sensor_target.as_matrix()
+        R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()
         if len(self._far):
-            R, t = draw_in(seen.thinned(self._config.points), R, t, self.surface.field, self._far)
+            R, t = draw_in(seen.thinned(self._config.points), R, t, self.surface.coarse_field, self._far)
         return self.finish(seen, R, t)
 
     def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
@@ -71,33 +75,36 @@ class ProjectiveIcp:
         )
         if inliers < config.min_points:
             return _failed(f"{inliers} returns on faces, {config.min_points} needed")
-        fit, before = self.model.fit(seen, settled_R, settled_t), self.model.fit(seen, R, t)
-        if fit.log_likelihood >= before.log_likelihood:
-            R, t = settled_R, settled_t
-        else:  # few returns on faces can lead astray what the outline had right
-            fit = before
+        fit = self.model.fit(seen, settled_R, settled_t)
+        if seen.returns < config.outlined_returns:
+            before = self.model.fit(seen, R, t)
+            if before.log_likelihood > fit.log_likelihood:  # the faces led astray what the outline had right
+                settled_R, settled_t, fit = R, t, before
+        R, t = settled_R, settled_t
         return Registration(
             Source.LIDAR,
-            T_sensor_target=RigidTransform.from_components(t, Rotation.from_matrix(R)),
+            T_sensor_target=pose_of(R, t),
             reason=self.model.doubt(seen, R, t, fit),
             judged=True,
             cost_m2=squares / inliers,
             inliers=inliers,
             inlier_share=inliers / seen.returns,
             explained_share=fit.explained_share,
-            covariance=self._covariance(information, squares / inliers, R),
+            covariance=self._covariance(information, squares / inliers, inliers, R),
             iterations=len(self._far) + len(self._near),
         )
 
-    def _covariance(self, information: FloatArray, cost_m2: float, R: FloatArray) -> FloatArray:
-        """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6)."""
-        config = self._config
-        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
-        excess = max(1.0, cost_m2 / config.model.sigma_range_m**2)
-        to_sensor = np.kron(np.eye(2), R)
-        covariance: FloatArray = (
-            to_sensor @ np.linalg.inv(information / excess + np.diag(weak**-2)) @ to_sensor.T
-        )
+    def _covariance(self, information: FloatArray, cost_m2: float, inliers: int, R: FloatArray) -> FloatArray:
+        """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6).
+
+        That of the normal equations, times the residuals' variance over the assumed one where that is larger,
+        for the degrees of freedom that six unknowns leave.
+        """
+        excess = max(1.0, cost_m2 / self._config.model.sigma_range_m**2)
+        excess *= inliers / max(inliers - 6, 1)
+        to_sensor = np.zeros((6, 6))
+        to_sensor[:3, :3] = to_sensor[3:, 3:] = R
+        covariance: FloatArray = to_sensor @ np.linalg.inv(information / excess + self._weak) @ to_sensor.T
         return covariance
 
 

@@ -15,7 +15,6 @@ from math import log, sqrt
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from scipy.special import erf
 from scipy.stats import norm, qmc
 
@@ -24,7 +23,7 @@ from rpod_estimator.tracking.signed_distance import turned
 from rpod_estimator.tracking.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
-from rpod_schemas.poses import make_pose
+from rpod_schemas.poses import pose_of
 from rpod_sim_sensor.geometry import cast, cast_pose
 
 OUTLIER_FACTOR = 4.0
@@ -141,12 +140,7 @@ class ScanModel:
             covariance: of (dtau, dtheta) of ``normal_equations``, shape (6, 6).
         """
         hits = self._view.hits
-        cast(
-            self._view.grid,
-            self._faces[0],
-            make_pose(rotation=Rotation.from_matrix(R), translation_m=t),
-            out=hits,
-        )
+        cast(self._view.grid, self._faces[0], pose_of(R, t), out=hits)
         rows, columns = _around((seen.range_m > 0.0) | (hits.triangle >= 0))
         measured = np.ascontiguousarray(seen.range_m[rows, columns])
         sharper: tuple[FloatArray, FloatArray] = likeliest(

@@ -10,6 +10,9 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
+COARSE_CELLS = 3
+"""Cells of the distance field that make one of the coarse field."""
+
 Faces = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Field = tuple[FloatArray, float, Float32Array]
 
@@ -20,8 +23,8 @@ class SurfaceModel:
 
     faces: Faces
     """Triangles (T, 3, 3), normals (T, 3), offsets of their planes (T,), reflectivities (T,)."""
-    field: Field
-    """Origin, spacing and values of the distance field."""
+    coarse_field: Field
+    """Origin, spacing and values of the distance field, at every few nodes: small enough to stay in a cache."""
 
     @classmethod
     def of(cls, target: Target) -> Self:
@@ -34,6 +37,9 @@ class SurfaceModel:
         offsets_m = np.einsum("ij,ij->i", target.normals, target.triangles_m[:, 0])
         triangles_m = np.ascontiguousarray(target.triangles_m)
         normals = np.ascontiguousarray(target.normals)
+        origin_m, spacing_m, values = field_arrays(target)
+        coarse = values[::COARSE_CELLS, ::COARSE_CELLS, ::COARSE_CELLS].copy()
         return cls(
-            (triangles_m, normals, offsets_m, reflectivity[target.triangle_material]), field_arrays(target)
+            (triangles_m, normals, offsets_m, reflectivity[target.triangle_material]),
+            (origin_m, COARSE_CELLS * spacing_m, coarse),
         )
