@@ -121,10 +121,11 @@ class GlobalSearchConfig(Config):
     sure_returns: Count = 150
     """From so many returns on, the first candidate that explains them for sure ends the search: its actual
     log likelihood exceeds what is expected by ..."""
-    sure_surplus: NonNegative = 0.15
+    sure_surplus: NonNegative = 0.25
     """... this much a return."""
     sharpened_returns: Annotated[int, Field(ge=0)] = 70
-    """Scans with fewer are searched for the outline too, once the best poses are drawn in."""
+    """Of scans with fewer the outline is searched too, once the best poses are drawn in; of others only for
+    poses that explain them halfway."""
     rival_log_likelihood: Positive = 25.0
     """Of their best poses those that are behind the best by no more."""
     siblings: Count = 2

@@ -33,6 +33,10 @@ SETTLE_SCALES_M = np.array([0.5, 0.3, 0.2])
 """Of a candidate's steps to the faces."""
 FINE_SCALES_M = np.array([0.2, 0.1, 0.1])
 """Of the steps that the best ones are finished with."""
+HALFWAY = 1.5
+"""Deficit a return, above none, of a pose that the outline may yet make right."""
+GAIN = 5.0
+"""Log likelihood by which a pose is worth being turned again."""
 OPEN_M, OPEN_RAD = 0.3, 0.1
 """Standard deviations within which the outline is searched for what the faces leave open."""
 
@@ -137,11 +141,12 @@ class ScanSearch:
         found = list(found)
         for _ in range(config.turned):
             best = self._distinct(found)[:siblings]
-            asked = next((pose for pose in best if not self.alike(pose, turned)), None)
+            asked = next((pose for pose in best if not self._is_turned(pose, turned)), None)
             if asked is None:
                 break
+            asked = self._finished(asked)
             turned.append(asked)
-            found += self._turned(asked)
+            found += [asked, *self._turned(asked)]
         best = self._distinct(found)[: config.finished]
         finished = self._distinct([self.settled(pose.R, pose.t, FINE_SCALES_M) for pose in best])
         if not finished or self.seen.returns >= config.sharpened_returns:
@@ -150,6 +155,18 @@ class ScanSearch:
         return self._distinct(
             [self._sharpened(pose) if pose.fit.log_likelihood >= least else pose for pose in finished]
         )
+
+    def _finished(self, pose: Pose) -> Pose:
+        """Return a pose finished, so that its turns are no worse than it is itself."""
+        pose = self.settled(pose.R, pose.t, FINE_SCALES_M)
+        halfway = 0.0 < pose.fit.deficit < HALFWAY * self.seen.returns
+        few = self.seen.returns < self._config.sharpened_returns  # which are sharpened in the end
+        return self._sharpened(pose) if halfway and not few else pose
+
+    def _is_turned(self, pose: Pose, turned: Sequence[Pose]) -> bool:
+        """Return whether a pose has been turned, and not become much likelier since."""
+        known = [other for other in turned if self.alike(pose, [other])]
+        return any(pose.fit.log_likelihood <= other.fit.log_likelihood + GAIN for other in known)
 
     def alike(self, pose: Pose, others: Sequence[Pose]) -> bool:
         """Return whether a pose's attitude is close to that of another one, or to an exact turn of it."""
