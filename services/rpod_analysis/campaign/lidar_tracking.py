@@ -18,7 +18,7 @@ from rpod_analysis.score import NEES_95
 
 Results = Sequence[CellResult[TrackingCell]]
 
-_TRACKERS = ("nearest-neighbour", "nearest-neighbour-plane", "projective")
+_TRACKERS = ("projective", "nearest-neighbour", "normal-shooting")
 _RANGES_M = (20.0, 30.0, 40.0, 50.0)
 _RATES_DEG_S = (0.5, 2.0, 4.0, 8.0)
 

@@ -24,7 +24,7 @@ from rpod_analysis.campaign.trials.scene import (
     scan_of,
     stream,
 )
-from rpod_analysis.campaign.trials.scores import errors, exact_turns
+from rpod_analysis.campaign.trials.scores import errors
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import make_pose
 
@@ -240,8 +240,8 @@ def test_a_disturbed_world_differs_in_what_its_name_says():
     ]
     assert spans_m[1] == pytest.approx(1.01 * spans_m[0], abs=0.02)
     returned = [
-        len(scan_of(emulator_of(TARGET, lidar_config(**world), 1), pose, trial=0).returns_m)
-        for world in ({"detection": {"returned": "all"}}, {}, {"detection": {"threshold": "printed"}})
+        len(scan_of(emulator_of(TARGET, lidar_config(detection=world), 1), pose, trial=0).returns_m)
+        for world in ({"returned": "all"}, {}, {"threshold": "printed"})
     ]
     assert returned[0] >= returned[1] >= returned[2]
 
@@ -252,7 +252,7 @@ def test_a_pose_that_an_exact_symmetry_turns_into_the_truth_is_right():
     )
     for name, turns in (("rocket-stage", 8), ("hexagonal-body", 12), (TARGET, 1)):
         target = cached_target(name)
-        assert len(exact_turns(target)) == turns
+        assert len(target.turns(exact=True)) == turns - 1
         turned = truth * make_pose(rotation=Rotation.from_euler("x", 180.0, degrees=True))
         expected_deg = 180.0 if turns == 1 else 0.0
         assert errors(truth, turned, target) == pytest.approx((expected_deg, 0.0), abs=1e-6)

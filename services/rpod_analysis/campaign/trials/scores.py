@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
-from rpod_estimator.ports import Acquisition, Verdict
+from rpod_estimator.ports import Acquisition
 from rpod_schemas.poses import pose_error
 from rpod_target import Target
 
@@ -53,20 +53,10 @@ def errors(
     """
     if found is None:
         return None, None
-    alike = [pose_error(truth * turn, found) for turn in exact_turns(target)]
+    same = (truth, *(truth * turn for turn in target.turns(exact=True)))
+    alike = [pose_error(pose, found) for pose in same]
     attitude_rad, position_m = min(alike, key=lambda error: float(np.linalg.norm(error[0])))
     return float(np.rad2deg(np.linalg.norm(attitude_rad))), float(np.linalg.norm(position_m))
-
-
-def exact_turns(target: Target) -> list[RigidTransform]:
-    """Return the turns that nobody sees, the identity first."""
-    turns = [
-        Rotation.from_rotvec(2.0 * np.pi * k / symmetry.order * np.array(symmetry.axis))
-        for symmetry in target.symmetries
-        if symmetry.exact
-        for k in range(1, symmetry.order)
-    ]
-    return [RigidTransform.identity(), *(RigidTransform.from_rotation(turn) for turn in turns)]
 
 
 def is_wrong(attitude_deg: float | None, position_m: float | None) -> bool:
@@ -79,7 +69,7 @@ def is_wrong(attitude_deg: float | None, position_m: float | None) -> bool:
 def acquisition_row(
     truth: RigidTransform, acquisition: Acquisition, returns: int, target: Target
 ) -> dict[str, Any]:
-    """Return the columns of ``ACQUISITION_SCHEMA``."""
+    """Return the columns of ``ACQUISITION_SCHEMA``; ambiguous by an exact symmetry alone is accepted."""
     registration = acquisition.registration
     attitude_deg, position_m = errors(truth, acquisition.pose, target)
     return {
@@ -88,7 +78,7 @@ def acquisition_row(
         "attitude_error_deg": attitude_deg,
         "position_error_m": position_m,
         "success": attitude_deg is not None and attitude_deg < SUCCESS_DEG,
-        "accepted": acquisition.verdict is Verdict.ACCEPTED,
+        "accepted": acquisition.trackable,
         "verdict": str(acquisition.verdict),
         "reason": acquisition.reason,
         "hypotheses": len(acquisition.hypotheses),

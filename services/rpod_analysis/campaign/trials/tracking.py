@@ -162,6 +162,9 @@ def _bench(cell: TrackingCell, seed: int) -> tuple[LidarEmulator, Methods, Navig
     methods = lidar_methods(sensor, target, pattern_of(lidar))
     warm_up(methods, target, pattern_of(lidar))
     navigator = Navigator(
-        EstimatorSettings(sensors=(sensor,)), {SENSOR: methods}, centre_of_mass_m=target.centre_of_mass_m
+        EstimatorSettings(sensors=(sensor,)),
+        {SENSOR: methods},
+        centre_of_mass_m=target.centre_of_mass_m,
+        alike=target.turns(exact=True),
     )
     return emulator_of(cell.target, lidar, seed), methods, navigator
