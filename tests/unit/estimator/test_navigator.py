@@ -12,12 +12,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_estimator.acquisition.verified_search import VerifiedSearch
 from rpod_estimator.measurement import Measurement, Tick
 from rpod_estimator.navigator import Navigator
-from rpod_estimator.ports import Candidate, Candidates, Methods, Registration
+from rpod_estimator.ports import Acquisition, Candidate, Candidates, Methods, Registration, Verdict
 from rpod_schemas.config.estimator import EstimatorSettings, NavigatorConfig, PmdInput
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.verification import VerificationConfig
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import LidarScan, Mode, Source
+from rpod_schemas.types import Hypothesis, LidarScan, Mode, Source
 
 SECOND_NS = 1_000_000_000
 START_S = 100.0
@@ -93,6 +93,19 @@ class Method:
 
 
 @dataclass
+class Judge:
+    """An acquirer that says what the test tells it to."""
+
+    found: Acquisition
+
+    def acquire(self, _: View) -> Acquisition:
+        return self.found
+
+    def near(self, *_: object) -> Acquisition:
+        return self.found
+
+
+@dataclass
 class Rig:
     """A navigator, its state, and the method behind its one sensor."""
 
@@ -118,15 +131,25 @@ class Rig:
         return self.state.mode
 
 
-def rig(*, pose=None, filter_config: FilterConfig | None = None, verification=LIMITS, **limits: float) -> Rig:
+def rig(
+    *,
+    pose=None,
+    filter_config: FilterConfig | None = None,
+    verification=LIMITS,
+    found=None,
+    alike=(),
+    **limits,
+) -> Rig:
+    """Return a rig whose acquirer searches and refines, or finds what it is told."""
     settings = EstimatorSettings(
         sensors=(PmdInput(verification=verification),),
         navigator=NavigatorConfig(**limits),
         filter=filter_config or FilterConfig(),
     )
     method = Method()
-    methods = Methods(VerifiedSearch(method, method, verification), method, verification)
-    navigator = Navigator(settings, {"pmd": methods}, centre_of_mass_m=np.zeros(3))
+    acquirer = VerifiedSearch(method, method, verification) if found is None else Judge(found)
+    methods = Methods(acquirer, method, verification)
+    navigator = Navigator(settings, {"pmd": methods}, centre_of_mass_m=np.zeros(3), alike=alike)
     return Rig(navigator, method, navigator.start(pose))
 
 
@@ -638,3 +661,77 @@ def test_whatever_happens_the_outputs_keep_their_promises(events):
 @given(EVENTS)
 def test_the_same_events_give_the_same_outputs(events):
     assert pickle.dumps(played(events)) == pickle.dumps(played(events))
+
+
+# --- targets that look alike in several poses ---
+
+TURNS = [RigidTransform.from_rotation(Rotation.from_rotvec([k * np.pi / 2, 0.0, 0.0])) for k in (1, 2, 3)]
+
+
+def ambiguous(time_s: float, *, by_symmetry: bool) -> Acquisition:
+    poses = [in_sensor(time_s), *(in_sensor(time_s) * turn for turn in TURNS)]
+    return Acquisition(
+        Verdict.AMBIGUOUS,
+        registration(poses[0]),
+        "4 poses look alike",
+        tuple(Hypothesis(pose=pose, weight=0.25) for pose in poses),
+        by_symmetry=by_symmetry,
+    )
+
+
+def test_what_is_ambiguous_by_the_targets_symmetry_alone_is_tracked():
+    judging = rig(found=ambiguous(START_S, by_symmetry=True), alike=TURNS, confirmations=1)
+    output = judging.see(good(START_S))
+    assert judging.mode == Mode.VERIFYING
+    assert output.status.accepted
+    judging.see(good(START_S + 1.0))
+    assert judging.mode == Mode.TRACKING
+
+
+def test_what_is_merely_ambiguous_is_told_with_its_hypotheses_and_not_tracked():
+    judging = rig(found=ambiguous(START_S, by_symmetry=False))
+    output = judging.see(good(START_S))
+    assert judging.mode == Mode.ACQUIRING
+    assert output.odometry is None
+    status = output.status
+    assert not status.accepted
+    assert status.ambiguous
+    assert status.reason == "4 poses look alike"
+    assert sum(hypothesis.weight for hypothesis in status.hypotheses) == pytest.approx(1.0)
+    first = status.hypotheses[0].pose
+    np.testing.assert_allclose(first.as_matrix(), truth(START_S).as_matrix(), atol=1e-12)
+
+
+def test_every_estimate_of_a_symmetric_target_lists_the_poses_that_look_alike():
+    judging = rig(found=ambiguous(START_S, by_symmetry=True), alike=TURNS, confirmations=1)
+    for step in range(4):
+        time_s = START_S + step
+        status = judging.see(good(time_s)).status
+        assert status.ambiguous
+        hypotheses = status.hypotheses
+        assert len(hypotheses) == 4
+        assert sum(hypothesis.weight for hypothesis in hypotheses) == pytest.approx(1.0)
+        apart = [(hypotheses[0].pose.inv() * other.pose).as_matrix() for other in hypotheses[1:]]
+        np.testing.assert_allclose(apart, [turn.as_matrix() for turn in TURNS], atol=1e-12)
+        error = truth(time_s).inv() * hypotheses[0].pose
+        assert np.linalg.norm(error.translation) < 0.05
+        assert error.rotation.magnitude() < 0.05
+
+
+def test_estimates_of_a_target_without_symmetry_are_not_ambiguous():
+    accepted = Acquisition(Verdict.ACCEPTED, registration(in_sensor(START_S)))
+    judging = rig(found=accepted, confirmations=1)
+    for step in range(3):
+        status = judging.see(good(START_S + step)).status
+        assert not status.ambiguous
+        assert status.hypotheses == ()
+    assert judging.mode == Mode.TRACKING
+
+
+def test_a_failed_acquisition_is_not_tracked_and_says_why():
+    none = Acquisition(Verdict.FAILED, failed(), "does not explain the scan")
+    judging = rig(found=none, alike=TURNS)
+    status = judging.see(good(START_S)).status
+    assert judging.mode == Mode.ACQUIRING
+    assert (status.accepted, status.reason) == (False, "does not explain the scan")
+    assert not status.ambiguous

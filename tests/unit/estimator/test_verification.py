@@ -58,3 +58,18 @@ def test_a_track_may_be_asked_for_less_and_never_for_more() -> None:
     assert LIMITS.while_tracking == LIMITS
     with pytest.raises(ValidationError, match="a track asks no more than an acquisition"):
         VerificationConfig(max_cost_m2=0.01, min_explained_share=0.7, min_tracked_share=0.8)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"cost_m2": 1.0}, {"inliers": 1}, {"inlier_share": 0.0}, {"explained_share": 0.0}],
+)
+def test_what_a_method_has_judged_by_itself_is_not_asked_again(changes):
+    assert doubt(replace(GOOD, **changes), LIMITS)
+    assert doubt(replace(GOOD, **changes, judged=True), LIMITS) == ""
+
+
+def test_what_a_method_doubts_by_itself_is_not_believed():
+    reason = "does not explain the scan"
+    assert doubt(replace(GOOD, judged=True, reason=reason), LIMITS) == reason
+    assert doubt(replace(GOOD, judged=True, T_sensor_target=None), LIMITS) == "no pose"

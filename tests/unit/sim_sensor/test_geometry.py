@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera
-from rpod_sim_sensor.geometry import DistortionError, Hits, RayGrid, cast, distort, undistort
+from rpod_sim_sensor.geometry import DistortionError, Hits, RayGrid, cast, cast_pose, distort, undistort
 
 CAMERA = Camera(width=88, height=72, fx=170.7, fy=172.9, cx=43.7, cy=35.6)
 BARREL = CAMERA.model_copy(update={"distortion": np.array([-0.35, 0.12, 0.002, -0.003, -0.01])})
@@ -192,3 +192,37 @@ def test_azimuth_and_elevation_follow_the_interface() -> None:
     expected = (np.sin(0.3) * np.cos(0.1), np.sin(0.1), np.cos(0.3) * np.cos(0.1))
     np.testing.assert_allclose(grid.directions[1, 2], expected)
     np.testing.assert_allclose(np.linalg.norm(grid.directions, axis=-1), 1.0)
+
+
+@pytest.mark.parametrize("cull", [False, True])
+def test_the_kernel_that_takes_a_pose_meets_what_cast_meets(cull: bool) -> None:
+    random = np.random.default_rng(3)
+    for grid in GRIDS.values():
+        pose = make_pose(rotation=Rotation.random(rng=random), translation_m=(0.3, -0.2, 4.0))
+        expected = cast(grid, box(0.7), pose, cull_back_faces=cull)
+        range_m, triangle = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, 99, np.int32)
+        R, t = pose.rotation.as_matrix(), pose.translation
+        cast_pose(grid.arrays, box(0.7), R, t, cull, range_m, triangle)
+        np.testing.assert_array_equal(range_m, expected.range_m)
+        np.testing.assert_array_equal(triangle, expected.triangle)
+
+
+@pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
+def test_a_block_of_a_grid_meets_what_its_rays_meet_in_the_whole(grid: RayGrid) -> None:
+    pose = make_pose(rotation=Rotation.from_rotvec((0.4, 0.8, -0.3)), translation_m=(0.1, 0.0, 2.0))
+    whole = cast(grid, box(0.5), pose)
+    R, t = pose.rotation.as_matrix(), pose.translation
+    met = 0
+    for rows, columns in [
+        (slice(0, None), slice(0, None)),
+        (slice(5, 25), slice(10, 40)),
+        (slice(15, 16), slice(3, 60)),
+        (slice(-10, None), slice(0, 35)),
+    ]:
+        expected = whole.triangle[rows, columns]
+        range_m, triangle = np.empty(expected.shape, np.float32), np.empty(expected.shape, np.int32)
+        cast_pose(grid.block(rows, columns), box(0.5), R, t, False, range_m, triangle)
+        np.testing.assert_array_equal(triangle, expected)
+        np.testing.assert_array_equal(range_m, whole.range_m[rows, columns])
+        met += np.count_nonzero(triangle >= 0)
+    assert met > 0

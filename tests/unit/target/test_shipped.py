@@ -216,3 +216,26 @@ def test_the_parameters_survive_being_written_and_read(name: str) -> None:
     parameters = load(TargetParameters, PACKAGE / "targets" / f"{name}.yaml")
     again = TargetParameters.model_validate(parameters.model_dump(mode="json"))
     assert again.model_dump(mode="json") == parameters.model_dump(mode="json")
+
+
+@pytest.mark.parametrize("name", shipped_targets())
+def test_the_turns_are_those_of_the_symmetries_without_the_identity(
+    name: str, shipped: dict[str, Target]
+) -> None:
+    target = shipped[name]
+    every, exact = target.turns(), target.turns(exact=True)
+    assert len(every) == sum(symmetry.order - 1 for symmetry in target.symmetries)
+    assert len(exact) == len(turns(target))
+    for turn, expected in zip(exact, turns(target), strict=True):
+        assert (turn.rotation * expected.inv()).magnitude() < 1e-9
+    for turn in every:
+        np.testing.assert_array_equal(turn.translation, np.zeros(3))
+        assert turn.rotation.magnitude() > 0.1
+
+
+def test_the_near_symmetries_of_the_cuboids_are_half_turns(shipped: dict[str, Target]) -> None:
+    target = shipped["envisat-bulky"]
+    assert target.turns(exact=True) == []
+    axes = [turn.rotation.as_rotvec() / np.pi for turn in target.turns()]
+    np.testing.assert_allclose(np.abs(axes), np.eye(3), atol=1e-12)
+    assert not any(maps_onto_itself(target, turn.rotation) for turn in target.turns())
