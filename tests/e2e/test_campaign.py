@@ -9,7 +9,6 @@ from pathlib import Path
 
 import polars as pl
 import psutil
-import pytest
 
 CELL = {
     "target", "method", "eq4", "sampling", "centroid", "matcher", "range_m", "step_deg", "trials",
@@ -43,28 +42,37 @@ def test_json_is_one_object_and_the_report_stands_beside_the_trials(tmp_path):
     assert str(folder / "report.html") in again.stdout
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_leaves_what_is_done_to_the_next_run_and_no_process_behind(number, tmp_path):
+def test_a_signal_leaves_what_is_done_to_the_next_run_and_no_process_behind(tmp_path):
     arguments = (*SMALL, "--trials", "20000", "--jobs", "1", "--out", tmp_path)
-    running = subprocess.Popen(
-        command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    deadline_s = time.monotonic() + 60.0
-    while not list(tmp_path.glob("*/part-*.parquet")):
-        assert running.poll() is None
-        assert time.monotonic() < deadline_s
-        time.sleep(0.1)
-    children = psutil.Process(running.pid).children(recursive=True)
-    assert children
-    running.send_signal(number)
-    _, said = running.communicate(timeout=30.0)
-    assert running.returncode == 130
-    assert "interrupted; what is done is kept in" in said.splitlines()[-1]
-    assert not psutil.wait_procs(children, timeout=10.0)[1]
-    kept = pl.concat([pl.read_parquet(file) for file in tmp_path.glob("*/part-*.parquet")])["trial"]
-    enough = str(kept.len())
-    resumed = campaign(*SMALL, "--trials", enough, "--jobs", "1", "--out", tmp_path)
-    assert f"{enough} of {enough} trials are there" in resumed.stderr
+    kept = 0
+    for number in (signal.SIGINT, signal.SIGTERM):
+        running = subprocess.Popen(
+            command(*arguments),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        deadline_s = time.monotonic() + 60.0
+        while trials_in(tmp_path) == kept:
+            assert running.poll() is None
+            assert time.monotonic() < deadline_s
+            time.sleep(0.1)
+        children = psutil.Process(running.pid).children(recursive=True)
+        assert children
+        running.send_signal(number)
+        _, said = running.communicate(timeout=30.0)
+        assert running.returncode == 130
+        assert "interrupted; what is done is kept in" in said.splitlines()[-1]
+        assert not psutil.wait_procs(children, timeout=10.0)[1]
+        assert said.startswith("resuming" if kept else "beginning")
+        assert not kept or f"{kept} of 20000 trials are there" in said
+        kept = trials_in(tmp_path)
+
+
+def trials_in(out: Path) -> int:
+    """Return how many trials are kept."""
+    return sum(pl.read_parquet(file).height for file in out.glob("*/part-*.parquet"))
 
 
 def test_a_wrong_value_is_one_line_that_names_the_option(tmp_path):

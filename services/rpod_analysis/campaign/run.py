@@ -1,5 +1,6 @@
 """A campaign from its options to its results."""
 
+import math
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
@@ -79,7 +80,7 @@ def run_campaign(prepared: Prepared, *, jobs: int, told: Told = lambda _: None) 
 
     Whatever ends it early, the trials that are done are in the folder.
     """
-    folder, batch, kept_s = prepared.folder, list[Row](), time.monotonic()
+    folder, batch, kept_s = prepared.folder, list[Row](), -math.inf
     try:
         with closing(_rows(prepared, jobs)) as rows:
             for row in rows:

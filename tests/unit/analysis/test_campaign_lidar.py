@@ -172,8 +172,8 @@ def test_what_is_not_known_is_refused_by_the_name_of_its_option(options, reason)
 
 
 OTHERS = {
-    "lidar-tracking": {"ranges": (50.0,), "matcher": ("nearest-neighbour-plane",)},
-    "lidar-robustness": {"ranges": (50.0,), "method": (paper.TM,), "steps": (60.0,)},
+    "lidar-tracking": {"ranges": (50.0,), "matcher": ("projective",)},
+    "lidar-robustness": {"ranges": (50.0,), "method": ("global",)},
     "lidar-range": {"ranges": (80.0,), "method": (paper.TM,), "steps": (60.0,), "scan_steps": (1.0,)},
     "lidar-verdict": {"ranges": (50.0,), "method": (paper.TM,), "steps": (60.0,), "target": (TARGET,)},
 }
