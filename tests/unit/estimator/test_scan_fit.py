@@ -68,7 +68,7 @@ def test_scans_drawn_from_the_model_lack_nothing_but_chance(target, range_m):
     view = ScanView.of(LIDAR.azimuth_rad, LIDAR.elevation_rad)
     model = ScanModel(config, ScanVerdictConfig(), view, SurfaceModel.of(load(target)))
     scores = []
-    for seed in range(60):
+    for seed in range(40):
         T, generator = random_pose(seed, range_m), np.random.default_rng((1, seed))
         seen = drawn(T, model=config, target=load(target), view=view, generator=generator)
         fit = model.fit(seen, *parts(T))
@@ -79,7 +79,7 @@ def test_scans_drawn_from_the_model_lack_nothing_but_chance(target, range_m):
 
 @pytest.mark.parametrize(("target", "range_m"), SCENES)
 def test_the_truth_is_never_in_deficit_and_never_doubted_on_the_sensors_scans(target, range_m):
-    for seed in range(25):
+    for seed in range(20):
         T = random_pose(seed, range_m)
         scan = scan_at(T, target, frame=seed)
         fit, seen = fitted(T, scan, target)
@@ -91,7 +91,7 @@ def test_the_truth_is_never_in_deficit_and_never_doubted_on_the_sensors_scans(ta
 
 @pytest.mark.parametrize(("target", "range_m"), SCENES)
 def test_a_wrong_attitude_lacks_several_units_a_return(target, range_m):
-    for seed in range(25):
+    for seed in range(20):
         T = random_pose(seed, range_m)
         scan = scan_at(T, target, frame=seed)
         wrong = make_pose(rotation=random_pose(1000 + seed).rotation, translation_m=T.translation)
