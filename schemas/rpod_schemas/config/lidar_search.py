@@ -68,6 +68,11 @@ class ProjectiveIcpConfig(Config):
     """Scale beyond which a return is an outlier, of the first step."""
     narrowest_m: Positive = 0.1
     """The same of the last step; it covers 4-sigma outliers."""
+    steep_cosine: Annotated[float, Field(ge=0, le=1)] = 0.55
+    """Of the incidence on a face, below which the distance from its plane tells outliers, not that along the
+    ray: a steep face would else lose all its returns by the least error of its place."""
+    outline_m: Positive = 0.05
+    """Standard deviation of the distance of a return that lies beyond the outline."""
     min_points: Annotated[int, Field(ge=6)] = 6
     """Fewer returns, or fewer of them on faces, are no registration."""
     outlined_returns: Annotated[int, Field(ge=0)] = 150

@@ -25,8 +25,8 @@ def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
         sensor: what the LIDAR says of itself: scan pattern and sigma of a range.
 
     Returns:
-        T_sensor_target as ``pose``, its ``covariance`` of (dp, dtheta) in the sensor's fixed axes, shape (6, 6),
-        the ``verdict``, its ``reason``, and the weighted ``hypotheses``.
+        T_sensor_target as ``pose``, its ``covariance`` of (dp, dtheta) in the sensor's fixed axes, shape
+        (6, 6), the ``verdict``, its ``reason``, and the weighted ``hypotheses``.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.

@@ -121,7 +121,7 @@ def draw_in(points, R, t, field, scales):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def settle(points, rays, R, t, grid, faces, noise, scales, range_m, owner):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def settle(points, rays, R, t, grid, faces, field, noise, scales, range_m, owner):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return R, t, information, squares and inliers after one step to the faces for each scale, m.
 
     Args:
@@ -131,43 +131,53 @@ def settle(points, rays, R, t, grid, faces, noise, scales, range_m, owner):  # t
         t: of the target in the sensor, shape (3,), m.
         grid: ``RayGrid.arrays``.
         faces: ``SurfaceModel.faces``.
-        noise: sigma of a range and slack of a plane, m.
+        field: ``SurfaceModel.coarse_field``, for returns whose rays pass the target by.
+        noise: sigma of a range and slack of a plane, m; squared cosine of incidence below which the distance
+            from a plane, not along the ray, tells outliers; and one over the standard deviation of the field's
+            distance of a return beyond the outline, 1/m, 0 to leave those out.
         scales: Geman-McClure scales of a range's residual, shape (steps,), m.
         range_m: buffer, shape (rows, columns).
         owner: buffer, shape (rows, columns).
 
-    The information is that of the last step, in units of one over its weights' sigmas; the squares, m2, and
-    the number of inliers are those within the last scale.
+    The information is what the faces tell in the last step, in units of one over its weights' sigmas; the
+    squares, m2, and the number of inliers are those within the last scale.
     """
     triangles, normals, offsets, _ = faces
-    sigma, slack = noise
+    origin, spacing, values = field
+    sigma, slack, steepest, per_outline_m = noise
+    per_m = 1.0 / spacing
     flat = owner.reshape(-1)
     information, squares, inliers = np.zeros((6, 6)), 0.0, 0
     for scale in scales:
         cast_pose(grid, triangles, R, t, True, range_m, owner)
-        information, gradient, weights, c2 = np.zeros((6, 6)), np.zeros(6), 0.0, scale * scale
-        squares, inliers = 0.0, 0
+        information, outline, gradient = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
+        squares, inliers, c2 = 0.0, 0, scale * scale
         for n in range(points.shape[0]):
-            face = flat[rays[n]] if rays[n] >= 0 else -1
-            if face < 0:
-                continue
             px, py, pz = points[n, 0], points[n, 1], points[n, 2]
             x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
+            face = flat[rays[n]] if rays[n] >= 0 else -1
+            if face < 0:  # beyond the outline, which is drawn to it
+                d, gx, gy, gz = distance_and_gradient(
+                    (x - origin[0]) * per_m, (y - origin[1]) * per_m, (z - origin[2]) * per_m, values
+                )
+                weight = (c2 / (c2 + d * d)) ** 2 * per_outline_m * per_outline_m
+                add_upper(outline, gradient, (gx * per_m, gy * per_m, gz * per_m), (x, y, z), d, weight)
+                continue
             dx, dy, dz = in_target(R, px, py, pz)
             n0, n1, n2 = normals[face, 0], normals[face, 1], normals[face, 2]
             e = n0 * x + n1 * y + n2 * z - offsets[face]
             cosine2 = (n0 * dx + n1 * dy + n2 * dz) ** 2 / (px * px + py * py + pz * pz)
-            along2 = e * e / (cosine2 + 1e-6)
+            along2 = e * e / max(cosine2, steepest, 1e-6)
             weight = (c2 / (c2 + along2)) ** 2 / (sigma * sigma * cosine2 + slack * slack)
-            weights += weight
             add_upper(information, gradient, (n0, n1, n2), (x, y, z), e, weight)
             if along2 < c2:
                 inliers += 1
                 squares += e * e
         mirror(information)
+        mirror(outline)
         if inliers < FEWEST:
             break
-        step = held(information, gradient, 1.0)
+        step = held(information + outline, gradient, 1.0)
         t = t + R @ step[:3]
         R = turned(R, step[3:])
     return R, t, information, squares, inliers

@@ -24,7 +24,7 @@ class SurfaceModel:
     faces: Faces
     """Triangles (T, 3, 3), normals (T, 3), offsets of their planes (T,), reflectivities (T,)."""
     coarse_field: Field
-    """Origin, spacing and values of the distance field, at every few nodes: small enough to stay in a cache."""
+    """Origin, spacing and values of the distance field, at every few nodes: it stays in a cache."""
 
     @classmethod
     def of(cls, target: Target) -> Self:
