@@ -48,7 +48,7 @@ def test_a_nearly_right_pose_is_finished_on_the_faces(target, range_m):
         angle_deg, distance_m = errors(T, registration.T_sensor_target)
         assert angle_deg < 0.7
         assert distance_m < 0.3
-        assert registration.inliers > 0.75 * seen.returns
+        assert registration.inliers > 0.6 * seen.returns
         assert registration.cost_m2 < 0.05**2
 
 
