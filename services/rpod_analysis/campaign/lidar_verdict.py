@@ -16,6 +16,7 @@ from rpod_analysis.campaign.statistics import quantile, rate
 from rpod_analysis.campaign.trials import judged as trial
 from rpod_analysis.campaign.trials.judged import JudgedCell
 from rpod_analysis.campaign.words import NONE, number, word
+from rpod_estimator.ports import Verdict
 from rpod_schemas.arrays import FloatArray
 
 Results = Sequence[CellResult[JudgedCell]]
@@ -59,6 +60,7 @@ def summarise(cell: JudgedCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return what is said of a cell: numbers of trials."""
     judged = rows.filter(pl.col("found").is_not_null())
     wrong, accepted = judged["wrong"], judged["accepted"]
+    ambiguous = judged["verdict"] == Verdict.AMBIGUOUS.value
     return {
         **asdict(cell),
         "trials": rows.height,
@@ -68,6 +70,7 @@ def summarise(cell: JudgedCell, rows: pl.DataFrame) -> dict[str, Any]:
         "wrong_accepted": int((wrong & accepted).sum()),
         "right": int((~wrong).sum()),
         "right_rejected": int((~wrong & ~accepted).sum()),
+        "right_ambiguous": int((~wrong & ~accepted & ambiguous).sum()),
     }
 
 
@@ -165,7 +168,7 @@ def _grouped(results: Results) -> dict[Group, pl.DataFrame]:
     return {group: pl.concat(frames) for group, frames in found.items()}
 
 
-_SHARES = ("wrong accepted", "share", "right rejected", "share")
+_SHARES = ("wrong accepted", "share", "right rejected", "share", "as ambiguous")
 
 
 def _shares(s: Row) -> tuple[str, ...]:
@@ -174,6 +177,7 @@ def _shares(s: Row) -> tuple[str, ...]:
         str(rate(s["wrong_accepted"], s["wrong"])),
         f"{s['right_rejected']} of {s['right']}",
         str(rate(s["right_rejected"], s["right"])),
+        word(s["right_ambiguous"]),
     )
 
 
@@ -212,7 +216,7 @@ def _sum_table(
     results: Results, title: str, names: tuple[str, ...], group: Callable[[JudgedCell], tuple[str, ...]]
 ) -> Table:
     """Return the verdicts over all cells of a group, and of all groups."""
-    counted = ("wrong_accepted", "wrong", "right_rejected", "right")
+    counted = ("wrong_accepted", "wrong", "right_rejected", "right", "right_ambiguous")
     whole = ("all", *("" for _ in names[1:]))
     sums: dict[tuple[str, ...], dict[str, int]] = {}
     for result in results:

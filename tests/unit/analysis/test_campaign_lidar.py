@@ -256,3 +256,13 @@ def test_a_pose_that_an_exact_symmetry_turns_into_the_truth_is_right():
         turned = truth * make_pose(rotation=Rotation.from_euler("x", 180.0, degrees=True))
         expected_deg = 180.0 if turns == 1 else 0.0
         assert errors(truth, turned, target) == pytest.approx((expected_deg, 0.0), abs=1e-6)
+
+
+def test_a_pose_of_template_matching_is_judged_by_the_facilitys_own_verdict():
+    cell = JudgedCell(target=TARGET, scanned_target=TARGET, method=paper.TM, step_deg=60.0, range_m=50.0)
+    rows = [judged.run(cell, 7, trial) for trial in range(6)]
+    for row in rows:
+        assert set(row) == set(judged.SCHEMA)
+        assert row["accepted"] == (not row["wrong"])
+        assert (row["deficit_per_return"] > 0.5) == row["wrong"]
+    assert 0 < sum(row["wrong"] for row in rows) < 6
