@@ -112,9 +112,9 @@ class LidarScan(Stamped):
 
     @property
     def returns_m(self) -> Float32Array:
-        """The finite points, shape (N, 3)."""
+        """The points that are returns, shape (N, 3): finite, and not the origin, which many send for none."""
         points = self.points_m.reshape(-1, 3)
-        return points[np.isfinite(points).all(axis=1)]
+        return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
 
 
 class PmdInfo(Model):

@@ -42,7 +42,7 @@ class ScanVerdictConfig(Config):
 
     max_deficit: NonNegative = 1.0
     """Expected minus actual log likelihood is at most this many of its standard deviations, and ..."""
-    max_deficit_per_return: NonNegative = 0.1
+    max_deficit_per_return: NonNegative = 0.05
     """... this much a return on top."""
     contrary_share: Share = 0.055
     """Share of rays that may contradict the pose, or be missing; two standard deviations of their number more
@@ -126,7 +126,7 @@ class GlobalSearchConfig(Config):
     sure_returns: Count = 150
     """From so many returns on, the first candidate that explains them for sure ends the search: its actual
     log likelihood exceeds what is expected by ..."""
-    sure_surplus: NonNegative = 0.25
+    sure_surplus: NonNegative = 0.3
     """... this much a return."""
     sharpened_returns: Annotated[int, Field(ge=0)] = 70
     """Of scans with fewer the outline is searched too, once the best poses are drawn in; of others only for

@@ -59,7 +59,7 @@ class GlobalSearch:
         azimuth_rad: FloatArray,
         elevation_rad: FloatArray,
     ) -> None:
-        self._config = config
+        self._config, self._radius_m = config, target.radius_m
         self._tracker = ProjectiveIcp(
             config.tracking, target, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad
         )
@@ -87,7 +87,7 @@ class GlobalSearch:
 
         Failed as well where something that it may be mistaken for explains the scan better.
         """
-        whole = self._tracker.view.seen(measurement)
+        whole = self._seen(measurement)
         if whole.returns < self._config.min_points:
             return self._too_few(whole)
         search = self._search_in(whole)
@@ -104,7 +104,7 @@ class GlobalSearch:
         )
 
     def _found(self, measurement: LidarScan, around: FloatArray | None) -> Acquisition:
-        config, whole = self._config, self._tracker.view.seen(measurement)
+        config, whole = self._config, self._seen(measurement)
         if whole.returns < config.min_points:
             return self._too_few(whole)
         search = self._search_in(whole)
@@ -119,6 +119,11 @@ class GlobalSearch:
             if poses and poses[0].fit.deficit <= 0.0:  # it could not be explained better
                 break
         return self._judged(whole, search, poses, templates)
+
+    def _seen(self, measurement: LidarScan) -> SeenScan:
+        """Return the returns that may be the target's, few or many."""
+        seen = self._tracker.view.seen(measurement)
+        return seen.around(2.0 * self._radius_m) if seen.returns else seen
 
     def _search_in(self, whole: SeenScan) -> ScanSearch:
         """Return the search in a scan, of a dense one in some of its rows and columns."""

@@ -157,6 +157,8 @@ def view_of(x, y, z, cube):  # type: ignore[no-untyped-def]
         face, u, v, w = (3 if y > 0.0 else 2), z, x, ay
     else:
         face, u, v, w = (5 if z > 0.0 else 4), x, y, az
+    if not w > 0.0:  # from within
+        return 0
     half = 0.5 * cube.shape[1]
     last = cube.shape[1] - 1
     return cube[face, min(int((u / w + 1.0) * half), last), min(int((v / w + 1.0) * half), last)]

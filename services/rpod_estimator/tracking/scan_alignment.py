@@ -133,8 +133,8 @@ def settle(points, rays, R, t, grid, faces, field, noise, scales, range_m, owner
         faces: ``SurfaceModel.faces``.
         field: ``SurfaceModel.coarse_field``, for returns whose rays pass the target by.
         noise: sigma of a range and slack of a plane, m; squared cosine of incidence below which the distance
-            from a plane, not along the ray, tells outliers; and one over the standard deviation of the field's
-            distance of a return beyond the outline, 1/m, 0 to leave those out.
+            from a plane, not along the ray, tells outliers; and one over the standard deviation of the
+            field's distance of a return beyond the outline, 1/m, 0 to leave those out.
         scales: Geman-McClure scales of a range's residual, shape (steps,), m.
         range_m: buffer, shape (rows, columns).
         owner: buffer, shape (rows, columns).

@@ -30,6 +30,9 @@ OUTLIER_FACTOR = 4.0
 """Sigma of outliers over that of the others (2015 paper, section 3.2)."""
 STEEPEST = 0.05
 """Cosine of incidence below which a surface's slack along the ray grows no more."""
+HIT_MEAN, HIT_VARIANCE = 0.677, 1.03
+"""Of minus the log likelihood of a range error, without 0.5 log(2 pi sigma^2): of the mixture with 6 % of
+outliers, integrated numerically."""
 LEAST_DEVIATION = 3.0
 """Of a deficit, where nothing is left to chance."""
 MARGIN = 3
@@ -228,9 +231,9 @@ def likelihood(measured, R, t, grid, faces, detection, noise, range_m, owner):  
             p = (1.0 - clutter) * table[min(int(echo * steps), table.size - 1)]
             lateral = slack / max(cosine, STEEPEST)
             narrow = sigma * sigma + lateral * lateral
-            hit, miss = np.log(p + 1e-9) - 0.5 * np.log(2.0 * np.pi * narrow) - 0.6, np.log(1.0 - p)
+            hit, miss = np.log(p + 1e-9) - 0.5 * np.log(2.0 * np.pi * narrow) - HIT_MEAN, np.log(1.0 - p)
             expected += p * hit + (1.0 - p) * miss - log_clear
-            variance += p * (1.0 - p) * (hit - miss) ** 2 + 0.7 * p
+            variance += p * (1.0 - p) * (hit - miss) ** 2 + HIT_VARIANCE * p
             expected_missed += 1.0 - p
             if m > 0.0:
                 e2 = (m - r) * (m - r)

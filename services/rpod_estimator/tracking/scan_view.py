@@ -10,6 +10,9 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.geometry import Hits, RayGrid
 
+NEAREST_M, FARTHEST_M = 0.05, 1e5
+"""Ranges beyond these are no returns: many sensors send a point in their origin for none."""
+
 
 @dataclass(frozen=True, eq=False)
 class SeenScan:
@@ -36,6 +39,16 @@ class SeenScan:
     def thinned(self, count: int) -> FloatArray:
         """Return at most about ``count`` of the points, evenly taken."""
         return np.ascontiguousarray(self.points_m[:: max(1, round(self.returns / count))])
+
+    def around(self, radius_m: float) -> "SeenScan":
+        """Return the scan without returns farther than a radius from the middle of all."""
+        middle_m = np.median(self.points_m, axis=0)
+        near = ((self.points_m - middle_m) ** 2).sum(axis=1) <= radius_m**2
+        if near.all():
+            return self
+        image = self.range_m.copy()
+        image.flat[self.rays[~near & (self.rays >= 0)]] = 0.0
+        return SeenScan(self.points_m[near], self.rays[near], image)
 
     def every(self, stride: int) -> "SeenScan":
         """Return what every ``stride``-th row and column of the pattern saw."""
@@ -74,11 +87,11 @@ class ScanView:
     def seen(self, scan: LidarScan) -> SeenScan:
         """Return a scan's returns, sorted into rows and columns where they are not organised so."""
         points_m = scan.points_m.reshape(-1, 3).astype(np.float64)
-        finite = np.isfinite(points_m).all(axis=1)
-        points_m = points_m[finite]
         range_m = np.sqrt((points_m**2).sum(axis=1))
+        returned = (range_m > NEAREST_M) & (range_m < FARTHEST_M)  # NaN is neither
+        points_m, range_m = points_m[returned], range_m[returned]
         organised = scan.points_m.shape[:-1] == self.shape
-        rays = np.flatnonzero(finite) if organised else self._nearest_rays(points_m, range_m)
+        rays = np.flatnonzero(returned) if organised else self._nearest_rays(points_m, range_m)
         image = np.zeros(self.shape)
         within = rays >= 0
         image.flat[rays[within]] = range_m[within]

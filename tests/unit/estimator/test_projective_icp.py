@@ -185,12 +185,6 @@ def test_no_scan_raises_and_none_that_is_strange_is_believed(scan, z_m):
     assert registration.source == Source.LIDAR
 
 
-ZEROS = pytest.mark.xfail(
-    raises=np.linalg.LinAlgError, strict=True, reason="a return at zero has no direction"
-)
-
-
-@ZEROS
 def test_a_return_at_zero_is_none():
     T = random_pose(3)
     points_m = scan_at(T, frame=3).points_m
