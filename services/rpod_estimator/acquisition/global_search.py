@@ -13,7 +13,7 @@ The weights of the hypotheses are their likelihoods.
 """
 
 from functools import lru_cache
-from math import cos, radians, sqrt
+from math import cos, log, radians, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +85,8 @@ class GlobalSearch:
     def judge(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the verdict on a pose that another method found, which is refined first.
 
-        Failed as well where something that it may be mistaken for explains the scan better.
+        Failed as well where something that it may be mistaken for explains the scan far better, ambiguous where
+        it does as well.
         """
         whole = self._seen(measurement)
         if whole.returns < self._config.min_points:
@@ -95,7 +96,8 @@ class GlobalSearch:
             T_sensor_target.rotation.as_matrix(), T_sensor_target.translation, FINE_SCALES_M
         )
         poses = search.completed([asked], siblings=1)
-        if search.alike(asked, poses[:1]):
+        least = poses[0].fit.log_likelihood + log(NEGLIGIBLE)
+        if search.alike(asked, [pose for pose in poses if pose.fit.log_likelihood >= least]):
             return self._judged(whole, search, poses, 0)
         turn = np.degrees(Rotation.from_matrix(asked.R.T @ poses[0].R).magnitude())
         registration = self._tracker.finish(whole, asked.R, asked.t)
