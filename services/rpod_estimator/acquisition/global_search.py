@@ -85,8 +85,8 @@ class GlobalSearch:
     def judge(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the verdict on a pose that another method found, which is refined first.
 
-        Failed as well where something that it may be mistaken for explains the scan far better, ambiguous where
-        it does as well.
+        Failed as well where something that it may be mistaken for explains the scan far better; ambiguous
+        where it does so as well.
         """
         whole = self._seen(measurement)
         if whole.returns < self._config.min_points:
