@@ -1,7 +1,7 @@
 """The search in one scan: from thousands of attitudes to a few poses, ranked by likelihood."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, radians
 from typing import Self
 
@@ -148,7 +148,7 @@ class ScanSearch:
             turned.append(asked)
             found += [asked, *self._turned(asked)]
         best = self._distinct(found)[: config.finished]
-        finished = self._distinct([self.settled(pose.R, pose.t, FINE_SCALES_M) for pose in best])
+        finished = self._distinct([self._improved(pose, FINE_SCALES_M) for pose in best])
         if not finished or self.seen.returns >= config.sharpened_returns:
             return finished
         least = finished[0].fit.log_likelihood - config.rival_log_likelihood
@@ -158,7 +158,7 @@ class ScanSearch:
 
     def _finished(self, pose: Pose) -> Pose:
         """Return a pose finished, so that its turns are no worse than it is itself."""
-        pose = self.settled(pose.R, pose.t, FINE_SCALES_M)
+        pose = self._improved(pose, FINE_SCALES_M)
         halfway = 0.0 < pose.fit.deficit < HALFWAY * self.seen.returns
         few = self.seen.returns < self._config.sharpened_returns  # which are sharpened in the end
         return self._sharpened(pose) if halfway and not few else pose
@@ -191,6 +191,16 @@ class ScanSearch:
             view.hits.triangle,
         )
         return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), information)
+
+    def _there(self, R: FloatArray, t: FloatArray) -> Pose:
+        """Return a pose as it is; nothing is known of what determines it."""
+        return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), np.zeros((6, 6)))
+
+    def _improved(self, pose: Pose, scales_m: FloatArray) -> Pose:
+        """Return a pose settled, but for where the faces lead astray what the outline has right."""
+        settled = self.settled(pose.R, pose.t, scales_m)
+        better = settled.fit.log_likelihood >= pose.fit.log_likelihood
+        return settled if better else replace(pose, information=settled.information)
 
     def doubt(self, pose: Pose) -> str:
         """Return why a pose does not explain the scan; empty if it does."""
@@ -261,7 +271,7 @@ class ScanSearch:
         best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), laid.argmin(axis=1)]
         order = np.argsort(np.concatenate((here, laid.min(axis=1))), kind="stable")[: self._config.turns]
         return [
-            self.settled(pose.R @ turns.all[index], pose.t, SETTLE_SCALES_M)
+            self._improved(self._there(pose.R @ turns.all[index], pose.t), SETTLE_SCALES_M)
             if index < len(turned)
             else self._drawn_in(turned[index - len(turned)], best_m[index - len(turned)])
             for index in order
