@@ -123,7 +123,7 @@ class GlobalSearchConfig(Config):
     """Steps in the distance field, of each candidate."""
     most_returns: Count = 900
     """Scans with more are thinned by rows and columns."""
-    sure_returns: Count = 150
+    sure_returns: Count = 60
     """From so many returns on, the first candidate that explains them for sure ends the search: its actual
     log likelihood exceeds what is expected by ..."""
     sure_surplus: NonNegative = 0.3

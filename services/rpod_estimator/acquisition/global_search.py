@@ -97,7 +97,8 @@ class GlobalSearch:
         )
         poses = search.completed([asked], siblings=1)
         least = poses[0].fit.log_likelihood + log(NEGLIGIBLE)
-        if search.alike(asked, [pose for pose in poses if pose.fit.log_likelihood >= least]):
+        rivals = [pose for pose in poses if pose.fit.log_likelihood >= least]
+        if search.alike([asked], rivals).any():
             return self._judged(whole, search, poses, 0)
         turn = np.degrees(Rotation.from_matrix(asked.R.T @ poses[0].R).magnitude())
         registration = self._tracker.finish(whole, asked.R, asked.t)

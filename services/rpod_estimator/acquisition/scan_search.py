@@ -6,6 +6,7 @@ from math import cos, radians
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rpod_estimator.acquisition.energy import NOTHING_IN_VIEW, ReturnDistances, energies
@@ -165,14 +166,20 @@ class ScanSearch:
 
     def _is_turned(self, pose: Pose, turned: Sequence[Pose]) -> bool:
         """Return whether a pose has been turned, and not become much likelier since."""
-        known = [other for other in turned if self.alike(pose, [other])]
-        return any(pose.fit.log_likelihood <= other.fit.log_likelihood + GAIN for other in known)
+        return any(
+            alike and pose.fit.log_likelihood <= other.fit.log_likelihood + GAIN
+            for alike, other in zip(self.alike([pose], turned)[0], turned, strict=True)
+        )
 
-    def alike(self, pose: Pose, others: Sequence[Pose]) -> bool:
-        """Return whether a pose's attitude is close to that of another one, or to an exact turn of it."""
+    def alike(self, poses: Sequence[Pose], others: Sequence[Pose]) -> NDArray[np.bool_]:
+        """Return which poses' attitudes are close to which others', or to their exact turns, shape (P, O)."""
         least = 1.0 + 2.0 * cos(radians(self._config.distinct_deg))
-        turned = pose.R @ self._model.turns.exact
-        return any(float(np.max((turned * other.R).sum(axis=(1, 2)))) > least for other in others)
+        exact = self._model.turns.exact
+        R = np.array([pose.R for pose in poses]).reshape(-1, 1, 3, 3) @ exact
+        other_R = np.array([other.R for other in others]).reshape(-1, 9)
+        traces = (R.reshape(-1, 9) @ other_R.T).reshape(len(poses), len(exact), len(others))
+        close: NDArray[np.bool_] = traces.max(axis=1, initial=-1.0) > least
+        return close
 
     def settled(self, R: FloatArray, t: FloatArray, scales_m: FloatArray) -> Pose:
         """Return a nearly right pose after a step to the faces for each scale."""
@@ -297,8 +304,10 @@ class ScanSearch:
 
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, without those close to a likelier one."""
-        kept: list[Pose] = []
-        for pose in sorted(poses, key=lambda pose: -pose.fit.log_likelihood):
-            if not self.alike(pose, kept):
-                kept.append(pose)
-        return kept
+        ranked = sorted(poses, key=lambda pose: -pose.fit.log_likelihood)
+        alike = self.alike(ranked, ranked)
+        kept: list[int] = []
+        for index in range(len(ranked)):
+            if not alike[index, kept].any():
+                kept.append(index)
+        return [ranked[index] for index in kept]
