@@ -6,6 +6,8 @@ from threading import Event, Thread
 from time import monotonic
 
 import pytest
+import zenoh
+from facility_process import until
 from live_bus import TIMEOUT_S, router
 
 from rpod_runtime import NoRouterError, QueryFailedError
@@ -97,7 +99,13 @@ def test_a_handler_that_takes_too_long_is_no_answer(bus):
 def test_a_request_that_is_none_is_refused_and_the_field_named(bus, payload, field):
     bus.node("server").serve("fault", FaultRequest, lambda _: Accepted())
     with open_client(bus.config) as session:
-        replies = list(session.get(KEYS.control("server", "fault"), payload=payload, timeout=2.0))
+        replies: list[zenoh.Reply] = []
+        until(  # a client that has just connected may not know the server yet
+            lambda: (
+                replies.extend(session.get(KEYS.control("server", "fault"), payload=payload, timeout=2.0))
+                or replies
+            )
+        )
     (reply,) = [
         ErrorReply.model_validate_json(reply.err.payload.to_bytes()) for reply in replies if reply.err
     ]
