@@ -69,7 +69,8 @@ class Turns:
         exact = Rotation.concatenate(
             [Rotation.identity(1), *(turn.rotation for turn in target.turns(exact=True))]
         )
-        declared = _told_apart([turn.rotation for turn in target.turns()] or list(HALF_TURNS), exact)
+        declared = _told_apart([turn.rotation for turn in target.turns()], exact)
+        declared = declared or _told_apart(list(HALF_TURNS), exact)
         every = _told_apart([*declared, *Rotation.create_group("O")], exact)
         matrices = np.array([turn.as_matrix() for turn in every]).reshape(-1, 3, 3)
         return cls(matrices, len(declared), exact.as_matrix())
