@@ -242,7 +242,8 @@ def test_a_target_that_the_field_of_view_cuts_off_is_found():
 
 
 def test_the_turns_that_a_target_may_be_mistaken_by_are_distinct():
-    for target, exact, declared in [(BULKY, 1, 3), ("mockup", 1, 5), ("rocket-stage", 8, 0)]:
+    # of the stage, half turns across its axis are all one by its exact symmetry
+    for target, exact, declared in [(BULKY, 1, 3), ("mockup", 1, 5), ("rocket-stage", 8, 1)]:
         turns = Turns.of(load(target))
         assert len(turns.exact) == exact
         assert turns.declared == declared
