@@ -62,6 +62,9 @@ class ProjectiveIcpConfig(Config):
     """Returns that the first steps work on."""
     draw_in_steps: Annotated[int, Field(ge=0)] = 5
     """Steps in the distance field, on ``points`` returns."""
+    near_share: Share = 0.95
+    """A prediction that explains this share of a scan is not drawn in: those steps let the target slide along
+    what its faces leave open."""
     settle_steps: Count = 3
     """Steps to the faces, on all returns."""
     widest_m: Positive = 1.0

@@ -54,7 +54,7 @@ class ProjectiveIcp:
             return _failed(f"{seen.returns} returns, {self._config.min_points} needed")
         matrix = T_sensor_target.as_matrix()
         R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()
-        if len(self._far):
+        if self.model.fit(seen, R, t).explained_share < self._config.near_share:
             R, t = draw_in(seen.thinned(self._config.points), R, t, self.surface.coarse_field, self._far)
         return self.finish(seen, R, t)
 
