@@ -19,6 +19,8 @@ FEWEST = 3
 """Fewer returns on faces determine no step."""
 REACH_M, REACH_RAD = 0.5, 0.1
 """Standard deviation of a step that no return asks for: what they do not determine stays where it is."""
+ALONE = 0.75
+"""Leverage beyond which a return alone determines a motion: it may be on the wrong face."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -86,6 +88,28 @@ def held(information, gradient, variance):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def shared(information, claims):  # type: ignore[no-untyped-def]
+    """Return the information without that of returns whose leverage is beyond ``ALONE``.
+
+    Args:
+        information: of all returns, shape (6, 6).
+        claims: gradient and weight of each return, shape (N, 7).
+    """
+    covariance = np.linalg.inv(information + 1e-3 * np.eye(6))
+    kept = information.copy()
+    for claim in claims:
+        leverage = 0.0
+        for i in range(6):
+            for j in range(6):
+                leverage += claim[i] * covariance[i, j] * claim[j]
+        if claim[6] * leverage > ALONE:
+            for i in range(6):
+                for j in range(6):
+                    kept[i, j] -= claim[6] * claim[i] * claim[j]
+    return kept
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def draw_in(points, R, t, field, scales):  # type: ignore[no-untyped-def]
     """Return R and t after one step in the distance field for each Geman-McClure scale, m.
 
@@ -139,8 +163,9 @@ def settle(points, rays, R, t, grid, faces, field, noise, scales, range_m, owner
         range_m: buffer, shape (rows, columns).
         owner: buffer, shape (rows, columns).
 
-    The information is what the faces tell in the last step, in units of one over its weights' sigmas; the
-    squares, m2, and the number of inliers are those within the last scale.
+    The information is what the faces tell in the last step, in units of one over its weights' sigmas, of
+    what more than one return tells; the squares, m2, and the number of inliers are those within the last
+    scale.
     """
     triangles, normals, offsets, _ = faces
     origin, spacing, values = field
@@ -148,10 +173,12 @@ def settle(points, rays, R, t, grid, faces, field, noise, scales, range_m, owner
     per_m = 1.0 / spacing
     flat = owner.reshape(-1)
     information, squares, inliers = np.zeros((6, 6)), 0.0, 0
+    claims = np.empty((points.shape[0], 7))
     for scale in scales:
         cast_pose(grid, triangles, R, t, True, range_m, owner)
         information, outline, gradient = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
         squares, inliers, c2 = 0.0, 0, scale * scale
+        claims[:, 6] = 0.0
         for n in range(points.shape[0]):
             px, py, pz = points[n, 0], points[n, 1], points[n, 2]
             x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
@@ -170,6 +197,7 @@ def settle(points, rays, R, t, grid, faces, field, noise, scales, range_m, owner
             along2 = e * e / max(cosine2, steepest, 1e-6)
             weight = (c2 / (c2 + along2)) ** 2 / (sigma * sigma * cosine2 + slack * slack)
             add_upper(information, gradient, (n0, n1, n2), (x, y, z), e, weight)
+            claims[n] = (n0, n1, n2, y * n2 - z * n1, z * n0 - x * n2, x * n1 - y * n0, weight)
             if along2 < c2:
                 inliers += 1
                 squares += e * e
@@ -180,4 +208,4 @@ def settle(points, rays, R, t, grid, faces, field, noise, scales, range_m, owner
         step = held(information + outline, gradient, 1.0)
         t = t + R @ step[:3]
         R = turned(R, step[3:])
-    return R, t, information, squares, inliers
+    return R, t, shared(information, claims), squares, inliers

@@ -77,12 +77,13 @@ class ScanModel:
         self, config: ScanModelConfig, verdict: ScanVerdictConfig, view: ScanView, surface: SurfaceModel
     ) -> None:
         self._view, self._faces, self._verdict = view, surface.faces, verdict
-        self.detection, self._noise = detection_table(config), _noise(config)
-        self._pessimistic = detection_table(verdict.pessimistic), _noise(verdict.pessimistic)
+        self.detection = detection_table(config)
+        self._chances, self._noise = _chances(config), _noise(config)
+        self._pessimistic = _chances(verdict.pessimistic), _noise(verdict.pessimistic)
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
-        return self._fit(seen, R, t, self.detection, self._noise)
+        return self._fit(seen, R, t, self._chances, self._noise)
 
     def doubt(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> str:
         """Return why a pose does not explain a scan, whose fit is known; empty if it does."""
@@ -109,7 +110,7 @@ class ScanModel:
         seen: SeenScan,
         R: FloatArray,
         t: FloatArray,
-        detection: tuple[float, FloatArray],
+        chances: tuple[float, FloatArray],
         noise: tuple[float, ...],
     ) -> ScanFit:
         hits = self._view.hits
@@ -119,7 +120,7 @@ class ScanModel:
             t,
             self._view.grid.arrays,
             self._faces,
-            detection,
+            chances,
             noise,
             hits.range_m,
             hits.triangle,
@@ -152,7 +153,7 @@ class ScanModel:
             t,
             self._view.grid.block(rows, columns),
             self._faces,
-            self.detection,
+            self._chances,
             self._noise,
             covariance,
             _DRAWS,
@@ -191,8 +192,15 @@ def detection_table(config: ScanModelConfig) -> tuple[float, FloatArray]:
     return config.snr_m2 / (_TABLE[1] - _TABLE[0]), np.minimum(probability, config.surest_detection)
 
 
+def _chances(config: ScanModelConfig) -> tuple[float, FloatArray]:
+    """Return ``detection_table`` with clutter in the way, and its table's logarithms: of p and of 1 - p."""
+    steps, table = detection_table(config)
+    p = (1.0 - config.clutter_share) * table
+    return steps, np.stack((p, np.log(p + 1e-9), np.log(1.0 - p)))
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def likelihood(measured, R, t, grid, faces, detection, noise, range_m, owner):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def likelihood(measured, R, t, grid, faces, chances, noise, range_m, owner):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return actual, expected, variance, agreeing, contrary, missed and expected missed (``ScanFit``).
 
     Args:
@@ -201,13 +209,13 @@ def likelihood(measured, R, t, grid, faces, detection, noise, range_m, owner):  
         t: of the target in the sensor, shape (3,), m.
         grid: ``RayGrid.arrays``.
         faces: ``SurfaceModel.faces``.
-        detection: ``detection_table``.
+        chances: ``_chances``.
         noise: sigma, slack, outlier share, clutter share, clutter density a metre.
         range_m: buffer for the predicted ranges, shape (rows, columns).
         owner: buffer for the predicted faces, shape (rows, columns).
     """
     triangles, normals, _, reflectivity = faces
-    steps, table = detection
+    steps, table = chances
     sigma, slack, outliers, clutter, density = noise
     rays = grid[0]
     cast_pose(grid, triangles, R, t, True, range_m, owner)
@@ -228,10 +236,11 @@ def likelihood(measured, R, t, grid, faces, detection, noise, range_m, owner):  
                 cosine -= normals[face, k] * (R[0, k] * dx + R[1, k] * dy + R[2, k] * dz)
             r = np.float64(range_m[i, j])
             echo = cosine * reflectivity[face] / (r * r)
-            p = (1.0 - clutter) * table[min(int(echo * steps), table.size - 1)]
+            rung = min(int(echo * steps), table.shape[1] - 1)
+            p, log_p, miss = table[0, rung], table[1, rung], table[2, rung]
             lateral = slack / max(cosine, STEEPEST)
             narrow = sigma * sigma + lateral * lateral
-            hit, miss = np.log(p + 1e-9) - 0.5 * np.log(2.0 * np.pi * narrow) - HIT_MEAN, np.log(1.0 - p)
+            hit = log_p - 0.5 * np.log(2.0 * np.pi * narrow) - HIT_MEAN
             expected += p * hit + (1.0 - p) * miss - log_clear
             variance += p * (1.0 - p) * (hit - miss) ** 2 + HIT_VARIANCE * p
             expected_missed += 1.0 - p
@@ -253,11 +262,11 @@ def likelihood(measured, R, t, grid, faces, detection, noise, range_m, owner):  
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def likeliest(  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    measured, R, t, grid, faces, detection, noise, covariance, draws, range_m, owner
+    measured, R, t, grid, faces, chances, noise, covariance, draws, range_m, owner
 ):
     """Return ``ScanModel.sharpen``; draws are standard normal, shape (rounds, samples, 6)."""
     best_R, best_t, spread = R, t, covariance.copy()
-    best = likelihood(measured, R, t, grid, faces, detection, noise, range_m, owner)[0]
+    best = likelihood(measured, R, t, grid, faces, chances, noise, range_m, owner)[0]
     steps, scores = np.empty(draws.shape[1:]), np.empty(draws.shape[1])
     for number in range(draws.shape[0]):
         root = np.linalg.cholesky(spread + 1e-12 * np.eye(6))
@@ -265,7 +274,7 @@ def likeliest(  # type: ignore[no-untyped-def]  # noqa: PLR0917
         for n in range(draws.shape[1]):
             steps[n] = root @ draws[number, n]
             moved_t, moved_R = centre_t + centre_R @ steps[n, :3], turned(centre_R, steps[n, 3:])
-            sums = likelihood(measured, moved_R, moved_t, grid, faces, detection, noise, range_m, owner)
+            sums = likelihood(measured, moved_R, moved_t, grid, faces, chances, noise, range_m, owner)
             scores[n] = sums[0]
             if scores[n] > best:
                 best, best_R, best_t = scores[n], moved_R, moved_t

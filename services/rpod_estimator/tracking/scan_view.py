@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
@@ -86,12 +87,9 @@ class ScanView:
 
     def seen(self, scan: LidarScan) -> SeenScan:
         """Return a scan's returns, sorted into rows and columns where they are not organised so."""
-        points_m = scan.points_m.reshape(-1, 3).astype(np.float64)
-        range_m = np.sqrt((points_m**2).sum(axis=1))
-        returned = (range_m > NEAREST_M) & (range_m < FARTHEST_M)  # NaN is neither
-        points_m, range_m = points_m[returned], range_m[returned]
+        points_m, places, range_m = returns_of(scan.points_m.reshape(-1, 3))
         organised = scan.points_m.shape[:-1] == self.shape
-        rays = np.flatnonzero(returned) if organised else self._nearest_rays(points_m, range_m)
+        rays = places if organised else self._nearest_rays(points_m, range_m)
         image = np.zeros(self.shape)
         within = rays >= 0
         image.flat[rays[within]] = range_m[within]
@@ -101,6 +99,20 @@ class ScanView:
         column, beside = _nearest(self.azimuth_rad, np.arctan2(points_m[:, 0], points_m[:, 2]))
         row, above = _nearest(self.elevation_rad, np.arcsin(points_m[:, 1] / np.maximum(range_m, 1e-9)))
         return np.where(beside | above, -1, row * self.azimuth_rad.size + column)
+
+
+@njit(cache=True, nogil=True)
+def returns_of(points):  # type: ignore[no-untyped-def]
+    """Return the points at a believable range, shape (N, 3), their places in the list and their ranges."""
+    places, range_m = np.empty(len(points), np.int64), np.empty(len(points))
+    count = 0
+    for n in range(len(points)):
+        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
+        r = np.sqrt(x * x + y * y + z * z)
+        if NEAREST_M < r < FARTHEST_M:  # NaN is not
+            places[count], range_m[count] = n, r
+            count += 1
+    return points[places[:count]].astype(np.float64), places[:count], range_m[:count]
 
 
 def spacing_rad(angles_rad: FloatArray) -> float:
