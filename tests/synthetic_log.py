@@ -27,6 +27,7 @@ from rpod_schemas.messages import (
     write_diagnostics,
     write_image,
     write_odometry,
+    write_pmd_info,
     write_points,
     write_pose_stamped,
     write_status,
@@ -42,6 +43,7 @@ from rpod_schemas.topics import (
     DIAGNOSTICS,
     ESTIMATE,
     ESTIMATE_POSE,
+    PMD_INFO,
     POINTS,
     STATUS,
     TARGET,
@@ -51,7 +53,16 @@ from rpod_schemas.topics import (
     Topic,
     optical_frame,
 )
-from rpod_schemas.types import Camera, Diagnostic, EstimatorStatus, Health, Mode, Odometry, Source
+from rpod_schemas.types import (
+    Camera,
+    Diagnostic,
+    EstimatorStatus,
+    Health,
+    Mode,
+    Odometry,
+    PmdInfo,
+    Source,
+)
 from rpod_sim_sensor.geometry import RayGrid, cast
 
 EPOCH_NS = 1_767_225_600_000_000_000
@@ -138,6 +149,8 @@ class SyntheticRun:
     kind: Literal["pmd", "lidar"] = "pmd"
     name: str = "pmd"
     camera: Camera = TINY_CAMERA
+    info: PmdInfo | None = None
+    """What the camera says of itself."""
     target: str | None = None
     """Whose wireframe is drawn; its surface is seen where ``render`` is set."""
     render: Callable[[RigidTransform, int], tuple[Any, Any]] | None = None
@@ -179,6 +192,8 @@ class _LogWriter:
     def write(self) -> None:
         self.writer.start(profile=PROFILE, library="synthetic")
         self.put(TF_STATIC, EPOCH_NS, write_transforms(EPOCH_NS, [(CHASER, self.frame_id, T_CHASER_SENSOR)]))
+        if self.run.info is not None:
+            self.put(PMD_INFO.of(self.run.name), EPOCH_NS, write_pmd_info(EPOCH_NS, "", self.run.info))
         events: list[tuple[float, int, Callable[[], None]]] = []
         steps = round(self.run.duration_s * self.run.truth_rate_hz) + 3
         for k in range(-2, steps):

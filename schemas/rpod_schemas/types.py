@@ -65,6 +65,22 @@ class Camera(Model):
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
 
+class PmdInfo(Model):
+    """What a PMD camera says of itself beside its images (PmdInfo.msg)."""
+
+    modulation_frequency_hz: VectorN
+    """In the order of the phase images; empty where the camera does not tell."""
+    integration_time_s: Annotated[float, Field(gt=0)]
+    electrons_per_count: Annotated[float, Field(gt=0)]
+    saturation_count: Annotated[float, Field(gt=0)]
+
+    @model_validator(mode="after")
+    def _frequencies_are_positive(self) -> Self:
+        if (self.modulation_frequency_hz <= 0.0).any():
+            raise ValueError("modulation_frequency_hz needs positive values")
+        return self
+
+
 class PmdFrame(Stamped):
     """One exposure of a PMD camera; ``frame_id`` is the optical frame."""
 
@@ -73,6 +89,8 @@ class PmdFrame(Stamped):
     amplitude: Image | None
     """Received amplitude, shape (height, width), uint8, uint16 or float32; None where not sent."""
     camera: Camera
+    info: PmdInfo | None = None
+    """What the camera says of itself; None where it does not."""
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Self:
@@ -115,16 +133,6 @@ class LidarScan(Stamped):
         """The points that are returns, shape (N, 3): finite, and not the origin, which many send for none."""
         points = self.points_m.reshape(-1, 3)
         return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
-
-
-class PmdInfo(Model):
-    """What a PMD camera says of itself beside its images (PmdInfo.msg)."""
-
-    modulation_frequency_hz: VectorN
-    """In the order of the phase images."""
-    integration_time_s: Annotated[float, Field(gt=0)]
-    electrons_per_count: Annotated[float, Field(gt=0)]
-    saturation_count: Annotated[float, Field(gt=0)]
 
 
 class LidarInfo(Model):

@@ -184,6 +184,24 @@ def report(
 
 
 @app.command()
+def calibrate(
+    logs: Annotated[list[Path], typer.Argument(help="MCAP files with a PMD camera's frames and the truth.")],
+    camera: Annotated[str, typer.Option("--camera", help="Name of the camera.")] = "pmd",
+    check: Annotated[
+        Path | None, typer.Option("--check", help="Fit nothing: how this calibration does on the logs.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="File to write; <camera>-calibration.yaml where left out.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+) -> None:
+    """Offset and wiggling of a PMD camera's distances, for the estimator."""
+    from rpod.command_calibrate import calibrate_command
+
+    raise typer.Exit(calibrate_command(logs, camera=camera, check=check, out=out, as_json=as_json))
+
+
+@app.command()
 def campaign(
     name: Annotated[
         str, typer.Argument(help="lidar-acquisition, -trajectory, -verdict, -tracking, -robustness, -range.")

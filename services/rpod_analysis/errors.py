@@ -47,3 +47,7 @@ class FramesDifferError(AnalysisError):
 
     def __init__(self, path: Path, truth: str, estimate: str) -> None:
         super().__init__(f"{path}: the truth is in frame {truth!r}, the estimate in {estimate!r}")
+
+
+class CalibrationError(AnalysisError):
+    """The logs do not tell a camera's distance errors."""

@@ -10,9 +10,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_analysis.log import Log, Logged
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.messages import read_amplitude, read_camera, read_depth, read_points, read_stamp
-from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, CHASER, DEPTH, POINTS
-from rpod_schemas.types import LidarScan, PmdFrame
+from rpod_schemas.messages import (
+    read_amplitude,
+    read_camera,
+    read_depth,
+    read_pmd_info,
+    read_points,
+    read_stamp,
+)
+from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, CHASER, DEPTH, PMD_INFO, POINTS
+from rpod_schemas.types import LidarScan, PmdFrame, PmdInfo
 
 _MOST_PENDING = 8
 """Incomplete frames kept while their parts are awaited."""
@@ -65,6 +72,15 @@ def _configured_mount(configuration: dict[str, dict[str, Any]], sensor: str) -> 
     return None
 
 
+def pmd_info(log: Log, sensor: str) -> PmdInfo | None:
+    """Return what a PMD camera said of itself last; None where it did not, or nothing that can be read."""
+    info: PmdInfo | None = None
+    for logged in log.messages(PMD_INFO.of(sensor)):
+        with suppress(MessageRejectedError):
+            info = read_pmd_info(logged.decode())
+    return info
+
+
 def pmd_frames(
     log: Log, sensor: str, *, start_ns: int | None = None, end_ns: int | None = None
 ) -> Iterator[PmdFrame]:
@@ -73,6 +89,7 @@ def pmd_frames(
     Depth and camera_info are required, the amplitude is optional. Frames that are incomplete, or that an
     estimator would refuse (no finite depth), are left out.
     """
+    info = pmd_info(log, sensor)
     topics = [topic.of(sensor) for topic in (DEPTH, CAMERA_INFO, AMPLITUDE)]
     wanted = {topic.name for topic in topics if topic.name in log.topics}
     pending: dict[int, dict[str, Any]] = {}
@@ -82,14 +99,16 @@ def pmd_frames(
         parts = pending.setdefault(stamp_ns, {})
         parts[logged.topic] = message
         if parts.keys() == wanted:
-            yield from _complete(sensor, pending, up_to_ns=stamp_ns)
+            yield from _complete(sensor, pending, info, up_to_ns=stamp_ns)
         elif len(pending) > _MOST_PENDING:
-            yield from _complete(sensor, pending, up_to_ns=min(pending))
+            yield from _complete(sensor, pending, info, up_to_ns=min(pending))
     if pending:
-        yield from _complete(sensor, pending, up_to_ns=max(pending))
+        yield from _complete(sensor, pending, info, up_to_ns=max(pending))
 
 
-def _complete(sensor: str, pending: dict[int, dict[str, Any]], *, up_to_ns: int) -> Iterator[PmdFrame]:
+def _complete(
+    sensor: str, pending: dict[int, dict[str, Any]], info: PmdInfo | None, *, up_to_ns: int
+) -> Iterator[PmdFrame]:
     depth, camera, amplitude = (topic.of(sensor).name for topic in (DEPTH, CAMERA_INFO, AMPLITUDE))
     for stamp_ns in sorted(stamp for stamp in pending if stamp <= up_to_ns):
         parts = pending.pop(stamp_ns)
@@ -102,6 +121,7 @@ def _complete(sensor: str, pending: dict[int, dict[str, Any]], *, up_to_ns: int)
                 depth_m=read_depth(parts[depth]),
                 amplitude=read_amplitude(parts[amplitude]) if amplitude in parts else None,
                 camera=read_camera(parts[camera]),
+                info=info,
             )
 
 

@@ -9,7 +9,7 @@ from rpod_estimator.assembler import Assembled
 from rpod_runtime import Received
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import build, read_amplitude, read_camera, read_depth, read_points
-from rpod_schemas.types import Float32Array, LidarScan, PmdFrame
+from rpod_schemas.types import Float32Array, LidarScan, PmdFrame, PmdInfo
 
 ReadT = TypeVar("ReadT")
 
@@ -22,8 +22,8 @@ class PartRejectedError(MessageRejectedError):
         self.topic = received.topic.name
 
 
-def read_frame(frame: Assembled[Received]) -> PmdFrame:
-    """Read a camera's frame. Raises ``PartRejectedError``."""
+def read_frame(frame: Assembled[Received], info: PmdInfo | None = None) -> PmdFrame:
+    """Read a camera's frame, with what the camera says of itself. Raises ``PartRejectedError``."""
     depth, amplitude = frame.parts["depth"], frame.parts.get("amplitude")
     camera = _read(frame.parts["camera_info"], read_camera)
     size = (camera.height, camera.width)
@@ -38,6 +38,7 @@ def read_frame(frame: Assembled[Received]) -> PmdFrame:
         if amplitude
         else None,
         camera=camera,
+        info=info,
     )
 
 

@@ -19,9 +19,18 @@ from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, SensorInput
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages import NANOSECONDS, read_lidar_info, read_transforms
-from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, LIDAR_INFO, POINTS, TF_STATIC, Topic
-from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame
+from rpod_schemas.messages import NANOSECONDS, read_lidar_info, read_pmd_info, read_transforms
+from rpod_schemas.topics import (
+    AMPLITUDE,
+    CAMERA_INFO,
+    DEPTH,
+    LIDAR_INFO,
+    PMD_INFO,
+    POINTS,
+    TF_STATIC,
+    Topic,
+)
+from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo
 
 _LIDAR_PARTS = {"points": POINTS}
 _CAMERA_PARTS = {"depth": DEPTH, "camera_info": CAMERA_INFO, "amplitude": AMPLITUDE}
@@ -60,15 +69,17 @@ class Inputs:
         self._refused: deque[Arrived] = deque()
         self.patterns: dict[str, ScanPattern] = {}
         """Scan patterns of the LIDARs, from their latched info."""
+        self.infos: dict[str, PmdInfo] = {}
+        """What the cameras say of themselves; every frame carries it."""
         node.subscribe(TF_STATIC, self._latched.put)
         for sensor in config.sensors:
             self._subscribe(sensor)
 
     def _subscribe(self, sensor: SensorInput) -> None:
-        topics = _CAMERA_PARTS
+        topics, info = _CAMERA_PARTS, PMD_INFO
         if isinstance(sensor, LidarInput):
-            topics = _LIDAR_PARTS
-            self._node.subscribe(LIDAR_INFO.of(sensor.name), self._latched.put)
+            topics, info = _LIDAR_PARTS, LIDAR_INFO
+        self._node.subscribe(info.of(sensor.name), self._latched.put)
         names = frozenset(topics)
         self._assemblers[sensor.name] = Assembler(names - _OPTIONAL, names & _OPTIONAL)
         for part, topic in topics.items():
@@ -115,6 +126,8 @@ class Inputs:
                 self._extrinsics.set(parent, child, pose)
         elif topic.name in self._parts:
             self._take_part(received)
+        elif topic.type == PMD_INFO.type:
+            self.infos[_sensor_of(topic)] = read_pmd_info(received.decode())
         else:
             self._take_info(_sensor_of(topic), read_lidar_info(received.decode()))
 
@@ -173,7 +186,7 @@ class Inputs:
         leading = next(part for name, part in frame.parts.items() if name in _LEADING)
         data: PmdFrame | LidarScan
         if "depth" in frame.parts:
-            data = read_frame(frame)
+            data = read_frame(frame, self.infos.get(sensor))
         else:
             pattern = self.patterns.get(sensor)
             data = read_scan(frame, rows_are_elevation=pattern is None or pattern.rows_are_elevation)

@@ -9,6 +9,7 @@ from rpod_estimator.acquisition.global_search import GlobalSearch
 from rpod_estimator.acquisition.template_matching import OnlineTemplateMatching
 from rpod_estimator.acquisition.verified_search import VerifiedSearch
 from rpod_estimator.acquisition.view_search import ViewSearch
+from rpod_estimator.depth_preparation import DepthPreparation, PreparedAcquirer, PreparedTracker
 from rpod_estimator.ports import Acquirer, Methods, Tracker
 from rpod_estimator.tracking.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_estimator.tracking.icp_reverse_calibration import ReverseCalibrationIcp
@@ -52,8 +53,11 @@ def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
         tracker = ReverseCalibrationIcp(sensor.tracking, target)
     else:
         tracker = SignedDistanceTracker(sensor.tracking, target)
-    search = ViewSearch(sensor.acquisition, target)
-    return Methods(VerifiedSearch(search, tracker, sensor.verification), tracker, sensor.verification)
+    acquirer = VerifiedSearch(ViewSearch(sensor.acquisition, target), tracker, sensor.verification)
+    preparation = DepthPreparation(sensor, target)
+    return Methods(
+        PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation), sensor.verification
+    )
 
 
 def lidar_methods(sensor: LidarInput, target: Target, pattern: ScanPattern) -> Methods:

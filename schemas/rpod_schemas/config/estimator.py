@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from rpod_schemas.arrays import VectorN
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
+from rpod_schemas.config.depth_calibration import CalibrationSource
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
@@ -17,6 +18,7 @@ from rpod_schemas.config.pmd_methods import (
 from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
 from rpod_schemas.config.verification import VerificationConfig
 from rpod_schemas.poses import Pose
+from rpod_schemas.types import Camera
 
 LidarAcquisitionConfig = Annotated[GlobalSearchConfig | TemplateMatchingConfig, Field(discriminator="kind")]
 """How a LIDAR's target is found, told by ``kind``."""
@@ -68,6 +70,15 @@ class PmdInput(Config):
     """Of the sensor: the first part of its topics."""
     T_chaser_sensor: Pose | None = None
     """Mount, where tf_static does not tell."""
+    camera: Camera | None = None
+    """Size and intrinsics that the frames must have; left out, camera_info is believed whatever it says."""
+    modulation_frequency_hz: tuple[Positive, ...] = ()
+    """Of the camera, where its latched info does not tell; a camera with several unwraps by itself."""
+    calibration: CalibrationSource | None = None
+    """Error of the distances, taken off every frame: inline, or the file that ``rpod calibrate`` wrote."""
+    unwrapping: Literal["predicted", "none"] = "predicted"
+    """Whether depth is moved by whole unambiguous ranges to where the target is predicted, where the camera
+    measures with one frequency and it is known; without a prediction the first two multiples are tried."""
     acquisition: PmdAcquisitionConfig = Field(default_factory=PmdAcquisitionConfig)
     """Without a prior pose."""
     tracking: PmdTrackingConfig = Field(default_factory=IcpReverseCalibrationConfig)

@@ -15,12 +15,13 @@ from rpod_schemas.messages import (
     write_clock,
     write_image,
     write_lidar_info,
+    write_pmd_info,
     write_points,
     write_transforms,
 )
 from rpod_schemas.poses import make_pose
-from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, LIDAR_INFO, POINTS, TF_STATIC
-from rpod_schemas.types import Camera, LidarInfo
+from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, LIDAR_INFO, PMD_INFO, POINTS, TF_STATIC
+from rpod_schemas.types import Camera, LidarInfo, PmdInfo
 from rpod_schemas.wire import Attachment
 
 SECOND_NS = 1_000_000_000
@@ -462,3 +463,32 @@ def test_a_pattern_that_is_not_finite_is_counted():
     assert bench.arrived() == []
     assert bench.node.refused == [("lidar/info", "not_finite")]
     assert bench.inputs.patterns == {}
+
+
+# --- the camera's own account of itself ---
+
+PMD = PmdInfo(
+    modulation_frequency_hz=np.array([20.013e6]),
+    integration_time_s=0.016,
+    electrons_per_count=40.0,
+    saturation_count=3750.0,
+)
+
+
+def test_a_frame_carries_what_its_camera_says_of_itself():
+    bench = Bench()
+    bench.send_frame(NOW_NS - 1)
+    assert bench.arrived()[0].measurement.data.info is None
+    bench.send(PMD_INFO.of("pmd"), write_pmd_info(0, "pmd_optical", PMD))
+    bench.send_frame(NOW_NS)
+    assert bench.arrived()[0].measurement.data.info.modulation_frequency_hz == [20.013e6]
+
+
+def test_a_camera_without_a_positive_frequency_is_not_believed():
+    bench = Bench()
+    message = write_pmd_info(0, "pmd_optical", PMD)
+    message.modulation_frequency_hz = np.array([0.0])
+    bench.send(PMD_INFO.of("pmd"), message)
+    assert bench.arrived() == []
+    assert bench.node.refused == [("pmd/info", "malformed")]
+    assert bench.inputs.infos == {}
