@@ -204,7 +204,11 @@ def calibrate(
 @app.command()
 def campaign(
     name: Annotated[
-        str, typer.Argument(help="lidar-acquisition, -trajectory, -verdict, -tracking, -robustness, -range.")
+        str,
+        typer.Argument(
+            help="lidar-acquisition, -trajectory, -verdict, -tracking, -robustness, -range; "
+            "pmd-tracking, -sun, -robustness, -acquisition."
+        ),
     ],
     trials: Annotated[int | None, typer.Option("--trials", help="Of each cell.")] = None,
     ranges: Annotated[str | None, typer.Option("--ranges", help="In m, for example 20,50.")] = None,
@@ -229,6 +233,19 @@ def campaign(
     matcher: Annotated[
         str | None, typer.Option("--matcher", help="ICP after template matching, with commas.")
     ] = None,
+    scenario: Annotated[
+        str | None, typer.Option("--scenario", help="Of the camera, with commas: oblique,tumbling,approach.")
+    ] = None,
+    radius: Annotated[
+        str | None, typer.Option("--radius", help="Of the paper's neighbour search, px: 10,25,50.")
+    ] = None,
+    frames: Annotated[
+        str | None, typer.Option("--frames", help="Of a sequence: keyframes (one a second), full or both.")
+    ] = None,
+    through: Annotated[
+        str | None, typer.Option("--through", help="First guess of a frame by: tracker, navigator or both.")
+    ] = None,
+    case: Annotated[str | None, typer.Option("--case", help="Of pmd campaigns, with commas.")] = None,
     out: Annotated[Path, typer.Option("--out", help="Where the campaign's folder is made.")] = Path(
         "campaigns"
     ),
@@ -250,6 +267,11 @@ def campaign(
         "sampling": sampling,
         "centroid": centroid,
         "matcher": matcher,
+        "scenario": scenario,
+        "radius": radius,
+        "frames": frames,
+        "through": through,
+        "case": case,
     }
     raise typer.Exit(campaign_command(name, options=options, jobs=jobs, out=out, as_json=as_json))
 

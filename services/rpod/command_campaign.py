@@ -25,6 +25,7 @@ from rich.table import Table as RichTable
 
 from rpod import __version__
 from rpod.command_run import EXIT_INTERRUPTED
+from rpod.scenarios import find, shipped
 from rpod_analysis import AnalysisError
 from rpod_analysis.campaign import AnyCampaign, Options, Prepared, Section, prepare, run_campaign
 from rpod_analysis.campaign.catalogue import CAMPAIGNS
@@ -38,7 +39,7 @@ from rpod_target import TargetError
 _PLAIN_PERIOD_S, _PLAIN_WIDTH = 10.0, 200
 _SPEED_PERIOD_S = 600.0
 """Over which the time left is estimated: trials of one cell may take a hundred times those of another."""
-_LISTS = ("ranges", "steps", "scan_steps", "method", "target", "matcher")
+_LISTS = ("ranges", "steps", "scan_steps", "method", "target", "matcher", "scenario", "radius", "case")
 
 
 def campaign_command(
@@ -93,6 +94,7 @@ def _options(given: dict[str, Any]) -> Options:
     for name in _LISTS:
         if name in document:
             document[name] = tuple(part.strip() for part in document[name].split(","))
+    document["scenarios"] = {scenario: find(scenario) for scenario in shipped()}
     try:
         return check(Options, document, source="")
     except ConfigurationError as error:

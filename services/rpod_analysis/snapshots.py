@@ -93,7 +93,7 @@ def _snapshot(
     ]
     outline = np.concatenate([segments.reshape(-1, 2) for segments in drawn])
     if isinstance(frame, PmdFrame):
-        pictures = _camera_pictures(frame, outline)
+        pictures = camera_pictures(frame, outline)
     else:
         pictures = _lidar_pictures(frame, outline)
     return Snapshot(
@@ -135,7 +135,8 @@ def _note(run: Run, stamp_ns: int) -> str:
     return f"{np.rad2deg(run.errors.angle_rad[index]):.2f}°, {100 * run.errors.distance_m[index]:.1f} cm"
 
 
-def _camera_pictures(frame: PmdFrame, outline: FloatArray) -> tuple[Picture, ...]:
+def camera_pictures(frame: PmdFrame, outline: FloatArray) -> tuple[Picture, ...]:
+    """Return depth and, where it is sent, amplitude, with the window on an outline, pixels, shape (N, 2)."""
     size = frame.camera.width, frame.camera.height
     rows, columns = np.nonzero(np.isfinite(frame.depth_m))
     view = _view(outline if len(outline) else np.column_stack([columns, rows]).astype(np.float64), size)

@@ -10,7 +10,7 @@ import yaml
 from rpod.facility import configure
 from rpod.scenarios import find, shipped
 
-SCENARIOS = {"mockup-tumbling", "mockup-oblique", "envisat-station", "envisat-mesh"}
+SCENARIOS = {"mockup-tumbling", "mockup-oblique", "mockup-approach", "envisat-station", "envisat-mesh"}
 VERBS = {"run", "router", "motion", "emulator", "estimator", "logger", "scenarios", "report"}
 
 

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from rpod_analysis.campaign.words import NONE
 from rpod_schemas.config.base import Config, Positive
+from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
 
 CellT = TypeVar("CellT")
@@ -41,6 +42,18 @@ class Options(Config):
     """Template matching's position: the scan's centroid, or corrected by the template's own offset."""
     matcher: Choices | None = None
     """How the ICP after template matching pairs points."""
+    scenario: Choices | None = None
+    """Names of scenarios."""
+    scenarios: dict[str, Scenario] = Field(default_factory=dict)
+    """Those that there are, by name: they ship a layer above, and come with the command."""
+    radius: Annotated[tuple[Annotated[int, Field(gt=0)], ...], Field(min_length=1)] | None = None
+    """Of the neighbour search of ICP with reverse calibration, pixels."""
+    frames: Literal["keyframes", "full", "both"] | None = None
+    """Of a sequence: one a second, or as fast as the camera is."""
+    through: Literal["tracker", "navigator", "both"] | None = None
+    """Where a frame's first guess comes from: the last estimate, or the navigator's prediction."""
+    case: Choices | None = None
+    """Names of a campaign's cases."""
 
     def both(self, name: str, default: str = "both") -> tuple[str, ...]:
         """Return the readings that an option with ``both`` stands for."""
@@ -48,6 +61,8 @@ class Options(Config):
             "eq4": ("usual", "printed"),
             "sampling": ("euler", "so3"),
             "centroid": ("plain", "offset"),
+            "frames": ("keyframes", "full"),
+            "through": ("tracker", "navigator"),
         }
         chosen = getattr(self, name) or default
         return readings[name] if chosen == "both" else (chosen,)
@@ -118,18 +133,20 @@ class Campaign(Generic[CellT]):
     """Options that count here, besides trials and seed."""
     cells: Callable[[Options], Sequence[CellT]]
     """Raises ConfigurationError, which names the option."""
-    trial: Callable[[CellT, int, int], Row]
-    """Of a cell, a seed and a trial's number: a row with exactly the columns of ``schema``."""
+    trial: Callable[[CellT, int, int], Row | Sequence[Row]]
+    """Of a cell, a seed and a trial's number: a row with exactly the columns of ``schema``, or several."""
     schema: Mapping[str, Any]
     """Columns of a row and their polars types."""
     summarise: Callable[[CellT, pl.DataFrame], Row]
     sections: Callable[[Sequence[CellResult[CellT]]], Sequence[Section]]
     most_trials: int | None = field(default=None)
     """A campaign over a fixed sequence has no more."""
+    keys: tuple[str, ...] = ()
+    """Columns that tell the rows of one trial apart, where it has several."""
 
     def require(self, options: Options) -> None:
         """Raise ConfigurationError for an option that has no effect here."""
-        given = options.model_fields_set - {"trials", "seed"}
+        given = options.model_fields_set - {"trials", "seed", "scenarios"}
         for name in sorted(given - self.accepts):
             if getattr(options, name) is not None:
                 raise ConfigurationError(f"--{name.replace('_', '-')}", "", f"has no meaning for {self.name}")

@@ -7,6 +7,10 @@ from rpod_analysis.campaign import (
     lidar_tracking,
     lidar_trajectory,
     lidar_verdict,
+    pmd_acquisition,
+    pmd_robustness,
+    pmd_sun,
+    pmd_tracking,
 )
 from rpod_analysis.campaign.campaign import AnyCampaign
 
@@ -19,5 +23,9 @@ CAMPAIGNS: dict[str, AnyCampaign] = {
         lidar_tracking.CAMPAIGN,
         lidar_robustness.CAMPAIGN,
         lidar_range.CAMPAIGN,
+        pmd_tracking.CAMPAIGN,
+        pmd_sun.CAMPAIGN,
+        pmd_robustness.CAMPAIGN,
+        pmd_acquisition.CAMPAIGN,
     )
 }

@@ -36,15 +36,20 @@ class CampaignFolder:
     path: Path
     schema: Mapping[str, Any]
     """Of the rows, with cell and trial in front."""
+    keys: tuple[str, ...] = ()
+    """Columns that tell the rows of one trial apart."""
 
     @classmethod
-    def open(cls, out: Path, manifest: Mapping[str, Any], schema: Mapping[str, Any]) -> Self:
+    def open(
+        cls, out: Path, manifest: Mapping[str, Any], schema: Mapping[str, Any], *, keys: tuple[str, ...] = ()
+    ) -> Self:
         """Return the folder of a campaign under ``out``, made where there is none.
 
         Args:
             out: the folder of all campaigns.
             manifest: JSON of all that decides a trial; ``campaign`` is its name.
             schema: columns of a trial's row.
+            keys: those of them that tell the rows of one trial apart.
 
         Raises:
             ForeignFolderError: the folder is there, with another manifest.
@@ -52,7 +57,8 @@ class CampaignFolder:
         """
         text = json.dumps(manifest, indent=2, sort_keys=True) + "\n"
         digest = hashlib.sha256(text.encode()).hexdigest()[:10]
-        folder = cls(out / f"{manifest['campaign']}-{digest}", {CELL: pl.Int64, TRIAL: pl.Int64, **schema})
+        columns = {CELL: pl.Int64, TRIAL: pl.Int64, **schema}
+        folder = cls(out / f"{manifest['campaign']}-{digest}", columns, keys)
         folder.path.mkdir(parents=True, exist_ok=True)
         file = folder.path / _MANIFEST
         if not file.exists():
@@ -78,7 +84,8 @@ class CampaignFolder:
         files = [file for file in (self.trials_file, *self._parts()) if file.exists()]
         frames = [pl.read_parquet(file) for file in files]
         rows = pl.concat(frames) if frames else pl.DataFrame(schema=self.schema)
-        return rows.unique((CELL, TRIAL)).sort(CELL, TRIAL)
+        order = (CELL, TRIAL, *self.keys)
+        return rows.unique(order).sort(order)
 
     def add(self, rows: Sequence[Row]) -> None:
         """Keep a batch of rows; it appears whole or not at all."""

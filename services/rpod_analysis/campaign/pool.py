@@ -3,7 +3,7 @@
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -23,7 +23,7 @@ _ONE_THREAD = (
 _WAITING = 2
 """Trials in the queue for each process: enough to keep it busy, few to give up."""
 
-Trial = Callable[[Any, int, int], Row]
+Trial = Callable[[Any, int, int], Row | Sequence[Row]]
 Task = tuple[int, Any, int]
 """Index of a cell, the cell, number of a trial."""
 
@@ -40,8 +40,8 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_trials(trial: Trial, seed: int, tasks: Iterable[Task], *, jobs: int) -> Generator[Row]:
-    """Yield the rows of trials as they finish, with cell and trial in front.
+def run_trials(trial: Trial, seed: int, tasks: Iterable[Task], *, jobs: int) -> Generator[list[Row]]:
+    """Yield the rows of each trial as it finishes, with cell and trial in front.
 
     Whoever stops early, by an exception or by closing the generator, stops the processes at once.
 
@@ -57,7 +57,7 @@ def run_trials(trial: Trial, seed: int, tasks: Iterable[Task], *, jobs: int) -> 
     remaining = iter(tasks)
     with _processes(jobs) as executor:
 
-        def submitted(count: int) -> set[Future[Row]]:
+        def submitted(count: int) -> set[Future[list[Row]]]:
             return {executor.submit(_run, trial, seed, task) for task in islice(remaining, count)}
 
         try:
@@ -71,13 +71,15 @@ def run_trials(trial: Trial, seed: int, tasks: Iterable[Task], *, jobs: int) -> 
             raise WorkerDiedError from error
 
 
-def _failed(future: Future[Row]) -> bool:
+def _failed(future: Future[list[Row]]) -> bool:
     return future.exception() is not None
 
 
-def _run(trial: Trial, seed: int, task: Task) -> Row:
+def _run(trial: Trial, seed: int, task: Task) -> list[Row]:
     index, cell, number = task
-    return {"cell": index, "trial": number, **trial(cell, seed, number)}
+    made = trial(cell, seed, number)
+    rows = [made] if isinstance(made, Mapping) else made
+    return [{"cell": index, "trial": number, **row} for row in rows]
 
 
 @contextmanager

@@ -70,8 +70,8 @@ def prepare(campaign: AnyCampaign, options: Options, *, out: Path, version: str)
         "seed": options.seed,
         "cells": [cell_parameters(cell) for cell in cells],
     }
-    folder = CampaignFolder.open(out, manifest, campaign.schema)
-    there = folder.read().filter(pl.col(TRIAL) < trials).select(CELL, TRIAL).rows()
+    folder = CampaignFolder.open(out, manifest, campaign.schema, keys=campaign.keys)
+    there = folder.read().filter(pl.col(TRIAL) < trials).select(CELL, TRIAL).unique().rows()
     return Prepared(campaign, cells, trials, options.seed, folder, tuple(there))
 
 
@@ -82,10 +82,10 @@ def run_campaign(prepared: Prepared, *, jobs: int, told: Told = lambda _: None) 
     """
     folder, batch, kept_s = prepared.folder, list[Row](), -math.inf
     try:
-        with closing(_rows(prepared, jobs)) as rows:
-            for row in rows:
-                batch.append(row)
-                told(row[CELL])
+        with closing(_trials(prepared, jobs)) as trials:
+            for rows in trials:
+                batch += rows
+                told(rows[0][CELL])
                 if len(batch) >= _FLUSH_ROWS or time.monotonic() - kept_s > _FLUSH_S:
                     folder.add(batch)
                     batch, kept_s = [], time.monotonic()
@@ -100,12 +100,12 @@ def results(prepared: Prepared, rows: pl.DataFrame) -> list[CellResult[Any]]:
     campaign = prepared.campaign
     found = []
     for index, cell in enumerate(prepared.cells):
-        mine = counted.filter(pl.col(CELL) == index).sort(TRIAL)
+        mine = counted.filter(pl.col(CELL) == index).sort(TRIAL, *campaign.keys)
         found.append(CellResult(cell, mine, campaign.summarise(cell, mine)))
     return found
 
 
-def _rows(prepared: Prepared, jobs: int) -> Generator[Row]:
+def _trials(prepared: Prepared, jobs: int) -> Generator[list[Row]]:
     remaining = prepared.total - len(prepared.done)
     if remaining:
         jobs = min(jobs, remaining)

@@ -1,0 +1,43 @@
+"""Methods for the camera under trial, by the names of the command line."""
+
+from typing import Any
+
+from rpod_schemas.config.base import check
+from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.errors import ConfigurationError
+
+PAPER_ICP = "icp-reverse-calibration"
+_REVERSE_CALIBRATION: dict[str, dict[str, Any]] = {
+    PAPER_ICP: {"kind": "icp_reverse_calibration", "metric": "point_to_point"},
+    "icp-reverse-calibration-plane": {"kind": "icp_reverse_calibration"},
+}
+"""The 2018 paper's, point to point with equal weights; and the facility's, point to plane."""
+TRACKING: dict[str, dict[str, Any]] = {
+    **_REVERSE_CALIBRATION,
+    "epnp": {"kind": "epnp"},
+    "hybrid": {"kind": "hybrid"},
+    "signed-distance": {"kind": "signed_distance"},
+    "joint": {"kind": "joint"},
+}
+"""All methods and the fields of their tracking."""
+DEFAULT = "default"
+"""Whatever the facility's configuration has."""
+
+
+def has_radius(method: str) -> bool:
+    """Return whether a method searches for neighbours in a radius."""
+    return method in _REVERSE_CALIBRATION
+
+
+def pmd_input(method: str, *, radius_px: int | None = None, name: str = "pmd") -> PmdInput:
+    """Return the configuration of a method for the camera of a name.
+
+    Raises:
+        ConfigurationError: the method is not known.
+    """
+    if method == DEFAULT:
+        return PmdInput(name=name)
+    if method not in TRACKING:
+        raise ConfigurationError("--method", "", f"needs {', '.join(TRACKING)}, not {method!r}")
+    radius = {} if radius_px is None else {"radius_px": radius_px}
+    return check(PmdInput, {"name": name, "tracking": TRACKING[method] | radius}, source=f"--method {method}")
