@@ -7,8 +7,8 @@ is the true one but for noise.
 A distance is moved by whole unambiguous ranges c / 2f only where that brings it into the target's bounding
 sphere, so background, glints and what needs no unwrapping stay as they are. Where the target is comes from
 the prediction; without one, from the mean phase of the image, which leaves the multiple open. Then those
-multiples are searched, nearest first, at which what is seen is no larger than the target; a wrong one scales
-the image by a factor of two or more, which no pose of the target explains.
+multiples are searched, nearest first, at which what is seen is as large as the target can be: a wrong one
+scales what is seen by half or more, and no pose of the target explains that.
 """
 
 from collections.abc import Iterator
@@ -26,8 +26,8 @@ from rpod_schemas.types import Camera, Float32Array, PmdFrame, Source
 from rpod_sim_sensor.geometry import DistortionError, RayGrid
 from rpod_target import Target
 
-_MULTIPLES = (0, 1)
-"""Unambiguous ranges that are tried without a prediction: beyond the second there is no light left."""
+_FARTHEST_M = 15.0
+"""How far away the target is looked for without a prediction: beyond, too little light comes back."""
 _MARGIN_M = 0.5
 """Around the target's sphere, for what a prediction may be off."""
 _LEAST_CONCENTRATION = 0.3
@@ -35,6 +35,8 @@ _LEAST_CONCENTRATION = 0.3
 _SPREAD = (0.1, 0.75)
 """RMS spread of a target's image across the line of sight over its radius: less is too small to be it, more
 than it can be, a disc having 0.71."""
+_LONGEST = 1.02
+"""Longest distance that a wrapping camera gives over its unambiguous range, with its offset and rounding."""
 _STEP_M = 0.004
 _END_M = 30.0
 """Step and end of the table of corrections: 5 MHz, the lowest frequency in use, is unambiguous up to here."""
@@ -57,15 +59,10 @@ class DepthPreparation:
         """Return why a frame is of another camera than the configured one; empty where it is not."""
         if self._sensor.camera is not None and (why := _camera_differs(frame.camera, self._sensor.camera)):
             return why
-        told = [
-            ("info", _told_frequencies(frame)),
-            ("the configuration", self._sensor.modulation_frequency_hz),
-            ("calibration", getattr(self._sensor.calibration, "modulation_frequency_hz", ())),
-        ]
-        (name, first), *others = [(name, hertz) for name, hertz in told if hertz] or [("", ())]
+        (name, first), *others = self._frequencies(frame) or [("", ())]
         for other, hertz in others:
             if len(hertz) != len(first) or not np.allclose(hertz, first, rtol=_ALIKE, atol=0.0):
-                return f"modulation_frequency_hz is {_list(first)} in {name}, {_list(hertz)} in {other}"
+                return f"modulation_frequency_hz: {name} says {_mhz(first)}, {other} says {_mhz(hertz)}"
         return ""
 
     def predicted(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> PmdFrame:
@@ -80,19 +77,28 @@ class DepthPreparation:
             yield self._applied(frame, 0.0, 0.0)
             return
         range_m, spread = found
-        ranges_m = [range_m + multiple * self._interval_m(frame) for multiple in _MULTIPLES]
+        ranges_m = np.arange(range_m, max(_FARTHEST_M, range_m + 1e-3), self._interval_m(frame)).tolist()
         least, most = (share * self._radius_m for share in _SPREAD)
         fitting_m = [distance_m for distance_m in ranges_m if least <= spread * distance_m <= most]
         for distance_m in fitting_m or ranges_m[:1]:
             yield self._applied(frame, distance_m, 2.0 * self._radius_m)
 
+    def _frequencies(self, frame: PmdFrame) -> list[tuple[str, tuple[float, ...]]]:
+        """Return who tells the modulation frequencies, and which; the first is believed."""
+        sensor, info, calibration = self._sensor, frame.info, self._sensor.calibration
+        told = (
+            (f"{sensor.name}/info", tuple(info.modulation_frequency_hz) if info else ()),
+            ("the configuration", sensor.modulation_frequency_hz),
+            ("the calibration", calibration.modulation_frequency_hz if calibration else ()),
+        )
+        return [(name, hertz) for name, hertz in told if hertz]
+
     def _interval_m(self, frame: PmdFrame) -> float:
         """Return the unambiguous range, 0 where nothing is to be unwrapped."""
-        sensor = self._sensor
-        known = _told_frequencies(frame) or sensor.modulation_frequency_hz
-        if not known and sensor.calibration is not None:
-            known = sensor.calibration.modulation_frequency_hz
-        return unambiguous_range_m(known[0]) if sensor.unwrapping == "predicted" and len(known) == 1 else 0.0
+        known = self._frequencies(frame)
+        if self._sensor.unwrapping == "none" or not known or len(known[0][1]) > 1:
+            return 0.0
+        return unambiguous_range_m(known[0][1][0])
 
     def _seen_at(self, frame: PmdFrame) -> tuple[float, float] | None:
         """Return the mean distance modulo c / 2f and the RMS spread of the slopes, if there is a distance."""
@@ -173,10 +179,6 @@ def calibrated(calibration: DepthCalibration, measured_m: FloatArray) -> FloatAr
     return true_m
 
 
-def _told_frequencies(frame: PmdFrame) -> tuple[float, ...]:
-    return tuple(frame.info.modulation_frequency_hz.tolist()) if frame.info else ()
-
-
 def _camera_differs(camera: Camera, expected: Camera) -> str:
     for name in ("width", "height", "fx", "fy", "cx", "cy"):
         have, want = getattr(camera, name), getattr(expected, name)
@@ -196,8 +198,12 @@ def _camera_differs(camera: Camera, expected: Camera) -> str:
     )
 
 
-def _list(numbers: FloatArray | tuple[float, ...]) -> str:
+def _list(numbers: FloatArray) -> str:
     return ", ".join(f"{number:g}" for number in numbers) or "none"
+
+
+def _mhz(hertz: tuple[float, ...]) -> str:
+    return " and ".join(f"{frequency / 1e6:g}" for frequency in hertz) + " MHz"
 
 
 def _refused(why: str) -> Acquisition:
@@ -233,6 +239,7 @@ def _prepare(depth_m, cosine, unwrapping, corrections_m, out_m):  # type: ignore
     range_m, reach_m, interval_m = unwrapping
     turns_per_m = np.float32(1.0 / interval_m if interval_m > 0.0 else 0.0)
     range_m, reach_m, interval_m = np.float32(range_m), np.float32(reach_m), np.float32(interval_m)
+    longest_m = interval_m * np.float32(_LONGEST)
     steps_per_m, last = np.float32(1.0 / _STEP_M), np.float32(corrections_m.size - 1.001)
     depths, cosines, out = depth_m.ravel(), cosine.ravel(), out_m.ravel()
     for pixel in range(depths.size):
@@ -241,8 +248,8 @@ def _prepare(depth_m, cosine, unwrapping, corrections_m, out_m):  # type: ignore
         if not np.float32(0.0) < depth < np.float32(np.inf):
             continue
         distance = depth / cosines[pixel]
-        shift = interval_m * np.rint((range_m - distance) * turns_per_m)
-        if abs(distance + shift - range_m) > reach_m:
+        shift = interval_m * max(np.rint((range_m - distance) * turns_per_m), np.float32(0.0))
+        if distance > longest_m or abs(distance + shift - range_m) > reach_m:
             shift = np.float32(0.0)
         place = min((distance + shift) * steps_per_m, last)
         index = np.int32(place) if place > np.float32(0.0) else np.int32(0)

@@ -78,7 +78,7 @@ class PmdInput(Config):
     """Error of the distances, taken off every frame: inline, or the file that ``rpod calibrate`` wrote."""
     unwrapping: Literal["predicted", "none"] = "predicted"
     """Whether depth is moved by whole unambiguous ranges to where the target is predicted, where the camera
-    measures with one frequency and it is known; without a prediction the first two multiples are tried."""
+    measures with one frequency and it is known; without a prediction every multiple up to 15 m is tried."""
     acquisition: PmdAcquisitionConfig = Field(default_factory=PmdAcquisitionConfig)
     """Without a prior pose."""
     tracking: PmdTrackingConfig = Field(default_factory=IcpReverseCalibrationConfig)

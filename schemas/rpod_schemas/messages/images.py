@@ -95,6 +95,10 @@ def read_camera(message: Any) -> Camera:
     K = message.k
     if not np.isfinite(K).all():
         raise MessageRejectedError(Reason.NOT_FINITE, "camera matrix")
+    if np.any(np.asarray(K)[[1, 3, 6, 7, 8]] != (0.0, 0.0, 0.0, 0.0, 1.0)):
+        raise MessageRejectedError(
+            Reason.MALFORMED, f"camera matrix {np.asarray(K).tolist()}, needs fx, 0, cx, 0, fy, cy, 0, 0, 1"
+        )
     return build(
         Camera,
         width=message.width,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pmd_frames import CAMERA, depth_frame, frame_of
+from pmd_frames import CAMERA, depth_frame, frame_of, strange_frames
 from scipy.spatial.transform import Rotation
 
 from rpod_estimator.depth_preparation import DepthPreparation, PreparedAcquirer, calibrated
@@ -217,12 +217,12 @@ def test_a_search_around_a_pose_is_given_the_multiple_by_it(target):
         (
             {"calibration": WIGGLING},
             (MHZ_30,),
-            "modulation_frequency_hz is 3e+07 in info, 2.0013e+07 in calibration",
+            "modulation_frequency_hz: pmd/info says 30 MHz, the calibration says 20.013 MHz",
         ),
         (
             {"modulation_frequency_hz": (MHZ_20,)},
             (MHZ_20, MHZ_30),
-            "modulation_frequency_hz is 2.0013e+07, 3e+07 in info, 2.0013e+07 in the configuration",
+            "modulation_frequency_hz: pmd/info says 20.013 and 30 MHz, the configuration says 20.013 MHz",
         ),
     ],
 )
@@ -241,3 +241,22 @@ def test_a_frame_of_the_configured_camera_is_taken(target):
     sensor = PmdInput(camera=CAMERA, modulation_frequency_hz=(MHZ_20,), calibration=WIGGLING)
     frame = depth_frame(target, pose_at(4.0)).model_copy(update={"info": info(MHZ_20 * (1.0 + 1e-6))})
     assert DepthPreparation(sensor, target).refusal(frame) == ""
+
+
+@pytest.mark.parametrize("name", strange_frames())
+def test_strange_frames_pass_to_the_methods_without_an_error(target, name):
+    frame = strange_frames()[name].model_copy(update={"info": info(MHZ_20)})
+    sensor = PmdInput(calibration=WIGGLING)
+    registration = pmd_methods(sensor, target).tracker.track(frame, pose_at(4.0))
+    assert (registration.T_sensor_target is None) == bool(registration.reason)
+    for prepared in DepthPreparation(sensor, target).possible(frame):
+        assert prepared.depth_m.shape == frame.depth_m.shape
+
+
+def test_what_is_farther_than_the_camera_can_tell_has_not_been_wrapped(target):
+    frame = frame_of(9.0).model_copy(update={"info": info(MHZ_20)})
+    prepared = DepthPreparation(PmdInput(), target).predicted(frame, pose_at(1.6))
+    np.testing.assert_allclose(prepared.depth_m, 9.0, rtol=1e-6)
+    near = frame_of(7.0).model_copy(update={"info": info(MHZ_20)})
+    prepared = DepthPreparation(PmdInput(), target).predicted(near, pose_at(0.5))
+    np.testing.assert_allclose(prepared.depth_m, 7.0, rtol=1e-6, err_msg="not to behind the camera")

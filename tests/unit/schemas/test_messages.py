@@ -121,6 +121,7 @@ def test_a_camera_survives_the_wire():
         ("distortion_model", "equidistant", Reason.WRONG_TYPE),
         ("k", np.full(9, np.nan), Reason.NOT_FINITE),
         ("k", np.zeros(9), Reason.MALFORMED),
+        ("k", np.array([5.0, 0, 0, 0, 5.0, 0, 1.0, 1.0, 1.0]), Reason.MALFORMED),
         ("d", np.zeros(8), Reason.WRONG_SIZE),
         ("width", 0, Reason.MALFORMED),
     ],
