@@ -88,8 +88,9 @@ class LogReply(Config):
 class FaultRequest(Config):
     """Make the emulated sensors fail for a while."""
 
-    fault: Literal["dropout", "blackout", "silence"]
-    """dropout loses 60 % of the pixels or returns in patches, blackout all; silence publishes nothing."""
+    fault: Literal["dropout", "glints", "blackout", "silence"]
+    """dropout loses the depth of 60 % of the pixels, or 60 % of the returns, in patches; glints lose depth
+    and amplitude of 40 %, blackout of all; silence publishes nothing."""
     start_s: NonNegative = 0.0
     """From now."""
     duration_s: NonNegative

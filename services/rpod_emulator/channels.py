@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_emulator.faults import Kind, lost_cells
+from rpod_emulator.faults import Kind, lost_cells, takes_amplitude
 from rpod_runtime import Node
 from rpod_runtime.sensors import CameraPublisher, LidarPublisher
 from rpod_schemas.arrays import FloatArray
@@ -20,7 +20,7 @@ from rpod_schemas.topics import optical_frame
 from rpod_schemas.types import LidarScan, PmdFrame
 from rpod_sim_sensor.geometry import SimSensorError
 from rpod_sim_sensor.lidar import LidarEmulator
-from rpod_sim_sensor.pmd import PmdEmulator
+from rpod_sim_sensor.pmd import PmdEmulator, PmdExposure
 from rpod_target import Target
 
 
@@ -50,6 +50,8 @@ class PmdChannel:
         self._seed = config.seed
         self._with_samples = config.publish_samples
         self._emulator = PmdEmulator(sensor, target, seed=config.seed)
+        self._spare: list[PmdExposure] = []
+        self._announced_s = sensor.integration_time_s
         self._publisher = CameraPublisher(
             node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
         )
@@ -57,23 +59,31 @@ class PmdChannel:
     def emulate(
         self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
     ) -> Callable[[], None]:
-        """Expose, and lose what the fault takes: depth always, the amplitude only in a blackout."""
+        """Expose, and lose what the fault takes: the depth, or the amplitude as well."""
         sun = self.sensor.T_chaser_sensor.rotation.inv().apply(sun_W_m2)
-        exposure = self._emulator.expose(poses, sun_W_m2=sun, frame=frame.number)
-        depth_m, amplitude = exposure.depth_m, exposure.amplitude
-        lost = lost_cells(fault, depth_m.shape, seed=self._seed, number=frame.number)
+        buffers = self._spare.pop() if self._spare else None
+        exposure = self._emulator.expose(poses, sun_W_m2=sun, frame=frame.number, out=buffers)
+        lost = lost_cells(fault, exposure.depth_m.shape, seed=self._seed, number=frame.number)
         if lost is not None:
-            depth_m = np.where(lost, np.float32(np.nan), depth_m)
-            amplitude = np.zeros_like(amplitude) if fault == "blackout" else amplitude
-        exposed = PmdFrame(
-            stamp_ns=frame.stamp_ns,
+            exposure.depth_m[lost] = np.nan
+            if takes_amplitude(fault):
+                exposure.amplitude[lost] = 0
+        return partial(self._publish, exposure, frame.stamp_ns)
+
+    def _publish(self, exposure: PmdExposure, stamp_ns: int) -> None:
+        """Publish a frame, after the info where the exposure has changed it; its arrays serve again."""
+        if exposure.integration_time_s != self._announced_s:
+            self._announced_s = exposure.integration_time_s
+            self._publisher.announce(self.sensor.info(exposure.integration_time_s))
+        frame = PmdFrame(
+            stamp_ns=stamp_ns,
             frame_id=optical_frame(self.sensor.name),
-            depth_m=depth_m,
-            amplitude=amplitude,
+            depth_m=exposure.depth_m,
+            amplitude=exposure.amplitude,
             camera=self.sensor.camera,
         )
-        samples = exposure.samples if self._with_samples else None
-        return partial(self._publisher.publish, exposed, samples=samples)
+        self._publisher.publish(frame, samples=exposure.samples if self._with_samples else None)
+        self._spare.append(exposure)
 
 
 class LidarChannel:

@@ -6,11 +6,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Kind = Literal["dropout", "blackout", "silence"]
+Kind = Literal["dropout", "glints", "blackout", "silence"]
 
-_DROPOUT_SHARE = 0.6
+_LOST_SHARE = {"dropout": 0.6, "glints": 0.4, "blackout": 1.0}
 _PATCHES = 12
-"""Patches along each side of the image: dropout comes in areas, not in single pixels."""
+"""Patches along each side of the image: losses come in areas, not in single pixels."""
 
 
 @dataclass(frozen=True)
@@ -40,16 +40,19 @@ class Faults:
         return None
 
 
+def takes_amplitude(kind: Kind | None) -> bool:
+    """Return whether a fault takes the amplitude with the depth: full taps do, a mask does not."""
+    return kind in {"glints", "blackout"}
+
+
 def lost_cells(
     kind: Kind | None, shape: tuple[int, ...], *, seed: int, number: int
 ) -> NDArray[np.bool_] | None:
     """Return which cells of an image or scan a fault takes, shape as given; None for none of them."""
     if kind is None or kind == "silence":
         return None
-    if kind == "blackout":
-        return np.ones(shape, np.bool_)
     generator = np.random.default_rng([seed, number, 0xFA17])
-    lost = generator.random((_PATCHES, _PATCHES)) < _DROPOUT_SHARE
+    lost = generator.random((_PATCHES, _PATCHES)) < _LOST_SHARE[kind]
     rows = np.arange(shape[0]) * _PATCHES // shape[0]
     columns = np.arange(shape[1]) * _PATCHES // shape[1]
     return lost[np.ix_(rows, columns)]

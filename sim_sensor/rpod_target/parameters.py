@@ -26,6 +26,10 @@ class MaterialParameters(Config):
     """Specular reflectance at normal incidence."""
     roughness: Annotated[float, Field(gt=0, le=1)]
     """Roughness of the specular lobe."""
+    crinkle_deg: Annotated[float, Field(ge=0, le=30)] = 0.0
+    """Standard deviation of the tilt of a patch of foil about each axis; 0 for a smooth surface."""
+    crinkle_m: Positive = 0.05
+    """Size of a patch."""
 
 
 class _PartParameters(Config):

@@ -25,6 +25,10 @@ class Material:
     """Specular reflectance at normal incidence (Schlick), 0 to 1."""
     roughness: float
     """Roughness of the specular lobe, 0 to 1."""
+    crinkle_deg: float = 0.0
+    """Standard deviation of the tilt of a patch of the surface about each axis; 0 for a smooth surface."""
+    crinkle_m: float = 0.05
+    """Size of a patch."""
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ assumed; a prototype with these values was plausible in its noise, its saturatio
 """
 
 import math
+from fractions import Fraction
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -20,10 +21,12 @@ MODULATION_FREQUENCIES_HZ = (5.004e6, 7.5e6, 10.007e6, 15e6, 20.013e6, 25.016e6,
 MAX_RATE_HZ = 45.0
 """Table 1."""
 SAMPLES = 4
-"""Q1..Q4 (Eq. 1), one sub-exposure each."""
+"""Q1..Q4 (Eq. 1), one sub-exposure each, for each frequency."""
 SAMPLE_OFFSET = 32768
 """What a sample of zero electrons reads (ICD section 2)."""
-_SUB_EXPOSURE_S = {"fast": 0.004, "paper": 0.006}
+_SUB_EXPOSURE_S = {"fast": 0.004, "paper": 0.006, "dual": 0.003}
+_WHOLE_RATIO = 12
+"""The seven are multiples of 2.5 MHz within 0.1 %, the highest of them the twelfth."""
 
 
 class LampConfig(Config):
@@ -94,6 +97,21 @@ class ReconstructionConfig(Config):
     asymmetry_limit: Positive = 0.3
     """Most of |Q1 + Q2| and |Q3 + Q4| over twice the amplitude. It is zero but for motion and noise, which is
     as large as the phase's in rad: 0.3 loses what is noisier than about 0.1 rad (assumed)."""
+    wrap_limit: Share = 0.7
+    """Most that two frequencies may disagree, over half the least difference between two ways to unwrap them:
+    1 takes the nearest way whatever it is, less loses what lies between two ways (assumed)."""
+
+
+class AutomaticExposureConfig(Config):
+    """How the automatic exposure chooses, in half stops: each divides the time by the square root of two."""
+
+    full_well_share: Annotated[float, Field(gt=0, le=1)] = 0.95
+    """Share of a tap that a pixel may fill."""
+    loss_share: Share = 0.05
+    """Of the lit pixels, how many more may be too dark or too bright than at the best time. The longest such
+    time is taken: a few glints do not make all other pixels noisy (assumed)."""
+    half_stops: Annotated[int, Field(ge=0, le=24)] = 14
+    """Most of them: 14 take the 4 ms of the profile fast down to 31 us (assumed)."""
 
 
 class PmdConfig(Config):
@@ -109,12 +127,19 @@ class PmdConfig(Config):
     """Mount: pose of the optical frame in the chaser."""
     camera: Camera = Camera(width=352, height=287, fx=682.75, fy=691.42, cx=175.5, cy=143.0)
     """Intrinsics, plumb_bob distortion included: 28.91 x 23.45 deg on 352 x 287 pixels (Table 1)."""
-    profile: Literal["fast", "paper"] = "fast"
-    """fast: 4 sub-exposures of 4 ms, up to 45 Hz; paper: of 6 ms, the 24 ms of Table 1, up to 40 Hz."""
+    profile: Literal["fast", "paper", "dual"] = "fast"
+    """fast: 4 sub-exposures of 4 ms, up to 45 Hz; paper: of 6 ms, the 24 ms of Table 1, up to 40 Hz; dual:
+    two frequencies and 8 sub-exposures of 3 ms, for 30 Hz and up to 38."""
     readout_s: NonNegative = 0.25e-3
     """After each sub-exposure (assumed: what 24 ms leave at 40 Hz)."""
     modulation_frequency_hz: Positive = 20.013e6
-    """One of the camera's seven; the range is unambiguous up to c/2f, 7.49 m at the default."""
+    """One of the camera's seven; the range is unambiguous up to c/2f, 7.49 m at the default. Not for dual."""
+    dual_frequencies_hz: tuple[Positive, Positive] = (20.013e6, 30e6)
+    """Two of the seven, for the profile dual; unambiguous up to 14.98 m at the default."""
+    exposure: Literal["fixed", "automatic"] = "automatic"
+    """fixed: the profile's times; automatic: shorter where the very frame's light would fill the taps."""
+    automatic_exposure: AutomaticExposureConfig = AutomaticExposureConfig()
+    """How short."""
     subsamples: Annotated[int, Field(ge=1, le=8)] = 2
     """Rays across a pixel, and down: what mixes at edges."""
     lamp: LampConfig = LampConfig()
@@ -127,24 +152,38 @@ class PmdConfig(Config):
     """The masks."""
 
     @property
+    def frequencies_hz(self) -> tuple[float, ...]:
+        """Modulation frequencies in use, in the order of the phase images."""
+        return self.dual_frequencies_hz if self.profile == "dual" else (self.modulation_frequency_hz,)
+
+    @property
+    def sub_exposures(self) -> int:
+        """Of a frame: Q1..Q4 of the first frequency, then of the second."""
+        return SAMPLES * len(self.frequencies_hz)
+
+    @property
     def sub_exposure_s(self) -> float:
-        """Integration time of one of Q1..Q4."""
+        """Integration time of one of Q1..Q4; the longest where the exposure is automatic."""
         return _SUB_EXPOSURE_S[self.profile]
 
     @property
     def integration_time_s(self) -> float:
-        """Of a frame: the sum of its sub-exposures."""
-        return SAMPLES * self.sub_exposure_s
+        """Of a frame: the sum of its sub-exposures; the longest where the exposure is automatic."""
+        return self.sub_exposures * self.sub_exposure_s
 
     @property
     def latency_s(self) -> float:
         """From the stamp, the middle of the exposure, to the end of the last read-out."""
-        return (SAMPLES * (self.sub_exposure_s + self.readout_s) + self.readout_s) / 2.0
+        return (self.sub_exposures * (self.sub_exposure_s + self.readout_s) + self.readout_s) / 2.0
 
     @property
     def unambiguous_range_m(self) -> float:
-        """Distances are measured modulo c / 2f."""
-        return constants.c / (2.0 * self.modulation_frequency_hz)
+        """Distances are measured modulo this: c / 2f, or the length at which two frequencies wrap at once."""
+        first_hz, *others_hz = self.frequencies_hz
+        wraps = 1
+        for other_hz in others_hz:
+            wraps = Fraction(first_hz / other_hz).limit_denominator(_WHOLE_RATIO).numerator
+        return wraps * constants.c / (2.0 * first_hz)
 
     @property
     def lamp_irradiance_W_m2(self) -> float:  # noqa: N802 - watts
@@ -163,22 +202,28 @@ class PmdConfig(Config):
         return power_W * self.pixel.quantum_efficiency * self.sub_exposure_s / photon_J
 
     def pose_times_s(self) -> tuple[float, ...]:
-        """Return the middles of the sub-exposures, offsets from the stamp, in the order Q1..Q4."""
+        """Return the middles of the sub-exposures, offsets from the stamp: Q1..Q4 of each frequency."""
         period_s = self.sub_exposure_s + self.readout_s
-        return tuple((index - (SAMPLES - 1) / 2.0) * period_s for index in range(SAMPLES))
+        return tuple(
+            (index - (self.sub_exposures - 1) / 2.0) * period_s for index in range(self.sub_exposures)
+        )
 
-    def info(self) -> PmdInfo:
-        """Return what the camera says of itself on ``<camera>/info``."""
+    def info(self, integration_time_s: float | None = None) -> PmdInfo:
+        """Return what the camera says of itself on ``<camera>/info``.
+
+        Args:
+            integration_time_s: of the frames from now on, where the exposure is automatic.
+        """
         return PmdInfo(
-            modulation_frequency_hz=np.array([self.modulation_frequency_hz]),
-            integration_time_s=self.integration_time_s,
+            modulation_frequency_hz=np.array(self.frequencies_hz),
+            integration_time_s=integration_time_s or self.integration_time_s,
             electrons_per_count=self.pixel.electrons_per_count,
             saturation_count=float(self.pixel.saturation_count),
         )
 
     @model_validator(mode="after")
     def _the_camera_is_fast_enough(self) -> Self:
-        exposure_s = SAMPLES * (self.sub_exposure_s + self.readout_s)
+        exposure_s = self.sub_exposures * (self.sub_exposure_s + self.readout_s)
         fastest_hz = min(MAX_RATE_HZ, 1.0 / exposure_s)
         if self.rate_hz > fastest_hz * (1.0 + 1e-9):
             raise ValueError(
@@ -187,11 +232,16 @@ class PmdConfig(Config):
         return self
 
     @model_validator(mode="after")
-    def _the_frequency_exists(self) -> Self:
+    def _the_frequencies_exist(self) -> Self:
+        known = ", ".join(f"{frequency:g}" for frequency in MODULATION_FREQUENCIES_HZ)
         if self.modulation_frequency_hz not in MODULATION_FREQUENCIES_HZ:
-            known = ", ".join(f"{frequency:g}" for frequency in MODULATION_FREQUENCIES_HZ)
             raise ValueError(
                 f"modulation_frequency_hz is {self.modulation_frequency_hz:g}, needs one of {known}"
+            )
+        first_hz, second_hz = self.dual_frequencies_hz
+        if first_hz == second_hz or not {first_hz, second_hz} <= set(MODULATION_FREQUENCIES_HZ):
+            raise ValueError(
+                f"dual_frequencies_hz is ({first_hz:g}, {second_hz:g}), needs two different of {known}"
             )
         return self
 

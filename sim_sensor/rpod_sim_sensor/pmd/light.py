@@ -3,45 +3,28 @@
 A pixel sums its rays, so that edges mix by themselves; where all rays of a pixel meet the same triangle, one
 through its centre stands for them. Which triangle a ray meets is taken from the middle of the exposure, how
 far away it is from each sub-exposure's own pose: the ray is cut with the triangle's plane as it lies then. In
-25 ms an outline moves by a fraction of a pixel, but ranges by millimetres, which the four samples see one
-after the other.
+25 ms an outline moves by a fraction of a pixel, but ranges by millimetres, which the samples see one after
+the other.
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import constants
-from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.pmd.reflection import reflected_share
-from rpod_target import Target
+from rpod_sim_sensor.pmd.scene import Surfaces, crinkled, place
 
 THETA_RAD = (0.0, math.pi, 0.5 * math.pi, 1.5 * math.pi)
 """Phases of the correlation in Q1..Q4, in the order with which Eqs. 1 and 3 hold as printed."""
 SUN_RADIUS_RAD = 4.65e-3
 """Angular radius of the sun at one astronomical unit."""
-
-
-class Surfaces(NamedTuple):
-    """The target's triangles, as they lie and as they reflect."""
-
-    planes: FloatArray
-    """n / (n . v0), optical axes, shape (K + 1, T, 3): in the middle of the exposure, then in each of the K
-    sub-exposures. A ray d meets the plane at 1 / (plane . d)."""
-    normals: FloatArray
-    """In the middle of the exposure, optical axes, shape (T, 3)."""
-    diffuse: FloatArray
-    """Albedo, shape (T,)."""
-    f0: FloatArray
-    """Specular reflectance, shape (T,)."""
-    alpha2: FloatArray
-    """Squared width of the lobe, shape (T,)."""
 
 
 class Lights(NamedTuple):
@@ -50,11 +33,11 @@ class Lights(NamedTuple):
     lamp_e: float
     """For a reflected share of 1/sr at 1 m."""
     lamp_radius_m: float
-    rad_per_m: float
-    """Phase over distance, 4 pi f / c."""
+    turns_per_m: FloatArray
+    """Phase over distance, 2 f / c, in each sub-exposure, shape (K,)."""
+    theta_turns: FloatArray
+    """Phase of the correlation in each sub-exposure, shape (K,)."""
     wiggling_share: float
-    theta_rad: tuple[float, ...]
-    """Phase of the correlation in each sub-exposure."""
     sun_e: float
     """For a reflected share of 1/sr."""
     sun_direction: FloatArray
@@ -69,35 +52,16 @@ def lights(config: PmdConfig, sun_W_m2: FloatArray) -> Lights:
         sun_W_m2: unit vector to the sun times its irradiance over the whole spectrum, optical axes.
     """
     irradiance = float(np.linalg.norm(sun_W_m2))
+    frequencies_hz = np.array(config.frequencies_hz)
     return Lights(
         lamp_e=config.lamp_irradiance_W_m2 * config.electrons_per_radiance,
         lamp_radius_m=config.lamp.radius_m,
-        rad_per_m=4.0 * math.pi * config.modulation_frequency_hz / constants.c,
+        turns_per_m=np.repeat(2.0 * frequencies_hz / constants.c, len(THETA_RAD)),
+        theta_turns=np.tile(np.array(THETA_RAD) / (2.0 * math.pi), len(frequencies_hz)),
         wiggling_share=config.pixel.wiggling_share,
-        theta_rad=THETA_RAD,
         sun_e=irradiance * config.lens.sun_share * config.electrons_per_radiance,
         sun_direction=np.asarray(sun_W_m2, float) / (irradiance or 1.0),
     )
-
-
-class Scene:
-    """The target's triangles and materials, to be placed by pose."""
-
-    def __init__(self, target: Target) -> None:
-        materials = np.array([(m.diffuse, m.f0, m.roughness**4) for m in target.materials])
-        self._diffuse, self._f0, self._alpha2 = materials[target.triangle_material].T.copy()
-        self._normals = target.normals
-        self._offsets_m = np.einsum("ti,ti->t", target.normals, target.triangles_m[:, 0])
-
-    def placed(self, T_middle: RigidTransform, poses: Sequence[RigidTransform]) -> Surfaces:
-        """Return the surfaces at T_optical_target in the middle of the exposure and in each sub-exposure."""
-        every = [T_middle, *poses]
-        normals = np.stack([pose.rotation.apply(self._normals) for pose in every])
-        positions_m = np.stack([pose.translation for pose in every])
-        offsets_m = self._offsets_m + np.einsum("kti,ki->kt", normals, positions_m)
-        offsets_m[offsets_m == 0.0] = np.inf  # seen edge-on: no ray meets it
-        planes = normals / offsets_m[..., None]
-        return Surfaces(planes, normals[0], self._diffuse, self._f0, self._alpha2)
 
 
 def collect(
@@ -107,8 +71,8 @@ def collect(
     surfaces: Surfaces,
     lights: Lights,
     *,
-    modulated_e: NDArray[np.float32],
-    charge_e: NDArray[np.float32],
+    modulated_e: Float32Array,
+    charge_e: Float32Array,
 ) -> None:
     """Fill in what each pixel collects.
 
@@ -118,63 +82,55 @@ def collect(
         centres: unit rays through the pixels' centres, shape (3, H, W).
         surfaces: the triangles.
         lights: lamp and sun.
-        modulated_e: out, sum of S [cos(phi - theta_k) + h3 cos 3(phi - theta_k)], electrons, shape (H, W, K).
+        modulated_e: out, sum of S [cos(phi - theta_k) + h3 cos 3(phi - theta_k)], electrons, shape (K, H, W).
         charge_e: out, all electrons of a sub-exposure, S + B, shape (H, W).
     """
     _collect(owners, rays, centres, surfaces, lights, modulated_e, charge_e)
-
-
-@njit(cache=True, nogil=True)
-def spread_stray_light(modulated_e, charge_e, share):  # type: ignore[no-untyped-def]
-    """Add a share of the image's mean light to every pixel, in place; shapes as in ``collect``."""
-    height, width, count = modulated_e.shape
-    stray_e = np.zeros(count + 1)
-    for row in range(height):
-        for column in range(width):
-            for k in range(count):
-                stray_e[k] += modulated_e[row, column, k]
-            stray_e[count] += charge_e[row, column]
-    stray_e *= share / (height * width)
-    for row in range(height):
-        for column in range(width):
-            for k in range(count):
-                modulated_e[row, column, k] += stray_e[k]
-            charge_e[row, column] += stray_e[count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _collect(owners, rays, centres, surfaces, lights, modulated_e, charge_e):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     height, width = charge_e.shape
     n = owners.shape[0] // height
+    index = np.empty(width * n * n, np.uint32)
+    columns = np.empty(width * n * n, np.uint32)
+    work = np.empty((13, width * n * n))
     modulated_e[:] = 0.0
     charge_e[:] = 0.0
     for row in range(height):
-        for column in range(width):
-            top, left = row * n, column * n
-            if _is_uniform(owners, top, left, n):
-                owner = owners[top, left]
-                if owner >= 0:
-                    x, y, z = centres[0, row, column], centres[1, row, column], centres[2, row, column]
-                    _add(row, column, 1.0, owner, x, y, z, surfaces, lights, modulated_e, charge_e)
-                continue
-            for i in range(top, top + n):
-                for j in range(left, left + n):
-                    if owners[i, j] >= 0:
-                        x, y, z = rays[0, i, j], rays[1, i, j], rays[2, i, j]
-                        weight = 1.0 / (n * n)
-                        _add(
-                            row,
-                            column,
-                            weight,
-                            owners[i, j],
-                            x,
-                            y,
-                            z,
-                            surfaces,
-                            lights,
-                            modulated_e,
-                            charge_e,
-                        )
+        count = _fragments(owners, rays, centres, row, surfaces, index, columns, work)
+        if count:
+            _shade(index, work, count, surfaces, lights)
+            for f in range(count):
+                charge_e[row, columns[f]] += work[6, f]
+            for k in range(modulated_e.shape[0]):
+                _correlate(k, index, work, count, surfaces.planes, lights)
+                for f in range(count):
+                    modulated_e[k, row, columns[f]] += work[7, f]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fragments(owners, rays, centres, row, surfaces, index, columns, work):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """List which parts of a row's pixels see which triangle, and place the triangles; return how many."""
+    width = centres.shape[2]
+    n = owners.shape[1] // width
+    placed, frame = surfaces.placed, surfaces.frame
+    count = 0
+    for column in range(width):
+        first = count
+        if _is_uniform(owners, row * n, column * n, n):
+            if owners[row * n, column * n] >= 0:
+                index[count], work[3, count] = owners[row * n, column * n], 1.0
+                for axis in range(3):
+                    work[axis, count] = centres[axis, row, column]
+                count += 1
+        else:
+            count = _mixed(owners, rays, row * n, column * n, n, count, index, work)
+        for f in range(first, count):
+            columns[f] = column
+            if placed[index[f]] != frame:
+                place(index[f], surfaces)
+    return count
 
 
 @njit(cache=True, nogil=True)
@@ -186,33 +142,110 @@ def _is_uniform(owners, top, left, n):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(
-    cache=True, nogil=True, error_model="numpy", inline="always"
-)  # a call would count references for every array
-def _add(row, column, weight, index, x, y, z, surfaces, lights, modulated_e, charge_e):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Add the electrons that come along the ray (x, y, z) to a pixel's."""
-    planes, normal, sun = surfaces.planes, surfaces.normals[index], lights.sun_direction
-    inverse = planes[0, index, 0] * x + planes[0, index, 1] * y + planes[0, index, 2] * z
-    diffuse, f0, alpha2 = surfaces.diffuse[index], surfaces.f0[index], surfaces.alpha2[index]
-    facing = -(normal[0] * x + normal[1] * y + normal[2] * z)
-    side = 1.0 if facing > 0.0 else -1.0  # an open surface is seen from its inside too
-    n_v = side * facing
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mixed(owners, rays, top, left, n, count, index, work):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Add a fragment for each triangle in a pixel, the mean of the rays that meet it; return the count."""
+    first, share = count, 1.0 / (n * n)
+    for i in range(top, top + n):
+        for j in range(left, left + n):
+            if owners[i, j] < 0:
+                continue
+            f = first
+            while f < count and index[f] != owners[i, j]:
+                f += 1
+            if f == count:
+                index[f] = owners[i, j]
+                work[:4, f] = 0.0
+                count += 1
+            for axis in range(3):
+                work[axis, f] += rays[axis, i, j]
+            work[3, f] += share
+    for f in range(first, count):
+        for axis in range(3):
+            work[axis, f] *= share / work[3, f]
+    return count
 
-    lamp_alpha2 = alpha2 + (0.5 * lights.lamp_radius_m * inverse) ** 2
-    share = reflected_share(n_v, n_v, 1.0, diffuse, f0, lamp_alpha2)
-    lamp_e = weight * lights.lamp_e * share
-    for k in range(modulated_e.shape[2]):
-        now = planes[1 + k, index, 0] * x + planes[1 + k, index, 1] * y + planes[1 + k, index, 2] * z
-        if not 0.5 * inverse < now < 2.0 * inverse:  # all but edge-on, its plane may sweep over the camera
-            now = inverse
-        wave = math.cos(lights.rad_per_m / now - lights.theta_rad[k])
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shade(index, work, count, surfaces, lights):  # type: ignore[no-untyped-def]
+    planes, normals, kinds, materials = (
+        surfaces.planes,
+        surfaces.far_normals,
+        surfaces.material,
+        surfaces.materials,
+    )
+    R, t = surfaces.R_lattice_optical, surfaces.t_lattice_optical
+    lamp, radius_m, sun_e = lights.lamp_e, lights.lamp_radius_m, lights.sun_e
+    sun_x, sun_y, sun_z = lights.sun_direction
+    x, y, z, weight, inverse, lamp_e, charge, _, n_x, n_y, n_z = (
+        work[0],
+        work[1],
+        work[2],
+        work[3],
+        work[4],
+        work[5],
+        work[6],
+        work[7],
+        work[8],
+        work[9],
+        work[10],
+    )
+    for f in range(count):
+        i = index[f]
+        inverse[f] = planes[i, 0, 0] * x[f] + planes[i, 0, 1] * y[f] + planes[i, 0, 2] * z[f]
+        n_x[f], n_y[f], n_z[f] = normals[i, 0], normals[i, 1], normals[i, 2]
+    for f in range(count):
+        kind = kinds[index[f]]
+        if materials[kind, 4] > 0.0:
+            far_m = 1.0 / inverse[f]
+            a, b, c = crinkled(
+                x[f] * far_m, y[f] * far_m, z[f] * far_m, R, t, materials[kind, 3], materials[kind, 4]
+            )
+            n_x[f], n_y[f], n_z[f] = _unit(n_x[f] + a, n_y[f] + b, n_z[f] + c)
+    for f in range(count):
+        kind = kinds[index[f]]
+        diffuse, f0, alpha2 = materials[kind, 0], materials[kind, 1], materials[kind, 2]
+        n_v = max(n_x[f] * x[f] + n_y[f] * y[f] + n_z[f] * z[f], 1e-4)
+        lamp_alpha2 = alpha2 + (0.5 * radius_m * inverse[f]) ** 2
+        lamp_e[f] = weight[f] * lamp * reflected_share(n_v, n_v, 1.0, diffuse, f0, lamp_alpha2)
+        charge[f] = lamp_e[f] * inverse[f] * inverse[f]
+    if sun_e > 0.0:
+        for f in range(count):
+            kind = kinds[index[f]]
+            diffuse, f0, alpha2 = materials[kind, 0], materials[kind, 1], materials[kind, 2]
+            n_v = max(n_x[f] * x[f] + n_y[f] * y[f] + n_z[f] * z[f], 1e-4)
+            n_l = -(n_x[f] * sun_x + n_y[f] * sun_y + n_z[f] * sun_z)
+            l_v = -(sun_x * x[f] + sun_y * y[f] + sun_z * z[f])
+            sun_alpha2 = alpha2 + (0.5 * SUN_RADIUS_RAD) ** 2
+            share = reflected_share(n_l, n_v, l_v, diffuse, f0, sun_alpha2)
+            charge[f] += weight[f] * sun_e * share if n_l > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _correlate(k, index, work, count, planes, lights):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    x, y, z, inverse, lamp_e, out = work[0], work[1], work[2], work[4], work[5], work[7]
+    turns_per_m, theta, h3 = lights.turns_per_m[k], lights.theta_turns[k], lights.wiggling_share
+    for f in range(count):
+        i = index[f]
+        now = planes[i, 1 + k, 0] * x[f] + planes[i, 1 + k, 1] * y[f] + planes[i, 1 + k, 2] * z[f]
+        # all but edge-on, its plane may sweep over the camera
+        now = now if 0.5 * inverse[f] < now < 2.0 * inverse[f] else inverse[f]
+        wave = _cosine(turns_per_m / now - theta)
         third = wave * (4.0 * wave * wave - 3.0)  # cos 3x
-        modulated_e[row, column, k] += lamp_e * now * now * (wave + lights.wiggling_share * third)
-    charge_e[row, column] += lamp_e * inverse * inverse
+        out[f] = lamp_e[f] * now * now * (wave + h3 * third)
 
-    n_l = side * (normal[0] * sun[0] + normal[1] * sun[1] + normal[2] * sun[2])
-    if lights.sun_e > 0.0 and n_l > 0.0:
-        l_v = -(sun[0] * x + sun[1] * y + sun[2] * z)
-        sun_alpha2 = alpha2 + (0.5 * SUN_RADIUS_RAD) ** 2
-        share = reflected_share(n_l, n_v, l_v, diffuse, f0, sun_alpha2)
-        charge_e[row, column] += weight * lights.sun_e * share
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _unit(x, y, z):  # type: ignore[no-untyped-def]
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    return x * scale, y * scale, z * scale
+
+
+@njit(cache=True, nogil=True)
+def _cosine(turns):  # type: ignore[no-untyped-def]
+    """Return cos(2 pi turns) to 4e-9: a fitted odd polynomial for the sine of the rest to a quarter turn."""
+    y = 0.25 - abs(turns - math.floor(turns + 0.5))
+    y2 = y * y
+    odd = -76.54965682009066 + y2 * 39.53581370784004
+    odd = 6.283185159611162 + y2 * (-41.341654929342994 + y2 * (81.60099818259727 + y2 * odd))
+    return y * odd

@@ -11,12 +11,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rpod_schemas.config.pmd import SAMPLE_OFFSET, PmdConfig
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd import SAMPLE_OFFSET, SAMPLES, PmdConfig
 from rpod_schemas.types import Float32Array
 
 
 class Electronics(NamedTuple):
-    """The chip in one sub-exposure, electrons."""
+    """The chip in one sub-exposure of the full time, electrons."""
 
     contrast: float
     read_variance_e2: float
@@ -37,45 +38,71 @@ class Electronics(NamedTuple):
         )
 
 
+class Light(NamedTuple):
+    """What a frame collects in the full time, and which share of the time it has."""
+
+    modulated_e: Float32Array
+    """Correlation of the light with the modulation, electrons, shape (K, H, W)."""
+    charge_e: Float32Array
+    """All electrons of a sub-exposure, S + B, shape (H, W)."""
+    stray_e: FloatArray
+    """What every pixel gets as well: modulation in each sub-exposure, then charge, shape (K + 1,)."""
+    time_share: float = 1.0
+    """Of the full time: the automatic exposure's."""
+
+
+class Noise(NamedTuple):
+    """Standard normal numbers: the pixels of row r take theirs from ``pool[starts[r]]`` on."""
+
+    pool: Float32Array
+    """Shape (P,)."""
+    starts: NDArray[np.int64]
+    """Shape (H,), at most P - W K."""
+
+
 def convert(
-    modulated_e: Float32Array,
-    charge_e: Float32Array,
-    noise: Float32Array,
+    light: Light,
+    noise: Noise,
     electronics: Electronics,
-) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Return Q1..Q4 and whether a tap of the pixel was full.
+    *,
+    samples: NDArray[np.uint16],
+    full: NDArray[np.bool_],
+) -> None:
+    """Fill in Q1..Q4 and whether a tap of the pixel was full.
 
     Args:
-        modulated_e: correlation of the light with the modulation, electrons, shape (H, W, K).
-        charge_e: all electrons of a sub-exposure, shape (H, W).
-        noise: standard normal, shape (H, W, K): shot and read noise of the difference of the taps.
+        light: of the frame.
+        noise: shot and read noise of the difference of the taps.
         electronics: the chip.
-
-    Returns:
-        Samples, counts from an offset of 32768, shape (H, W, K), and the flags, shape (H, W).
+        samples: out, counts from an offset of 32768, shape (K / 4, H, W, 4).
+        full: out, shape (H, W).
     """
-    samples = np.empty(modulated_e.shape, np.uint16)
-    full = np.empty(charge_e.shape, np.bool_)
-    _convert(modulated_e, charge_e, noise, electronics, samples, full)
-    return samples, full
+    _convert(light, noise, electronics, samples, full)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _convert(modulated_e, charge_e, noise, electronics, samples, full):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    height, width, count = modulated_e.shape
+def _convert(light, noise, electronics, samples, full):  # type: ignore[no-untyped-def]
+    modulated_e, charge_e, stray_e, share = light
+    pool, starts = noise
+    count, height, width = modulated_e.shape
+    suppression_e, full_well_e = share * electronics.suppression_e, electronics.full_well_e
+    counts_per_e = 1.0 / electronics.electrons_per_count
     for row in range(height):
+        normal = starts[row]
         for column in range(width):
-            charge = charge_e[row, column]
+            charge = share * (charge_e[row, column] + stray_e[count])
             sigma_e = np.sqrt(charge + electronics.read_variance_e2)
             fullest = 0.0
             for k in range(count):
-                difference = (
-                    electronics.contrast * modulated_e[row, column, k] + sigma_e * noise[row, column, k]
-                )
+                signal = share * electronics.contrast * (modulated_e[k, row, column] + stray_e[k])
+                difference = signal + sigma_e * pool[normal + k]
                 tap_a, tap_b = 0.5 * (charge + difference), 0.5 * (charge - difference)
-                common = min(tap_a, tap_b, electronics.suppression_e)
+                common = min(tap_a, tap_b, suppression_e)
                 tap_a, tap_b = tap_a - common, tap_b - common
                 fullest = max(fullest, tap_a, tap_b)
-                kept = min(tap_a, electronics.full_well_e) - min(tap_b, electronics.full_well_e)
-                samples[row, column, k] = SAMPLE_OFFSET + round(kept / electronics.electrons_per_count)
-            full[row, column] = fullest >= electronics.full_well_e
+                kept = min(tap_a, full_well_e) - min(tap_b, full_well_e)
+                samples[k // SAMPLES, row, column, k % SAMPLES] = int(
+                    SAMPLE_OFFSET + 0.5 + kept * counts_per_e
+                )
+            full[row, column] = fullest >= full_well_e
+            normal += count

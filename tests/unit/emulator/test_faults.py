@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rpod_emulator.faults import Fault, Faults, lost_cells
+from rpod_emulator.faults import Fault, Faults, lost_cells, takes_amplitude
 
 SHAPE = (287, 352)
 
@@ -34,6 +34,13 @@ def test_a_dropout_takes_60_percent_of_the_image_in_patches():
     lost = lost_cells("dropout", SHAPE, seed=1, number=1)
     edges = np.count_nonzero(lost[:, 1:] != lost[:, :-1], axis=1)
     assert edges.max() <= 11, "no more borders than between twelve patches"
+
+
+def test_glints_take_40_percent_of_depth_and_amplitude() -> None:
+    shares = [lost_cells("glints", SHAPE, seed=1, number=number).mean() for number in range(50)]
+    assert 0.37 < np.mean(shares) < 0.43
+    takers = {kind for kind in (None, "dropout", "glints", "blackout", "silence") if takes_amplitude(kind)}
+    assert takers == {"glints", "blackout"}, "a dropout is the camera's mask: it leaves the amplitude"
 
 
 def test_a_dropout_is_that_of_its_frame_whenever_it_is_made():

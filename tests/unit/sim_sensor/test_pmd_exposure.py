@@ -14,7 +14,7 @@ from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera
 from rpod_sim_sensor.geometry import RayGrid, cast
-from rpod_sim_sensor.pmd import PmdEmulator, PoseCountError
+from rpod_sim_sensor.pmd import PmdEmulator, PmdExposure, PoseCountError
 from rpod_target import Material, Target
 
 CAMERA = Camera(width=44, height=36, fx=85.3, fy=86.4, cx=21.7, cy=17.4)
@@ -66,6 +66,7 @@ def ideal(*, camera: Camera = CAMERA, **changes: object) -> PmdConfig:
     many = 1e3
     document = {
         "camera": camera,
+        "exposure": "fixed",
         "lamp": {"optical_power_W": 4.0 * many},
         "lens": {"stray_share": 0.0},
         "pixel": {
@@ -81,7 +82,7 @@ def ideal(*, camera: Camera = CAMERA, **changes: object) -> PmdConfig:
 
 
 def usual(**changes: object) -> PmdConfig:
-    return PmdConfig.model_validate({"camera": CAMERA} | changes)
+    return PmdConfig.model_validate({"camera": CAMERA, "exposure": "fixed"} | changes)
 
 
 def away(distance_m: float, *, turned_deg: Sequence[float] = (0.0, 0.0)) -> RigidTransform:
@@ -152,6 +153,15 @@ def test_beyond_the_unambiguous_range_depth_wraps() -> None:
     radial_m = exposure.depth_m[17, 22] / RayGrid.pinhole(CAMERA).components[2][17, 22]
     truth = 9.0 / RayGrid.pinhole(CAMERA).components[2][17, 22]
     assert radial_m == pytest.approx(truth - config.unambiguous_range_m, abs=5e-3)
+
+
+@pytest.mark.parametrize("distance_m", [4.0, 6.0, 9.0, 13.0])
+def test_two_frequencies_measure_where_one_wraps(distance_m: float) -> None:
+    target, pose = wall(half_m=20.0, albedo=1.0), away(distance_m)
+    config = ideal(profile="dual", reconstruction={"least_amplitude_e": 0.0})
+    exposure = PmdEmulator(config, target, seed=1).expose([pose] * 8, sun_W_m2=DARKNESS, frame=0)
+    assert exposure.samples.shape == (2, 36, 44, 4)
+    np.testing.assert_allclose(exposure.depth_m, truth_m(target, pose), atol=1e-2)
 
 
 def test_a_pixel_across_an_edge_sums_the_phasors_of_both_surfaces() -> None:
@@ -316,6 +326,18 @@ def test_an_open_surface_is_seen_from_its_inside_too() -> None:
         for turn in (0.0, 180.0)
     )
     np.testing.assert_allclose(front.depth_m, back.depth_m, atol=1e-3)
+
+
+def test_a_frame_is_written_into_the_callers_arrays() -> None:
+    emulator = PmdEmulator(usual(), wall(), seed=1)
+    new = emulator.expose([away(3.0)] * 4, sun_W_m2=SUN_BEHIND, frame=4)
+    out = PmdExposure.of(usual())
+    filled = emulator.expose([away(3.0)] * 4, sun_W_m2=SUN_BEHIND, frame=4, out=out)
+    assert filled.samples is out.samples
+    assert filled.depth_m is out.depth_m
+    np.testing.assert_array_equal(filled.samples, new.samples)
+    np.testing.assert_array_equal(filled.depth_m, new.depth_m)
+    np.testing.assert_array_equal(filled.images.lost, new.images.lost)
 
 
 def test_an_exposure_needs_a_pose_for_each_sub_exposure() -> None:

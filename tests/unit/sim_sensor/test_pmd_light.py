@@ -9,11 +9,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_sim_sensor.pmd.light import SUN_RADIUS_RAD, THETA_RAD, Scene, collect, lights
+from rpod_sim_sensor.pmd.light import SUN_RADIUS_RAD, THETA_RAD, collect, lights
+from rpod_sim_sensor.pmd.scene import Scene
 from rpod_target import Material, load_target
 
 CONFIG = PmdConfig()
-ALONG_Z = np.array([[[0.0]], [[0.0]], [[1.0]]])
+ALONG_Z = np.array([[[0.0]], [[0.0]], [[1.0]]], np.float32)
 DARKNESS = np.zeros(3)
 SUN_BEHIND = np.array([0.0, 0.0, -1361.0])
 
@@ -34,17 +35,17 @@ def light_of(
 ) -> tuple[FloatArray, float]:
     """Return the modulated electrons of the four samples, and all electrons."""
     pose = RigidTransform.from_translation((0.0, 0.0, distance_m))
-    modulated_e, charge_e = np.empty((1, 1, 4), np.float32), np.empty((1, 1), np.float32)
+    modulated_e, charge_e = np.empty((4, 1, 1), np.float32), np.empty((1, 1), np.float32)
     collect(
         np.zeros((1, 1), np.int32),
         ALONG_Z,
         ALONG_Z,
-        Scene(plate).placed(pose, [pose] * 4),  # type: ignore[arg-type]
+        Scene(plate, 4).placed(pose, [pose] * 4),  # type: ignore[arg-type]
         lights(config, sun_W_m2),
         modulated_e=modulated_e,
         charge_e=charge_e,
     )
-    return modulated_e[0, 0].astype(float), float(charge_e[0, 0])
+    return modulated_e[:, 0, 0].astype(float), float(charge_e[0, 0])
 
 
 def test_samples_are_the_correlation_with_its_third_harmonic() -> None:
@@ -82,8 +83,8 @@ def test_a_glint_is_spread_by_the_material_and_by_the_size_of_its_source(roughne
 
 
 def test_a_pixel_that_meets_nothing_collects_nothing() -> None:
-    modulated_e, charge_e = np.ones((1, 1, 4), np.float32), np.ones((1, 1), np.float32)
-    scene = Scene(load_target("mockup"))
+    modulated_e, charge_e = np.ones((4, 1, 1), np.float32), np.ones((1, 1), np.float32)
+    scene = Scene(load_target("mockup"), 4)
     pose = RigidTransform.from_translation((0.0, 0.0, 5.0))
     nothing = np.full((2, 2), -1, np.int32)
     rays = np.tile(ALONG_Z, (1, 2, 2))

@@ -4,20 +4,26 @@ import numpy as np
 import pytest
 
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_sim_sensor.pmd.pixel import Electronics, convert
+from rpod_sim_sensor.pmd.pixel import Electronics, Light, Noise, convert
 
 CHIP = Electronics.of(PmdConfig())
 NO_SUPPRESSION = CHIP._replace(suppression_e=0.0)
 
 
 def counts(
-    modulated_e: float, charge_e: float, chip: Electronics = CHIP, noise: float = 0.0
+    modulated_e: float,
+    charge_e: float,
+    chip: Electronics = CHIP,
+    noise: float = 0.0,
+    time_share: float = 1.0,
 ) -> tuple[np.ndarray, bool]:
     """One pixel's samples without their offset; the modulated light falls into Q1 and Q2."""
-    modulated = np.array([[[modulated_e, -modulated_e, 0.0, 0.0]]], np.float32)
-    charge = np.array([[charge_e]], np.float32)
-    samples, full = convert(modulated, charge, np.full_like(modulated, noise), chip)
-    return samples[0, 0].astype(int) - 32768, bool(full[0, 0])
+    modulated = np.array([modulated_e, -modulated_e, 0.0, 0.0], np.float32)[:, None, None]
+    light = Light(modulated, np.array([[charge_e]], np.float32), np.zeros(5), time_share)
+    samples, full = np.empty((1, 1, 1, 4), np.uint16), np.empty((1, 1), np.bool_)
+    pool = Noise(np.full(4, noise, np.float32), np.zeros(1, np.int64))
+    convert(light, pool, chip, samples=samples, full=full)
+    return samples[0, 0, 0].astype(int) - 32768, bool(full[0, 0])
 
 
 def test_the_difference_of_the_taps_is_the_modulated_light_times_the_contrast() -> None:
@@ -63,3 +69,11 @@ def test_noise_is_shot_noise_of_all_charge_and_read_noise(charge_e: float) -> No
     sigma_e = np.sqrt(charge_e + 60.0**2)
     samples, _ = counts(0.0, charge_e, CHIP._replace(electrons_per_count=10.0), noise=1.0)
     assert samples.tolist() == [round(sigma_e / 10)] * 4
+
+
+def test_a_shorter_exposure_collects_less_of_everything() -> None:
+    assert counts(100e3, 100e3, time_share=0.5)[0].tolist() == counts(50e3, 50e3)[0].tolist()
+    beyond_e = 2.2 * (CHIP.suppression_e + CHIP.full_well_e)
+    assert counts(0.0, beyond_e)[1]
+    assert counts(0.0, beyond_e, time_share=0.5)[1], "the suppression has less time too"
+    assert not counts(0.0, beyond_e, time_share=0.05)[1]

@@ -10,7 +10,7 @@ from scipy import constants
 
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import MODULATION_FREQUENCIES_HZ, PmdConfig
-from rpod_sim_sensor.pmd import amplitude, distance, phase, reconstruct
+from rpod_sim_sensor.pmd import Lost, amplitude, distance, phase, reconstruct
 
 THETA = np.array([0.0, math.pi, math.pi / 2, 3 * math.pi / 2])
 CONFIG = PmdConfig()
@@ -33,7 +33,7 @@ def frame(distance_m: float, strength: float, changed: dict[int, float] | None =
 
 
 def reconstructed(samples: np.ndarray, full: bool = False) -> tuple[float, int]:
-    depth_m, strength = reconstruct(
+    depth_m, strength, _ = reconstruct(
         samples, CONFIG, cosine=np.full((1, 1), 0.9), full=np.full((1, 1), True) if full else None
     )
     assert depth_m.dtype == np.float32
@@ -122,3 +122,57 @@ def test_a_pixel_that_the_camera_flags_as_full_loses_its_depth() -> None:
     depth_m, strength = reconstructed(frame(5.0, 1000.0), full=True)
     assert math.isnan(depth_m)
     assert strength == 1000
+
+
+def lost(samples: np.ndarray, full: bool = False) -> Lost:
+    flags = np.full((1, 1), full)
+    return Lost(int(reconstruct(samples, CONFIG, cosine=np.ones((1, 1)), full=flags).lost[0, 0]))
+
+
+def test_a_pixel_says_why_it_has_no_depth() -> None:
+    assert lost(frame(5.0, 1000.0)) == Lost(0)
+    assert lost(frame(5.0, 10.0)) == Lost.TOO_DARK
+    assert lost(frame(5.0, 1000.0), full=True) == Lost.SATURATED
+    assert lost(frame(5.0, 1000.0, {1: 900.0})) == Lost.INCONSISTENT
+    assert lost(frame(5.0, 10.0, {1: 9.0})) == Lost.TOO_DARK | Lost.INCONSISTENT
+
+
+def test_the_cameras_own_codes_are_those_of_its_manual() -> None:
+    codes = {Lost.TOO_DARK: 0xFFFF, Lost.SATURATED: 0x0000, Lost.INCONSISTENT: 0x0001}
+    assert {reason: reason.camera_code for reason in codes} == codes
+
+
+DUAL = PmdConfig(profile="dual")
+
+
+def dual_frame(first_m: float, second_m: float, strengths: tuple[float, float]) -> np.ndarray:
+    counts = [
+        samples_of(distance_m, strength, frequency_hz)
+        for distance_m, strength, frequency_hz in zip(
+            (first_m, second_m), strengths, DUAL.frequencies_hz, strict=True
+        )
+    ]
+    return np.rint(np.stack(counts) + 32768).astype(np.uint16)[:, None, None]
+
+
+def test_two_frequencies_measure_beyond_what_either_can() -> None:
+    samples = dual_frame(11.0, 11.0, (900.0, 1100.0))
+    depth_m, strength, flags = reconstruct(samples, DUAL, cosine=np.full((1, 1), 0.9))
+    assert depth_m[0, 0] == pytest.approx(0.9 * 11.0, abs=2e-3)
+    assert strength[0, 0] == 1000
+    assert flags[0, 0] == 0
+
+
+@pytest.mark.parametrize(
+    ("samples", "reason"),
+    [
+        (dual_frame(5.0, 5.0, (1000.0, 10.0)), Lost.TOO_DARK),
+        (dual_frame(5.0, 5.0, (10.0, 1000.0)), Lost.TOO_DARK),
+        (dual_frame(5.0, 6.0, (1000.0, 1000.0)), Lost.INCONSISTENT),
+    ],
+)
+def test_both_frequencies_must_be_good_and_agree(samples: np.ndarray, reason: Lost) -> None:
+    depth_m, strength, flags = reconstruct(samples, DUAL, cosine=np.ones((1, 1)))
+    assert math.isnan(depth_m[0, 0])
+    assert strength[0, 0] > 500
+    assert flags[0, 0] == reason

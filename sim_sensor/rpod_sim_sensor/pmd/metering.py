@@ -1,0 +1,83 @@
+"""The light of a frame before it becomes charge: how much of it strays, and how long to collect it.
+
+The exposure is a function of the very frame's light, before any noise: a frame stays the same in whatever
+order frames are asked for, and whichever are left out.
+"""
+
+import numpy as np
+from numba import njit
+
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.types import Float32Array
+from rpod_sim_sensor.pmd.pixel import Electronics
+
+_METERED = 2
+"""Every other row and column will do."""
+
+
+def mean_light_e(modulated_e: Float32Array, charge_e: Float32Array) -> FloatArray:
+    """Return the image's mean modulation in each sub-exposure, then its mean charge, electrons, (K + 1,)."""
+    total_e = np.zeros(len(modulated_e) + 1)
+    _add_up(modulated_e, charge_e, total_e)
+    return total_e / charge_e.size
+
+
+def exposure_share(
+    modulated_e: Float32Array, charge_e: Float32Array, config: PmdConfig, electronics: Electronics
+) -> float:
+    """Return the share of the profile's time that loses few of the lit pixels, a power of 1 / sqrt(2).
+
+    Lit are those that have a depth at some time from the profile's down to the shortest.
+
+    Args:
+        modulated_e: correlation of the light with the modulation in the full time, shape (K, H, W).
+        charge_e: all electrons of a sub-exposure in the full time, shape (H, W).
+        config: of the camera.
+        electronics: the chip, in the full time.
+    """
+    if config.exposure == "fixed":
+        return 1.0
+    control = config.automatic_exposure
+    changes = np.zeros(control.half_stops + 2, np.int64)
+    limits_e = config.reconstruction.least_amplitude_e, control.full_well_share * electronics.full_well_e
+    lit = _meter(modulated_e, charge_e, electronics, limits_e, changes)
+    kept = np.cumsum(changes)[:-1]
+    half_stops = int(np.argmax(kept >= kept.max() - control.loss_share * lit))
+    return float(2.0 ** (-0.5 * half_stops))
+
+
+@njit(cache=True, nogil=True)
+def _add_up(modulated_e, charge_e, total_e):  # type: ignore[no-untyped-def]
+    count, height, width = modulated_e.shape
+    for row in range(height):
+        for column in range(width):
+            if charge_e[row, column] > 0.0:
+                for k in range(count):
+                    total_e[k] += modulated_e[k, row, column]
+                total_e[count] += charge_e[row, column]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meter(modulated_e, charge_e, electronics, limits_e, changes):  # type: ignore[no-untyped-def]
+    """Note at which half stop each pixel begins to fit and at which it is too dark; return the lit ones."""
+    count, height, width = modulated_e.shape
+    least_e, most_e = limits_e
+    lit = 0
+    for row in range(0, height, _METERED):
+        for column in range(0, width, _METERED):
+            strongest = 0.0
+            for k in range(count):
+                strongest = max(strongest, abs(modulated_e[k, row, column]))
+            difference = electronics.contrast * strongest
+            if difference < least_e:
+                continue
+            common = 0.5 * (charge_e[row, column] - difference)
+            fullest = difference + max(common - electronics.suppression_e, 0.0)
+            first = max(int(np.ceil(2.0 * np.log2(fullest / most_e))), 0)
+            last = int(np.floor(2.0 * np.log2(difference / least_e)))
+            if first <= last and first < changes.size - 1:
+                lit += 1
+                changes[first] += 1
+                changes[min(last + 1, changes.size - 1)] -= 1
+    return lit

@@ -1,0 +1,144 @@
+"""The target's surfaces as they lie in an exposure, placed only where a ray meets them.
+
+A mesh may have a hundred thousand triangles, of which an image shows a part: a triangle's planes are worked
+out for the pixel that meets it first, and kept for the others of the frame.
+
+Insulation (MLI) is a crinkled mirror. Its surface is cut into patches, each with a tilt of its own, which
+belong to the target and move with it. The patches are the cells of a cubic lattice; since the lattice lies
+askew, faces cut it obliquely and none lies along a boundary of cells.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
+from rpod_target import Target
+
+_ASKEW = Rotation.from_rotvec((0.7, -0.4, 0.55)).as_matrix()
+"""From target axes into the lattice's."""
+
+
+class Surfaces(NamedTuple):
+    """The target's triangles in one exposure."""
+
+    normals: FloatArray
+    """Target axes, shape (T, 3)."""
+    offsets_m: FloatArray
+    """n . v0, target axes, shape (T,)."""
+    material: NDArray[np.int32]
+    """Row of ``materials``, shape (T,)."""
+    materials: FloatArray
+    """Diffuse albedo, specular reflectance, squared width of the lobe, patches per metre, and tilt of a patch
+    in rad, shape (M, 5)."""
+    rotations: FloatArray
+    """R_optical_target in the middle of the exposure, then in each sub-exposure, shape (K + 1, 3, 3)."""
+    positions_m: FloatArray
+    """t_optical_target likewise, shape (K + 1, 3)."""
+    R_lattice_optical: FloatArray
+    """Shape (3, 3)."""
+    t_lattice_optical: FloatArray
+    """Shape (3,)."""
+    frame: int
+    """Number of this exposure among the scene's."""
+    placed: NDArray[np.int64]
+    """Exposure for which a triangle's planes were worked out last, shape (T,)."""
+    planes: Float32Array
+    """n / (n . v0), optical axes, shape (T, K + 1, 3): a ray d meets the plane at 1 / (plane . d)."""
+    far_normals: Float32Array
+    """Unit normals away from the camera, in the middle of the exposure, optical axes, shape (T, 3)."""
+
+
+class Scene:
+    """The target's triangles and materials, to be placed by pose."""
+
+    def __init__(self, target: Target, sub_exposures: int) -> None:
+        self._target = target
+        self._materials = np.array(
+            [
+                (m.diffuse, m.f0, m.roughness**4, 1.0 / m.crinkle_m, np.deg2rad(m.crinkle_deg))
+                for m in target.materials
+            ]
+        )
+        self._offsets_m = np.einsum("ti,ti->t", target.normals, target.triangles_m[:, 0])
+        count = len(target.triangles_m)
+        self._placed = np.zeros(count, np.int64)
+        self._planes = np.empty((count, sub_exposures + 1, 3), np.float32)
+        self._far_normals = np.empty((count, 3), np.float32)
+        self._frame = 0
+
+    def placed(self, T_middle: RigidTransform, poses: Sequence[RigidTransform]) -> Surfaces:
+        """Return the surfaces at T_optical_target in the middle of the exposure and in each sub-exposure.
+
+        They share the scene's buffers: the next call ends their use.
+        """
+        self._frame += 1
+        every = [T_middle, *poses]
+        R_lattice_optical = _ASKEW @ T_middle.rotation.as_matrix().T
+        return Surfaces(
+            normals=self._target.normals,
+            offsets_m=self._offsets_m,
+            material=self._target.triangle_material,
+            materials=self._materials,
+            rotations=np.stack([pose.rotation.as_matrix() for pose in every]),
+            positions_m=np.stack([pose.translation for pose in every]),
+            R_lattice_optical=R_lattice_optical,
+            t_lattice_optical=-R_lattice_optical @ T_middle.translation,
+            frame=self._frame,
+            placed=self._placed,
+            planes=self._planes,
+            far_normals=self._far_normals,
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place(index, surfaces):  # type: ignore[no-untyped-def]
+    """Work out the planes of one triangle."""
+    normal, R, t = surfaces.normals[index], surfaces.rotations, surfaces.positions_m
+    plane = surfaces.planes[index]
+    for k in range(R.shape[0]):
+        offset_m = surfaces.offsets_m[index]
+        for i in range(3):
+            n_i = R[k, i, 0] * normal[0] + R[k, i, 1] * normal[1] + R[k, i, 2] * normal[2]
+            offset_m += n_i * t[k, i]
+            plane[k, i] = n_i
+        for i in range(3):
+            if k == 0:
+                surfaces.far_normals[index, i] = np.copysign(1.0, offset_m) * plane[k, i]
+            plane[k, i] = plane[k, i] / offset_m if offset_m != 0.0 else 0.0  # seen edge-on: no ray meets it
+    surfaces.placed[index] = surfaces.frame
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def crinkled(x, y, z, R, t, per_m, tilt_rad):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return what a patch adds to its normal, optical axes, before the sum is normalised.
+
+    Args:
+        x: of the point, optical axes; ``y`` and ``z`` likewise.
+        y: see ``x``.
+        z: see ``x``.
+        R: ``Surfaces.R_lattice_optical``.
+        t: ``Surfaces.t_lattice_optical``.
+        per_m: cells of the lattice per metre.
+        tilt_rad: standard deviation of the tilt about each axis.
+    """
+    i = int(np.floor((R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]) * per_m))
+    j = int(np.floor((R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]) * per_m))
+    k = int(np.floor((R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]) * per_m))
+    mixed = i * 73856093 ^ j * 19349663 ^ k * 83492791
+    for _ in range(2):  # after Wellons' hash prospector: every bit of the cell turns half of the bits
+        mixed = ((mixed >> 32 ^ mixed) & 0xFFFFFFFF) * 0x45D9F3B
+    scale = tilt_rad * np.sqrt(3.0) / 1024.0  # evenly over +-1: a variance of a third
+    a = scale * ((mixed & 0x7FF) - 1023.5)
+    b = scale * ((mixed >> 11 & 0x7FF) - 1023.5)
+    c = scale * ((mixed >> 22 & 0x7FF) - 1023.5)
+    return (
+        R[0, 0] * a + R[1, 0] * b + R[2, 0] * c,
+        R[0, 1] * a + R[1, 1] * b + R[2, 1] * c,
+        R[0, 2] * a + R[1, 2] * b + R[2, 2] * c,
+    )
