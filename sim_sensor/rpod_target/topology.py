@@ -38,12 +38,12 @@ def welded(triangles_m: FloatArray) -> Indices:
     corners = triangles_m.reshape(-1, 3)
     tolerance_m = _WELD * np.ptp(corners, axis=0).max()
     pairs = cKDTree(corners).query_pairs(tolerance_m, output_type="ndarray")
-    return _components(pairs, size=len(corners)).reshape(-1, 3)
+    return components(pairs, size=len(corners)).reshape(-1, 3)
 
 
 def open_edges(triangles_m: FloatArray) -> int:
     """Return how many edges no neighbour runs along in the other direction; 0 where the surface is closed."""
-    edges = _directed_edges(welded(triangles_m))
+    edges = directed_edges(welded(triangles_m))
     edges = edges[edges[:, 0] != edges[:, 1]]  # of slivers whose corners are one
     low_first = edges[:, 0] < edges[:, 1]
     _, inverse = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
@@ -54,8 +54,8 @@ def open_edges(triangles_m: FloatArray) -> int:
 def separate_surfaces(triangles_m: FloatArray) -> list[FloatArray]:
     """Split triangles into surfaces that share no corner."""
     index = welded(triangles_m)
-    edges = _directed_edges(index)
-    surface = _components(edges, size=int(index.max()) + 1)[index[:, 0]]
+    edges = directed_edges(index)
+    surface = components(edges, size=int(index.max()) + 1)[index[:, 0]]
     return [triangles_m[surface == number] for number in range(int(surface.max()) + 1)]
 
 
@@ -66,7 +66,7 @@ def creases(triangles_m: FloatArray, *, angle_rad: float) -> tuple[FloatArray, F
         Segments, shape (E, 2, 3), and the normals of the two faces, shape (E, 2, 3); with one face n and -n.
     """
     normals = unit_normals(triangles_m)
-    edges = _directed_edges(welded(triangles_m))
+    edges = directed_edges(welded(triangles_m))
     unique, first, inverse, count = np.unique(
         np.sort(edges, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
     )
@@ -80,7 +80,7 @@ def creases(triangles_m: FloatArray, *, angle_rad: float) -> tuple[FloatArray, F
     return segments[sharp], np.stack([n_first, n_last], axis=1)[sharp]
 
 
-def _components(pairs: Indices, *, size: int) -> Indices:
+def components(pairs: Indices, *, size: int) -> Indices:
     """Return the number of each node's component, shape (size,), in a graph of pairs, shape (P, 2)."""
     graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
     _, component = connected_components(graph, directed=False)
@@ -91,6 +91,6 @@ def _spanned(triangles_m: FloatArray) -> FloatArray:
     return np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
 
 
-def _directed_edges(index: Indices) -> Indices:
+def directed_edges(index: Indices) -> Indices:
     """Row 3 t + c runs from corner c of triangle t to the next one; shape (3 T, 2)."""
     return np.stack([index, np.roll(index, -1, axis=1)], axis=2).reshape(-1, 2)

@@ -1,0 +1,107 @@
+"""Lines of the image matched with the projected wireframe, and the corners where they intersect.
+
+Klionovska et al., Robotics 7(1), 2018, section 3.3.1: each line of the model is projected with the prior pose;
+of the Hough lines the nearest neighbour in angle and position is its own, those beyond the thresholds belong to
+nothing. The paper pairs the ends of the lines; ends shorten where an edge fades, so here neighbouring lines are
+intersected, after all edge pixels along them have measured them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rpod_estimator.tracking.edge_image import EdgeImage
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_amplitude import LineMatchConfig
+
+REFITS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class ImageLine:
+    """A straight line in the image: all p with normal @ p = offset."""
+
+    normal: FloatArray
+    """Unit vector, shape (2,)."""
+    offset_px: float
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far from its prediction a feature is sought."""
+
+    angle_rad: float
+    distance_px: float
+
+
+def matched_line(image: EdgeImage, ends: FloatArray, *, reach: Reach, config: LineMatchConfig) -> ImageLine | None:
+    """Return the image's line that belongs to a line of the model with these projected ends, shape (2, 2)."""
+    segment = nearest_segment(image.segments, ends, reach)
+    return None if segment is None else measured_line(image, segment, ends, reach=reach, config=config)
+
+
+def nearest_segment(segments: FloatArray, ends: FloatArray, reach: Reach) -> FloatArray | None:
+    """Return the ends of the segment nearest to a model line in angle and position, None beyond the limits.
+
+    A segment counts where more than half of it lies along the model line, its reach included.
+    """
+    length_px = float(np.linalg.norm(ends[1] - ends[0]))
+    if length_px < 1.0:
+        return None
+    along = (ends[1] - ends[0]) / length_px
+    across = np.array((-along[1], along[0]))
+    way = segments[:, 1] - segments[:, 0]
+    angle_rad = np.abs(np.arctan2(way @ across, way @ along))
+    angle_rad = np.minimum(angle_rad, np.pi - angle_rad)
+    distance_px = np.abs((segments.mean(axis=1) - ends.mean(axis=0)) @ across)
+    places = np.sort((segments - ends[0]) @ along, axis=1)
+    inside = np.clip(places, -reach.distance_px, length_px + reach.distance_px)
+    share = np.ptp(inside, axis=1) / np.maximum(np.ptp(places, axis=1), 1e-9)
+    near = (angle_rad < reach.angle_rad) & (distance_px < reach.distance_px) & (share > 0.5)
+    if not near.any():
+        return None
+    cost = angle_rad / reach.angle_rad + distance_px / reach.distance_px
+    nearest: FloatArray = segments[np.argmin(np.where(near, cost, np.inf))]
+    return nearest
+
+
+def measured_line(
+    image: EdgeImage, segment: FloatArray, ends: FloatArray, *, reach: Reach, config: LineMatchConfig
+) -> ImageLine | None:
+    """Return the line through the edge pixels along a segment, as far as its model line reaches.
+
+    Total least squares; fitted again to the pixels beside the fitted line.
+    """
+    along = (segment[1] - segment[0]) / np.linalg.norm(segment[1] - segment[0])
+    middle = segment.mean(axis=0)
+    for _ in range(1 + REFITS):
+        across = np.array((-along[1], along[0]))
+        offset = image.places - middle
+        limits = np.sort((ends - middle) @ along)
+        beside = np.abs(offset @ across) < config.band_px
+        within = (offset @ along > limits[0] - reach.distance_px) & (offset @ along < limits[1] + reach.distance_px)
+        steep = np.abs(image.across @ across) > np.cos(np.deg2rad(ALIGNED_DEG))
+        members = image.places[beside & within & steep]
+        if len(members) < config.min_pixels:
+            return None
+        middle = members.mean(axis=0)
+        along = np.linalg.eigh((members - middle).T @ (members - middle))[1][:, 1]
+    across = np.array((-along[1], along[0]))
+    return ImageLine(across, float(across @ middle))
+
+
+ALIGNED_DEG = 25.0
+"""The amplitude rises across an edge pixel within this angle of the line's normal."""
+
+
+def intersection(lines: list[ImageLine], *, min_turn_rad: float) -> FloatArray | None:
+    """Return the place nearest to all lines, shape (2,); None where no two of them cross clearly."""
+    if len(lines) < 2:
+        return None
+    normals = np.stack([line.normal for line in lines])
+    information = normals.T @ normals
+    # Two lines at an angle a have the eigenvalues 1 +- |cos a|.
+    if np.linalg.eigvalsh(information)[0] < 1.0 - np.cos(min_turn_rad):
+        return None
+    place: FloatArray = np.linalg.solve(information, normals.T @ [line.offset_px for line in lines])
+    return place
