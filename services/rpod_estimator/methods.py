@@ -11,14 +11,17 @@ from rpod_estimator.acquisition.verified_search import VerifiedSearch
 from rpod_estimator.acquisition.view_search import ViewSearch
 from rpod_estimator.depth_preparation import DepthPreparation, PreparedAcquirer, PreparedTracker
 from rpod_estimator.ports import Acquirer, Methods, Tracker
+from rpod_estimator.tracking.epnp import EpnpTracker
+from rpod_estimator.tracking.hybrid import HybridTracker
 from rpod_estimator.tracking.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_estimator.tracking.icp_reverse_calibration import ReverseCalibrationIcp
 from rpod_estimator.tracking.projective_icp import ProjectiveIcp
 from rpod_estimator.tracking.signed_distance import SignedDistanceTracker
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.estimator import LidarInput, PmdInput, SensorInput
+from rpod_schemas.config.estimator import LidarInput, PmdInput, PmdTrackingConfig, SensorInput
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
-from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig
+from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
+from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, LidarInfo, LidarScan, PmdFrame
 from rpod_sim_sensor.geometry import RayGrid, cast
@@ -48,16 +51,28 @@ class ScanPattern:
 
 def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
     """Return the methods for a PMD camera."""
-    tracker: Tracker[PmdFrame]
-    if isinstance(sensor.tracking, IcpReverseCalibrationConfig):
-        tracker = ReverseCalibrationIcp(sensor.tracking, target)
-    else:
-        tracker = SignedDistanceTracker(sensor.tracking, target)
-    acquirer = VerifiedSearch(ViewSearch(sensor.acquisition, target), tracker, sensor.verification)
+    tracker = pmd_tracker(sensor.tracking, target)
+    refiner = tracker
+    if isinstance(sensor.tracking, EpnpConfig):  # what the search finds in the depth is refined in the depth
+        refiner = ReverseCalibrationIcp(IcpReverseCalibrationConfig(), target)
+    acquirer = VerifiedSearch(ViewSearch(sensor.acquisition, target), refiner, sensor.verification)
     preparation = DepthPreparation(sensor, target)
     return Methods(
         PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation), sensor.verification
     )
+
+
+def pmd_tracker(config: PmdTrackingConfig, target: Target) -> Tracker[PmdFrame]:
+    """Return what tracks a PMD camera's target."""
+    match config:
+        case IcpReverseCalibrationConfig():
+            return ReverseCalibrationIcp(config, target)
+        case SignedDistanceConfig():
+            return SignedDistanceTracker(config, target)
+        case EpnpConfig():
+            return EpnpTracker(config, target)
+        case HybridConfig():
+            return HybridTracker(config, target)
 
 
 def lidar_methods(sensor: LidarInput, target: Target, pattern: ScanPattern) -> Methods:

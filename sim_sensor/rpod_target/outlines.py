@@ -1,13 +1,15 @@
 """Plane faces of a target and their outlines: what a camera shows as straight lines, corners and circles.
 
-Klionovska et al., Robotics 7(1), 2018, section 3.1, Fig. 4d: the wireframe that the amplitude image is compared
-with, the front hexagon's lines and the extreme point of the nose. Here it follows from the triangles of any
-target: coplanar neighbours make a face, the edges that only one of them has make its outline.
+Klionovska et al., Robotics 7(1), 2018, section 3.1, Fig. 4d: the wireframe that the amplitude image is
+compared with, the front hexagon's lines and the extreme point of the nose. Here it follows from the
+triangles of any target: coplanar neighbours make a face, the edges that only one of them has make its
+outline.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target.target import Target
@@ -82,7 +84,7 @@ def _outlines(triangles_m: FloatArray, min_area_m2: float) -> list[FloatArray]:
     face = components(np.stack([triangle, twin // 3], axis=1)[flat], size=len(triangles_m))
     outer = face[triangle] != np.where(twin < 0, -1, face[twin // 3])
     area_m2 = np.bincount(face, weights=areas_m2(triangles_m))
-    area_m2[face[triangle[outer & (cosine > np.cos(_CREASE_RAD))]]] = 0.0
+    area_m2[face[triangle[outer & (cosine > np.cos(_CREASE_RAD))]]] = -1.0
     position = np.zeros((int(index.max()) + 1, 3))
     position[index.ravel()] = triangles_m.reshape(-1, 3)
     loops = [
@@ -134,14 +136,15 @@ def _length_m(corners_m: FloatArray) -> float:
 def _without_straight_corners(corners_m: FloatArray) -> FloatArray:
     if len(corners_m) < 3:
         return corners_m
-    return corners_m[np.linalg.norm(_turns(corners_m), axis=1) > _STRAIGHT]
+    turns: NDArray[np.bool_] = np.linalg.norm(_turns(corners_m), axis=1) > _STRAIGHT
+    return corners_m[turns]
 
 
 def _turns(corners_m: FloatArray) -> FloatArray:
     """Return the cross products of the directions into and out of each corner, shape (N, 3)."""
     along = np.roll(corners_m, -1, axis=0) - corners_m
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return np.cross(np.roll(along, 1, axis=0), along)
+    return np.asarray(np.cross(np.roll(along, 1, axis=0), along), np.float64)
 
 
 def _face(corners_m: FloatArray) -> Face:

@@ -10,10 +10,11 @@ from rpod_schemas.config.depth_calibration import CalibrationSource
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
+from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
 from rpod_schemas.config.pmd_methods import (
     IcpReverseCalibrationConfig,
     PmdAcquisitionConfig,
-    PmdTrackingConfig,
+    SignedDistanceConfig,
 )
 from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
 from rpod_schemas.config.verification import VerificationConfig
@@ -24,6 +25,11 @@ LidarAcquisitionConfig = Annotated[GlobalSearchConfig | TemplateMatchingConfig, 
 """How a LIDAR's target is found, told by ``kind``."""
 LidarTrackingConfig = Annotated[ProjectiveIcpConfig | IcpNearestNeighbourConfig, Field(discriminator="kind")]
 """How a LIDAR's target is tracked, told by ``kind``."""
+PmdTrackingConfig = Annotated[
+    IcpReverseCalibrationConfig | SignedDistanceConfig | EpnpConfig | HybridConfig,
+    Field(discriminator="kind"),
+]
+"""How a PMD camera's target is tracked, told by ``kind``."""
 
 
 class LidarInput(Config):

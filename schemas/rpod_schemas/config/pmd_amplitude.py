@@ -9,8 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
-
-Count = Annotated[int, Field(gt=0)]
+from rpod_schemas.config.pmd_methods import Count, IcpReverseCalibrationConfig
 
 
 class EdgeImageConfig(Config):
@@ -53,9 +52,9 @@ class EdgeImageConfig(Config):
 class LineMatchConfig(Config):
     """Which of the image's lines belong to the projected wireframe, and how they are measured."""
 
-    angle_deg: Annotated[float, Field(gt=0, lt=90)] = 10.0
+    angle_deg: Annotated[float, Field(gt=0, lt=90)] = 12.0
     """Most that a line and its model line differ in direction, at first."""
-    reach_m: Positive = 0.08
+    reach_m: Positive = 0.12
     """Most that they are apart, at the target's distance, at first."""
     narrowing: Annotated[float, Field(gt=0, le=1)] = 0.35
     """Both limits shrink by this in each further round."""
@@ -76,7 +75,7 @@ class CircleConfig(Config):
     """Radius of the predicted circle on the image drawn of its plane."""
     radius_tolerance: Annotated[float, Field(gt=0, lt=1)] = 0.2
     """Most that a circle's radius differs from the model's, as a share of it."""
-    reach_m: Positive = 0.08
+    reach_m: Positive = 0.12
     """Most that its centre is from the predicted one, at first; it narrows as that of the lines."""
     votes: Positive = 10.0
     """Least votes of the accumulator; of more circles the one nearest to the prediction is taken."""
@@ -92,6 +91,7 @@ class EpnpConfig(Config):
     """The 2018 paper's amplitude technique: lines and a circle, their corners and centre, EPnP."""
 
     kind: Literal["epnp"] = "epnp"
+    """Selects this method."""
     points: Literal["front", "all"] = "front"
     """front: the paper's, the largest face that is seen and the extreme circle before it; all: corners and
     circles of every face that is seen."""
@@ -104,7 +104,7 @@ class EpnpConfig(Config):
     circle: CircleConfig = CircleConfig()
     """The nose."""
     rounds: Count = 3
-    """How often features are matched and the pose solved, each from the last pose and with narrower limits."""
+    """How often features are matched and the pose solved, each from the last pose, with narrower limits."""
     polish_iterations: Annotated[int, Field(ge=0)] = 10
     """Gauss-Newton steps on the reprojection error after EPnP; 0 for the paper's pose."""
     min_points: Annotated[int, Field(ge=4)] = 4
@@ -113,7 +113,7 @@ class EpnpConfig(Config):
     """Least extent of the points across their common plane, as a share of that along it: coplanar corners
     alone are ambiguous in their tilt, and degenerate for EPnP."""
     outlier_px: Positive = 3.0
-    """A point that reprojects farther off, and farther than all others, is dropped and the pose solved anew."""
+    """A point that reprojects farther off, and farther than all others, is dropped, the pose solved anew."""
     max_error_px: Positive = 2.0
     """A larger root mean square of the reprojection errors is no registration."""
     max_turn_deg: Positive = 15.0
@@ -126,4 +126,23 @@ class EpnpConfig(Config):
     """A pose whose covariance says more about some axis is not believed."""
 
 
-__all__ = ["CircleConfig", "EdgeImageConfig", "EpnpConfig", "LineMatchConfig"]
+class HybridConfig(Config):
+    """Both techniques of the 2018 paper on every frame, and the arbitration between them."""
+
+    kind: Literal["hybrid"] = "hybrid"
+    """Selects this method."""
+    depth: IcpReverseCalibrationConfig = IcpReverseCalibrationConfig()
+    """The first technique."""
+    amplitude: EpnpConfig = EpnpConfig()
+    """The second technique."""
+    max_depth_cost_m2: Positive = 0.003
+    """A depth registration with a larger mean squared residual is not believed."""
+    min_inlier_share: Share = 0.45
+    """Nor is one with fewer inliers among the points that could have matched."""
+    min_explained_share: Share = 0.6
+    """Nor is one that explains a smaller share of the depth image."""
+    agreement: Positive = 16.8
+    """The techniques agree where the squared difference of their poses, by the sum of their covariances, is
+    below this: the 99 % quantile of chi squared with six degrees of freedom. Only then they are fused."""
+    redundant_points: Annotated[int, Field(ge=4)] = 6
+    """Where they disagree, the amplitude's pose is taken if it rests on so many points, else the depth's."""

@@ -115,10 +115,6 @@ class SignedDistanceConfig(Config):
         return self
 
 
-PmdTrackingConfig = Annotated[IcpReverseCalibrationConfig | SignedDistanceConfig, Field(discriminator="kind")]
-"""The tracking of depth images: one method of several, told by ``kind``."""
-
-
 class PmdAcquisitionConfig(Config):
     """Search over views and rolls for the target in one depth image."""
 

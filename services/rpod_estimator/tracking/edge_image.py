@@ -1,8 +1,8 @@
 """The amplitude image as edges and lines: low-pass, Canny, sub-pixel places, Hough lines.
 
-Klionovska et al., Robotics 7(1), 2018, section 3.3.1, steps 1 to 5. Edges are found on grey levels of 8 bits, as
-the paper's are, and then moved to the steepest place of the linear amplitude across them. Places leave this
-module straightened: where a lens without distortion would have imaged them.
+Klionovska et al., Robotics 7(1), 2018, section 3.3.1, steps 1 to 5. Edges are found on grey levels of 8
+bits, as the paper's are, and then moved to the steepest place of the linear amplitude across them. Places
+leave this module straightened: where a lens without distortion would have imaged them.
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
         return light
     linear = _low_pass(np.minimum(light, 1.0), config.low_pass_px)
     grey = np.rint(WHITE * linear**config.gamma).astype(np.uint8)
-    edges = cv2.Canny(grey, config.canny_low, config.canny_high, L2gradient=True)
+    edges = np.asarray(cv2.Canny(grey, config.canny_low, config.canny_high, L2gradient=True), np.uint8)
     segments = cv2.HoughLinesP(
         edges,
         config.hough_distance_px,
@@ -79,7 +79,12 @@ def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
         return str(error)
     count = len(places)
     return EdgeImage(
-        frame.camera, grey, _low_pass(light, config.low_pass_px), straight[:count], across, straight[count:].reshape(-1, 2, 2)
+        frame.camera,
+        grey,
+        _low_pass(light, config.low_pass_px),
+        straight[:count],
+        across,
+        straight[count:].reshape(-1, 2, 2),
     )
 
 
@@ -88,10 +93,11 @@ def _scaled(amplitude: NDArray[np.generic], config: EdgeImageConfig) -> Float32A
     light = np.nan_to_num(amplitude.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     brightest = float(np.percentile(light[::2, ::2], 99.0))
     lit = light[light > config.dark_share * brightest]
-    if brightest <= 0.0 or lit.size < config.min_lit:
-        return f"{0 if brightest <= 0.0 else lit.size} lit pixels in the amplitude image, {config.min_lit} needed"
-    white = float(np.percentile(lit, config.white_percentile))
-    return np.maximum(light, 0.0) / np.float32(white)
+    count = lit.size if brightest > 0.0 else 0
+    if count < config.min_lit:
+        return f"{count} lit pixels in the amplitude image, {config.min_lit} needed"
+    white = np.percentile(lit, config.white_percentile)
+    return (np.maximum(light, 0.0) / white).astype(np.float32)
 
 
 def _low_pass(light: Float32Array, sigma_px: float) -> Float32Array:
@@ -106,7 +112,7 @@ def _steepest_places(edges: NDArray[np.uint8], linear: Float32Array) -> tuple[Fl
     row, column = np.nonzero(edges)
     right = cv2.Sobel(linear, cv2.CV_32F, 1, 0)
     down = cv2.Sobel(linear, cv2.CV_32F, 0, 1)
-    steepness = cv2.magnitude(right, down)
+    steepness = np.hypot(right, down).astype(np.float32)
     gradient = np.stack((right[row, column], down[row, column]), axis=1).astype(np.float64)
     across = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
     pixels = np.stack((column, row), axis=1).astype(np.float64)
@@ -119,7 +125,9 @@ def _steepest_places(edges: NDArray[np.uint8], linear: Float32Array) -> tuple[Fl
 
 def _sampled(image: Float32Array, places: FloatArray) -> FloatArray:
     column, row = places.T.astype(np.float32)
-    sampled = cv2.remap(image, column[:, None], row[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    sampled = cv2.remap(
+        image, column[:, None], row[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     return np.asarray(sampled, np.float64).ravel()
 
 

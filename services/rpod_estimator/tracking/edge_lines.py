@@ -1,9 +1,9 @@
 """Lines of the image matched with the projected wireframe, and the corners where they intersect.
 
-Klionovska et al., Robotics 7(1), 2018, section 3.3.1: each line of the model is projected with the prior pose;
-of the Hough lines the nearest neighbour in angle and position is its own, those beyond the thresholds belong to
-nothing. The paper pairs the ends of the lines; ends shorten where an edge fades, so here neighbouring lines are
-intersected, after all edge pixels along them have measured them.
+Klionovska et al., Robotics 7(1), 2018, section 3.3.1: each line of the model is projected with the prior
+pose; of the Hough lines the nearest neighbour in angle and position is its own, those beyond the
+thresholds belong to nothing. The paper pairs the ends of the lines; ends shorten where an edge fades, so
+here neighbouring lines are intersected, after all edge pixels along them have measured them.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,8 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_amplitude import LineMatchConfig
 
 REFITS = 2
+ALIGNED_RAD = np.deg2rad(25.0)
+"""The amplitude rises across an edge pixel within this angle of the line's normal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,9 @@ class Reach:
     distance_px: float
 
 
-def matched_line(image: EdgeImage, ends: FloatArray, *, reach: Reach, config: LineMatchConfig) -> ImageLine | None:
+def matched_line(
+    image: EdgeImage, ends: FloatArray, *, reach: Reach, config: LineMatchConfig
+) -> ImageLine | None:
     """Return the image's line that belongs to a line of the model with these projected ends, shape (2, 2)."""
     segment = nearest_segment(image.segments, ends, reach)
     return None if segment is None else measured_line(image, segment, ends, reach=reach, config=config)
@@ -79,19 +83,18 @@ def measured_line(
         offset = image.places - middle
         limits = np.sort((ends - middle) @ along)
         beside = np.abs(offset @ across) < config.band_px
-        within = (offset @ along > limits[0] - reach.distance_px) & (offset @ along < limits[1] + reach.distance_px)
-        steep = np.abs(image.across @ across) > np.cos(np.deg2rad(ALIGNED_DEG))
+        within = (offset @ along > limits[0] - reach.distance_px) & (
+            offset @ along < limits[1] + reach.distance_px
+        )
+        steep = np.abs(image.across @ across) > np.cos(ALIGNED_RAD)
         members = image.places[beside & within & steep]
         if len(members) < config.min_pixels:
             return None
         middle = members.mean(axis=0)
-        along = np.linalg.eigh((members - middle).T @ (members - middle))[1][:, 1]
+        scatter = (members - middle).T @ (members - middle)
+        along = np.asarray(np.linalg.eigh(scatter)[1][:, 1], np.float64)
     across = np.array((-along[1], along[0]))
     return ImageLine(across, float(across @ middle))
-
-
-ALIGNED_DEG = 25.0
-"""The amplitude rises across an edge pixel within this angle of the line's normal."""
 
 
 def intersection(lines: list[ImageLine], *, min_turn_rad: float) -> FloatArray | None:
@@ -103,5 +106,5 @@ def intersection(lines: list[ImageLine], *, min_turn_rad: float) -> FloatArray |
     # Two lines at an angle a have the eigenvalues 1 +- |cos a|.
     if np.linalg.eigvalsh(information)[0] < 1.0 - np.cos(min_turn_rad):
         return None
-    place: FloatArray = np.linalg.solve(information, normals.T @ [line.offset_px for line in lines])
-    return place
+    offsets_px = np.array([line.offset_px for line in lines])
+    return np.asarray(np.linalg.solve(information, normals.T @ offsets_px), np.float64)

@@ -1,12 +1,13 @@
 """The 2018 paper's second technique: lines and a circle of the amplitude image, corners, EPnP.
 
-Klionovska et al., Robotics 7(1), 2018, section 3.3: the wireframe is projected with the prior pose, each of its
-lines takes the nearest Hough line, neighbouring lines make a corner where they intersect, the nose's circle a
-seventh point, and EPnP the pose (Eqs. 5 to 7). Beside the paper: features are sought again, closer, around the
-pose that they gave, so that the first search may be wide; the pose is refined to the least reprojection error.
+Klionovska et al., Robotics 7(1), 2018, section 3.3: the wireframe is projected with the prior pose, each
+of its lines takes the nearest Hough line, neighbouring lines make a corner where they intersect, the
+nose's circle a seventh point, and EPnP the pose (Eqs. 5 to 7). Beside the paper: features are sought
+again, closer, around the pose that they gave, so that the first search may be wide; the pose is refined
+to the least reprojection error.
 
-Sets that do not determine a pose are refused with a reason: fewer than four points, corners of one plane without
-the nose, points that contradict each other, a pose that leaves the prediction.
+Sets that do not determine a pose are refused with a reason: fewer than four points, corners of one plane
+without the nose, points that contradict each other, a pose that leaves the prediction.
 """
 
 from dataclasses import dataclass
@@ -82,14 +83,15 @@ class EpnpTracker:
             view = DepthView.of(measurement.camera, STRIDE_PX)
         except DistortionError as error:
             return _refused(str(error))
-        pose = T_sensor_target
+        pose, fits = T_sensor_target, list[Fit]()
         for number in range(self._config.rounds):
             points = self._found(image, view, pose, number)
             fit = points if isinstance(points, str) else self._fit(points, image.camera)
             if isinstance(fit, str):
                 return _refused(fit)
             pose = fit.T_sensor_target
-        return self._concluded(fit, T_sensor_target, image.camera)
+            fits.append(fit)
+        return self._concluded(fits[-1], T_sensor_target, image.camera)
 
     def _found(
         self, image: EdgeImage, view: DepthView, T_sensor_target: RigidTransform, number: int
@@ -127,7 +129,10 @@ class EpnpTracker:
         found: list[tuple[FloatArray, FloatArray]] = []
         for corner, lines in sorted(meeting.items()):
             place = intersection(lines, min_turn_rad=np.deg2rad(config.min_turn_deg))
-            if place is not None and np.linalg.norm(place - projected[corner]) < 2.0 * search.lines.distance_px:
+            if (
+                place is not None
+                and np.linalg.norm(place - projected[corner]) < 2.0 * search.lines.distance_px
+            ):
                 found.append((wireframe.corners_m[corner], place))
         return found
 

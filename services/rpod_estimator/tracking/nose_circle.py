@@ -1,8 +1,8 @@
 """The centre of a circular face in the image: a Hough circle on the face's own plane.
 
-Klionovska et al., Robotics 7(1), 2018, section 3.3.1. The Hough transform knows circles alone, and seen from the
-side a circle is an ellipse whose centre is not the circle's. So the image is drawn as the predicted plane of
-the face shows it, where the circle is round, and its centre is the face's.
+Klionovska et al., Robotics 7(1), 2018, section 3.3.1. The Hough transform knows circles alone, and seen
+from the side a circle is an ellipse whose centre is not the circle's. So the image is drawn as the
+predicted plane of the face shows it, where the circle is round, and its centre is the face's.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from rpod_estimator.tracking.edge_image import EdgeImage, bent
 from rpod_estimator.tracking.wireframe_view import plane_axes
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_amplitude import CircleConfig
+from rpod_schemas.types import Float32Array
 from rpod_target.outlines import Disc
 
 MARGIN = 1.4
@@ -55,15 +56,15 @@ class DiscPlane:
         pixels: FloatArray = seen[..., :2] / seen[..., 2:]
         return pixels
 
-    def read(self, values: NDArray[np.generic], places: FloatArray) -> FloatArray:
+    def read(self, values: Float32Array | NDArray[np.uint8], places: FloatArray) -> FloatArray:
         """Return an image's values at places in the plane, shape (rows, columns, 2); 0 beside the image."""
         pixels = self.straight_pixels(places)
         camera = self.image.camera
         if camera.distortion.any():
             pixels = bent(pixels.reshape(-1, 2), camera).reshape(places.shape)
         column, row = np.moveaxis(pixels.astype(np.float32), -1, 0)
-        read: FloatArray = cv2.remap(values, column, row, cv2.INTER_LINEAR, borderValue=0.0)
-        return read
+        read = cv2.remap(values, column, row, cv2.INTER_LINEAR, borderValue=0.0)
+        return np.asarray(read, np.float64)
 
     @property
     def radius_px(self) -> float:
@@ -155,7 +156,7 @@ LEAST_STEP = 0.01
 
 
 def _fitted(rim: FloatArray) -> tuple[FloatArray, float]:
-    """Return centre and radius of the circle through points, least squares (Kasa, 1976), outliers left out."""
+    """Return centre and radius of the circle through points: least squares (Kasa, 1976), without outliers."""
     centre, radius = np.zeros(2), 1.0
     for _ in range(2):
         system = np.column_stack((2.0 * rim, np.ones(len(rim))))

@@ -1,8 +1,8 @@
 """A pose from points and their places in the image: EPnP, its refinement, what it can be trusted with.
 
-Klionovska et al., Robotics 7(1), 2018, section 3.3.2, Eqs. 5 to 7; the solver is OpenCV's (Lepetit et al.,
-Int. J. Comput. Vis. 81, 2009). Places are straightened, so the camera is a pinhole. The refinement minimises the
-reprojection error by Gauss-Newton steps with the perturbation of ``normal_equations``.
+Klionovska et al., Robotics 7(1), 2018, section 3.3.2, Eqs. 5 to 7; the solver is OpenCV's (Lepetit et
+al., Int. J. Comput. Vis. 81, 2009). Places are straightened, so the camera is a pinhole. The refinement
+minimises the reprojection error by Gauss-Newton steps with the perturbation of ``normal_equations``.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ SETTLED = 1e-6
 """A step of less, m and rad, ends the refinement."""
 BEHIND_M = 1e-3
 PRIOR_RESIDUALS = 4.0
-"""The assumed noise counts as so many residuals: the few of six or seven points say little about their spread."""
+"""The assumed noise counts as so many residuals: six or seven points say little about their own spread."""
 WORST_CONDITION = 1e10
 
 
@@ -74,8 +74,8 @@ class Fit:
     def covariance(self, noise_px: float) -> FloatArray:
         """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6).
 
-        s^2 (J^T J)^-1 with s the spread of the errors, no less than ``noise_px``. NaN where the points leave a
-        motion undetermined.
+        s^2 (J^T J)^-1 with s the spread of the errors, no less than ``noise_px``. NaN where the points leave
+        a motion undetermined.
         """
         if not np.linalg.cond(self.information) < WORST_CONDITION:
             return np.full((6, 6), np.nan)
@@ -116,7 +116,7 @@ def fitted(
 
 
 @njit(cache=True, nogil=True)
-def reproject(points, pixels, intrinsics, R, t):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def reproject(points, pixels, intrinsics, R, t):  # type: ignore[no-untyped-def]
     """Return errors, (N, 2), px, J^T J, J^T errors, and whether all points lie before the camera."""
     fx, fy, cx, cy = intrinsics
     information, gradient, row = np.zeros((6, 6)), np.zeros(6), np.empty(6)
@@ -134,7 +134,11 @@ def reproject(points, pixels, intrinsics, R, t):  # type: ignore[no-untyped-def]
         for i in range(2):
             a = by_tau[i]
             row[0], row[1], row[2] = a[0], a[1], a[2]
-            row[3], row[4], row[5] = q[1] * a[2] - q[2] * a[1], q[2] * a[0] - q[0] * a[2], q[0] * a[1] - q[1] * a[0]
+            row[3], row[4], row[5] = (
+                q[1] * a[2] - q[2] * a[1],
+                q[2] * a[0] - q[0] * a[2],
+                q[0] * a[1] - q[1] * a[0],
+            )
             add_residual(information, gradient, row, errors[n, i], 1.0)
     return errors, information, gradient, True
 
@@ -152,4 +156,3 @@ def refine(points, pixels, intrinsics, R, t, iterations):  # type: ignore[no-unt
         if np.abs(step).max() < SETTLED:
             break
     return R, t
-

@@ -1,7 +1,7 @@
 """The wireframe of a target as one pose shows it: which lines, corners and circles to seek in an image.
 
-Klionovska et al., Robotics 7(1), 2018, sections 3.1 and 3.3.1: the front hexagon and the extreme point of the
-nose. Which face is the front follows from the pose: the largest one that is seen.
+Klionovska et al., Robotics 7(1), 2018, sections 3.1 and 3.3.1: the front hexagon and the extreme point of
+the nose. Which face is the front follows from the pose: the largest one that is seen.
 """
 
 from collections.abc import Sequence
@@ -130,8 +130,8 @@ class WireframeView:
 def nose_discs(face: Face, discs: list[Disc]) -> list[Disc]:
     """Return the circle, of those parallel to a face and before it, that is the farthest out, or none.
 
-    Circles about the same axis come with it: where light saturates, the rim of a step behind the nose's end is
-    the one that shows.
+    Circles about the same axis come with it: where light saturates, the rim of a step behind the nose's end
+    is the one that shows.
     """
     centre_m = face.corners_m.mean(axis=0)
     reach_m = float(np.linalg.norm(face.corners_m - centre_m, axis=1).max())
@@ -146,7 +146,9 @@ def nose_discs(face: Face, discs: list[Disc]) -> list[Disc]:
     before = [
         disc
         for disc in discs
-        if disc.normal @ face.normal > PARALLEL and height_m(disc) > 0.0 and beside_m(disc, centre_m) < reach_m
+        if disc.normal @ face.normal > PARALLEL
+        and height_m(disc) > 0.0
+        and beside_m(disc, centre_m) < reach_m
     ]
     if not before:
         return []
@@ -156,7 +158,7 @@ def nose_discs(face: Face, discs: list[Disc]) -> list[Disc]:
 
 def plane_axes(normal: FloatArray) -> FloatArray:
     """Return two unit vectors across a normal and each other, shape (2, 3)."""
-    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first: FloatArray = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]).astype(np.float64)
     first /= np.linalg.norm(first)
     return np.stack((first, np.cross(normal, first)))
 
