@@ -29,6 +29,7 @@ class Reason(StrEnum):
     LATE = "late"
     FUTURE = "future"
     UNKNOWN_FRAME = "unknown_frame"
+    OTHER_CAMERA = "other_camera"
     OLD_ATTACHMENT = "old_attachment"
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial.transform import RigidTransform
 
+from rpod_estimator.camera_watch import difference
 from rpod_estimator.ports import Acquirer, Acquisition, Registration, Tracker, Verdict
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.depth_calibration import DepthCalibration, unambiguous_range_m
@@ -42,10 +43,8 @@ _END_M = 30.0
 """Step and end of the table of corrections: 5 MHz, the lowest frequency in use, is unambiguous up to here."""
 _ROUNDS = 40
 """Of the inversion of a calibration; the error's slope is at most 0.5, so each halves what is wrong."""
-_ALIKE = 1e-3
-"""Relative difference of two frequencies or focal lengths that are the same."""
-_ALIKE_PX = 0.5
-"""Difference of two principal points that are the same."""
+_SAME = 1e-3
+"""Relative difference of two frequencies that are the same."""
 
 
 class DepthPreparation:
@@ -57,11 +56,11 @@ class DepthPreparation:
 
     def refusal(self, frame: PmdFrame) -> str:
         """Return why a frame is of another camera than the configured one; empty where it is not."""
-        if self._sensor.camera is not None and (why := _camera_differs(frame.camera, self._sensor.camera)):
-            return why
+        if self._sensor.camera is not None and (why := difference(frame.camera, self._sensor.camera)):
+            return f"camera_info: {why} in the configuration"
         (name, first), *others = self._frequencies(frame) or [("", ())]
         for other, hertz in others:
-            if len(hertz) != len(first) or not np.allclose(hertz, first, rtol=_ALIKE, atol=0.0):
+            if len(hertz) != len(first) or not np.allclose(hertz, first, rtol=_SAME, atol=0.0):
                 return f"modulation_frequency_hz: {name} says {_mhz(first)}, {other} says {_mhz(hertz)}"
         return ""
 
@@ -96,9 +95,10 @@ class DepthPreparation:
     def _interval_m(self, frame: PmdFrame) -> float:
         """Return the unambiguous range, 0 where nothing is to be unwrapped."""
         known = self._frequencies(frame)
-        if self._sensor.unwrapping == "none" or not known or len(known[0][1]) > 1:
+        if self._sensor.unwrapping == "none" or not known:
             return 0.0
-        return unambiguous_range_m(known[0][1][0])
+        _, hertz = known[0]
+        return unambiguous_range_m(hertz[0]) if len(hertz) == 1 else 0.0
 
     def _seen_at(self, frame: PmdFrame) -> tuple[float, float] | None:
         """Return the mean distance modulo c / 2f and the RMS spread of the slopes, if there is a distance."""
@@ -177,29 +177,6 @@ def calibrated(calibration: DepthCalibration, measured_m: FloatArray) -> FloatAr
     for _ in range(_ROUNDS):
         true_m = measured_m - calibration.error_m(true_m)
     return true_m
-
-
-def _camera_differs(camera: Camera, expected: Camera) -> str:
-    for name in ("width", "height", "fx", "fy", "cx", "cy"):
-        have, want = getattr(camera, name), getattr(expected, name)
-        tolerance = _ALIKE * want if name in ("fx", "fy") else _ALIKE_PX
-        if abs(have - want) > tolerance:
-            return f"camera_info: {name} is {have:g}, the configured camera has {want:g}"
-    same_lens = camera.distortion.shape == expected.distortion.shape and np.allclose(
-        camera.distortion, expected.distortion, rtol=0.0, atol=_ALIKE
-    )
-    return (
-        ""
-        if same_lens
-        else (
-            f"camera_info: distortion is {_list(camera.distortion)}, the configured camera has "
-            f"{_list(expected.distortion)}"
-        )
-    )
-
-
-def _list(numbers: FloatArray) -> str:
-    return ", ".join(f"{number:g}" for number in numbers) or "none"
 
 
 def _mhz(hertz: tuple[float, ...]) -> str:

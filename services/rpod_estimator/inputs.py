@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from rpod_estimator.assembler import Assembled, Assembler, NewestFrames
+from rpod_estimator.camera_watch import CameraWatch
 from rpod_estimator.errors import ExtrinsicsError
 from rpod_estimator.extrinsics import Extrinsics
 from rpod_estimator.frames import PartRejectedError, read_frame, read_scan
@@ -30,7 +31,7 @@ from rpod_schemas.topics import (
     TF_STATIC,
     Topic,
 )
-from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo
+from rpod_schemas.types import Camera, LidarInfo, LidarScan, PmdFrame, PmdInfo
 
 _LIDAR_PARTS = {"points": POINTS}
 _CAMERA_PARTS = {"depth": DEPTH, "camera_info": CAMERA_INFO, "amplitude": AMPLITUDE}
@@ -71,6 +72,7 @@ class Inputs:
         """Scan patterns of the LIDARs, from their latched info."""
         self.infos: dict[str, PmdInfo] = {}
         """What the cameras say of themselves; every frame carries it."""
+        self._cameras = CameraWatch()
         node.subscribe(TF_STATIC, self._latched.put)
         for sensor in config.sensors:
             self._subscribe(sensor)
@@ -187,6 +189,7 @@ class Inputs:
         data: PmdFrame | LidarScan
         if "depth" in frame.parts:
             data = read_frame(frame, self.infos.get(sensor))
+            self._check_camera(sensor, data.camera, frame.parts["camera_info"])
         else:
             pattern = self.patterns.get(sensor)
             data = read_scan(frame, rows_are_elevation=pattern is None or pattern.rows_are_elevation)
@@ -195,6 +198,12 @@ class Inputs:
         except ExtrinsicsError as error:
             rejection = MessageRejectedError(Reason.UNKNOWN_FRAME, str(error))
             raise PartRejectedError(leading, rejection) from error
+
+    def _check_camera(self, sensor: str, camera: Camera, camera_info: Received) -> None:
+        try:
+            self._cameras.check(sensor, camera)
+        except MessageRejectedError as rejection:
+            raise PartRejectedError(camera_info, rejection) from rejection
 
 
 def _sensor_of(topic: Topic) -> str:

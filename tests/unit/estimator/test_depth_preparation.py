@@ -210,8 +210,16 @@ def test_a_search_around_a_pose_is_given_the_multiple_by_it(target):
 @pytest.mark.parametrize(
     ("configured", "told", "reason"),
     [
-        ({"camera": CAMERA.model_copy(update={"fx": 500.0})}, (), "camera_info: fx is 682.75"),
-        ({"camera": CAMERA.model_copy(update={"width": 320})}, (), "camera_info: width is 352"),
+        (
+            {"camera": CAMERA.model_copy(update={"fx": 500.0})},
+            (),
+            "camera_info: fx is 682.75, not 500 as in the configuration",
+        ),
+        (
+            {"camera": CAMERA.model_copy(update={"width": 320})},
+            (),
+            "camera_info: width is 352, not 320 as in the configuration",
+        ),
         ({"camera": CAMERA.model_copy(update={"cy": 120.0})}, (), "camera_info: cy is 143"),
         ({"camera": LENS}, (), "camera_info: distortion is 0, 0, 0, 0, 0"),
         (

@@ -63,8 +63,8 @@ class Bench:
         received = Received(topic, "k", payload, Attachment(1, 0, bytes(16)), arrival_ns, arrival_s)
         self.node.sinks[topic](received)
 
-    def send_frame(self, stamp_ns, *, amplitude=True, frame_id="pmd_optical", **how):
-        self.send(CAMERA_INFO.of("pmd"), write_camera(stamp_ns, frame_id, CAMERA), **how)
+    def send_frame(self, stamp_ns, *, amplitude=True, frame_id="pmd_optical", camera=CAMERA, **how):
+        self.send(CAMERA_INFO.of("pmd"), write_camera(stamp_ns, frame_id, camera), **how)
         self.send(DEPTH.of("pmd"), write_image(stamp_ns, frame_id, DEPTH_M, "32FC1"), **how)
         if amplitude:
             image = np.ones((4, 6), np.uint16)
@@ -463,6 +463,31 @@ def test_a_pattern_that_is_not_finite_is_counted():
     assert bench.arrived() == []
     assert bench.node.refused == [("lidar/info", "not_finite")]
     assert bench.inputs.patterns == {}
+
+
+# --- frames of another camera ---
+
+
+def test_a_frame_of_another_camera_is_refused_by_the_field_that_differs():
+    bench = Bench()
+    other = CAMERA.model_copy(update={"fx": 7.5})
+    for number, camera in enumerate((CAMERA, other, CAMERA)):
+        bench.send_frame(NOW_NS + number, camera=camera)
+        arrived = bench.arrived()[0]
+        assert (arrived.measurement is None) == (camera is other)
+    assert bench.node.refused == [("pmd/camera_info", "other_camera")]
+
+
+def test_a_camera_that_has_changed_is_accepted_in_the_end():
+    bench = Bench()
+    bench.send_frame(NOW_NS)
+    bench.arrived()
+    changed = CAMERA.model_copy(update={"distortion": np.array([0.1, 0.0, 0.0, 0.0, 0.0])})
+    taken = []
+    for number in range(1, 14):
+        bench.send_frame(NOW_NS + number, camera=changed)
+        taken.append(bench.arrived()[0].measurement is not None)
+    assert taken == [False] * 10 + [True] * 3
 
 
 # --- the camera's own account of itself ---
