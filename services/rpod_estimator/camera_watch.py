@@ -1,6 +1,6 @@
 """Whether frames are of the camera that they should be of: size, intrinsics and distortion.
 
-A wrong principal point moves the target and a wrong focal length scales it; one image hardly tells either from
+A wrong principal point moves the target, a wrong focal length scales it; one image hardly tells either from
 a target that is elsewhere. So frames are compared with what is configured, and with the frames before.
 """
 
