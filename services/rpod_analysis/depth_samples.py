@@ -117,7 +117,8 @@ def _frequencies(log: Log, camera: str) -> tuple[float, ...]:
     if info is not None and info.modulation_frequency_hz.size:
         return tuple(info.modulation_frequency_hz.tolist())
     for entry in _configured_sensors(log, camera):
-        if told := entry.get("modulation_frequency_hz"):
+        field = "dual_frequencies_hz" if entry.get("profile") == "dual" else "modulation_frequency_hz"
+        if told := entry.get(field):
             return tuple(np.atleast_1d(told).tolist())
     raise CalibrationError(
         f"{log.paths[0].name}: neither {camera}/info nor the configuration tells modulation_frequency_hz"

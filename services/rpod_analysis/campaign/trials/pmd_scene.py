@@ -92,6 +92,7 @@ class Stage:
             depth_m=exposure.depth_m,
             amplitude=exposure.amplitude,
             camera=self.camera.camera,
+            info=self.camera.info(),
         )
         cast(self._rays, self._looked_at.triangles_m, T_sensor_target, out=self._hits)
         seen = self._hits.triangle >= 0
