@@ -52,10 +52,7 @@ class ScanPattern:
 def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
     """Return the methods for a PMD camera."""
     tracker = pmd_tracker(sensor.tracking, target)
-    refiner = tracker
-    if isinstance(sensor.tracking, EpnpConfig):  # what the search finds in the depth is refined in the depth
-        refiner = ReverseCalibrationIcp(IcpReverseCalibrationConfig(), target)
-    acquirer = VerifiedSearch(ViewSearch(sensor.acquisition, target), refiner, sensor.verification)
+    acquirer = ViewSearch(sensor.acquisition, target)
     preparation = DepthPreparation(sensor, target)
     return Methods(
         PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation), sensor.verification

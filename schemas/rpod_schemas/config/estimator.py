@@ -13,9 +13,9 @@ from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpCo
 from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
 from rpod_schemas.config.pmd_methods import (
     IcpReverseCalibrationConfig,
-    PmdAcquisitionConfig,
     SignedDistanceConfig,
 )
+from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
 from rpod_schemas.config.verification import VerificationConfig
 from rpod_schemas.poses import Pose

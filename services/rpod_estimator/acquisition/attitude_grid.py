@@ -1,7 +1,12 @@
-"""Attitudes spread evenly over all of SO(3)."""
+"""Attitudes spread evenly over all of SO(3), and directions over the sphere."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from rpod_schemas.arrays import FloatArray
+
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+BORESIGHT = np.array([0.0, 0.0, 1.0])
 
 
 def super_fibonacci(count: int) -> Rotation:
@@ -18,3 +23,11 @@ def super_fibonacci(count: int) -> Rotation:
             (inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta), outer * np.cos(beta))
         )
     )
+
+
+def even_directions(count: int) -> FloatArray:
+    """Return unit vectors spread evenly over the sphere (a Fibonacci lattice), shape (count, 3)."""
+    index = np.arange(count)
+    z = 1.0 - (2.0 * index + 1.0) / count
+    across = np.sqrt(1.0 - z * z)
+    return np.column_stack((across * np.cos(GOLDEN_ANGLE * index), across * np.sin(GOLDEN_ANGLE * index), z))

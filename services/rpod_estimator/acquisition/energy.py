@@ -11,6 +11,7 @@ Both are truncated, and averaged over returns and over weights.
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numba import njit
@@ -31,6 +32,19 @@ NOTHING_IN_VIEW = 1e9
 """Energy of an attitude that shows nothing."""
 
 Image = tuple[Float32Array, float, float, float, float]
+
+
+class Returns(Protocol):
+    """What was measured of the target."""
+
+    @property
+    def points_m(self) -> FloatArray:
+        """Sensor axes, shape (N, 3)."""
+        ...
+
+    def thinned(self, count: int) -> FloatArray:
+        """Return about ``count`` of the points, evenly spread."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +88,7 @@ def energies(
     attitudes: Float32Array,
     places_m: Float32Array,
     *,
-    seen: SeenScan,
+    seen: Returns,
     points: Points,
     squares: Field,
     image: Image,
@@ -89,7 +103,7 @@ def energies(
         attitudes: R_sensor_target, float32, shape (M, 3, 3).
         places_m: first guess of the target's origin, sensor axes, float32, shape (M, 3); replaced by the
             aligned one.
-        seen: the scan.
+        seen: the measurement.
         points: of the target.
         squares: of the target; its border counts for all that is outside.
         image: ``ReturnDistances.image`` of the scan.

@@ -14,7 +14,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from rpod_estimator.acquisition.view_search import BORESIGHT, even_directions
+from rpod_estimator.acquisition.attitude_grid import BORESIGHT, even_directions
 from rpod_estimator.tracking.closest_point import Surface
 from rpod_estimator.tracking.surface_model import Field
 from rpod_schemas.arrays import FloatArray

@@ -7,10 +7,9 @@ import pytest
 from lidar_scans import BULKY, load, random_pose, scan_at, scan_of, tracker
 from scipy.spatial.transform import Rotation
 
-from rpod_estimator.acquisition.attitude_grid import super_fibonacci
+from rpod_estimator.acquisition.attitude_grid import even_directions, super_fibonacci
 from rpod_estimator.acquisition.energy import CELLS, NOTHING_IN_VIEW, ReturnDistances, energies
 from rpod_estimator.acquisition.view_model import AREA, VIEWS, ViewModel, centroids_in_view, spread, view_of
-from rpod_estimator.acquisition.view_search import even_directions
 from rpod_estimator.tracking.scan_fit import detection_table
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ScanModelConfig
 from rpod_schemas.poses import make_pose

@@ -1,0 +1,118 @@
+"""Parameters of the search for the target in one PMD frame."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+from rpod_schemas.config.pmd_methods import DepthErrorConfig
+
+Count = Annotated[int, Field(gt=0)]
+
+
+class PmdSceneConfig(Config):
+    """What of a frame the search looks at."""
+
+    ghost_share: Share = 0.08
+    """Depth is dropped where the amplitude is below this share of the image's mean: stray light."""
+    lit_share: Share = 0.25
+    """A pixel without depth shows the target where its amplitude, averaged over its neighbours, exceeds this
+    share of what the darkest pixels with depth have."""
+    pixels: Count = 1600
+    """About how many pixels of the target are looked at: the stride follows from it."""
+    most_stride_px: Count = 5
+    """Largest stride across and down."""
+    min_points: Annotated[int, Field(ge=20)] = 40
+    """Fewer of those pixels with depth are no image of the target."""
+    most_off_centre: Share = 0.1
+    """Share of the image's size by which the principal point may lie off its middle."""
+    most_oblong: Annotated[float, Field(ge=1)] = 1.1
+    """Most ratio of the focal lengths."""
+
+
+class PmdModelConfig(Config):
+    """What is expected of the pixels of a frame under the right pose; it need not be exact."""
+
+    sigma_m: Positive = 0.04
+    """Standard deviation of a depth but for its noise: uncalibrated wiggling."""
+    most_noise_m: Positive = 0.1
+    """Noise, as neighbouring pixels tell it, is never taken for more."""
+    slack_m: Positive = 0.015
+    """The same of the surface across its normal: on a steep face it counts for more along the ray."""
+    outlier_loss: Positive = 3.5
+    """Most loss of a depth: mixed pixels and multiple reflections are wrong altogether."""
+    sigma_log_amplitude: Positive = 0.2
+    """Standard deviation of the amplitude's logarithm on a diffuse surface."""
+    mirror_log_amplitude: NonNegative = 1.5
+    """The same for a mirror, on top and times its specular reflectance: what crinkled foil sends back is
+    anyone's guess."""
+    amplitude_outlier_loss: Positive = 2.3
+    """Most loss of an amplitude: of glints the model of reflection knows nothing."""
+    lost_loss: NonNegative = 0.3
+    """Loss of a lit pixel without depth where the pose predicts surface: glints and dark parts lose depth."""
+    dark_loss: NonNegative = 2.0
+    """Loss of a dark pixel where the pose predicts surface."""
+    beyond_loss: NonNegative = 3.0
+    """Loss of a pixel with depth, or lit, where the pose predicts none."""
+    pixels_per_fact: Positive = 12.0
+    """Pixels whose errors are as one: neighbours share the errors of camera and model."""
+
+
+class PmdVerdictConfig(Config):
+    """When a pose explains a frame."""
+
+    max_loss: Positive = 0.6
+    """Most mean loss a pixel."""
+    min_explained_share: Share = 0.86
+    """Least share of pixels on which pose and frame agree."""
+    patch_px: Count = 5
+    """Side of a square patch of the pixels that are looked at, about a tenth of a metre wide."""
+    max_patch_loss: Positive = 1.8
+    """Most mean loss a pixel of the worst patch: a detail that is missing or out of place is small."""
+    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1)] = 0.95
+    """Below this weight of the best hypothesis the result is ambiguous."""
+
+
+class PmdAcquisitionConfig(Config):
+    """Search over all attitudes for the target in one frame of a PMD camera."""
+
+    kind: Literal["view_search"] = "view_search"
+    """Selects this method."""
+    attitudes: Count = 3000
+    """Spread over all of SO(3), each compared with some of the frame."""
+    compared: Count = 300
+    """Of them, the best ones that are compared with more of it."""
+    refined: Count = 24
+    """Of those, the best ones that are drawn onto the frame and rendered."""
+    model_points: Count = 240
+    """Surface points that stand for the target while attitudes are compared."""
+    truncation_m: Positive = 0.5
+    """Distances beyond this cost no more."""
+    draw_in_points: Count = 128
+    """Measured points that candidates are drawn in on."""
+    fine_points: Count = 500
+    """Measured points that the best are finished on."""
+    turned: Count = 3
+    """Most poses whose turns by near-symmetries and about the axes are tried."""
+    turns: Count = 8
+    """Best turns of each that are drawn onto the frame."""
+    finished: Count = 4
+    """Best distinct poses that are finished."""
+    rival_loss: Positive = 200.0
+    """Of them, those that are behind the best by no more are sharpened on the outline too."""
+    distinct_deg: NonNegative = 8.0
+    """Poses whose attitudes differ by less are one."""
+    near_attitudes: Count = 12000
+    """Spread over all of SO(3), of which those near a roughly known pose are compared."""
+    near_deg: Positive = 45.0
+    """How far attitudes may be from a pose that is known roughly, where only that is searched."""
+    scene: PmdSceneConfig = PmdSceneConfig()
+    """What of a frame is looked at."""
+    model: PmdModelConfig = PmdModelConfig()
+    """What is expected of it."""
+    verdict: PmdVerdictConfig = PmdVerdictConfig()
+    """When a pose explains it."""
+    scale_m: Positive = 0.1
+    """Distance from the surface within which a measured point counts for the covariance."""
+    errors: DepthErrorConfig = DepthErrorConfig()
+    """What the covariance assumes."""

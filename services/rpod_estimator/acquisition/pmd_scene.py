@@ -1,0 +1,189 @@
+"""What one PMD frame shows of the target, on every few pixels: depth, amplitude, and what is merely lit.
+
+Depth is lost where the target is dark, glints or is seen at a grazing angle, but the amplitude lives on, and
+against the black sky it draws the outline.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, uniform_filter
+
+from rpod_estimator.acquisition.energy import CELLS, Image
+from rpod_estimator.tracking.depth_view import PLUMB_BOB, DepthView, thinned
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_search import PmdSceneConfig
+from rpod_schemas.types import Camera, Float32Array, PmdFrame
+from rpod_sim_sensor.geometry import DistortionError
+
+DARKEST_PERCENT = 2.0
+"""Percentile of the amplitudes of pixels with depth that counts as the darkest of them."""
+SEGMENTATION_ROUNDS = 5
+MOST_GLINTS = 0.5
+"""Zeros that are a larger share of the dark pixels are the sky's, of an amplitude that has no noise left."""
+MEDIAN_OVER_MEAN = 1.25
+"""Standard deviation of a median of normal errors over that of their mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class PmdScene:
+    """A frame's coarse pixels; ``scene_of`` makes it."""
+
+    view: DepthView
+    range_m: Float32Array
+    """Distance along the ray, 0 where there is none, shape (rows, columns)."""
+    sigma_m: Float32Array
+    """Standard deviation of the noise of a range, told by the neighbours, shape (rows, columns)."""
+    amplitude: Float32Array
+    """Averaged over the neighbours; 0 where there is none, or a glint wiped it out."""
+    lit: NDArray[np.bool_]
+    """Where depth or amplitude show something."""
+    outlined: bool
+    """Whether an amplitude tells what shows something without having a depth."""
+    points_m: FloatArray
+    """The measured points of the target, sensor axes, shape (N, 3)."""
+
+    def thinned(self, count: int) -> FloatArray:
+        """Return about ``count`` points, evenly over the image."""
+        chosen = np.linspace(0, len(self.points_m) - 1, min(count, len(self.points_m))).astype(np.intp)
+        return self.points_m[chosen]
+
+    def distances(self) -> Image:
+        """Return ``energy.Image`` of the squared angles from what is lit."""
+        view = self.view
+        rad_per_px = view.stride / view.camera.fx, view.stride / view.camera.fy
+        distance_rad = distance_transform_edt(~self.lit, sampling=rad_per_px[::-1])
+        pixel, low, step = _cells(view)
+        squares = (distance_rad**2).astype(np.float32).ravel()[pixel]
+        return squares, low[0], step[0], low[1], step[1]
+
+
+@lru_cache(maxsize=8)
+def _cells(view: DepthView) -> tuple[NDArray[np.intp], tuple[float, float], tuple[float, float]]:
+    """Return the coarse pixel of each cell of an ``energy.Image``, and its first edges and steps.
+
+    Its columns are even in x/z, its rows in y/hypot(x, z).
+    """
+    x, y, z = view.coarse.components
+    u, v = x / z, y / np.hypot(x, z)
+    low, high = (float(u.min()), float(v.min())), (float(u.max()), float(v.max()))
+    step = ((high[0] - low[0]) / CELLS, (high[1] - low[1]) / CELLS)
+    middle_v, middle_u = np.meshgrid(
+        *(low[axis] + (np.arange(CELLS) + 0.5) * step[axis] for axis in (1, 0)), indexing="ij"
+    )
+    rays: FloatArray = np.stack(
+        (middle_u, middle_v * np.hypot(middle_u, 1.0), np.ones((CELLS, CELLS))), axis=-1
+    )
+    coarse = np.rint((view.project(rays.reshape(-1, 3)) - view.offset) / view.stride).astype(np.intp)
+    rows, columns = view.coarse.shape
+    pixel = coarse[:, 1].clip(0, rows - 1) * columns + coarse[:, 0].clip(0, columns - 1)
+    return pixel.reshape(CELLS, CELLS), low, step
+
+
+def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> PmdScene | str:
+    """Return what a frame shows of a target of this radius, or why it cannot be used."""
+    strange = _strange_camera(frame.camera, config)
+    if strange:
+        return strange
+    shown = _measured(frame, config)
+    pixels = np.count_nonzero(shown)
+    stride = int(np.clip(round(np.sqrt(pixels / config.pixels)), 1, config.most_stride_px))
+    try:
+        view = DepthView.of(frame.camera, stride)
+    except DistortionError as error:
+        return str(error)
+    shown_m = np.where(shown, frame.depth_m, np.float32(np.nan))
+    depth_m = thinned(shown_m, stride, view.offset)
+    rays = view.coarse.components
+    range_m = np.nan_to_num(depth_m / rays[2], nan=0.0).astype(np.float32)
+    nearby = _around(rays, range_m, radius_m)
+    lit = nearby.copy()
+    amplitude = np.zeros(lit.shape, np.float32)
+    if frame.amplitude is not None and shown.any():
+        smooth = uniform_filter(frame.amplitude.astype(np.float32), 3)
+        amplitude = np.ascontiguousarray(smooth[view.offset :: stride, view.offset :: stride])
+        darkest = float(np.percentile(frame.amplitude[shown], DARKEST_PERCENT))
+        lit |= (range_m == 0.0) & _shows(amplitude, config.lit_share * darkest)
+    range_m = np.where(nearby, range_m, np.float32(0.0))
+    points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
+    if len(points_m) < config.min_points:
+        return f"{len(points_m)} points on {stride} px strides, {config.min_points} needed"
+    sigma_m = spread(shown_m, stride, view.offset, depth_m.shape)
+    return PmdScene(view, range_m, sigma_m, amplitude, lit, frame.amplitude is not None, points_m)
+
+
+def _strange_camera(camera: Camera, config: PmdSceneConfig) -> str:
+    """Return why a camera matrix cannot belong to the image; empty if it may.
+
+    A principal point that is off shears the depth image by so little that the image itself does not tell.
+    """
+    if camera.distortion[PLUMB_BOB:].any():
+        return f"distortion has {len(camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+    off = max(abs((camera.cx + 0.5) / camera.width - 0.5), abs((camera.cy + 0.5) / camera.height - 0.5))
+    if not off <= config.most_off_centre:
+        return (
+            f"the camera matrix is another image's: principal point ({camera.cx:.1f}, {camera.cy:.1f}) in an "
+            f"image of {camera.width} x {camera.height}"
+        )
+    if not 1.0 <= max(camera.fx / camera.fy, camera.fy / camera.fx) <= config.most_oblong:
+        return f"the camera matrix is another image's: focal lengths {camera.fx:.1f} and {camera.fy:.1f} px"
+    return ""
+
+
+def _measured(frame: PmdFrame, config: PmdSceneConfig) -> NDArray[np.bool_]:
+    measured: NDArray[np.bool_] = np.isfinite(frame.depth_m) & (frame.depth_m > 0.0)
+    if frame.amplitude is not None:
+        measured &= frame.amplitude >= config.ghost_share * frame.amplitude.mean(dtype=np.float64)
+    return measured
+
+
+def _shows(amplitude: Float32Array, least: float) -> NDArray[np.bool_]:
+    """Return which amplitudes show a surface, shape (rows, columns).
+
+    A glint fills both taps of a pixel and leaves no difference: exactly zero, which a sky that has noise is
+    nowhere.
+    """
+    glint = amplitude == 0.0
+    bright: NDArray[np.bool_] = amplitude > least
+    if np.count_nonzero(glint) <= MOST_GLINTS * np.count_nonzero(~bright):
+        bright |= glint
+    return bright
+
+
+def _around(rays: FloatArray, range_m: Float32Array, radius_m: float) -> NDArray[np.bool_]:
+    """Return which pixels measure something within the radius of their centre, found from those within."""
+    measured = range_m > 0.0
+    points_m = (rays * range_m)[:, measured].T
+    near = np.ones(len(points_m), bool)
+    for _ in range(SEGMENTATION_ROUNDS if len(points_m) else 0):
+        near = np.linalg.norm(points_m - np.median(points_m[near], axis=0), axis=1) < radius_m
+        if not near.any():
+            break
+    kept = np.zeros(range_m.shape, bool)
+    kept[measured] = near
+    return kept
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spread(depth, stride, offset, shape):  # type: ignore[no-untyped-def]
+    """Return the standard deviation of the medians of ``depth_view.thinned``, 0 where there is none."""
+    sigma = np.zeros(shape, np.float32)
+    height, width = depth.shape
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            row, column = offset + i * stride, offset + j * stride
+            count, total, squares, first = 0, 0.0, 0.0, depth[row, column]
+            for m in range(max(row - 1, 0), min(row + 2, height)):
+                for n in range(max(column - 1, 0), min(column + 2, width)):
+                    if np.isfinite(depth[m, n]):
+                        first = depth[m, n] if count == 0 else first
+                        count += 1
+                        total += depth[m, n] - first
+                        squares += (depth[m, n] - first) ** 2
+            if count > 1:
+                variance = (squares - total * total / count) / (count - 1)
+                sigma[i, j] = MEDIAN_OVER_MEAN * np.sqrt(max(variance, 0.0) / count)
+    return sigma
