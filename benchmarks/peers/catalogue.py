@@ -3,8 +3,9 @@
 from functools import partial
 
 from peers import open3d_features, open3d_icp, own, point_pairs, small_gicp_icp
-from peers.benchmark import Peer, Task
+from peers.benchmark import Peer, Scene, Task
 from rpod_schemas.config.estimator import LidarInput
+from rpod_schemas.types import LidarScan
 
 _TEMPLATES = {
     "acquisition": {"kind": "template_matching", "step_deg": 30.0},
@@ -13,7 +14,7 @@ _TEMPLATES = {
 _OPEN3D, _OPENCV, _SMALL_GICP, _OWN = "open3d", "opencv-contrib-python-headless", "small_gicp", "rpod"
 _DEFAULT = LidarInput()
 
-PEERS: tuple[Peer, ...] = (
+PEERS: tuple[Peer[Scene, LidarScan], ...] = (
     Peer("FPFH + RANSAC", _OPEN3D, Task.ACQUISITION, open3d_features.RANSAC_SETUP, open3d_features.ransac),
     Peer("FPFH + FGR", _OPEN3D, Task.ACQUISITION, open3d_features.FGR_SETUP, open3d_features.fast_global),
     Peer("PPF", _OPENCV, Task.ACQUISITION, point_pairs.SETUP, point_pairs.point_pairs),

@@ -40,7 +40,7 @@ def _described(cloud: Cloud, spacing_m: float) -> _Described:
     return _Described(points, o3d.pipelines.registration.compute_fpfh_feature(points, search))  # type: ignore[call-arg]
 
 
-def ransac(scene: Scene) -> Register:
+def ransac(scene: Scene) -> Register[LidarScan]:
     """Return FPFH with RANSAC."""
     registration, distance_m = o3d.pipelines.registration, RANSAC_DISTANCE * scene.spacing_m
     model = _described(model_cloud(scene.target, scene.spacing_m), scene.spacing_m)
@@ -71,7 +71,7 @@ def ransac(scene: Scene) -> Register:
     return register
 
 
-def fast_global(scene: Scene) -> Register:
+def fast_global(scene: Scene) -> Register[LidarScan]:
     """Return FPFH with fast global registration (Zhou, Park, Koltun, ECCV 2016)."""
     registration = o3d.pipelines.registration
     model = _described(model_cloud(scene.target, scene.spacing_m), scene.spacing_m)

@@ -19,7 +19,7 @@ FINISH: Mapping[str, Any] = {"tracking": {"kind": "icp_nearest_neighbour"}}
 """The ICP that refines every acquisition's pose."""
 
 
-def acquisition(document: Mapping[str, Any], scene: Scene) -> Register:
+def acquisition(document: Mapping[str, Any], scene: Scene) -> Register[LidarScan]:
     """Return the acquisition of a LIDAR's configuration."""
     acquirer = _methods(document, scene).acquirer
 
@@ -29,7 +29,7 @@ def acquisition(document: Mapping[str, Any], scene: Scene) -> Register:
     return register
 
 
-def tracking(document: Mapping[str, Any], scene: Scene) -> Register:
+def tracking(document: Mapping[str, Any], scene: Scene) -> Register[LidarScan]:
     """Return the tracker of a LIDAR's configuration."""
     tracker = _methods(document, scene).tracker
 
@@ -42,7 +42,7 @@ def tracking(document: Mapping[str, Any], scene: Scene) -> Register:
 finish = partial(tracking, FINISH)
 
 
-def from_centroid(_: Scene) -> Register:
+def from_centroid(_: Scene) -> Register[LidarScan]:
     """Return the centroid of the scan with the target's axes along the sensor's: ICP does the rest."""
 
     def register(scan: LidarScan, _: RigidTransform) -> RigidTransform | None:

@@ -30,7 +30,7 @@ SETUP = (
 )
 
 
-def point_pairs(scene: Scene) -> Register:
+def point_pairs(scene: Scene) -> Register[LidarScan]:
     """Return the detector, trained on the whole surface."""
     contrib: Any = cv2  # whose types are not those of the plain build
     detector = contrib.ppf_match_3d_PPF3DDetector(MODEL_STEP, MODEL_STEP, ANGLES)

@@ -1,15 +1,16 @@
 """Tracking by small_gicp (Koide, JOSS 2024)."""
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import small_gicp  # pyright: ignore[reportMissingImports] - of the peers' own environment
 from scipy.spatial.transform import RigidTransform
 
-from peers.benchmark import Register, Scene
+from peers.benchmark import Register, Returns, Scene
 from peers.clouds import model_cloud
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import LidarScan
+from rpod_target import Target
 
 MODEL_SPACING_M = 0.1
 """Of the model's points; of 0.1, 0.2 and 0.35."""
@@ -31,36 +32,55 @@ SETUP = (
 VGICP_SETUP = f"{SETUP}, voxels of {VOXEL_M:g} m (tuned)"
 
 
-def icp(scene: Scene) -> Register:
+@dataclass(frozen=True)
+class Setup:
+    """What depends on the target's size and on the points' spacing; the defaults are of the LIDAR's scans."""
+
+    spacing_m: float = MODEL_SPACING_M
+    distance_m: float = DISTANCE_M
+    voxel_m: float = VOXEL_M
+
+
+SCANS = Setup()
+
+
+def icp(scene: Scene) -> Register[Returns]:
     """Return point-to-point ICP."""
-    return _by_points(scene, "ICP")
+    return by_points(scene.target, "ICP")
 
 
-def plane_icp(scene: Scene) -> Register:
+def plane_icp(scene: Scene) -> Register[Returns]:
     """Return point-to-plane ICP."""
-    return _by_points(scene, "PLANE_ICP")
+    return by_points(scene.target, "PLANE_ICP")
 
 
-def gicp(scene: Scene) -> Register:
+def gicp(scene: Scene) -> Register[Returns]:
     """Return generalised ICP."""
-    return _by_points(scene, "GICP")
+    return by_points(scene.target, "GICP")
 
 
-def vgicp(scene: Scene) -> Register:
+def vgicp(scene: Scene) -> Register[Returns]:
     """Return generalised ICP with voxels."""
-    voxels = small_gicp.GaussianVoxelMap(VOXEL_M)
-    voxels.insert(_model(scene))
+    return by_voxels(scene.target)
 
-    def register(scan: LidarScan, start: RigidTransform) -> RigidTransform | None:
+
+def by_voxels(target: Target, setup: Setup = SCANS) -> Register[Returns]:
+    """Return generalised ICP with voxels."""
+    voxels = small_gicp.GaussianVoxelMap(setup.voxel_m)
+    voxels.insert(_model(target, setup))
+
+    def register(scan: Returns, start: RigidTransform) -> RigidTransform | None:
         source = _cloud(scan.returns_m.astype(np.float64), described=True)
-        return _pose(_align(voxels, source, init_T_target_source=start.inv().as_matrix()))
+        begin = start.inv().as_matrix()
+        return _pose(
+            _align(voxels, source, init_T_target_source=begin, max_correspondence_distance=setup.distance_m)
+        )
 
     return register
 
 
 _align = partial(
     small_gicp.align,
-    max_correspondence_distance=DISTANCE_M,
     num_threads=1,
     max_iterations=ITERATIONS,
     rotation_epsilon=ROTATION_STEP_RAD,
@@ -68,20 +88,30 @@ _align = partial(
 )
 
 
-def _by_points(scene: Scene, kind: str) -> Register:
-    model = _model(scene)
+def by_points(target: Target, kind: str, setup: Setup = SCANS) -> Register[Returns]:
+    """Return ICP of a kind to the whole model: ICP, PLANE_ICP or GICP."""
+    model = _model(target, setup)
     tree = small_gicp.KdTree(model)
 
-    def register(scan: LidarScan, start: RigidTransform) -> RigidTransform | None:
+    def register(scan: Returns, start: RigidTransform) -> RigidTransform | None:
         source = _cloud(scan.returns_m.astype(np.float64), described=kind == "GICP")
         begin = start.inv().as_matrix()
-        return _pose(_align(model, source, tree, init_T_target_source=begin, registration_type=kind))
+        return _pose(
+            _align(
+                model,
+                source,
+                tree,
+                init_T_target_source=begin,
+                registration_type=kind,
+                max_correspondence_distance=setup.distance_m,
+            )
+        )
 
     return register
 
 
-def _model(scene: Scene) -> small_gicp.PointCloud:
-    return _cloud(model_cloud(scene.target, MODEL_SPACING_M).points_m, described=True)
+def _model(target: Target, setup: Setup) -> small_gicp.PointCloud:
+    return _cloud(model_cloud(target, setup.spacing_m).points_m, described=True)
 
 
 def _cloud(points_m: FloatArray, *, described: bool) -> small_gicp.PointCloud:
