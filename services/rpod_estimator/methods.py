@@ -15,12 +15,14 @@ from rpod_estimator.tracking.epnp import EpnpTracker
 from rpod_estimator.tracking.hybrid import HybridTracker
 from rpod_estimator.tracking.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_estimator.tracking.icp_reverse_calibration import ReverseCalibrationIcp
+from rpod_estimator.tracking.joint import JointTracker
 from rpod_estimator.tracking.projective_icp import ProjectiveIcp
 from rpod_estimator.tracking.signed_distance import SignedDistanceTracker
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.estimator import LidarInput, PmdInput, PmdTrackingConfig, SensorInput
+from rpod_schemas.config.estimator import LidarInput, PmdInput, SensorInput
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
+from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, LidarInfo, LidarScan, PmdFrame
@@ -51,7 +53,7 @@ class ScanPattern:
 
 def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
     """Return the methods for a PMD camera."""
-    tracker = pmd_tracker(sensor.tracking, target)
+    tracker = _pmd_tracker(sensor, target)
     acquirer = ViewSearch(sensor.acquisition, target)
     preparation = DepthPreparation(sensor, target)
     return Methods(
@@ -59,16 +61,17 @@ def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
     )
 
 
-def pmd_tracker(config: PmdTrackingConfig, target: Target) -> Tracker[PmdFrame]:
-    """Return what tracks a PMD camera's target."""
-    match config:
-        case IcpReverseCalibrationConfig():
+def _pmd_tracker(sensor: PmdInput, target: Target) -> Tracker[PmdFrame]:
+    match sensor.tracking:
+        case JointConfig() as config:
+            return JointTracker(config, target, calibrated=sensor.calibration is not None)
+        case IcpReverseCalibrationConfig() as config:
             return ReverseCalibrationIcp(config, target)
-        case SignedDistanceConfig():
+        case SignedDistanceConfig() as config:
             return SignedDistanceTracker(config, target)
-        case EpnpConfig():
+        case EpnpConfig() as config:
             return EpnpTracker(config, target)
-        case HybridConfig():
+        case HybridConfig() as config:
             return HybridTracker(config, target)
 
 

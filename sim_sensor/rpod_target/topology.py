@@ -59,31 +59,39 @@ def separate_surfaces(triangles_m: FloatArray) -> list[FloatArray]:
     return [triangles_m[surface == number] for number in range(int(surface.max()) + 1)]
 
 
+def edges(triangles_m: FloatArray) -> tuple[FloatArray, Indices]:
+    """Return each edge once, shape (E, 2, 3), and the triangles beside it, shape (E, 2).
+
+    Where there is one triangle, it stands twice; of more than two, two count.
+    """
+    directed = directed_edges(welded(triangles_m))
+    unique, first, inverse = np.unique(
+        np.sort(directed, axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    last = np.empty(len(unique), np.int64)
+    last[inverse.reshape(-1)] = np.arange(len(directed))  # the last writer wins
+    triangle, corner = first // 3, first % 3
+    segments = np.stack([triangles_m[triangle, corner], triangles_m[triangle, (corner + 1) % 3]], axis=1)
+    return segments, np.stack([triangle, last // 3], axis=1)
+
+
 def creases(triangles_m: FloatArray, *, angle_rad: float) -> tuple[FloatArray, FloatArray]:
     """Return the segments where faces meet at more than an angle, and those with one face only.
 
     Returns:
         Segments, shape (E, 2, 3), and the normals of the two faces, shape (E, 2, 3); with one face n and -n.
     """
-    normals = unit_normals(triangles_m)
-    edges = directed_edges(welded(triangles_m))
-    unique, first, inverse, count = np.unique(
-        np.sort(edges, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
-    last = np.empty(len(unique), np.int64)
-    last[inverse.reshape(-1)] = np.arange(len(edges))  # the last writer wins
-    n_first, n_last = normals[first // 3], normals[last // 3]
-    n_last = np.where((count == 1)[:, None], -n_first, n_last)
-    sharp = np.einsum("ij,ij->i", n_first, n_last) < np.cos(angle_rad)
-    triangle, corner = first // 3, first % 3
-    segments = np.stack([triangles_m[triangle, corner], triangles_m[triangle, (corner + 1) % 3]], axis=1)
-    return segments[sharp], np.stack([n_first, n_last], axis=1)[sharp]
+    segments, faces = edges(triangles_m)
+    normals = unit_normals(triangles_m)[faces]
+    normals[faces[:, 0] == faces[:, 1], 1] *= -1.0
+    sharp = np.einsum("ij,ij->i", normals[:, 0], normals[:, 1]) < np.cos(angle_rad)
+    return segments[sharp], normals[sharp]
 
 
 def components(pairs: Indices, *, size: int) -> Indices:
     """Return the number of each node's component, shape (size,), in a graph of pairs, shape (P, 2)."""
     graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
-    _, component = connected_components(graph, directed=False)
+    _, component = connectedcomponents(graph, directed=False)
     return np.asarray(component, np.int64)
 
 

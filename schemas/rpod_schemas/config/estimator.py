@@ -11,6 +11,7 @@ from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
+from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_methods import (
     IcpReverseCalibrationConfig,
     SignedDistanceConfig,
@@ -26,7 +27,7 @@ LidarAcquisitionConfig = Annotated[GlobalSearchConfig | TemplateMatchingConfig, 
 LidarTrackingConfig = Annotated[ProjectiveIcpConfig | IcpNearestNeighbourConfig, Field(discriminator="kind")]
 """How a LIDAR's target is tracked, told by ``kind``."""
 PmdTrackingConfig = Annotated[
-    IcpReverseCalibrationConfig | SignedDistanceConfig | EpnpConfig | HybridConfig,
+    JointConfig | IcpReverseCalibrationConfig | SignedDistanceConfig | EpnpConfig | HybridConfig,
     Field(discriminator="kind"),
 ]
 """How a PMD camera's target is tracked, told by ``kind``."""
@@ -87,7 +88,7 @@ class PmdInput(Config):
     measures with one frequency and it is known; without a prediction every multiple up to 15 m is tried."""
     acquisition: PmdAcquisitionConfig = Field(default_factory=PmdAcquisitionConfig)
     """Without a prior pose."""
-    tracking: PmdTrackingConfig = Field(default_factory=IcpReverseCalibrationConfig)
+    tracking: PmdTrackingConfig = Field(default_factory=JointConfig)
     """From a predicted pose."""
     verification: VerificationConfig = VerificationConfig(
         max_cost_m2=0.003, min_explained_share=0.6, min_inlier_share=0.45

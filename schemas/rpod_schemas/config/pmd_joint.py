@@ -1,0 +1,119 @@
+"""Parameters of the joint tracker: depth points and amplitude edges in one least squares."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+
+Count = Annotated[int, Field(gt=0)]
+
+
+class JointDepthConfig(Config):
+    """Measured points in the target's distance field."""
+
+    points: Count = 1500
+    """Measured points wanted, and most used; they lie as far apart in the image as that allows."""
+    scale_m: Positive = 0.10
+    """Geman-McClure scale in the first iteration from afar."""
+    final_scale_m: Positive = 0.03
+    """Geman-McClure scale in the last iteration."""
+    noise_m: Positive = 0.01
+    """Least standard deviation of a residual; the inliers' own spread where that is larger."""
+    effective_points: Count = 400
+    """Most residuals counted as independent: neighbours share their errors."""
+    bias_m: Positive = 0.025
+    """Standard deviation of an error along the line of sight that all points share and each frame estimates
+    anew: the wiggling."""
+    calibrated_bias_m: Positive = 0.006
+    """The same where the depth is calibrated."""
+
+
+class JointEdgeConfig(Config):
+    """The model's edges, searched along their normals in the amplitude image."""
+
+    spacing_share: Positive = 0.03
+    """Distance of two samples of an edge, as a share of the target's radius."""
+    blur_px: Positive = 0.8
+    """Standard deviation of the smoothing before gradients are taken."""
+    clip: Positive = 2.0
+    """The amplitude is clipped at so many times its median over the target: glints would outshine edges."""
+    search_px: Positive = 12.0
+    """Reach of the search both ways in the first iteration from afar."""
+    final_search_px: Positive = 3.0
+    """Reach of the search in the last iteration."""
+    least_contrast: Positive = 0.06
+    """Of an edge's gradient over two pixels, as a share of the median amplitude."""
+    sigma_px: Positive = 0.3
+    """Least standard deviation of an edge's place; the inliers' own spread where that is larger."""
+    effective_edges: Count = 150
+    """Most samples counted as independent."""
+
+
+class JointVerdictConfig(Config):
+    """When the tracker believes its own result."""
+
+    tolerance_m: Positive = 0.08
+    """Measured and rendered depth agree within this."""
+    missing_weight: Share = 0.1
+    """Weight of a pixel without depth where the model predicts surface, beside a measured one: glints, dark
+    parts and close, bright ones lose theirs."""
+    min_explained_share: Share = 0.45
+    """Of the pixels where model or measurement say "surface", where edges are seen too."""
+    min_depth_share: Share = 0.7
+    """The same where depth alone speaks."""
+    min_edge_share: Share = 0.55
+    """Of the places where edges should show, those where one was found, less one over the root of their
+    number. Of right poses it is above 0.7, half of the image wiped above 0.5, of a camera matrix that is off
+    by 10 % below 0.4."""
+    min_points: Annotated[int, Field(ge=6)] = 40
+    """Fewer matched points say nothing."""
+    min_edges: Annotated[int, Field(ge=6)] = 40
+    """Fewer matched samples of edges say nothing."""
+
+
+class JointConfig(Config):
+    """Signed distance of depth points and places of edges in one least squares."""
+
+    kind: Literal["joint"] = "joint"
+    far_iterations: Annotated[int, Field(ge=0)] = 8
+    """Steps on depth alone before, from afar."""
+    far_scale_m: Positive = 0.6
+    """Geman-McClure scale of the first of them."""
+    far_points: Count = 400
+    """Points that they take."""
+    iterations: Annotated[int, Field(ge=2)] = 8
+    """Gauss-Newton steps from afar, over which scales and reaches narrow geometrically."""
+    near_iterations: Annotated[int, Field(ge=2)] = 5
+    """Of them, the last that are done where the prediction explains the depth already."""
+    near_share: Share = 0.8
+    """The prediction does so where this share of pixels agrees within ``near_m``."""
+    fair_share: Share = 0.5
+    """Below this share it is drawn in from afar."""
+    near_m: Positive = 0.05
+    """Within which a prediction agrees with a pixel."""
+    slack_m: NonNegative = 0.0002
+    """Standard deviation of the model's own error: that of a part over the root of their number."""
+    ghost_share: Share = 0.08
+    """Depth is dropped where the amplitude is below this share of the image's mean, in which pixels without
+    depth count as dark: close to a bright target, stray light gives the background a depth."""
+    unobserved_m: Positive = 1.0
+    """Standard deviation of a motion that nothing in the image determines."""
+    unobserved_deg: Positive = 30.0
+    """The same of a turn."""
+    depth: JointDepthConfig = JointDepthConfig()
+    """Its residuals and their errors."""
+    edges: JointEdgeConfig = JointEdgeConfig()
+    """Their search and their errors."""
+    verdict: JointVerdictConfig = JointVerdictConfig()
+    """The self-check."""
+
+    @model_validator(mode="after")
+    def _narrows(self) -> Self:
+        if self.depth.final_scale_m > self.depth.scale_m:
+            raise ValueError("depth.final_scale_m must not exceed depth.scale_m: the weights narrow")
+        if self.edges.final_search_px > self.edges.search_px:
+            raise ValueError("edges.final_search_px must not exceed edges.search_px: the search narrows")
+        if self.near_iterations > self.iterations:
+            raise ValueError("near_iterations must not exceed iterations: they are the last of them")
+        return self

@@ -1,0 +1,64 @@
+"""The target's edges as an amplitude image can show them, sampled."""
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_schemas.arrays import FloatArray
+from rpod_target import Target
+from rpod_target.topology import edges
+
+CREASE_RAD = np.radians(15.0)
+"""Faces that meet at more than this look different; at less, they do where one hides the other."""
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeModel:
+    """Samples of creases, of boundaries between materials, and of what may become an outline."""
+
+    places_m: FloatArray
+    """Target axes, shape (N, 3)."""
+    directions: FloatArray
+    """Unit vectors along the edges, target axes, shape (N, 3)."""
+    normals: FloatArray
+    """Of the faces on both sides, target axes, shape (N, 2, 3); n and -n where there is one face."""
+    drawn: NDArray[np.bool_]
+    """Whether an edge shows where both faces are seen, not as an outline alone, shape (N,)."""
+
+    @classmethod
+    def of(cls, target: Target, *, spacing_m: float) -> "EdgeModel":
+        """Return samples of a target's edges at most ``spacing_m`` apart."""
+        parts = [
+            _edges_of_part(target, np.flatnonzero(target.triangle_part == part))
+            for part in range(len(target.parts))
+        ]
+        segments_m, normals, drawn = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        lengths_m = np.linalg.norm(segments_m[:, 1] - segments_m[:, 0], axis=1)
+        counts = [max(1, ceil(length_m / spacing_m)) for length_m in lengths_m]
+        index = np.repeat(np.arange(len(segments_m)), counts)
+        share = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])[:, None]
+        start_m, end_m = segments_m[index, 0], segments_m[index, 1]
+        directions = (end_m - start_m) / lengths_m[index, None]
+        places_m = (1.0 - share) * start_m + share * end_m
+        return cls(places_m, directions, np.ascontiguousarray(normals[index]), drawn[index])
+
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
+        """As the kernels take them."""
+        return self.places_m, self.directions, self.normals, self.drawn
+
+
+def _edges_of_part(
+    target: Target, triangles: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Return segments, the normals beside them, and which are drawn, of one part."""
+    segments_m, faces = edges(target.triangles_m[triangles])
+    faces = triangles[faces]
+    normals, material = target.normals[faces], target.triangle_material[faces]
+    normals[faces[:, 0] == faces[:, 1], 1] *= -1.0
+    cosine = np.einsum("ij,ij->i", normals[:, 0], normals[:, 1])
+    drawn = (cosine < np.cos(CREASE_RAD)) | (material[:, 0] != material[:, 1])
+    shows = (drawn | (cosine < 1.0 - 1e-9)) & (np.ptp(segments_m, axis=1) != 0.0).any(axis=1)
+    return segments_m[shows], normals[shows], drawn[shows]

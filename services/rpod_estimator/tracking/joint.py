@@ -1,0 +1,243 @@
+"""Tracking in depth and amplitude at once: signed distance of the points, places of the edges.
+
+A prediction that explains the depth needs the last, narrow steps only; one that does so fairly all of them;
+any other is first drawn in on depth alone, which needs no edge to be near its place. The self-check asks both
+images: with a wrong camera matrix, another target or a mirrored image the depth may agree, the edges do not.
+Where one image says nothing, the other goes on alone, and the source says so.
+"""
+
+from dataclasses import dataclass
+from math import radians
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_estimator.ports import Registration
+from rpod_estimator.tracking.depth_view import PLUMB_BOB, DepthView
+from rpod_estimator.tracking.edge_model import EdgeModel
+from rpod_estimator.tracking.joint_fit import agreement, align, coarse_ranges
+from rpod_estimator.tracking.scan_alignment import draw_in
+from rpod_estimator.tracking.signed_distance import field_arrays
+from rpod_estimator.tracking.surface_model import SurfaceModel
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.poses import pose_of
+from rpod_schemas.types import Camera, PmdFrame, Source
+from rpod_sim_sensor.geometry import DistortionError, Hits
+from rpod_target import Target
+
+MARGIN_PX = 16
+"""Around the target's sphere."""
+DARK_SHARE = 0.5
+"""Of the median amplitude: such a point counts half."""
+FILLED = 0.4
+"""Share of the square around its sphere that a target typically fills."""
+STRIDES_PX = 3, 8
+"""Least and greatest distance of two points in the image."""
+SPARSE = 4
+"""Every how many pixels the image's mean is taken from."""
+_NO_PATCH = np.zeros((1, 1), np.float32), np.zeros(2), 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """One frame as the kernels take it."""
+
+    view: DepthView
+    range_m: FloatArray
+    """Of the coarse pixels, shape (rows, columns), NaN for none."""
+    points_m: FloatArray
+    """Sensor axes, shape (N, 3)."""
+    trust: FloatArray
+    """Weight of each point, 0 to 1: less for a dark one, shape (N,)."""
+    patch: tuple[NDArray[np.float32], FloatArray, float]
+    """Smoothed amplitude around the target, column and row of its first pixel, change that counts."""
+
+
+class JointTracker:
+    """Registers PMD frames: ports.Tracker[PmdFrame].
+
+    Args:
+        config: its parameters.
+        target: what to look for.
+        calibrated: whether the depth is, so that less of it is doubted.
+
+    Raises:
+        rpod_target.TargetError: the target has no distance field.
+    """
+
+    def __init__(self, config: JointConfig, target: Target, *, calibrated: bool = False) -> None:
+        self._config, self._target = config, target
+        self._bias_m = config.depth.calibrated_bias_m if calibrated else config.depth.bias_m
+        edges = EdgeModel.of(target, spacing_m=config.edges.spacing_share * target.radius_m)
+        self._model = np.ascontiguousarray(target.triangles_m), field_arrays(target), edges.arrays
+        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
+        self._weak = np.diag(np.append(weak**-2, 0.0))
+        scales_m = np.geomspace(config.depth.scale_m, config.depth.final_scale_m, config.iterations)
+        reaches_px = np.geomspace(config.edges.search_px, config.edges.final_search_px, config.iterations)
+        self._schedule = np.column_stack((scales_m, reaches_px))
+        self._far = np.geomspace(config.far_scale_m, config.depth.scale_m, config.far_iterations)
+        self._coarse = SurfaceModel.of(target).coarse_field
+        self._buffers: dict[tuple[int, int], Hits] = {}
+
+    def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration from a predicted pose, or the reason why there is none."""
+        matrix = T_sensor_target.as_matrix()
+        R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()
+        seen = self._see(measurement, t)
+        if isinstance(seen, str):
+            return Registration(Source.PMD_JOINT, reason=seen)
+        R, t, schedule = self._start(seen, R, t)
+        config, view = self._config, seen.view
+        R, t, information, points, squares, edges, asked, bias = align(
+            seen.points_m,
+            seen.trust,
+            R,
+            t,
+            self._model,
+            seen.patch,
+            (view.coarse.arrays, (view.stride, view.offset), _lens(view)),
+            schedule,
+            (
+                config.depth.noise_m,
+                float(config.depth.effective_points),
+                self._bias_m,
+                config.slack_m,
+            ),
+            (config.edges.sigma_px, float(config.edges.effective_edges)),
+            self._buffers_of(view),
+        )
+        explained_share = self._explained(seen, R, t, config.verdict.tolerance_m, bias)
+        to_sensor = np.zeros((6, 6))
+        to_sensor[:3, :3] = to_sensor[3:, 3:] = R
+        covariance = np.linalg.inv(information + self._weak)[:6, :6]
+        return Registration(
+            self._source(points, asked),
+            T_sensor_target=pose_of(R, t),
+            reason=self._doubt(len(seen.points_m), explained_share, edges, asked),
+            judged=True,
+            cost_m2=squares / max(points, 1),
+            inliers=points + edges,
+            inlier_share=(points + edges) / max(len(seen.points_m) + asked, 1),
+            explained_share=explained_share,
+            covariance=to_sensor @ covariance @ to_sensor.T,
+            iterations=len(schedule),
+        )
+
+    def _start(self, seen: _Seen, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the pose to start from, and the steps to do: few where the prediction is good."""
+        config = self._config
+        share = self._explained(seen, R, t, config.near_m, 0.0)
+        if share >= config.near_share:
+            return R, t, self._schedule[-config.near_iterations :]
+        if share < config.fair_share and len(seen.points_m) >= config.verdict.min_points:
+            every = max(1, round(len(seen.points_m) / config.far_points))
+            R, t = draw_in(np.ascontiguousarray(seen.points_m[::every]), R, t, self._coarse, self._far)
+        return R, t, self._schedule
+
+    def _explained(
+        self, seen: _Seen, R: FloatArray, t: FloatArray, tolerance_m: float, bias_m: float
+    ) -> float:
+        missing_weight = self._config.verdict.missing_weight
+        agreeing, asked = agreement(
+            seen.range_m,
+            bias_m,
+            seen.view.coarse.arrays,
+            self._model[0],
+            R,
+            t,
+            tolerance_m,
+            missing_weight,
+            self._buffers_of(seen.view),
+        )
+        return agreeing / asked if asked else 0.0
+
+    def _source(self, points: int, edges: int) -> Source:
+        if edges < self._config.verdict.min_edges:
+            return Source.PMD_DEPTH
+        return Source.PMD_JOINT if points >= self._config.verdict.min_points else Source.PMD_AMPLITUDE
+
+    def _doubt(self, points: int, explained_share: float, edges: int, asked: int) -> str:
+        """Return why a pose is not to be believed, empty if it is."""
+        limits = self._config.verdict
+        with_depth, with_edges = points >= limits.min_points, asked >= limits.min_edges
+        if not (with_depth or with_edges):
+            return f"nothing to see: {points} points, {asked} places of edges"
+        least_explained = limits.min_explained_share if with_edges else limits.min_depth_share
+        if with_depth and explained_share < least_explained:
+            return f"{explained_share:.0%} of the depth agrees with the pose, {least_explained:.0%} needed"
+        least_found = limits.min_edge_share - 1.0 / np.sqrt(max(asked, 1))
+        if with_edges and edges < least_found * asked:
+            return f"{edges / asked:.0%} of {asked} places of edges show one, {least_found:.0%} needed"
+        return ""
+
+    def _buffers_of(self, view: DepthView) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        shape = view.coarse.shape
+        if shape not in self._buffers:
+            self._buffers[shape] = Hits.of(view.coarse)
+        return self._buffers[shape].range_m, self._buffers[shape].triangle
+
+    def _see(self, frame: PmdFrame, t: FloatArray) -> _Seen | str:
+        config = self._config
+        if frame.camera.distortion[PLUMB_BOB:].any():
+            return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+        try:
+            view = DepthView.of(frame.camera, self._stride(frame.camera, t))
+        except DistortionError as error:
+            return str(error)
+        amplitude = np.ones_like(frame.depth_m) if frame.amplitude is None else frame.amplitude
+        sparse = slice(None, None, SPARSE)
+        lit = np.where(frame.depth_m[sparse, sparse] > 0.0, amplitude[sparse, sparse], 0.0)
+        least = config.ghost_share * float(lit.mean())
+        range_m, strengths = coarse_ranges(
+            frame.depth_m, amplitude, least, view.coarse.components[2], view.stride, view.offset
+        )
+        measured = np.flatnonzero(np.isfinite(range_m))
+        if len(measured) > config.depth.points:
+            measured = measured[np.linspace(0, len(measured) - 1, config.depth.points).astype(np.intp)]
+        rays = view.coarse.components.reshape(3, -1)[:, measured]
+        points_m = np.ascontiguousarray((rays * range_m.ravel()[measured]).T)
+        strength = strengths.ravel()[measured]
+        typical = float(np.median(strength)) if len(measured) else 1.0
+        trust = 1.0 / (1.0 + (DARK_SHARE * typical / np.maximum(strength, 1e-9)) ** 2)
+        patch = _NO_PATCH
+        if frame.amplitude is not None:
+            patch = self._patch(frame, t, typical if len(measured) >= config.verdict.min_points else 0.0)
+        return _Seen(view, range_m, points_m, trust, patch)
+
+    def _stride(self, camera: Camera, t: FloatArray) -> int:
+        """Return every how many pixels the target's share of the image holds the points wanted."""
+        radius_px = camera.fx * self._target.radius_m / max(t[2], 1e-3)
+        pixels = min(camera.width, 2.0 * radius_px) * min(camera.height, 2.0 * radius_px) * FILLED
+        return int(np.clip(np.sqrt(pixels / self._config.depth.points), *STRIDES_PX))
+
+    def _patch(
+        self, frame: PmdFrame, t: FloatArray, typical: float
+    ) -> tuple[NDArray[np.float32], FloatArray, float]:
+        """Return the smoothed amplitude around the target, its first pixel and the change that counts."""
+        config, camera = self._config.edges, frame.camera
+        assert frame.amplitude is not None  # noqa: S101 - told by the caller
+        top, bottom, left, right = 0, camera.height, 0, camera.width
+        if t[2] > 2.0 * self._target.radius_m:
+            radius = self._target.radius_m / (t[2] - self._target.radius_m)
+            column, row = camera.fx * t[0] / t[2] + camera.cx, camera.fy * t[1] / t[2] + camera.cy
+            left, right = (int(column + sign * (camera.fx * radius + MARGIN_PX)) for sign in (-1, 1))
+            top, bottom = (int(row + sign * (camera.fy * radius + MARGIN_PX)) for sign in (-1, 1))
+            left, right = max(left, 0), min(right, camera.width)
+            top, bottom = max(top, 0), min(bottom, camera.height)
+        if bottom - top < 3 or right - left < 3:
+            return _NO_PATCH
+        part = np.nan_to_num(frame.amplitude[top:bottom, left:right].astype(np.float32))
+        typical = typical or float(np.median(part[part >= part.mean()]))
+        if typical <= 0.0:
+            return _NO_PATCH
+        np.minimum(part, config.clip * typical, out=part)
+        smooth: NDArray[np.float32] = cv2.GaussianBlur(part, (0, 0), config.blur_px)  # type: ignore[assignment]
+        return smooth, np.array((left, top), float), config.least_contrast * typical
+
+
+def _lens(view: DepthView) -> FloatArray:
+    camera = view.camera
+    return np.array((camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion))
