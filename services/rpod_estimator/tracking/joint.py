@@ -109,6 +109,9 @@ class JointTracker:
             (config.edges.sigma_px, float(config.edges.effective_edges)),
             self._buffers_of(view),
         )
+        if points < config.verdict.min_points and asked < config.verdict.min_edges:
+            reason = f"nothing to see: {points} points on the target, {asked} places of edges"
+            return Registration(Source.PMD_JOINT, reason=reason)
         explained_share = self._explained(seen, R, t, config.verdict.tolerance_m, bias)
         to_sensor = np.zeros((6, 6))
         to_sensor[:3, :3] = to_sensor[3:, 3:] = R
@@ -163,8 +166,6 @@ class JointTracker:
         """Return why a pose is not to be believed, empty if it is."""
         limits = self._config.verdict
         with_depth, with_edges = points >= limits.min_points, asked >= limits.min_edges
-        if not (with_depth or with_edges):
-            return f"nothing to see: {points} points, {asked} places of edges"
         least_explained = limits.min_explained_share if with_edges else limits.min_depth_share
         if with_depth and explained_share < least_explained:
             return f"{explained_share:.0%} of the depth agrees with the pose, {least_explained:.0%} needed"

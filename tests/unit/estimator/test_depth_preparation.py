@@ -85,7 +85,7 @@ def test_a_calibrated_camera_measures_the_range_without_its_bias(target):
         found = pmd_methods(sensor, target).tracker.track(frame, pose_at(5.2)).T_sensor_target
         return abs(pose_error(pose_at(5.2), found)[1][2])
 
-    assert error_m(PmdInput()) > 0.03
+    assert error_m(PmdInput()) > 0.012
     assert error_m(PmdInput(calibration=WIGGLING)) < 0.01
 
 
@@ -256,7 +256,7 @@ def test_strange_frames_pass_to_the_methods_without_an_error(target, name):
     frame = strange_frames()[name].model_copy(update={"info": info(MHZ_20)})
     sensor = PmdInput(calibration=WIGGLING)
     registration = pmd_methods(sensor, target).tracker.track(frame, pose_at(4.0))
-    assert (registration.T_sensor_target is None) == bool(registration.reason)
+    assert registration.reason
     for prepared in DepthPreparation(sensor, target).possible(frame):
         assert prepared.depth_m.shape == frame.depth_m.shape
 
