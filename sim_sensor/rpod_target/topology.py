@@ -91,7 +91,7 @@ def creases(triangles_m: FloatArray, *, angle_rad: float) -> tuple[FloatArray, F
 def components(pairs: Indices, *, size: int) -> Indices:
     """Return the number of each node's component, shape (size,), in a graph of pairs, shape (P, 2)."""
     graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
-    _, component = connectedcomponents(graph, directed=False)
+    _, component = connected_components(graph, directed=False)
     return np.asarray(component, np.int64)
 
 
