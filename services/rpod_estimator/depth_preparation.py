@@ -38,7 +38,7 @@ _SPREAD = (0.1, 0.75)
 than it can be, a disc having 0.71."""
 _LONGEST = 1.02
 """Longest distance that a wrapping camera gives over its unambiguous range, with its offset and rounding."""
-_STEP_M = 0.004
+_STEP_M = 0.001
 _END_M = 30.0
 """Step and end of the table of corrections: 5 MHz, the lowest frequency in use, is unambiguous up to here."""
 _ROUNDS = 40
@@ -164,9 +164,9 @@ class PreparedAcquirer:
 
 
 def corrections(calibration: DepthCalibration | None) -> Float32Array:
-    """Return measured minus true distance by the measured one, every 4 mm from 0 to 30 m."""
+    """Return measured minus true distance by the measured one, every mm from 0 to 30 m."""
     if calibration is None:
-        return np.zeros(2, np.float32)
+        return np.zeros(1, np.float32)
     measured_m = np.arange(0.0, _END_M, _STEP_M)
     return (measured_m - calibrated(calibration, measured_m)).astype(np.float32)
 
@@ -216,22 +216,21 @@ def _prepare(depth_m, cosine, unwrapping, corrections_m, out_m):  # type: ignore
     range_m, reach_m, interval_m = unwrapping
     turns_per_m = np.float32(1.0 / interval_m if interval_m > 0.0 else 0.0)
     range_m, reach_m, interval_m = np.float32(range_m), np.float32(reach_m), np.float32(interval_m)
-    longest_m = interval_m * np.float32(_LONGEST)
-    steps_per_m, last = np.float32(1.0 / _STEP_M), np.float32(corrections_m.size - 1.001)
+    longest_m, nothing = interval_m * np.float32(_LONGEST), np.float32(0.0)
+    steps_per_m, last = np.float32(1.0 / _STEP_M), np.float32(corrections_m.size - 1)
     depths, cosines, out = depth_m.ravel(), cosine.ravel(), out_m.ravel()
     for pixel in range(depths.size):
         depth = depths[pixel]
-        out[pixel] = depth
-        if not np.float32(0.0) < depth < np.float32(np.inf):
+        if not nothing < depth < np.float32(np.inf):
+            out[pixel] = depth
             continue
-        distance = depth / cosines[pixel]
-        shift = interval_m * max(np.rint((range_m - distance) * turns_per_m), np.float32(0.0))
-        if distance > longest_m or abs(distance + shift - range_m) > reach_m:
-            shift = np.float32(0.0)
-        place = min((distance + shift) * steps_per_m, last)
-        index = np.int32(place) if place > np.float32(0.0) else np.int32(0)
-        low, high = corrections_m[index], corrections_m[index + 1]
-        shift -= low + (place - np.float32(index)) * (high - low)
+        measured_m, shift_m = depth / cosines[pixel], nothing
+        if measured_m <= longest_m and abs(measured_m - range_m) > reach_m:
+            shift_m = interval_m * np.rint((range_m - measured_m) * turns_per_m)
+            if shift_m < nothing or abs(measured_m + shift_m - range_m) > reach_m:
+                shift_m = nothing
+        index = np.int32(min((measured_m + shift_m) * steps_per_m + np.float32(0.5), last))
+        shift_m -= corrections_m[index]
         out[pixel] = (
-            depth + shift * cosines[pixel] if distance + shift > np.float32(0.0) else np.float32(np.nan)
+            depth + shift_m * cosines[pixel] if measured_m + shift_m > nothing else np.float32(np.nan)
         )

@@ -75,7 +75,7 @@ def test_the_error_is_taken_off_along_the_rays_of_a_distorted_lens(target):
     wrong = seen_by(ideal, MHZ_20, calibration=WIGGLING)
     assert np.nanmax(np.abs(wrong.depth_m - ideal.depth_m)) > 0.02
     prepared = DepthPreparation(PmdInput(calibration=WIGGLING), target).predicted(wrong, pose_at(3.0))
-    np.testing.assert_allclose(prepared.depth_m, ideal.depth_m, atol=5e-5)
+    np.testing.assert_allclose(prepared.depth_m, ideal.depth_m, atol=2e-4)
 
 
 def test_a_calibrated_camera_measures_the_range_without_its_bias(target):
