@@ -12,7 +12,7 @@ from rpod_analysis.campaign.trials.pmd_world import World, built, disturbed
 from rpod_analysis.campaign.trials.scene import cached_target, stream
 from rpod_motion.motion import build_motion
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd import MAX_RATE_HZ, SAMPLES, PmdConfig
+from rpod_schemas.config.pmd import MAX_RATE_HZ, PmdConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose
@@ -92,7 +92,7 @@ class Stage:
             depth_m=exposure.depth_m,
             amplitude=exposure.amplitude,
             camera=self.camera.camera,
-            info=self.camera.info(),
+            info=self.camera.info(exposure.integration_time_s),
         )
         cast(self._rays, self._looked_at.triangles_m, T_sensor_target, out=self._hits)
         seen = self._hits.triangle >= 0
@@ -102,7 +102,7 @@ class Stage:
 
 def still(stage: Stage, T_sensor_target: RigidTransform, *, number: int) -> Shot:
     """Return the frame of a target that stands still."""
-    return stage.expose([T_sensor_target] * SAMPLES, T_sensor_target, number=number)
+    return stage.expose([T_sensor_target] * stage.camera.sub_exposures, T_sensor_target, number=number)
 
 
 def camera_of(scenario: Scenario) -> PmdConfig:
