@@ -41,7 +41,7 @@ def calibrate_command(
         print(f"rpod calibrate: {error}", file=sys.stderr)
         return EXIT_FAILURE
     if as_json:
-        ranges = [asdict(part) for part in bins]
+        ranges = [asdict(part) | {"bias_sigma_m": part.bias_sigma_m} for part in bins]
         found = {"file": str(written) if written else None, "ranges": ranges}
         print(json.dumps(calibration.model_dump(mode="json") | found, indent=2))
     else:
@@ -81,13 +81,13 @@ def _errors(calibration: DepthCalibration) -> Table:
 
 def _ranges(bins: Sequence[RangeBin]) -> Table:
     table = Table(title="by true distance", title_justify="left")
-    for name in ("range, m", "pixels", "bias before, mm", "bias after, mm", "noise, mm"):
+    for name in ("range, m", "pixels", "bias before, mm", "bias after, mm", "+-", "noise, mm"):
         table.add_column(name, justify="right")
     for part in bins:
-        values_mm = (1e3 * value for value in (part.bias_before_m, part.bias_after_m, part.noise_m))
+        values = part.bias_before_m, part.bias_after_m, part.bias_sigma_m, part.noise_m
         table.add_row(
             f"{part.from_m:.2f} to {part.to_m:.2f}",
             str(part.pixels),
-            *(f"{value:.1f}" for value in values_mm),
+            *(f"{1e3 * value:.1f}" for value in values),
         )
     return table

@@ -6,6 +6,7 @@ the waves; the estimator inverts it. Fourth-order waves (a third harmonic of the
 fitted; second and eighth order are kept where the logs cover them and they stand out of their errors.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -34,6 +35,8 @@ _GATE_M = 0.5
 _TUKEY = 4.685
 """Tukey's biweight in robust standard deviations: 95 % efficient for normal errors."""
 _ROUNDS = 20
+_LEAST_NOISE_M = 0.01
+"""Pixels of less noise count no more: what is left of their errors is no noise."""
 _BLOCK = 10
 """Neighbouring frames share what the model leaves unexplained: so many count as one in standard errors."""
 _SIGNIFICANT = 4.0
@@ -42,6 +45,8 @@ _WORTH_M = 0.5e-3
 """Height below which a further wave is left out."""
 _BIN_M = 0.25
 _LEAST_IN_BIN = 30
+_KNOWN_M = 0.005
+"""Standard error beyond which the bias of a range is not known well enough to be told."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,11 @@ class RangeBin:
     """The same, calibrated."""
     noise_m: float
     """Robust standard deviation, calibrated."""
+
+    @property
+    def bias_sigma_m(self) -> float:
+        """Standard error of the medians."""
+        return 1.253 * self.noise_m / math.sqrt(self.pixels)
 
 
 def fit(samples: DepthSamples) -> DepthCalibration:
@@ -87,7 +97,7 @@ def fit(samples: DepthSamples) -> DepthCalibration:
 def range_bins(samples: DepthSamples, calibration: DepthCalibration) -> list[RangeBin]:
     """Return errors before and after a calibration by true distance, in steps of 0.25 m."""
     after_m = _error_after(samples, calibration)
-    number = np.floor(samples.true_m / _BIN_M).astype(np.int64)
+    number = _bin_of(samples.true_m)
     return [
         RangeBin(
             from_m=float(index * _BIN_M),
@@ -113,9 +123,11 @@ def evidence(samples: DepthSamples, calibration: DepthCalibration) -> Calibratio
             f"modulation_frequency_hz is {samples.modulation_frequency_hz} in the logs, "
             f"{calibration.modulation_frequency_hz} in the calibration"
         )
-    bins = range_bins(samples, calibration)
+    bins = [part for part in range_bins(samples, calibration) if part.bias_sigma_m < _KNOWN_M]
     if not bins:
-        raise CalibrationError(f"{samples.true_m.size} pixels on faces of the target are too few")
+        raise CalibrationError(
+            f"{samples.true_m.size} pixels on faces of the target are too few, or too noisy"
+        )
     after_m = _error_after(samples, calibration)
     usable = np.abs(samples.error_m - np.median(samples.error_m)) < _GATE_M
     return CalibrationEvidence(
@@ -133,6 +145,10 @@ def evidence(samples: DepthSamples, calibration: DepthCalibration) -> Calibratio
 
 def _error_after(samples: DepthSamples, calibration: DepthCalibration) -> FloatArray:
     return calibrated(calibration, samples.true_m + samples.error_m) - samples.true_m
+
+
+def _bin_of(true_m: FloatArray) -> IntArray:
+    return np.floor(true_m / _BIN_M).astype(np.int64)
 
 
 def _parts_of_wave(true_m: FloatArray, hertz: float, order: int) -> IntArray:
@@ -165,7 +181,7 @@ def _fit(samples: DepthSamples, orders: Sequence[tuple[float, int]]) -> DepthCal
             for wave in (np.cos, np.sin)
         ]
     )
-    values, weights = _solve(design, samples.error_m)
+    values, weights = _solve(design, samples.error_m, samples.true_m)
     sigma = _standard_errors(design, weights, samples.error_m - design @ values, samples.frame // _BLOCK)
     return DepthCalibration(
         modulation_frequency_hz=samples.modulation_frequency_hz,
@@ -184,16 +200,21 @@ def _fit(samples: DepthSamples, orders: Sequence[tuple[float, int]]) -> DepthCal
     )
 
 
-def _solve(design: FloatArray, error_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients and weights of a regression with Tukey's biweight, iteratively reweighted."""
+def _solve(design: FloatArray, error_m: FloatArray, true_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients and weights of a regression with Tukey's biweight, iteratively reweighted.
+
+    Noise grows with the distance, so residuals are measured in the robust spread of their range.
+    """
     weights: FloatArray = (np.abs(error_m - np.median(error_m)) < _GATE_M).astype(np.float64)
+    number = np.unique(_bin_of(true_m), return_inverse=True)[1]
     values = np.zeros(design.shape[1])
     for _ in range(_ROUNDS):
         root = np.sqrt(weights)
         values[:] = np.linalg.lstsq(root[:, None] * design, root * error_m)[0]
         residual = error_m - design @ values
-        scale = max(_TUKEY * _robust_sigma(residual[weights > 0.0]), 1e-6)
-        weights = np.maximum(1.0 - (residual / scale) ** 2, 0.0) ** 2
+        spread = np.array([_robust_sigma(residual[number == index]) for index in range(number.max() + 1)])
+        sigma = np.maximum(spread, _LEAST_NOISE_M)[number]
+        weights = (np.maximum(1.0 - (residual / (_TUKEY * sigma)) ** 2, 0.0) * _LEAST_NOISE_M / sigma) ** 2
     return values, weights
 
 

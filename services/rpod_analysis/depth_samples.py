@@ -20,9 +20,10 @@ from rpod_analysis.score import BoolArray, Track, interpolate
 from rpod_analysis.sensors import find_sensors, pmd_frames, pmd_info
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.depth_calibration import unambiguous_range_m
+from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import CHASER, TRUTH
 from rpod_schemas.types import Camera, PmdFrame
-from rpod_sim_sensor.geometry import Hits, RayGrid, cast
+from rpod_sim_sensor.geometry import DistortionError, Hits, RayGrid, cast
 from rpod_target import Target, TargetError, load_target
 
 _MOST_IN_FRAME = 400
@@ -92,11 +93,14 @@ def _of_log(log: Log, camera: str) -> DepthSamples:
     frequencies_hz = _frequencies(log, camera)
     target = _target(log)
     reference = _Reference(target, sensor.T_chaser_sensor, _truth(log), frequencies_hz)
-    pixels = [
-        (number, *found)
-        for number, frame in enumerate(pmd_frames(log, camera))
-        if (found := reference.compare(frame)) is not None
-    ]
+    try:
+        pixels = [
+            (number, *found)
+            for number, frame in enumerate(pmd_frames(log, camera))
+            if (found := reference.compare(frame)) is not None
+        ]
+    except DistortionError as error:
+        raise CalibrationError(f"{name}: {error}") from error
     if not pixels:
         raise CalibrationError(
             f"{name}: no frame of {camera!r} shows a face of the target where it should be"
@@ -141,7 +145,10 @@ def _target(log: Log) -> Target:
 
 
 def _truth(log: Log) -> Track:
-    odometry = list(log.odometry(TRUTH))
+    try:
+        odometry = list(log.odometry(TRUTH))
+    except MessageRejectedError as error:
+        raise CalibrationError(f"{log.paths[0].name}: {TRUTH.name}: {error}") from error
     if not odometry:
         raise CalibrationError(f"{log.paths[0].name}: no truth in the log ({TRUTH.name})")
     if foreign := {entry.frame_id for entry in odometry} - {CHASER}:

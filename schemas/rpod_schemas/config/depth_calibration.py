@@ -70,7 +70,7 @@ class CalibrationEvidence(Config):
     rms_after_m: NonNegative
     """The same, calibrated."""
     bias_before_m: NonNegative
-    """RMS over the distances of the median error: what is left of it once the noise is averaged away."""
+    """RMS of the median errors of ranges of 0.25 m: what is left once the noise is averaged away."""
     bias_after_m: NonNegative
     """The same, calibrated."""
 

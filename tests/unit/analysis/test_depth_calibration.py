@@ -25,6 +25,7 @@ from rpod_target import load_target
 HERTZ = 20.013e6
 PMD = PmdConfig(camera=Camera(width=118, height=96, fx=228.0, fy=231.0, cx=58.5, cy=47.5))
 """A third of the pixels each way, so that the logs are made in a moment."""
+FOLDED = PMD.camera.model_copy(update={"distortion": np.array([-9.0, 0.0, 0.0, 0.0, 0.0])})
 WAVE_M = unambiguous_range_m(HERTZ) / (2.0 * np.pi) * PMD.pixel.wiggling_share
 """Of a third harmonic h3: h3 c / 4 pi f."""
 
@@ -125,6 +126,7 @@ def test_logs_at_one_range_are_refused(tmp_path):
         ({"name": "nose"}, "no frames of a PMD camera called 'pmd'"),
         ({"target": None}, "does not say which target"),
         ({"target": "no-such-target"}, "no-such-target"),
+        ({"camera": FOLDED}, "the lens distortion has no inverse"),
         ({"truth_gaps_s": ((-0.001, 9.0),)}, "no frame of 'pmd' shows a face"),
     ],
 )
