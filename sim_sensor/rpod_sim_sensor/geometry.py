@@ -138,7 +138,8 @@ def cast(
         cull_back_faces: skip triangles seen from behind, which are hidden anyway where the bodies are closed.
     """
     hits = Hits.of(grid) if out is None else out
-    R, t = T_sensor_target.rotation.as_matrix(), T_sensor_target.translation
+    pose = T_sensor_target.as_matrix()
+    R, t = pose[:3, :3].copy(), pose[:3, 3].copy()
     cast_pose(grid.arrays, triangles_m, R, t, cull_back_faces, hits.range_m, hits.triangle)
     return hits
 

@@ -9,6 +9,15 @@ from rpod_schemas.config.base import Config, NonNegative, Positive, Share
 Count = Annotated[int, Field(gt=0)]
 
 
+class RangeErrorConfig(Config):
+    """Errors of the ranges that do not average out over a frame, standard deviations."""
+
+    bias_m: Positive
+    """Of what all points share; each frame estimates it anew."""
+    uneven_m: NonNegative
+    """Of what differs from it over the target, as one more error of the depth as a whole."""
+
+
 class JointDepthConfig(Config):
     """Measured points in the target's distance field."""
 
@@ -22,11 +31,10 @@ class JointDepthConfig(Config):
     """Least standard deviation of a residual; the inliers' own spread where that is larger."""
     effective_points: Count = 400
     """Most residuals counted as independent: neighbours share their errors."""
-    bias_m: Positive = 0.025
-    """Standard deviation of an error along the line of sight that all points share and each frame estimates
-    anew: the wiggling."""
-    calibrated_bias_m: Positive = 0.006
-    """The same where the depth is calibrated."""
+    raw: RangeErrorConfig = RangeErrorConfig(bias_m=0.025, uneven_m=0.005)
+    """What noise leaves, where the depth is not calibrated: the wiggling."""
+    calibrated: RangeErrorConfig = RangeErrorConfig(bias_m=0.004, uneven_m=0.0006)
+    """The same where it is."""
 
 
 class JointEdgeConfig(Config):
@@ -92,7 +100,7 @@ class JointConfig(Config):
     """Below this share it is drawn in from afar."""
     near_m: Positive = 0.05
     """Within which a prediction agrees with a pixel."""
-    slack_m: NonNegative = 0.0002
+    slack_m: NonNegative = 0.0003
     """Standard deviation of the model's own error: that of a part over the root of their number."""
     ghost_share: Share = 0.08
     """Depth is dropped where the amplitude is below this share of the image's mean, in which pixels without

@@ -70,7 +70,7 @@ class JointTracker:
 
     def __init__(self, config: JointConfig, target: Target, *, calibrated: bool = False) -> None:
         self._config, self._target = config, target
-        self._bias_m = config.depth.calibrated_bias_m if calibrated else config.depth.bias_m
+        self._ranges = config.depth.calibrated if calibrated else config.depth.raw
         edges = EdgeModel.of(target, spacing_m=config.edges.spacing_share * target.radius_m)
         self._model = np.ascontiguousarray(target.triangles_m), field_arrays(target), edges.arrays
         weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
@@ -103,7 +103,8 @@ class JointTracker:
             (
                 config.depth.noise_m,
                 float(config.depth.effective_points),
-                self._bias_m,
+                self._ranges.bias_m,
+                self._ranges.uneven_m,
                 config.slack_m,
             ),
             (config.edges.sigma_px, float(config.edges.effective_edges)),

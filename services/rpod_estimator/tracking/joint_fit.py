@@ -144,14 +144,15 @@ def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edg
         image: part of the amplitude image, its first pixel, change that counts.
         camera: coarse ``RayGrid.arrays``, (stride, offset), lens as for ``imaged``.
         schedule: scale, m, and reach, px, of each step, shape (steps, 2).
-        depth_errors: noise, m, effective points, sigma of the bias, m, and of the model's own error, m.
+        depth_errors: noise, m, effective points, sigmas, m, of the bias, of what differs from it, and of
+            the model's own error.
         edge_errors: noise, px, effective samples.
         buffers: ranges and triangles of the coarse pixels.
     """
     triangles, field, edges = model
     patch, corner, least = image
     grid, coarse, lens = camera
-    noise, most_points, bias_sigma, slack = depth_errors
+    noise, most_points, bias_sigma, uneven, slack = depth_errors
     noise_px, most_edges = edge_errors
     range_m, owner = buffers
     bias, held = 0.0, np.zeros(7)
@@ -169,7 +170,7 @@ def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edg
         sums, squares, inliers, weight = depth_sums(points, trust, R, t, bias, field, scale)
         if inliers > 0:
             variance = max(squares / weight, noise * noise) / min(most_points, weight)
-            total += sums / (weight * (variance + slack * slack))
+            total += sums / (weight * (variance + uneven * uneven + slack * slack))
         sums, squares_px, found, asked = edge_sums(edges, seen, R, t, lens, patch, corner, reach, least)
         if found > 0:
             per_m = lens[0] / max(t[2], NEAREST_M)
