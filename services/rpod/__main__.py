@@ -245,7 +245,12 @@ def campaign(
     through: Annotated[
         str | None, typer.Option("--through", help="First guess of a frame by: tracker, navigator or both.")
     ] = None,
-    case: Annotated[str | None, typer.Option("--case", help="Of pmd campaigns, with commas.")] = None,
+    depth: Annotated[
+        str | None, typer.Option("--depth", help="Of the camera: raw, calibrated or both.")
+    ] = None,
+    case: Annotated[
+        str | None, typer.Option("--case", help="Of pmd-robustness, -sun, -acquisition, with commas.")
+    ] = None,
     out: Annotated[Path, typer.Option("--out", help="Where the campaign's folder is made.")] = Path(
         "campaigns"
     ),
@@ -271,6 +276,7 @@ def campaign(
         "radius": radius,
         "frames": frames,
         "through": through,
+        "depth": depth,
         "case": case,
     }
     raise typer.Exit(campaign_command(name, options=options, jobs=jobs, out=out, as_json=as_json))

@@ -52,6 +52,8 @@ class Options(Config):
     """Of a sequence: one a second, or as fast as the camera is."""
     through: Literal["tracker", "navigator", "both"] | None = None
     """Where a frame's first guess comes from: the last estimate, or the navigator's prediction."""
+    depth: Literal["raw", "calibrated", "both"] | None = None
+    """With the camera's wiggling error, or with what a calibration leaves of it."""
     case: Choices | None = None
     """Names of a campaign's cases."""
 
@@ -63,6 +65,7 @@ class Options(Config):
             "centroid": ("plain", "offset"),
             "frames": ("keyframes", "full"),
             "through": ("tracker", "navigator"),
+            "depth": ("raw", "calibrated"),
         }
         chosen = getattr(self, name) or default
         return readings[name] if chosen == "both" else (chosen,)

@@ -11,6 +11,7 @@ from rpod_analysis.campaign.statistics import mean, quantile
 from rpod_analysis.campaign.trials.pmd_methods import has_radius, pmd_input
 from rpod_analysis.campaign.trials.pmd_sequence import SequenceCell
 from rpod_analysis.score import NEES_95
+from rpod_schemas.config.base import check
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
@@ -23,6 +24,8 @@ OTHER_AXES = (
     "sensor_roll_deg", "sensor_pitch_deg", "sensor_yaw_deg", "target_x_m", "target_y_m", "target_z_m",
 )  # fmt: skip
 """The same errors the other way round: attitude in the sensor's axes, position in the target's."""
+CALIBRATED_WIGGLING = 0.005
+"""What a calibration of the depth leaves of the third harmonic."""
 _FAMILY = "mockup-"
 
 
@@ -55,6 +58,15 @@ def methods(
         for radius_px in (options.radius or radii_px) if has_radius(method) else (None,):
             pmd_input(method, radius_px=radius_px)
             yield method, radius_px
+
+
+def calibrated(scenario: Scenario) -> Scenario:
+    """Return a scenario whose cameras have the error that a calibration of their depth leaves."""
+    document: dict[str, Any] = scenario.model_dump(mode="json")
+    for sensor in document["sensors"]:
+        if sensor["kind"] == "pmd":
+            sensor["pixel"]["wiggling_share"] = CALIBRATED_WIGGLING
+    return check(Scenario, document, source=scenario.name)
 
 
 def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:

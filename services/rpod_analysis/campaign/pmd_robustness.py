@@ -7,7 +7,15 @@ from typing import Any
 import polars as pl
 
 from rpod_analysis.campaign.campaign import Campaign, CellResult, Options, Section, Table
-from rpod_analysis.campaign.pmd_cells import AXES, Results, methods, scenarios, summarise
+from rpod_analysis.campaign.pmd_cells import (
+    AXES,
+    CALIBRATED_WIGGLING,
+    Results,
+    calibrated,
+    methods,
+    scenarios,
+    summarise,
+)
 from rpod_analysis.campaign.pmd_tables import (
     LOST,
     by_range,
@@ -28,8 +36,6 @@ from rpod_schemas.errors import ConfigurationError
 _SCENARIO = "tumbling"
 _START_M, _LEAVES_M, _END_M = 7.0, 2.1, 1.0
 """Range of the start, where the target begins to leave the image, and of the end."""
-CALIBRATED_WIGGLING = 0.005
-"""What a calibration of the depth leaves of the third harmonic."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,7 @@ def cells(options: Options) -> list[SequenceCell]:
             radius_px=radius_px,
             frames=frames,
             through=through,
-            document=calibrated(scenario, CASES[name].range_m).model_dump_json(),
+            document=approaching(calibrated(scenario), CASES[name].range_m).model_dump_json(),
             target=scenario.target,
             case=name,
             world=CASES[name].world,
@@ -90,12 +96,9 @@ def cells(options: Options) -> list[SequenceCell]:
     ]
 
 
-def calibrated(scenario: Scenario, range_m: tuple[float, float]) -> Scenario:
-    """Return a scenario with a calibrated camera that goes straight from one range to another."""
+def approaching(scenario: Scenario, range_m: tuple[float, float]) -> Scenario:
+    """Return a scenario that goes straight from one range to another."""
     document: dict[str, Any] = scenario.model_dump(mode="json")
-    for sensor in document["sensors"]:
-        if sensor["kind"] == "pmd":
-            sensor["pixel"]["wiggling_share"] = CALIBRATED_WIGGLING
     start_m, end_m = range_m
     document["motion"]["trajectory"] |= {"start_m": [0.0, 0.0, start_m], "end_m": [0.0, 0.0, end_m]}
     return check(Scenario, document, source=scenario.name)
@@ -112,7 +115,7 @@ def sections(results: Results) -> list[Section]:
         f"close: {_LEAVES_M:g} to {_END_M:g} m. {about}. {LOST}"
     )
     return [
-        Section("Worlds", note, (overview(results, "By case"),)),
+        Section("Worlds", note, overview(results)),
         *_paired_sections(results),
         *([Section("Over the range", "", (by_range(far),), errors_over_range(far))] if far else []),
         *([_close_section(close)] if close else []),

@@ -38,8 +38,12 @@ def label(cell: SequenceCell, among: Results) -> str:
     return ", ".join(parts) or cell.method
 
 
-def overview(results: Results, title: str = "All sequences") -> Table:
-    """Return RMS, greatest error, time, lost frames and consistency of each cell."""
+def overview(results: Results) -> tuple[Table, Table]:
+    """Return the errors of each cell, and what it lost, took and believed of itself."""
+    return _errors(results), _conduct(results)
+
+
+def _errors(results: Results) -> Table:
     rows = []
     for result in results:
         s = result.summary
@@ -52,7 +56,21 @@ def overview(results: Results, title: str = "All sequences") -> Table:
                 number(millimetres(s["norms"]["position_m"]), ".1f"),
                 number(s["max"]["attitude_deg"], ".2f"),
                 number(millimetres(s["max"]["position_m"]), ".0f"),
-                f"{s['lost_without_pose']} / {s['lost_off_target']}",
+            )
+        )
+    columns = ("images", *_UNITS, "norm, deg", "norm, mm", "greatest, deg", "greatest, mm")
+    return Table("RMS and greatest errors", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
+
+
+def _conduct(results: Results) -> Table:
+    rows = []
+    for result in results:
+        s = result.summary
+        rows.append(
+            (
+                *name_of(result.cell),
+                str(s["frames"]),
+                *(str(s[name]) for name in ("lost", "lost_without_pose", "lost_off_target")),
                 percent(s["depth_share"]),
                 milliseconds(s["median_s"]),
                 milliseconds(s["p95_s"]),
@@ -61,10 +79,10 @@ def overview(results: Results, title: str = "All sequences") -> Table:
             )
         )
     columns = (
-        *("images", *_UNITS, "norm, deg", "norm, mm", "greatest, deg", "greatest, mm"),
-        *("without pose / off", "depth there", "median, ms", "p95, ms", "mean NEES", "inside 95 %"),
+        *("images", "lost", "without pose", "off", "target's pixels with depth"),
+        *("median, ms", "p95, ms", "mean NEES", "inside 95 %"),
     )
-    return Table(title, (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
+    return Table("Lost frames, time, consistency", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
 
 
 def other_axes(results: Results) -> Table:

@@ -10,7 +10,7 @@ from rpod_analysis.campaign import Options, pmd_acquisition, pmd_robustness, pmd
 from rpod_analysis.campaign import paper_2018 as paper
 from rpod_analysis.campaign.campaign import CellResult
 from rpod_analysis.campaign.folder import CampaignFolder
-from rpod_analysis.campaign.pmd_cells import AXES, summarise
+from rpod_analysis.campaign.pmd_cells import AXES, CALIBRATED_WIGGLING, summarise
 from rpod_analysis.campaign.pmd_pictures import picture
 from rpod_analysis.campaign.trials import pmd_acquisition as acquisition
 from rpod_analysis.campaign.trials import pmd_sequence as sequence
@@ -80,6 +80,13 @@ def test_the_third_scenario_goes_from_10_m_to_1_m_with_a_camera_that_sees_so_far
     first = stage.take(0.0)
     depth_m = first.frame.depth_m[first.seen]
     assert np.nanmedian(depth_m) == pytest.approx(9.95, abs=0.35)
+
+
+def test_calibrated_depth_has_little_of_the_wiggling_and_raw_depth_all_of_it():
+    raw, calibrated = cells(scenario=("oblique",), method=("signed-distance",), depth="both")
+    assert (raw.case, calibrated.case) == ("raw", "calibrated")
+    left, right = (scenario_of(cell.document).sensors[0].pixel.wiggling_share for cell in (raw, calibrated))
+    assert (left, right) == (0.03, CALIBRATED_WIGGLING)
 
 
 def test_table_2_has_nine_radii_in_both_scenarios_and_other_comparisons_one():
@@ -249,7 +256,7 @@ def test_the_worlds_share_their_frames_and_a_calibrated_camera():
     assert list(chosen) == list(pmd_robustness.CASES)
     for cell in chosen.values():
         scenario = scenario_of(cell.document)
-        assert scenario.sensors[0].pixel.wiggling_share == pmd_robustness.CALIBRATED_WIGGLING
+        assert scenario.sensors[0].pixel.wiggling_share == CALIBRATED_WIGGLING
         assert cell.frames == "full"
     pair = chosen[pmd_robustness.CASES["depth-lost"].pair]
     assert pair.document == chosen["depth-lost"].document
