@@ -170,7 +170,7 @@ def test_offset_and_all_waves_are_found_within_their_standard_errors():
 
 
 def test_standard_errors_are_what_repeated_fits_scatter_by():
-    fits = [fit(invented(wave(4, 0.0, -0.03), count=2000, seed=seed)) for seed in range(30)]
+    fits = [fit(invented(wave(4, 0.0, -0.03), count=1600, seed=seed)) for seed in range(20)]
     scatter_m = np.std([found.harmonics[0].sin_m for found in fits])
     told_m = np.mean([found.harmonics[0].sigma_m for found in fits])
     assert 0.6 < scatter_m / told_m < 1.5
