@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Camera, Float32Array
 
 NEAR_M = 0.05
@@ -95,7 +95,8 @@ class RayGrid:
 
     def in_single_precision(self) -> Self:
         """Return the same rays in float32: an image is cast in half the time, with ranges to a micrometre."""
-        return type(self)(self.components.astype(np.float32))
+        components: Array = self.components.astype(np.float32)
+        return type(self)(components)
 
     @classmethod
     def azimuth_elevation(cls, azimuth_rad: FloatArray, elevation_rad: FloatArray) -> Self:
@@ -226,41 +227,45 @@ def cast_pose(grid, triangles, R, t, cull, range_m, triangle):  # type: ignore[n
     corner, side = np.empty((3, 3)), np.empty((3, 3), rays.dtype)
     for index in range(triangles.shape[0]):
         for i in range(3):
+            x, y, z = triangles[index, i, 0], triangles[index, i, 1], triangles[index, i, 2]
             for k in range(3):
-                corner[i, k] = t[k]
-                for j in range(3):
-                    corner[i, k] += R[k, j] * triangles[index, i, j]
-        volume = _sides(corner, side)  # negative where seen from outside
+                corner[i, k] = t[k] + R[k, 0] * x + R[k, 1] * y + R[k, 2] * z
+        volume = _volume(corner)  # negative where seen from outside
         if volume == 0.0 or (cull and volume > 0.0):
             continue
-        top, bottom = _block(corner[0, 1], corner[1, 1], corner[2, 1], corner[:, 2], rows)
-        left, right = _block(corner[0, 0], corner[1, 0], corner[2, 0], corner[:, 2], columns)
+        top, bottom = _block(corner, 1, rows)
+        left, right = _block(corner, 0, columns)
         if top < bottom and left < right:
+            _sides(corner, 1.0 if volume > 0.0 else -1.0, side)
             _draw(rays, side, 1.0 / abs(volume), (top, bottom, left, right), index, inverse, triangle)
     range_m[:] = 1.0 / inverse
 
 
 @njit(cache=True, nogil=True)
-def _sides(corner, side):  # type: ignore[no-untyped-def]
-    """Fill the products v_i x v_j, so signed that a ray inside has none negative; return v0 . (v1 x v2)."""
-    v0, v1, v2 = corner[0], corner[1], corner[2]
-    x, y, z = v1[1] * v2[2] - v1[2] * v2[1], v1[2] * v2[0] - v1[0] * v2[2], v1[0] * v2[1] - v1[1] * v2[0]
-    volume = v0[0] * x + v0[1] * y + v0[2] * z
-    sign = 1.0 if volume > 0.0 else -1.0
+def _volume(corner):  # type: ignore[no-untyped-def]
+    """Return v0 . (v1 x v2)."""
+    x = corner[1, 1] * corner[2, 2] - corner[1, 2] * corner[2, 1]
+    y = corner[1, 2] * corner[2, 0] - corner[1, 0] * corner[2, 2]
+    z = corner[1, 0] * corner[2, 1] - corner[1, 1] * corner[2, 0]
+    return corner[0, 0] * x + corner[0, 1] * y + corner[0, 2] * z
+
+
+@njit(cache=True, nogil=True)
+def _sides(corner, sign, side):  # type: ignore[no-untyped-def]
+    """Fill the products v_i x v_j, so signed that a ray inside has none negative."""
     for i in range(3):
         a, b = corner[i], corner[(i + 1) % 3]
         side[i, 0] = sign * (a[1] * b[2] - a[2] * b[1])
         side[i, 1] = sign * (a[2] * b[0] - a[0] * b[2])
         side[i, 2] = sign * (a[0] * b[1] - a[1] * b[0])
-    return volume
 
 
 @njit(cache=True, nogil=True)
-def _block(a, b, c, depth, bounds):  # type: ignore[no-untyped-def]
-    """Return the first and last + 1 of the lines that may meet a triangle with these coordinates."""
-    if min(depth[0], depth[1], depth[2]) < NEAR_M:
+def _block(corner, axis, bounds):  # type: ignore[no-untyped-def]
+    """Return the first and last + 1 of the lines that may meet a triangle: rows for axis 1, columns for 0."""
+    if min(corner[0, 2], corner[1, 2], corner[2, 2]) < NEAR_M:
         return 0, bounds[0].size
-    a, b, c = a / depth[0], b / depth[1], c / depth[2]
+    a, b, c = corner[0, axis] / corner[0, 2], corner[1, axis] / corner[1, 2], corner[2, axis] / corner[2, 2]
     first = np.searchsorted(bounds[1], min(a, b, c), side="left")
     return first, np.searchsorted(bounds[0], max(a, b, c), side="right")
 
@@ -272,14 +277,13 @@ def _draw(rays, side, scale, block, index, inverse, triangle):  # type: ignore[n
     a0, a1, a2 = side[0, 0], side[0, 1], side[0, 2]
     b0, b1, b2 = side[1, 0], side[1, 1], side[1, 2]
     c0, c1, c2 = side[2, 0], side[2, 1], side[2, 2]
-    for row in range(top, bottom):
-        dx, dy, dz = rays[0, row, left:right], rays[1, row, left:right], rays[2, row, left:right]
-        best, owner = inverse[row, left:right], triangle[row, left:right]
-        for k in range(best.size):
-            s0 = a0 * dx[k] + a1 * dy[k] + a2 * dz[k]
-            s1 = b0 * dx[k] + b1 * dy[k] + b2 * dz[k]
-            s2 = c0 * dx[k] + c1 * dy[k] + c2 * dz[k]
+    for row in range(np.uint64(top), np.uint64(bottom)):
+        for column in range(np.uint64(left), np.uint64(right)):
+            x, y, z = rays[0, row, column], rays[1, row, column], rays[2, row, column]
+            s0 = a0 * x + a1 * y + a2 * z
+            s1 = b0 * x + b1 * y + b2 * z
+            s2 = c0 * x + c1 * y + c2 * z
             near = np.float32((s0 + s1 + s2) * scale)
-            wins = (s0 >= 0.0) & (s1 >= 0.0) & (s2 >= 0.0) & (near > best[k])
-            best[k] = near if wins else best[k]
-            owner[k] = np.int32(index) if wins else owner[k]
+            wins = (s0 >= 0.0) & (s1 >= 0.0) & (s2 >= 0.0) & (near > inverse[row, column])
+            inverse[row, column] = near if wins else inverse[row, column]
+            triangle[row, column] = np.int32(index) if wins else triangle[row, column]

@@ -131,5 +131,5 @@ class PmdEmulator:
 
 
 def _between(first: RigidTransform, second: RigidTransform) -> RigidTransform:
-    """Return the pose halfway along the screw motion from one pose to another."""
-    return first * RigidTransform.from_exp_coords(0.5 * (first.inv() * second).as_exp_coords())
+    """Return the pose halfway between two: of the mean of two rotations the nearest rotation is taken."""
+    return RigidTransform.from_matrix(0.5 * (first.as_matrix() + second.as_matrix()))

@@ -26,6 +26,9 @@ THETA_RAD = (0.0, math.pi, 0.5 * math.pi, 1.5 * math.pi)
 SUN_RADIUS_RAD = 4.65e-3
 """Angular radius of the sun at one astronomical unit."""
 
+_GRAZING = 1e-4
+"""Least cosine of a normal: a tilted patch may turn away from who sees its surface."""
+
 
 class Lights(NamedTuple):
     """The lamp at the camera and the sun, in electrons of one sub-exposure."""
@@ -94,7 +97,7 @@ def _collect(owners, rays, centres, surfaces, lights, modulated_e, charge_e):  #
     n = owners.shape[0] // height
     index = np.empty(width * n * n, np.uint32)
     columns = np.empty(width * n * n, np.uint32)
-    work = np.empty((13, width * n * n))
+    work = np.empty((14, width * n * n))
     modulated_e[:] = 0.0
     charge_e[:] = 0.0
     for row in range(height):
@@ -168,66 +171,59 @@ def _mixed(owners, rays, top, left, n, count, index, work):  # type: ignore[no-u
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _shade(index, work, count, surfaces, lights):  # type: ignore[no-untyped-def]
-    planes, normals, kinds, materials = (
-        surfaces.planes,
-        surfaces.far_normals,
-        surfaces.material,
-        surfaces.materials,
-    )
-    R, t = surfaces.R_lattice_optical, surfaces.t_lattice_optical
+    """Fill in ``inverse``, ``lamp_e`` and ``charge`` of a row's fragments."""
+    _look_up(index, work, count, surfaces)
+    x, y, z, weight, inverse, lamp_e, charge = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
+    n_x, n_y, n_z, diffuse, f0, alpha2 = work[8], work[9], work[10], work[11], work[12], work[13]
     lamp, radius_m, sun_e = lights.lamp_e, lights.lamp_radius_m, lights.sun_e
+    for f in range(count):
+        n_v = max(n_x[f] * x[f] + n_y[f] * y[f] + n_z[f] * z[f], _GRAZING)
+        lamp_alpha2 = alpha2[f] + (0.5 * radius_m * inverse[f]) ** 2
+        lamp_e[f] = weight[f] * lamp * reflected_share(n_v, n_v, 1.0, diffuse[f], f0[f], lamp_alpha2)
+        charge[f] = lamp_e[f] * inverse[f] * inverse[f]
+    if sun_e == 0.0:
+        return
     sun_x, sun_y, sun_z = lights.sun_direction
-    x, y, z, weight, inverse, lamp_e, charge, _, n_x, n_y, n_z = (
-        work[0],
-        work[1],
-        work[2],
-        work[3],
-        work[4],
-        work[5],
-        work[6],
-        work[7],
-        work[8],
-        work[9],
-        work[10],
-    )
+    for f in range(count):
+        n_v = max(n_x[f] * x[f] + n_y[f] * y[f] + n_z[f] * z[f], _GRAZING)
+        n_l = -(n_x[f] * sun_x + n_y[f] * sun_y + n_z[f] * sun_z)
+        l_v = -(sun_x * x[f] + sun_y * y[f] + sun_z * z[f])
+        sun_alpha2 = alpha2[f] + (0.5 * SUN_RADIUS_RAD) ** 2
+        share = reflected_share(max(n_l, _GRAZING), n_v, l_v, diffuse[f], f0[f], sun_alpha2)
+        charge[f] += weight[f] * sun_e * share if n_l > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_up(index, work, count, surfaces):  # type: ignore[no-untyped-def]
+    """Fill in ``inverse``, the normal and the material of a row's fragments: what a table has."""
+    planes, normals, kinds = surfaces.planes, surfaces.far_normals, surfaces.material
+    materials, R, t = surfaces.materials, surfaces.R_lattice_optical, surfaces.t_lattice_optical
+    x, y, z, inverse, n_x, n_y, n_z = work[0], work[1], work[2], work[4], work[8], work[9], work[10]
     for f in range(count):
         i = index[f]
         inverse[f] = planes[i, 0, 0] * x[f] + planes[i, 0, 1] * y[f] + planes[i, 0, 2] * z[f]
         n_x[f], n_y[f], n_z[f] = normals[i, 0], normals[i, 1], normals[i, 2]
     for f in range(count):
         kind = kinds[index[f]]
+        work[11, f], work[12, f], work[13, f] = materials[kind, 0], materials[kind, 1], materials[kind, 2]
         if materials[kind, 4] > 0.0:
             far_m = 1.0 / inverse[f]
             a, b, c = crinkled(
                 x[f] * far_m, y[f] * far_m, z[f] * far_m, R, t, materials[kind, 3], materials[kind, 4]
             )
             n_x[f], n_y[f], n_z[f] = _unit(n_x[f] + a, n_y[f] + b, n_z[f] + c)
-    for f in range(count):
-        kind = kinds[index[f]]
-        diffuse, f0, alpha2 = materials[kind, 0], materials[kind, 1], materials[kind, 2]
-        n_v = max(n_x[f] * x[f] + n_y[f] * y[f] + n_z[f] * z[f], 1e-4)
-        lamp_alpha2 = alpha2 + (0.5 * radius_m * inverse[f]) ** 2
-        lamp_e[f] = weight[f] * lamp * reflected_share(n_v, n_v, 1.0, diffuse, f0, lamp_alpha2)
-        charge[f] = lamp_e[f] * inverse[f] * inverse[f]
-    if sun_e > 0.0:
-        for f in range(count):
-            kind = kinds[index[f]]
-            diffuse, f0, alpha2 = materials[kind, 0], materials[kind, 1], materials[kind, 2]
-            n_v = max(n_x[f] * x[f] + n_y[f] * y[f] + n_z[f] * z[f], 1e-4)
-            n_l = -(n_x[f] * sun_x + n_y[f] * sun_y + n_z[f] * sun_z)
-            l_v = -(sun_x * x[f] + sun_y * y[f] + sun_z * z[f])
-            sun_alpha2 = alpha2 + (0.5 * SUN_RADIUS_RAD) ** 2
-            share = reflected_share(n_l, n_v, l_v, diffuse, f0, sun_alpha2)
-            charge[f] += weight[f] * sun_e * share if n_l > 0.0 else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _correlate(k, index, work, count, planes, lights):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Fill in ``modulated`` of a row's fragments in one sub-exposure."""
     x, y, z, inverse, lamp_e, out = work[0], work[1], work[2], work[4], work[5], work[7]
     turns_per_m, theta, h3 = lights.turns_per_m[k], lights.theta_turns[k], lights.wiggling_share
     for f in range(count):
         i = index[f]
-        now = planes[i, 1 + k, 0] * x[f] + planes[i, 1 + k, 1] * y[f] + planes[i, 1 + k, 2] * z[f]
+        out[f] = planes[i, 1 + k, 0] * x[f] + planes[i, 1 + k, 1] * y[f] + planes[i, 1 + k, 2] * z[f]
+    for f in range(count):  # apart from the look-up above, so that it is vectorised
+        now = out[f]
         # all but edge-on, its plane may sweep over the camera
         now = now if 0.5 * inverse[f] < now < 2.0 * inverse[f] else inverse[f]
         wave = _cosine(turns_per_m / now - theta)
@@ -244,7 +240,7 @@ def _unit(x, y, z):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _cosine(turns):  # type: ignore[no-untyped-def]
     """Return cos(2 pi turns) to 4e-9: a fitted odd polynomial for the sine of the rest to a quarter turn."""
-    y = 0.25 - abs(turns - math.floor(turns + 0.5))
+    y = 0.25 - abs(turns - np.floor(turns + 0.5))
     y2 = y * y
     odd = -76.54965682009066 + y2 * 39.53581370784004
     odd = 6.283185159611162 + y2 * (-41.341654929342994 + y2 * (81.60099818259727 + y2 * odd))

@@ -52,7 +52,7 @@ class Light(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """Standard normal numbers: the pixels of row r take theirs from ``pool[starts[r]]`` on."""
+    """Standard normal numbers: row r takes W for each sub-exposure in turn, from ``pool[starts[r]]`` on."""
 
     pool: Float32Array
     """Shape (P,)."""
@@ -83,26 +83,35 @@ def convert(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _convert(light, noise, electronics, samples, full):  # type: ignore[no-untyped-def]
     modulated_e, charge_e, stray_e, share = light
-    pool, starts = noise
     count, height, width = modulated_e.shape
-    suppression_e, full_well_e = share * electronics.suppression_e, electronics.full_well_e
-    counts_per_e = 1.0 / electronics.electrons_per_count
+    charge, sigma, fullest = np.empty(width), np.empty(width), np.empty(width)
+    counts = np.empty(width, np.int32)
     for row in range(height):
-        normal = starts[row]
         for column in range(width):
-            charge = share * (charge_e[row, column] + stray_e[count])
-            sigma_e = np.sqrt(charge + electronics.read_variance_e2)
-            fullest = 0.0
-            for k in range(count):
-                signal = share * electronics.contrast * (modulated_e[k, row, column] + stray_e[k])
-                difference = signal + sigma_e * pool[normal + k]
-                tap_a, tap_b = 0.5 * (charge + difference), 0.5 * (charge - difference)
-                common = min(tap_a, tap_b, suppression_e)
-                tap_a, tap_b = tap_a - common, tap_b - common
-                fullest = max(fullest, tap_a, tap_b)
-                kept = min(tap_a, full_well_e) - min(tap_b, full_well_e)
-                samples[k // SAMPLES, row, column, k % SAMPLES] = int(
-                    SAMPLE_OFFSET + 0.5 + kept * counts_per_e
-                )
-            full[row, column] = fullest >= full_well_e
-            normal += count
+            charge[column] = share * (charge_e[row, column] + stray_e[count])
+            sigma[column] = np.sqrt(charge[column] + electronics.read_variance_e2)
+            fullest[column] = 0.0
+        for k in range(count):
+            first = noise.starts[row] + k * width
+            normal = noise.pool[first : first + width]
+            signal = modulated_e[k, row]
+            _fill(signal, stray_e[k], charge, sigma, normal, share, electronics, fullest, counts)
+            for column in range(width):  # apart, so that the above is vectorised
+                samples[k // SAMPLES, row, column, k % SAMPLES] = counts[column]
+        for column in range(width):
+            full[row, column] = fullest[column] >= electronics.full_well_e
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(signal, stray, charge, sigma, normal, share, electronics, fullest, counts):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Fill both taps of a row's pixels in one sub-exposure, and convert what is kept of their difference."""
+    suppression_e, full_well_e = share * electronics.suppression_e, electronics.full_well_e
+    gain, counts_per_e = share * electronics.contrast, 1.0 / electronics.electrons_per_count
+    for column in range(signal.size):
+        difference = gain * (signal[column] + stray) + sigma[column] * normal[column]
+        tap_a, tap_b = 0.5 * (charge[column] + difference), 0.5 * (charge[column] - difference)
+        common = min(tap_a, tap_b, suppression_e)
+        tap_a, tap_b = tap_a - common, tap_b - common
+        fullest[column] = max(fullest[column], tap_a, tap_b)
+        kept = min(tap_a, full_well_e) - min(tap_b, full_well_e)
+        counts[column] = np.int32(SAMPLE_OFFSET + 0.5 + kept * counts_per_e)

@@ -1,7 +1,6 @@
 """Depth and amplitude from Q1..Q4: Klionovska et al. 2018, Eqs. 1 to 3.
 
-It takes a camera's raw samples, whether emulated or real. The equations stand here once: as they are for
-arrays, compiled for the kernel that goes over an image.
+It takes a camera's raw samples, whether emulated or real.
 """
 
 import math
@@ -155,9 +154,8 @@ class _Limits(NamedTuple):
         )
 
 
-_phase_of, _amplitude_of, _asymmetry_of = (
-    njit(cache=True, nogil=True, error_model="numpy")(equation)
-    for equation in (_phase, _amplitude, _asymmetry)
+_amplitude_of, _asymmetry_of = (
+    njit(cache=True, nogil=True, error_model="numpy")(equation) for equation in (_amplitude, _asymmetry)
 )
 _TOO_DARK, _SATURATED, _INCONSISTENT = int(Lost.TOO_DARK), int(Lost.SATURATED), int(Lost.INCONSISTENT)
 
@@ -166,55 +164,52 @@ _TOO_DARK, _SATURATED, _INCONSISTENT = int(Lost.TOO_DARK), int(Lost.SATURATED), 
 def _reconstruct(samples, full, cosine, limits, turns, images):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     frequencies, height, width, _ = samples.shape
     depth_m, strengths, losses = images
+    wrapped, strength, lost = np.empty((2, width)), np.empty(width), np.empty(width, np.int64)
     for row in range(height):
+        strength[:] = 0.0
         for column in range(width):
-            lost = _SATURATED if full[row, column] else 0
-            strength = 0.0
-            for frequency in range(frequencies):
-                share, reason = _judge(samples[frequency, row, column], limits)
-                strength += share / frequencies
-                lost |= reason
-            metres = np.nan
-            if lost == 0:
-                metres, disagreement = _radial_m(samples, row, column, turns)
-                lost = _INCONSISTENT if disagreement > limits.disagreement else 0
-            depth_m[row, column] = np.nan if lost else metres * cosine[row, column]
-            strengths[row, column] = int(strength + 0.5)
-            losses[row, column] = lost
+            lost[column] = _SATURATED if full[row, column] else 0
+        for frequency in range(frequencies):
+            _judge(samples[frequency, row], limits, wrapped[frequency], strength, lost)
+        for column in range(width):
+            metres = wrapped[0, column] * turns.first_m
+            if frequencies > 1 and lost[column] == 0:
+                second_m = wrapped[1, column] * turns.second_m
+                metres, disagreement = unwrap_pixel(metres, second_m, turns)
+                lost[column] = _INCONSISTENT if disagreement > limits.disagreement else 0
+            depth_m[row, column] = np.nan if lost[column] else metres * cosine[row, column]
+            strengths[row, column] = int(strength[column] / frequencies + 0.5)
+            losses[row, column] = lost[column]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _counts(sample):  # type: ignore[no-untyped-def]
-    offset = np.float32(SAMPLE_OFFSET)
-    return (
-        np.float32(sample[0]) - offset,
-        np.float32(sample[1]) - offset,
-        np.float32(sample[2]) - offset,
-        np.float32(sample[3]) - offset,
-    )
+@njit(cache=True, nogil=True, error_model="numpy")
+def _judge(samples, limits, wrapped, strength, lost):  # type: ignore[no-untyped-def]
+    """Fill in a row's phases in turns, add its amplitudes, and note which pixels give no depth."""
+    offset = np.float64(SAMPLE_OFFSET)
+    for column in range(wrapped.size):
+        q1, q2 = samples[column, 0] - offset, samples[column, 1] - offset
+        q3, q4 = samples[column, 2] - offset, samples[column, 3] - offset
+        size = _amplitude_of(q1, q2, q3, q4)
+        strength[column] += size
+        strongest = max(abs(q1), abs(q2), abs(q3), abs(q4))
+        lost[column] |= (
+            (_TOO_DARK if size < limits.least_amplitude else 0)
+            | (_SATURATED if strongest >= limits.saturation else 0)
+            | (_INCONSISTENT if _asymmetry_of(q1, q2, q3, q4) > limits.asymmetry * size else 0)
+        )
+        wrapped[column] = phase_turns(q1, q2, q3, q4)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _judge(sample, limits):  # type: ignore[no-untyped-def]
-    """Return the amplitude of one frequency's samples, and why they give no depth."""
-    q1, q2, q3, q4 = _counts(sample)
-    strength = _amplitude_of(q1, q2, q3, q4)
-    lost = 0
-    if strength < limits.least_amplitude:
-        lost |= _TOO_DARK
-    if max(abs(q1), abs(q2), abs(q3), abs(q4)) >= limits.saturation:
-        lost |= _SATURATED
-    if _asymmetry_of(q1, q2, q3, q4) > limits.asymmetry * strength:
-        lost |= _INCONSISTENT
-    return strength, lost
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _radial_m(samples, row, column, turns):  # type: ignore[no-untyped-def]
-    q1, q2, q3, q4 = _counts(samples[0, row, column])
-    first_m = _phase_of(q1, q2, q3, q4) / _TURN_RAD * turns.first_m
-    if samples.shape[0] == 1:
-        return first_m, 0.0
-    q1, q2, q3, q4 = _counts(samples[1, row, column])
-    second_m = _phase_of(q1, q2, q3, q4) / _TURN_RAD * turns.second_m
-    return unwrap_pixel(first_m, second_m, turns)
+@njit(cache=True, nogil=True, error_model="numpy")
+def phase_turns(q1, q2, q3, q4):  # type: ignore[no-untyped-def]
+    """Return ``phase`` (Eq. 1) in turns, 0 to 1, to 2e-8: a fitted polynomial, which is vectorised."""
+    across, along = q3 - q4, q1 - q2
+    less, more = min(abs(across), abs(along)), max(abs(across), abs(along))
+    t = less / more if more > 0.0 else 0.0
+    t2 = t * t
+    odd = -0.009448567552434017 + t2 * (0.0038461685215798328 - t2 * 0.0007430583510577952)
+    odd = 0.031782025228718834 + t2 * (-0.02230808794843388 + t2 * (0.0157660428809624 + t2 * odd))
+    turns = t * (0.15915492681891674 + t2 * (-0.05304946153068153 + t2 * odd))
+    turns = 0.25 - turns if abs(across) > abs(along) else turns
+    turns = 0.5 - turns if along < 0.0 else turns
+    return 1.0 - turns if across < 0.0 else turns

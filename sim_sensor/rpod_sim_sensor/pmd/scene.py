@@ -78,17 +78,18 @@ class Scene:
         They share the scene's buffers: the next call ends their use.
         """
         self._frame += 1
-        every = [T_middle, *poses]
-        R_lattice_optical = _ASKEW @ T_middle.rotation.as_matrix().T
+        matrices = np.stack([pose.as_matrix() for pose in (T_middle, *poses)])
+        rotations, positions_m = matrices[:, :3, :3].copy(), matrices[:, :3, 3].copy()
+        R_lattice_optical = _ASKEW @ rotations[0].T
         return Surfaces(
             normals=self._target.normals,
             offsets_m=self._offsets_m,
             material=self._target.triangle_material,
             materials=self._materials,
-            rotations=np.stack([pose.rotation.as_matrix() for pose in every]),
-            positions_m=np.stack([pose.translation for pose in every]),
+            rotations=rotations,
+            positions_m=positions_m,
             R_lattice_optical=R_lattice_optical,
-            t_lattice_optical=-R_lattice_optical @ T_middle.translation,
+            t_lattice_optical=-R_lattice_optical @ positions_m[0],
             frame=self._frame,
             placed=self._placed,
             planes=self._planes,

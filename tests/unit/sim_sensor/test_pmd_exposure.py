@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -134,7 +135,7 @@ def test_amplitude_is_linear_in_albedo_and_falls_with_the_square_of_distance() -
 
 
 def test_amplitude_is_what_the_radiometry_gives_by_hand() -> None:
-    config = usual(lens={"stray_share": 0.0})
+    config = usual(lens={"stray_share": 0.0}, pixel={"wiggling_share": 0.0})
     exposure = PmdEmulator(config, wall(0.3, roughness=1.0), seed=1).expose(
         [away(4.0)] * 4, sun_W_m2=DARKNESS, frame=0
     )
@@ -326,6 +327,25 @@ def test_an_open_surface_is_seen_from_its_inside_too() -> None:
         for turn in (0.0, 180.0)
     )
     np.testing.assert_allclose(front.depth_m, back.depth_m, atol=1e-3)
+
+
+def test_a_finer_mesh_of_the_same_surface_gives_the_same_frame() -> None:
+    coarse = wall()
+    v0, v1, v2 = coarse.triangles_m.transpose(1, 0, 2)
+    m01, m12, m20 = 0.5 * (v0 + v1), 0.5 * (v1 + v2), 0.5 * (v2 + v0)
+    parts = [(v0, m01, m20), (m01, v1, m12), (m20, m12, v2), (m01, m12, m20)]
+    fine = replace(
+        coarse,
+        triangles_m=np.concatenate([np.stack(part, axis=1) for part in parts]),
+        normals=np.tile(coarse.normals, (4, 1)),
+        triangle_material=np.tile(coarse.triangle_material, 4),
+    )
+    poses = [away(3.0 - 0.01 * k, turned_deg=(10.0, 25.0 + k)) for k in range(4)]
+    one, other = (
+        PmdEmulator(usual(), target, seed=1).expose(poses, sun_W_m2=SUN_BEHIND, frame=2)
+        for target in (coarse, fine)
+    )
+    np.testing.assert_allclose(one.samples, other.samples.astype(int), rtol=0, atol=1)
 
 
 def test_a_frame_is_written_into_the_callers_arrays() -> None:

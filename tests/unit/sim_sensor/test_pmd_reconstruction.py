@@ -11,6 +11,7 @@ from scipy import constants
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import MODULATION_FREQUENCIES_HZ, PmdConfig
 from rpod_sim_sensor.pmd import Lost, amplitude, distance, phase, reconstruct
+from rpod_sim_sensor.pmd.reconstruction import phase_turns
 
 THETA = np.array([0.0, math.pi, math.pi / 2, 3 * math.pi / 2])
 CONFIG = PmdConfig()
@@ -61,6 +62,16 @@ def test_beyond_the_unambiguous_range_distances_wrap() -> None:
     f = CONFIG.modulation_frequency_hz
     measured_m = distance(phase(samples_of(9.0, 100.0, f)), f)
     assert measured_m == pytest.approx(9.0 - CONFIG.unambiguous_range_m)
+
+
+@pytest.mark.parametrize("strength", [1e-3, 1.0, 1e5])
+def test_the_phase_that_an_image_is_made_with_is_eq_1(strength: float) -> None:
+    angle = np.linspace(0.0, 2 * math.pi, 20_001)
+    samples = strength * np.cos(angle[:, None] - THETA)
+    turns = np.array([phase_turns(*sample) for sample in samples])
+    error = (turns - phase(samples) / (2 * math.pi) + 0.5) % 1.0 - 0.5
+    assert np.abs(error).max() < 2e-8
+    assert phase_turns(0.0, 0.0, 0.0, 0.0) == 0.0
 
 
 def test_a_plain_arctangent_would_be_right_for_a_seventh_of_the_ranges() -> None:
