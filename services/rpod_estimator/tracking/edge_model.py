@@ -1,4 +1,8 @@
-"""The target's edges as an amplitude image can show them, sampled."""
+"""The target's edges as an amplitude image shows them in their place, sampled.
+
+The outline of a curved surface is left out: it darkens towards its limb, so that the image's steepest change
+lies beside it, by a pixel and more.
+"""
 
 from dataclasses import dataclass
 from math import ceil
@@ -11,12 +15,12 @@ from rpod_target import Target
 from rpod_target.topology import edges
 
 CREASE_RAD = np.radians(15.0)
-"""Faces that meet at more than this look different; at less, they do where one hides the other."""
+"""Faces that meet at less than this are one curved surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeModel:
-    """Samples of creases, of boundaries between materials, and of what may become an outline."""
+    """Samples of creases and of boundaries between materials."""
 
     places_m: FloatArray
     """Target axes, shape (N, 3)."""
@@ -24,8 +28,6 @@ class EdgeModel:
     """Unit vectors along the edges, target axes, shape (N, 3)."""
     normals: FloatArray
     """Of the faces on both sides, target axes, shape (N, 2, 3); n and -n where there is one face."""
-    drawn: NDArray[np.bool_]
-    """Whether an edge shows where both faces are seen, not as an outline alone, shape (N,)."""
 
     @classmethod
     def of(cls, target: Target, *, spacing_m: float) -> "EdgeModel":
@@ -34,7 +36,7 @@ class EdgeModel:
             _edges_of_part(target, np.flatnonzero(target.triangle_part == part))
             for part in range(len(target.parts))
         ]
-        segments_m, normals, drawn = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        segments_m, normals = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         lengths_m = np.linalg.norm(segments_m[:, 1] - segments_m[:, 0], axis=1)
         counts = [max(1, ceil(length_m / spacing_m)) for length_m in lengths_m]
         index = np.repeat(np.arange(len(segments_m)), counts)
@@ -42,23 +44,21 @@ class EdgeModel:
         start_m, end_m = segments_m[index, 0], segments_m[index, 1]
         directions = (end_m - start_m) / lengths_m[index, None]
         places_m = (1.0 - share) * start_m + share * end_m
-        return cls(places_m, directions, np.ascontiguousarray(normals[index]), drawn[index])
+        return cls(places_m, directions, np.ascontiguousarray(normals[index]))
 
     @property
-    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As the kernels take them."""
-        return self.places_m, self.directions, self.normals, self.drawn
+        return self.places_m, self.directions, self.normals
 
 
-def _edges_of_part(
-    target: Target, triangles: NDArray[np.intp]
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Return segments, the normals beside them, and which are drawn, of one part."""
+def _edges_of_part(target: Target, triangles: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """Return segments and the normals beside them of one part."""
     segments_m, faces = edges(target.triangles_m[triangles])
     faces = triangles[faces]
     normals, material = target.normals[faces], target.triangle_material[faces]
     normals[faces[:, 0] == faces[:, 1], 1] *= -1.0
     cosine = np.einsum("ij,ij->i", normals[:, 0], normals[:, 1])
     drawn = (cosine < np.cos(CREASE_RAD)) | (material[:, 0] != material[:, 1])
-    shows = (drawn | (cosine < 1.0 - 1e-9)) & (np.ptp(segments_m, axis=1) != 0.0).any(axis=1)
-    return segments_m[shows], normals[shows], drawn[shows]
+    drawn &= (np.ptp(segments_m, axis=1) != 0.0).any(axis=1)
+    return segments_m[drawn], normals[drawn]

@@ -1,7 +1,6 @@
 """The model's edges in an amplitude image: which show, where each lies, and what that says of the pose.
 
-An edge sample shows where one of its faces is seen (both seen: it must be a crease or a boundary of
-materials) and nothing stands before it. From its projection the image is searched along the projected edge's
+An edge sample shows where one of its faces is seen and nothing stands before it. From its projection the image is searched along the projected edge's
 normal for the steepest change of amplitude, nearer ones preferred, to sub-pixels by a parabola. How far that
 is from the projection is the residual (after T. Drummond, R. Cipolla, Real-Time Visual Tracking of Complex
 Structures, IEEE PAMI 24(7), 2002).
@@ -48,7 +47,7 @@ def showing(edges, R, t, lens, coarse, range_m):  # type: ignore[no-untyped-def]
         coarse: stride and offset of the rendered pixels.
         range_m: what is rendered at the pose, shape (rows, columns), inf where nothing is.
     """
-    places, _, normals, drawn = edges
+    places, _, normals = edges
     stride, offset = coarse
     rows, columns = range_m.shape
     found, count = np.empty(len(places), np.int64), 0
@@ -58,7 +57,7 @@ def showing(edges, R, t, lens, coarse, range_m):  # type: ignore[no-untyped-def]
         vx, vy, vz = sx - x, sy - y, sz - z
         one = normals[n, 0, 0] * vx + normals[n, 0, 1] * vy + normals[n, 0, 2] * vz > 0.0
         other = normals[n, 1, 0] * vx + normals[n, 1, 1] * vy + normals[n, 1, 2] * vz > 0.0
-        if not (one or other) or (one and other and not drawn[n]):
+        if not (one or other):
             continue
         px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
         py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]

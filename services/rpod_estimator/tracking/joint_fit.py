@@ -15,6 +15,8 @@ from rpod_sim_sensor.geometry import cast_pose
 
 REACH_M, REACH_RAD = 0.5, 0.2
 """Standard deviation of a step that nothing asks for."""
+SCALE = 0.25
+"""Geman-McClure scale of an edge's place over the reach of its search."""
 NEAREST_M = 0.3
 """Edges are not weighed for being nearer than this."""
 NEAR_M, FARTHEST_M = 0.05, 1e3
@@ -94,7 +96,7 @@ def edge_sums(edges, seen, R, t, lens, image, corner, reach, least):  # type: ig
     places, directions = edges[0], edges[1]
     sums, row = np.zeros((7, 8)), np.zeros(7)
     squares, inliers, asked = 0.0, 0, 0
-    c2 = max(0.5 * reach, 1.0) ** 2
+    c2 = (SCALE * reach) ** 2
     for n in seen:
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
         ax, ay, az = directions[n, 0], directions[n, 1], directions[n, 2]
