@@ -77,6 +77,9 @@ class IcpReverseCalibrationConfig(Config):
     """The iterations end where a step moves the target's surface by less than this."""
     unsettled_m: Positive = 0.02
     """A last step larger than this means that the iterations did not converge."""
+    min_cosine: Share = 0.3
+    """Of the angle between a model point's normal and the line of sight: points seen more obliquely are not
+    matched. Faces that a small error of the attitude brings into view have no measurement, and drag."""
     min_matches: Annotated[int, Field(ge=6)] = 30
     """Fewer matched model points are no registration."""
     image: DepthImageConfig = DepthImageConfig()

@@ -18,6 +18,23 @@ from rpod_sim_sensor.geometry import DistortionError, distort, undistort
 
 PLUMB_BOB = 5
 WHITE = 255.0
+NO_LINE = "no straight line in the amplitude image"
+THINNED = 2
+"""Every how many pixels, across and down, the image's brightness is asked."""
+BEYOND_PX = 3.0
+"""So far from an edge, on its darker side, the background begins where there is nothing else."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Pixels of edges and the lines that they make."""
+
+    places: FloatArray
+    """Column and row, to sub-pixel, straightened, shape (N, 2)."""
+    across: FloatArray
+    """Unit vectors towards the brighter side there, shape (N, 2)."""
+    segments: FloatArray
+    """Ends of the Hough lines, straightened, shape (M, 2, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +46,10 @@ class EdgeImage:
     """Smoothed grey levels, shape (height, width)."""
     light: Float32Array
     """Smoothed amplitude, 1 for white, brighter where a glint is, shape (height, width)."""
-    places: FloatArray
-    """Column and row of the edge's pixels, to sub-pixel, straightened, shape (N, 2)."""
-    across: FloatArray
-    """Unit vectors across the edge there, shape (N, 2)."""
-    segments: FloatArray
-    """Ends of the Hough lines, straightened, shape (M, 2, 2)."""
+    inner: "Edges"
+    """All edges."""
+    outer: "Edges"
+    """Those whose darker side is background: they may be silhouettes, and no pattern of a surface is."""
 
     def project(self, points_m: FloatArray) -> FloatArray:
         """Return the straightened pixels of points in sensor axes with z > 0, shape (..., 2)."""
@@ -42,6 +57,10 @@ class EdgeImage:
         slopes = points_m[..., :2] / points_m[..., 2:]
         pixels: FloatArray = slopes * (camera.fx, camera.fy) + (camera.cx, camera.cy)
         return pixels
+
+    def edges(self, *, silhouette: bool) -> "Edges":
+        """Return the edges among which to seek a line of the model."""
+        return self.outer if silhouette else self.inner
 
 
 def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
@@ -61,39 +80,51 @@ def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
     linear = _low_pass(np.minimum(light, 1.0), config.low_pass_px)
     grey = np.rint(WHITE * linear**config.gamma).astype(np.uint8)
     edges = np.asarray(cv2.Canny(grey, config.canny_low, config.canny_high, L2gradient=True), np.uint8)
-    segments = cv2.HoughLinesP(
-        edges,
+    if not edges.any():
+        return NO_LINE
+    places, across = _steepest_places(edges, linear)
+    beyond = _sampled(linear, places - BEYOND_PX * across)
+    outer = (beyond < config.background_share) | (config.background_share == 0.0)
+    try:
+        inner_edges = _edges_of(edges, places, across, frame.camera, config)
+        edges[tuple(np.transpose(np.nonzero(edges))[~outer].T)] = 0
+        outer_edges = _edges_of(edges, places[outer], across[outer], frame.camera, config)
+    except DistortionError as error:
+        return str(error)
+    if not len(inner_edges.segments):
+        return NO_LINE
+    light = _low_pass(light, config.low_pass_px)
+    return EdgeImage(frame.camera, grey, light, inner_edges, outer_edges)
+
+
+def _edges_of(
+    pixels: NDArray[np.uint8], places: FloatArray, across: FloatArray, camera: Camera, config: EdgeImageConfig
+) -> Edges:
+    """Return edges with their lines: steps 3 to 5 of the paper, the Hough transform.
+
+    Raises:
+        rpod_sim_sensor.geometry.DistortionError: the lens distortion cannot be inverted there.
+    """
+    found = cv2.HoughLinesP(
+        pixels,
         config.hough_distance_px,
         np.deg2rad(config.hough_angle_deg),
         config.hough_votes,
         minLineLength=config.min_segment_px,
         maxLineGap=config.max_gap_px,
     )
-    if segments is None:
-        return "no straight line in the amplitude image"
-    places, across = _steepest_places(edges, linear)
-    ends = np.asarray(segments, np.float64).reshape(-1, 2, 2)
-    try:
-        straight = straightened(np.concatenate((places, ends.reshape(-1, 2))), frame.camera)
-    except DistortionError as error:
-        return str(error)
-    count = len(places)
-    return EdgeImage(
-        frame.camera,
-        grey,
-        _low_pass(light, config.low_pass_px),
-        straight[:count],
-        across,
-        straight[count:].reshape(-1, 2, 2),
-    )
+    ends = np.empty((0, 2)) if found is None else np.asarray(found, np.float64).reshape(-1, 2)
+    straight = straightened(np.concatenate((places, ends)), camera)
+    return Edges(straight[: len(places)], across, straight[len(places) :].reshape(-1, 2, 2))
 
 
 def _scaled(amplitude: NDArray[np.generic], config: EdgeImageConfig) -> Float32Array | str:
     """Return the amplitude as a share of white, or why it shows nothing."""
     light = np.nan_to_num(amplitude.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    brightest = float(np.percentile(light[::2, ::2], 99.0))
-    lit = light[light > config.dark_share * brightest]
-    count = lit.size if brightest > 0.0 else 0
+    thinned = light[::THINNED, ::THINNED]
+    brightest = float(np.percentile(thinned, 99.0))
+    lit = thinned[thinned > config.dark_share * brightest]
+    count = THINNED**2 * lit.size if brightest > 0.0 else 0
     if count < config.min_lit:
         return f"{count} lit pixels in the amplitude image, {config.min_lit} needed"
     white = np.percentile(lit, config.white_percentile)

@@ -9,14 +9,15 @@ here neighbouring lines are intersected, after all edge pixels along them have m
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from rpod_estimator.tracking.edge_image import EdgeImage
+from rpod_estimator.tracking.edge_image import Edges
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_amplitude import LineMatchConfig
 
 REFITS = 2
-ALIGNED_RAD = np.deg2rad(25.0)
-"""The amplitude rises across an edge pixel within this angle of the line's normal."""
+ALIGNED = np.cos(np.deg2rad(25.0))
+"""The amplitude rises across an edge pixel within 25 degrees of the line's normal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +38,11 @@ class Reach:
 
 
 def matched_line(
-    image: EdgeImage, ends: FloatArray, *, reach: Reach, config: LineMatchConfig
+    edges: Edges, ends: FloatArray, *, reach: Reach, config: LineMatchConfig
 ) -> ImageLine | None:
     """Return the image's line that belongs to a line of the model with these projected ends, shape (2, 2)."""
-    segment = nearest_segment(image.segments, ends, reach)
-    return None if segment is None else measured_line(image, segment, ends, reach=reach, config=config)
+    segment = nearest_segment(edges.segments, ends, reach)
+    return None if segment is None else measured_line(edges, segment, ends, reach=reach, config=config)
 
 
 def nearest_segment(segments: FloatArray, ends: FloatArray, reach: Reach) -> FloatArray | None:
@@ -70,31 +71,52 @@ def nearest_segment(segments: FloatArray, ends: FloatArray, reach: Reach) -> Flo
 
 
 def measured_line(
-    image: EdgeImage, segment: FloatArray, ends: FloatArray, *, reach: Reach, config: LineMatchConfig
+    edges: Edges, segment: FloatArray, ends: FloatArray, *, reach: Reach, config: LineMatchConfig
 ) -> ImageLine | None:
-    """Return the line through the edge pixels along a segment, as far as its model line reaches.
+    """Return the line through the edge pixels along a segment, as far as its model line reaches."""
+    limits = (config.band_px, reach.distance_px)
+    middle, normal, members = line_along(edges.places, edges.across, segment, ends, limits)
+    return ImageLine(normal, float(normal @ middle)) if members >= config.min_pixels else None
+
+
+@njit(cache=True, nogil=True)
+def line_along(places, across, segment, ends, limits):  # type: ignore[no-untyped-def]
+    """Return a point and the normal of the line through the edge pixels along a segment, and their number.
 
     Total least squares; fitted again to the pixels beside the fitted line.
+
+    Args:
+        places: of the edge pixels, (N, 2).
+        across: unit vectors across the edge there, (N, 2).
+        segment: where to begin, (2, 2).
+        ends: of the model line, which bound the pixels along the line, (2, 2).
+        limits: most distance from the line, and beyond the ends, px.
     """
-    along = (segment[1] - segment[0]) / np.linalg.norm(segment[1] - segment[0])
-    middle = segment.mean(axis=0)
+    band, beyond = limits
+    x, y = (segment[0] + segment[1]) / 2.0
+    dx, dy = segment[1] - segment[0]
+    length = np.sqrt(dx * dx + dy * dy)
+    dx, dy = dx / length, dy / length
+    count = 0
     for _ in range(1 + REFITS):
-        across = np.array((-along[1], along[0]))
-        offset = image.places - middle
-        limits = np.sort((ends - middle) @ along)
-        beside = np.abs(offset @ across) < config.band_px
-        within = (offset @ along > limits[0] - reach.distance_px) & (
-            offset @ along < limits[1] + reach.distance_px
-        )
-        steep = np.abs(image.across @ across) > np.cos(ALIGNED_RAD)
-        members = image.places[beside & within & steep]
-        if len(members) < config.min_pixels:
-            return None
-        middle = members.mean(axis=0)
-        scatter = (members - middle).T @ (members - middle)
-        along = np.asarray(np.linalg.eigh(scatter)[1][:, 1], np.float64)
-    across = np.array((-along[1], along[0]))
-    return ImageLine(across, float(across @ middle))
+        first = (ends[0, 0] - x) * dx + (ends[0, 1] - y) * dy
+        last = (ends[1, 0] - x) * dx + (ends[1, 1] - y) * dy
+        low, high = min(first, last) - beyond, max(first, last) + beyond
+        count, su, sv, suu, suv, svv = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(places.shape[0]):
+            u, v = places[n, 0] - x, places[n, 1] - y
+            along = u * dx + v * dy
+            if abs(v * dx - u * dy) < band and low < along < high:
+                if abs(across[n, 1] * dx - across[n, 0] * dy) > ALIGNED:
+                    count += 1
+                    su, sv, suu, suv, svv = su + u, sv + v, suu + u * u, suv + u * v, svv + v * v
+        if count < 2:
+            return np.array((x, y)), np.array((-dy, dx)), 0
+        x, y = x + su / count, y + sv / count
+        suu, suv, svv = suu - su * su / count, suv - su * sv / count, svv - sv * sv / count
+        angle = 0.5 * np.arctan2(2.0 * suv, suu - svv)  # of the scatter's larger axis
+        dx, dy = np.cos(angle), np.sin(angle)
+    return np.array((x, y)), np.array((-dy, dx)), count
 
 
 def intersection(lines: list[ImageLine], *, min_turn_rad: float) -> FloatArray | None:

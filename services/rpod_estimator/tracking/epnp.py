@@ -121,8 +121,9 @@ class EpnpTracker:
         corners_m[:, 2] = np.maximum(corners_m[:, 2], NEAR_M)
         projected = image.project(corners_m)
         meeting: dict[int, list[ImageLine]] = {}
-        for ends in wireframe.lines[shown.lines]:
-            line = matched_line(image, projected[ends], reach=search.lines, config=config)
+        for ends, silhouette in zip(wireframe.lines[shown.lines], shown.silhouette.tolist(), strict=True):
+            edges = image.edges(silhouette=silhouette)
+            line = matched_line(edges, projected[ends], reach=search.lines, config=config)
             if line is not None:
                 for corner in ends.tolist():
                     meeting.setdefault(corner, []).append(line)

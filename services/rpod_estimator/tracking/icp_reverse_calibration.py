@@ -219,7 +219,9 @@ class ReverseCalibrationIcp:
         """Return the indices of the model points that the camera would see at a pose."""
         target = self._target
         camera_m = T_sensor_target.inv().translation
-        facing = ((camera_m - target.model_points_m) * target.model_normals).sum(axis=1) > 0.0
+        sight_m = camera_m - target.model_points_m
+        cosine = (sight_m * target.model_normals).sum(axis=1) / np.linalg.norm(sight_m, axis=1)
+        facing = cosine > self._config.min_cosine
         points_m = T_sensor_target.apply(target.model_points_m)
         shown = np.flatnonzero(facing & (points_m[:, 2] > NEAR_M))
         pixels = view.project(points_m[shown])

@@ -10,6 +10,7 @@ from typing import Self
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
@@ -144,7 +145,7 @@ def measured_circle(
         rim = centre + ((distance[:-1] + distance[1:]) / 2.0)[steepest, None] * _SPOKE
         if clear.mean() < min_rim_share:
             return None
-        centre, radius = _fitted(rim[clear])
+        centre, radius = circle_through(rim[clear])
         if abs(radius - 1.0) > tolerance or np.linalg.norm(centre) > 10.0:
             return None
         spread = max(0.5 * spread, 0.06)
@@ -155,14 +156,25 @@ LEAST_STEP = 0.01
 """Between two places of a spoke, as a share of white: below there is no edge."""
 
 
-def _fitted(rim: FloatArray) -> tuple[FloatArray, float]:
-    """Return centre and radius of the circle through points: least squares (Kasa, 1976), without outliers."""
+@njit(cache=True, nogil=True)
+def circle_through(points):  # type: ignore[no-untyped-def]
+    """Return centre, (2,), and radius of the circle through points, (N, 2): least squares (Kasa, 1976).
+
+    Fitted again without those farther off than twice the median.
+    """
     centre, radius = np.zeros(2), 1.0
+    off, limit = np.zeros(points.shape[0]), 1.0
     for _ in range(2):
-        system = np.column_stack((2.0 * rim, np.ones(len(rim))))
-        sums = system.T @ system + 1e-12 * np.eye(3)
-        x, y, rest = np.linalg.solve(sums, system.T @ (rim**2).sum(axis=1))
-        centre, radius = np.array((x, y)), float(np.sqrt(max(rest + x * x + y * y, 0.0)))
-        off = np.abs(np.sqrt(((rim - centre) ** 2).sum(axis=1)) - radius)
-        rim = rim[off <= 2.0 * np.median(off) + 1e-9]
+        sums, right, row = 1e-12 * np.eye(3), np.zeros(3), np.ones(3)
+        for n in range(points.shape[0]):
+            if off[n] <= limit:
+                row[0], row[1] = 2.0 * points[n, 0], 2.0 * points[n, 1]
+                sums += np.outer(row, row)
+                right += row * (points[n] ** 2).sum()
+        x, y, rest = np.linalg.solve(sums, right)
+        centre[0], centre[1] = x, y
+        radius = np.sqrt(max(rest + x * x + y * y, 0.0))
+        for n in range(points.shape[0]):
+            off[n] = abs(np.sqrt(((points[n] - centre) ** 2).sum()) - radius)
+        limit = 2.0 * np.median(off) + 1e-9
     return centre, radius

@@ -18,6 +18,8 @@ from rpod_target import Target
 from rpod_target.outlines import Disc, Face, plane_faces
 
 NEAR_M = 0.05
+BESIDE_STRIDES = 1.5
+"""So many coarse pixels beside a line it is asked whether there is background."""
 KNOTS = np.linspace(0.04, 0.96, 12)
 """Where along a line, or around a rim, it is asked whether it is seen."""
 SAME_CORNER = 1e-5
@@ -66,6 +68,8 @@ class Shown:
 
     lines: NDArray[np.int64]
     """Numbers of the lines that are seen, shape (K,)."""
+    silhouette: NDArray[np.bool_]
+    """Whether there is background beside each of these, shape (K,)."""
     discs: tuple[Disc, ...]
     """The circles that are seen."""
 
@@ -107,24 +111,49 @@ class WireframeView:
         ends_m = self.wireframe.corners_m[self.wireframe.lines[lines]]
         along_m = ends_m[:, None, 0] + KNOTS[:, None] * (ends_m[:, None, 1] - ends_m[:, None, 0])
         around_m = [rim_m(disc, RIM)[None] for disc in discs]
-        seen = self._seen(np.concatenate((along_m, *around_m)), T_sensor_target, view)
+        rendered_m = view.render(self._target, T_sensor_target)
+        seen = self._seen(np.concatenate((along_m, *around_m)), T_sensor_target, view, rendered_m)
+        shown = seen[: len(lines)]
         return Shown(
-            lines[seen[: len(lines)]],
+            lines[shown],
+            _before_background(T_sensor_target.apply(ends_m[shown].reshape(-1, 3)), view, rendered_m),
             tuple(disc for disc, is_seen in zip(discs, seen[len(lines) :], strict=True) if is_seen),
         )
 
     def _seen(
-        self, points_m: FloatArray, T_sensor_target: RigidTransform, view: DepthView
+        self, points_m: FloatArray, T_sensor_target: RigidTransform, view: DepthView, rendered_m: FloatArray
     ) -> NDArray[np.bool_]:
         """Return which rows of points, target axes, shape (rows, knots, 3), are seen well enough."""
         at_m = T_sensor_target.apply(points_m.reshape(-1, 3))
         ahead = at_m[:, 2] > NEAR_M
         at_m[~ahead, 2] = NEAR_M
         pixels = view.project(at_m)
-        rendered_m = view.render(self._target, T_sensor_target)
         shown = ahead & view.inside(pixels) & ~view.hidden(rendered_m, at_m, pixels)
         enough: NDArray[np.bool_] = shown.reshape(points_m.shape[:2]).mean(axis=1) >= self._min_seen_share
         return enough
+
+
+def _before_background(ends_m: FloatArray, view: DepthView, rendered_m: FloatArray) -> NDArray[np.bool_]:
+    """Return which lines have background along most of one side, from their ends, sensor axes, shape (2 K, 3)."""
+    ends_m[:, 2] = np.maximum(ends_m[:, 2], NEAR_M)
+    ends = view.project(ends_m).reshape(-1, 2, 2)
+    way = ends[:, 1] - ends[:, 0]
+    along = way / np.maximum(np.sqrt((way**2).sum(axis=1, keepdims=True)), 1e-9)
+    aside = BESIDE_STRIDES * view.stride * np.stack((-along[:, 1], along[:, 0]), axis=1)
+    middle = ends[:, None, 0] + KNOTS[:, None] * way[:, None]
+    empty = np.isinf(rendered_m)
+    shares = [
+        empty[_cells(middle + side * aside[:, None], view, empty.shape)].mean(axis=1) for side in (-1, 1)
+    ]
+    return np.max(shares, axis=0) > 0.5
+
+
+def _cells(
+    pixels: FloatArray, view: DepthView, shape: tuple[int, ...]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows and columns of the coarse pixels nearest to pixels, shape (..., 2)."""
+    nearest = np.rint((np.clip(pixels, -1e6, 1e6) - view.offset) / view.stride).astype(np.intp)
+    return np.clip(nearest[..., 1], 0, shape[0] - 1), np.clip(nearest[..., 0], 0, shape[1] - 1)
 
 
 def nose_discs(face: Face, discs: list[Disc]) -> list[Disc]:
@@ -158,9 +187,8 @@ def nose_discs(face: Face, discs: list[Disc]) -> list[Disc]:
 
 def plane_axes(normal: FloatArray) -> FloatArray:
     """Return two unit vectors across a normal and each other, shape (2, 3)."""
-    first: FloatArray = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]).astype(np.float64)
-    first /= np.linalg.norm(first)
-    return np.stack((first, np.cross(normal, first)))
+    basis, _ = np.linalg.qr(np.column_stack((normal, np.eye(3))))
+    return np.ascontiguousarray(basis[:, 1:3].T)
 
 
 def rim_m(disc: Disc, circle: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pmd_frames import CAMERA, frame_of
 
-from rpod_estimator.tracking.edge_image import EdgeImage, bent, edge_image, straightened
+from rpod_estimator.tracking.edge_image import EdgeImage, Edges, bent, edge_image, straightened
 from rpod_schemas.config.pmd_amplitude import EdgeImageConfig
 
 CONFIG = EdgeImageConfig()
@@ -20,10 +20,10 @@ def square(level, *, dtype=np.float32, side=90.0, camera=CAMERA):
     return frame_of(4.0, amplitude=light.astype(dtype), camera=camera)
 
 
-def edges(frame) -> EdgeImage:
+def edges(frame) -> Edges:
     image = edge_image(frame, CONFIG)
     assert isinstance(image, EdgeImage)
-    return image
+    return image.inner
 
 
 @pytest.mark.parametrize(
@@ -41,6 +41,18 @@ def test_a_glint_leaves_the_edges_of_the_rest():
     light[100:140, 140:180] = 6_000.0
     left = edges(frame_of(4.0, amplitude=light)).places
     assert (np.abs(left[:, 0] - CORNER[0]) < 0.3).sum() > 60
+
+
+def test_a_pattern_on_the_surface_is_no_silhouette():
+    light = square(400.0).amplitude.copy()
+    light[100:140, 140:180] = 200.0
+    image = edge_image(frame_of(4.0, amplitude=light), CONFIG)
+    assert isinstance(image, EdgeImage)
+    within = np.all((image.outer.places > 130.0) & (image.outer.places < 164.0), axis=1)
+    assert not within.any()
+    assert len(image.inner.places) > len(image.outer.places) > 200
+    assert image.edges(silhouette=True) is image.outer
+    assert image.edges(silhouette=False) is image.inner
 
 
 def test_every_side_has_a_line():
