@@ -32,8 +32,8 @@ class EdgeImageConfig(Config):
     canny_high: Positive = 80.0
     """Gradient from which a pixel starts an edge, grey levels."""
     background_share: Share = 0.05
-    """An edge may be a silhouette where the amplitude on its darker side is below this share of white: lines of
-    the model before the background are sought among these alone (0 seeks every line among all edges)."""
+    """An edge may be a silhouette where the amplitude on its darker side is below this share of white. Lines
+    of the model before the background are sought among these alone; 0 seeks every line among all edges."""
     hough_distance_px: Positive = 1.0
     """Step of the accumulator in a line's distance."""
     hough_angle_deg: Positive = 1.0

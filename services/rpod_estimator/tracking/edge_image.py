@@ -18,7 +18,6 @@ from rpod_sim_sensor.geometry import DistortionError, distort, undistort
 
 PLUMB_BOB = 5
 WHITE = 255.0
-NO_LINE = "no straight line in the amplitude image"
 THINNED = 2
 """Every how many pixels, across and down, the image's brightness is asked."""
 BEYOND_PX = 3.0
@@ -80,8 +79,6 @@ def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
     linear = _low_pass(np.minimum(light, 1.0), config.low_pass_px)
     grey = np.rint(WHITE * linear**config.gamma).astype(np.uint8)
     edges = np.asarray(cv2.Canny(grey, config.canny_low, config.canny_high, L2gradient=True), np.uint8)
-    if not edges.any():
-        return NO_LINE
     places, across = _steepest_places(edges, linear)
     beyond = _sampled(linear, places - BEYOND_PX * across)
     outer = (beyond < config.background_share) | (config.background_share == 0.0)
@@ -92,7 +89,7 @@ def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
     except DistortionError as error:
         return str(error)
     if not len(inner_edges.segments):
-        return NO_LINE
+        return "no straight line in the amplitude image"
     light = _low_pass(light, config.low_pass_px)
     return EdgeImage(frame.camera, grey, light, inner_edges, outer_edges)
 
@@ -155,6 +152,8 @@ def _steepest_places(edges: NDArray[np.uint8], linear: Float32Array) -> tuple[Fl
 
 
 def _sampled(image: Float32Array, places: FloatArray) -> FloatArray:
+    if not len(places):
+        return np.empty(0)
     column, row = places.T.astype(np.float32)
     sampled = cv2.remap(
         image, column[:, None], row[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE

@@ -106,10 +106,10 @@ def line_along(places, across, segment, ends, limits):  # type: ignore[no-untype
         for n in range(places.shape[0]):
             u, v = places[n, 0] - x, places[n, 1] - y
             along = u * dx + v * dy
-            if abs(v * dx - u * dy) < band and low < along < high:
-                if abs(across[n, 1] * dx - across[n, 0] * dy) > ALIGNED:
-                    count += 1
-                    su, sv, suu, suv, svv = su + u, sv + v, suu + u * u, suv + u * v, svv + v * v
+            steep = abs(across[n, 1] * dx - across[n, 0] * dy) > ALIGNED
+            if abs(v * dx - u * dy) < band and low < along < high and steep:
+                count += 1
+                su, sv, suu, suv, svv = su + u, sv + v, suu + u * u, suv + u * v, svv + v * v
         if count < 2:
             return np.array((x, y)), np.array((-dy, dx)), 0
         x, y = x + su / count, y + sv / count

@@ -134,7 +134,7 @@ class WireframeView:
 
 
 def _before_background(ends_m: FloatArray, view: DepthView, rendered_m: FloatArray) -> NDArray[np.bool_]:
-    """Return which lines have background along most of one side, from their ends, sensor axes, shape (2 K, 3)."""
+    """Return which lines, by their ends in sensor axes, shape (2 K, 3), have background along one side."""
     ends_m[:, 2] = np.maximum(ends_m[:, 2], NEAR_M)
     ends = view.project(ends_m).reshape(-1, 2, 2)
     way = ends[:, 1] - ends[:, 0]
@@ -145,7 +145,8 @@ def _before_background(ends_m: FloatArray, view: DepthView, rendered_m: FloatArr
     shares = [
         empty[_cells(middle + side * aside[:, None], view, empty.shape)].mean(axis=1) for side in (-1, 1)
     ]
-    return np.max(shares, axis=0) > 0.5
+    background: NDArray[np.bool_] = np.max(shares, axis=0) > 0.5
+    return background
 
 
 def _cells(
