@@ -13,7 +13,7 @@ from rpod_schemas.config.pmd import SAMPLES, PmdConfig
 from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.geometry import Hits, RayGrid, SimSensorError, cast
 from rpod_sim_sensor.noise import noise_stream
-from rpod_sim_sensor.pmd.light import collect, lights
+from rpod_sim_sensor.pmd.light import Fragments, collect, lights
 from rpod_sim_sensor.pmd.metering import exposure_share, mean_light_e
 from rpod_sim_sensor.pmd.pixel import Electronics, Light, Noise, convert
 from rpod_sim_sensor.pmd.reconstruction import Reconstruction, reconstruct
@@ -71,6 +71,7 @@ class PmdEmulator:
         self._scene = Scene(target, config.sub_exposures)
         self._electronics = Electronics.of(config)
         self._hits = Hits.of(self._rays)
+        self._fragments = Fragments.of(self._rays.shape[1] * config.subsamples)
         height, width = self._centres.shape
         self._charge_e = np.empty((height, width), np.float32)
         self._modulated_e = np.empty((config.sub_exposures, height, width), np.float32)
@@ -117,6 +118,7 @@ class PmdEmulator:
             self._centres.components,
             self._scene.placed(T_middle, poses),
             lights(self._config, sun_W_m2),
+            fragments=self._fragments,
             modulated_e=modulated_e,
             charge_e=charge_e,
         )

@@ -47,6 +47,38 @@ class Lights(NamedTuple):
     """Unit vector in optical axes, shape (3,)."""
 
 
+class Fragments(NamedTuple):
+    """What a row of pixels sees, one after the other: each triangle in each pixel."""
+
+    columns: NDArray[np.uint32]
+    """Column of the pixel."""
+    triangle: NDArray[np.uint32]
+    """Which one."""
+    ray: FloatArray
+    """Mean of the rays that meet it, optical axes, shape (3, F)."""
+    weight: FloatArray
+    """Their share of the pixel's rays."""
+    inverse: FloatArray
+    """One over the distance, 1/m."""
+    normal: FloatArray
+    """Away from the camera, optical axes, shape (3, F)."""
+    material: FloatArray
+    """Diffuse albedo, specular reflectance, squared width of the lobe, shape (3, F)."""
+    lamp_e: FloatArray
+    """The lamp's electrons at 1 m."""
+    charge_e: FloatArray
+    """All electrons."""
+    modulated_e: FloatArray
+    """Correlation with the modulation in one sub-exposure."""
+
+    @classmethod
+    def of(cls, rays: int) -> "Fragments":
+        """Return buffers for a row with so many rays."""
+        columns, triangle = np.empty((2, rays), np.uint32)
+        single, triple = np.empty((5, rays)), np.empty((3, 3, rays))
+        return cls(columns, triangle, triple[0], single[0], single[1], triple[1], triple[2], *single[2:])
+
+
 def lights(config: PmdConfig, sun_W_m2: FloatArray) -> Lights:
     """Return the lights of an exposure.
 
@@ -74,6 +106,7 @@ def collect(
     surfaces: Surfaces,
     lights: Lights,
     *,
+    fragments: Fragments,
     modulated_e: Float32Array,
     charge_e: Float32Array,
 ) -> None:
@@ -85,50 +118,49 @@ def collect(
         centres: unit rays through the pixels' centres, shape (3, H, W).
         surfaces: the triangles.
         lights: lamp and sun.
+        fragments: buffers for a row.
         modulated_e: out, sum of S [cos(phi - theta_k) + h3 cos 3(phi - theta_k)], electrons, shape (K, H, W).
         charge_e: out, all electrons of a sub-exposure, S + B, shape (H, W).
     """
-    _collect(owners, rays, centres, surfaces, lights, modulated_e, charge_e)
+    _collect(owners, rays, centres, surfaces, lights, fragments, modulated_e, charge_e)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _collect(owners, rays, centres, surfaces, lights, modulated_e, charge_e):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    height, width = charge_e.shape
-    n = owners.shape[0] // height
-    index = np.empty(width * n * n, np.uint32)
-    columns = np.empty(width * n * n, np.uint32)
-    work = np.empty((14, width * n * n))
+def _collect(owners, rays, centres, surfaces, lights, fragments, modulated_e, charge_e):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     modulated_e[:] = 0.0
     charge_e[:] = 0.0
-    for row in range(height):
-        count = _fragments(owners, rays, centres, row, surfaces, index, columns, work)
+    columns = fragments.columns
+    for row in range(charge_e.shape[0]):
+        count = _list(owners, rays, centres, row, surfaces, fragments)
         if count:
-            _shade(index, work, count, surfaces, lights)
+            _look_up(fragments, count, surfaces)
+            _shade(fragments, count, lights)
             for f in range(count):
-                charge_e[row, columns[f]] += work[6, f]
+                charge_e[row, columns[f]] += fragments.charge_e[f]
             for k in range(modulated_e.shape[0]):
-                _correlate(k, index, work, count, surfaces.planes, lights)
+                _correlate(k, fragments, count, surfaces.planes, lights)
                 for f in range(count):
-                    modulated_e[k, row, columns[f]] += work[7, f]
+                    modulated_e[k, row, columns[f]] += fragments.modulated_e[f]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fragments(owners, rays, centres, row, surfaces, index, columns, work):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _list(owners, rays, centres, row, surfaces, fragments):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """List which parts of a row's pixels see which triangle, and place the triangles; return how many."""
     width = centres.shape[2]
     n = owners.shape[1] // width
     placed, frame = surfaces.placed, surfaces.frame
+    columns, index, ray, weight = fragments.columns, fragments.triangle, fragments.ray, fragments.weight
     count = 0
     for column in range(width):
         first = count
         if _is_uniform(owners, row * n, column * n, n):
             if owners[row * n, column * n] >= 0:
-                index[count], work[3, count] = owners[row * n, column * n], 1.0
+                index[count], weight[count] = owners[row * n, column * n], 1.0
                 for axis in range(3):
-                    work[axis, count] = centres[axis, row, column]
+                    ray[axis, count] = centres[axis, row, column]
                 count += 1
         else:
-            count = _mixed(owners, rays, row * n, column * n, n, count, index, work)
+            count = _mixed(owners, rays, row * n, column * n, n, count, index, ray, weight)
         for f in range(first, count):
             columns[f] = column
             if placed[index[f]] != frame:
@@ -146,7 +178,7 @@ def _is_uniform(owners, top, left, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mixed(owners, rays, top, left, n, count, index, work):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _mixed(owners, rays, top, left, n, count, index, ray, weight):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Add a fragment for each triangle in a pixel, the mean of the rays that meet it; return the count."""
     first, share = count, 1.0 / (n * n)
     for i in range(top, top + n):
@@ -158,54 +190,32 @@ def _mixed(owners, rays, top, left, n, count, index, work):  # type: ignore[no-u
                 f += 1
             if f == count:
                 index[f] = owners[i, j]
-                work[:4, f] = 0.0
+                ray[:, f] = 0.0
+                weight[f] = 0.0
                 count += 1
             for axis in range(3):
-                work[axis, f] += rays[axis, i, j]
-            work[3, f] += share
+                ray[axis, f] += rays[axis, i, j]
+            weight[f] += share
     for f in range(first, count):
         for axis in range(3):
-            work[axis, f] *= share / work[3, f]
+            ray[axis, f] *= share / weight[f]
     return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _shade(index, work, count, surfaces, lights):  # type: ignore[no-untyped-def]
-    """Fill in ``inverse``, ``lamp_e`` and ``charge`` of a row's fragments."""
-    _look_up(index, work, count, surfaces)
-    x, y, z, weight, inverse, lamp_e, charge = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
-    n_x, n_y, n_z, diffuse, f0, alpha2 = work[8], work[9], work[10], work[11], work[12], work[13]
-    lamp, radius_m, sun_e = lights.lamp_e, lights.lamp_radius_m, lights.sun_e
-    for f in range(count):
-        n_v = max(n_x[f] * x[f] + n_y[f] * y[f] + n_z[f] * z[f], _GRAZING)
-        lamp_alpha2 = alpha2[f] + (0.5 * radius_m * inverse[f]) ** 2
-        lamp_e[f] = weight[f] * lamp * reflected_share(n_v, n_v, 1.0, diffuse[f], f0[f], lamp_alpha2)
-        charge[f] = lamp_e[f] * inverse[f] * inverse[f]
-    if sun_e == 0.0:
-        return
-    sun_x, sun_y, sun_z = lights.sun_direction
-    for f in range(count):
-        n_v = max(n_x[f] * x[f] + n_y[f] * y[f] + n_z[f] * z[f], _GRAZING)
-        n_l = -(n_x[f] * sun_x + n_y[f] * sun_y + n_z[f] * sun_z)
-        l_v = -(sun_x * x[f] + sun_y * y[f] + sun_z * z[f])
-        sun_alpha2 = alpha2[f] + (0.5 * SUN_RADIUS_RAD) ** 2
-        share = reflected_share(max(n_l, _GRAZING), n_v, l_v, diffuse[f], f0[f], sun_alpha2)
-        charge[f] += weight[f] * sun_e * share if n_l > 0.0 else 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _look_up(index, work, count, surfaces):  # type: ignore[no-untyped-def]
-    """Fill in ``inverse``, the normal and the material of a row's fragments: what a table has."""
+def _look_up(fragments, count, surfaces):  # type: ignore[no-untyped-def]
+    """Fill in distance, normal and material of a row's fragments."""
+    index, inverse, material = fragments.triangle, fragments.inverse, fragments.material
+    x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]
+    n_x, n_y, n_z = fragments.normal[0], fragments.normal[1], fragments.normal[2]
     planes, normals, kinds = surfaces.planes, surfaces.far_normals, surfaces.material
     materials, R, t = surfaces.materials, surfaces.R_lattice_optical, surfaces.t_lattice_optical
-    x, y, z, inverse, n_x, n_y, n_z = work[0], work[1], work[2], work[4], work[8], work[9], work[10]
     for f in range(count):
-        i = index[f]
+        i, kind = index[f], kinds[index[f]]
         inverse[f] = planes[i, 0, 0] * x[f] + planes[i, 0, 1] * y[f] + planes[i, 0, 2] * z[f]
         n_x[f], n_y[f], n_z[f] = normals[i, 0], normals[i, 1], normals[i, 2]
-    for f in range(count):
-        kind = kinds[index[f]]
-        work[11, f], work[12, f], work[13, f] = materials[kind, 0], materials[kind, 1], materials[kind, 2]
+        material[0, f], material[1, f] = materials[kind, 0], materials[kind, 1]
+        material[2, f] = materials[kind, 2]
         if materials[kind, 4] > 0.0:
             far_m = 1.0 / inverse[f]
             a, b, c = crinkled(
@@ -215,20 +225,48 @@ def _look_up(index, work, count, surfaces):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _correlate(k, index, work, count, planes, lights):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Fill in ``modulated`` of a row's fragments in one sub-exposure."""
-    x, y, z, inverse, lamp_e, out = work[0], work[1], work[2], work[4], work[5], work[7]
+def _shade(fragments, count, lights):  # type: ignore[no-untyped-def]
+    """Fill in the electrons of a row's fragments; nothing is looked up, so that the loops are vectorised."""
+    weight, inverse = fragments.weight, fragments.inverse
+    lamp_e, charge_e = fragments.lamp_e, fragments.charge_e
+    x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]
+    n_x, n_y, n_z = fragments.normal[0], fragments.normal[1], fragments.normal[2]
+    diffuse, f0, alpha2 = fragments.material[0], fragments.material[1], fragments.material[2]
+    lamp, radius_m, sun_e = lights.lamp_e, lights.lamp_radius_m, lights.sun_e
+    for f in range(count):
+        n_v = max(n_x[f] * x[f] + n_y[f] * y[f] + n_z[f] * z[f], _GRAZING)
+        lamp_alpha2 = alpha2[f] + (0.5 * radius_m * inverse[f]) ** 2
+        lamp_e[f] = weight[f] * lamp * reflected_share(n_v, n_v, 1.0, diffuse[f], f0[f], lamp_alpha2)
+        charge_e[f] = lamp_e[f] * inverse[f] * inverse[f]
+    if sun_e == 0.0:
+        return
+    sun_x, sun_y, sun_z = lights.sun_direction
+    for f in range(count):
+        n_v = max(n_x[f] * x[f] + n_y[f] * y[f] + n_z[f] * z[f], _GRAZING)
+        n_l = -(n_x[f] * sun_x + n_y[f] * sun_y + n_z[f] * sun_z)
+        l_v = -(sun_x * x[f] + sun_y * y[f] + sun_z * z[f])
+        sun_alpha2 = alpha2[f] + (0.5 * SUN_RADIUS_RAD) ** 2
+        share = reflected_share(max(n_l, _GRAZING), n_v, l_v, diffuse[f], f0[f], sun_alpha2)
+        charge_e[f] += weight[f] * sun_e * share if n_l > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _correlate(k, fragments, count, planes, lights):  # type: ignore[no-untyped-def]
+    """Fill in the modulation of a row's fragments in one sub-exposure."""
+    index, inverse = fragments.triangle, fragments.inverse
+    lamp_e, modulated_e = fragments.lamp_e, fragments.modulated_e
+    x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]
     turns_per_m, theta, h3 = lights.turns_per_m[k], lights.theta_turns[k], lights.wiggling_share
     for f in range(count):
         i = index[f]
-        out[f] = planes[i, 1 + k, 0] * x[f] + planes[i, 1 + k, 1] * y[f] + planes[i, 1 + k, 2] * z[f]
+        modulated_e[f] = planes[i, 1 + k, 0] * x[f] + planes[i, 1 + k, 1] * y[f] + planes[i, 1 + k, 2] * z[f]
     for f in range(count):  # apart from the look-up above, so that it is vectorised
-        now = out[f]
+        now = modulated_e[f]
         # all but edge-on, its plane may sweep over the camera
         now = now if 0.5 * inverse[f] < now < 2.0 * inverse[f] else inverse[f]
         wave = _cosine(turns_per_m / now - theta)
         third = wave * (4.0 * wave * wave - 3.0)  # cos 3x
-        out[f] = lamp_e[f] * now * now * (wave + h3 * third)
+        modulated_e[f] = lamp_e[f] * now * now * (wave + h3 * third)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

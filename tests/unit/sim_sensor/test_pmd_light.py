@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_sim_sensor.pmd.light import SUN_RADIUS_RAD, THETA_RAD, collect, lights
+from rpod_sim_sensor.pmd.light import SUN_RADIUS_RAD, THETA_RAD, Fragments, collect, lights
 from rpod_sim_sensor.pmd.scene import Scene
 from rpod_target import Material, load_target
 
@@ -42,6 +42,7 @@ def light_of(
         ALONG_Z,
         Scene(plate, 4).placed(pose, [pose] * 4),  # type: ignore[arg-type]
         lights(config, sun_W_m2),
+        fragments=Fragments.of(1),
         modulated_e=modulated_e,
         charge_e=charge_e,
     )
@@ -89,6 +90,15 @@ def test_a_pixel_that_meets_nothing_collects_nothing() -> None:
     nothing = np.full((2, 2), -1, np.int32)
     rays = np.tile(ALONG_Z, (1, 2, 2))
     surfaces, lit = scene.placed(pose, [pose] * 4), lights(CONFIG, SUN_BEHIND)
-    collect(nothing, rays, ALONG_Z, surfaces, lit, modulated_e=modulated_e, charge_e=charge_e)
+    collect(
+        nothing,
+        rays,
+        ALONG_Z,
+        surfaces,
+        lit,
+        fragments=Fragments.of(4),
+        modulated_e=modulated_e,
+        charge_e=charge_e,
+    )
     assert not modulated_e.any()
     assert not charge_e.any()
