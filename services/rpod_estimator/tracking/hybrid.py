@@ -7,8 +7,8 @@ its pose explains, the amplitude by points, reprojection error, covariance and d
 1. One that fails is left out: the other alone gives the pose. With 60 % of the depth lost the pose explains
    too little of the image for the depth to be believed; the amplitude goes on as if nothing were missing.
 2. Two that agree within their covariances are fused, each weighted with its information: PMD_JOINT. They err
-   differently: the depth has some 25 mm along the line of sight where it is not calibrated, and knows the roll
-   worse from outlines than the amplitude from corners; the amplitude's tilt hangs on one circle.
+   differently: the depth has some 25 mm along the line of sight where it is not calibrated, and knows the
+   roll worse from outlines than the amplitude from corners; the amplitude's tilt hangs on one circle.
 3. Two that disagree are not fused, since one is wrong. The amplitude's pose is taken where it rests on enough
    points to contradict each other, else the depth's: four or five points fit almost anything, while a small
    reprojection error of six or seven is no accident.
