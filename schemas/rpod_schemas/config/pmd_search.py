@@ -16,8 +16,8 @@ class PmdSceneConfig(Config):
     ghost_share: Share = 0.08
     """Depth is dropped where the amplitude is below this share of the image's mean: stray light."""
     lit_share: Share = 0.25
-    """A pixel without depth shows the target where its amplitude, averaged over its neighbours, exceeds this
-    share of what the darkest pixels with depth have."""
+    """A pixel without depth shows the target where its amplitude exceeds the sky's by far, or this share of
+    what the darkest pixels with depth have."""
     pixels: Count = 1600
     """About how many pixels of the target are looked at: the stride follows from it."""
     most_stride_px: Count = 5
@@ -43,16 +43,18 @@ class PmdModelConfig(Config):
     """Most loss of a depth: mixed pixels and multiple reflections are wrong altogether."""
     sigma_log_amplitude: Positive = 0.2
     """Standard deviation of the amplitude's logarithm on a diffuse surface."""
-    mirror_log_amplitude: NonNegative = 1.5
-    """The same for a mirror, on top and times its specular reflectance: what crinkled foil sends back is
-    anyone's guess."""
+    mirror_log_amplitude: NonNegative = 3.0
+    """The same for what its lobe reflects, on top and times the lobe's share of the amplitude: where crinkled
+    foil glints is anyone's guess."""
+    foil_share: Share = 0.2
+    """Least share of the lobe, times the specular reflectance, wherever the lobe points."""
     amplitude_outlier_loss: Positive = 2.3
     """Most loss of an amplitude: of glints the model of reflection knows nothing."""
     lost_loss: NonNegative = 0.3
     """Loss of a lit pixel without depth where the pose predicts surface: glints and dark parts lose depth."""
-    dark_loss: NonNegative = 2.0
+    dark_loss: NonNegative = 3.0
     """Loss of a dark pixel where the pose predicts surface."""
-    beyond_loss: NonNegative = 3.0
+    beyond_loss: NonNegative = 4.0
     """Loss of a pixel with depth, or lit, where the pose predicts none."""
     pixels_per_fact: Positive = 12.0
     """Pixels whose errors are as one: neighbours share the errors of camera and model."""
@@ -63,11 +65,11 @@ class PmdVerdictConfig(Config):
 
     max_loss: Positive = 0.6
     """Most mean loss a pixel."""
-    min_explained_share: Share = 0.86
+    min_explained_share: Share = 0.9
     """Least share of pixels on which pose and frame agree."""
     patch_px: Count = 5
     """Side of a square patch of the pixels that are looked at, about a tenth of a metre wide."""
-    max_patch_loss: Positive = 1.8
+    max_patch_loss: Positive = 2.0
     """Most mean loss a pixel of the worst patch: a detail that is missing or out of place is small."""
     ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1)] = 0.95
     """Below this weight of the best hypothesis the result is ambiguous."""
@@ -104,6 +106,8 @@ class PmdAcquisitionConfig(Config):
     """Poses whose attitudes differ by less are one."""
     near_attitudes: Count = 12000
     """Spread over all of SO(3), of which those near a roughly known pose are compared."""
+    near_refined: Count = 12
+    """Of those near, the best ones that are drawn onto the frame and rendered."""
     near_deg: Positive = 45.0
     """How far attitudes may be from a pose that is known roughly, where only that is searched."""
     scene: PmdSceneConfig = PmdSceneConfig()

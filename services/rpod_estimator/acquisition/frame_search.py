@@ -15,7 +15,8 @@ from rpod_estimator.acquisition.pmd_scene import PmdScene
 from rpod_estimator.acquisition.scan_search import FEW_POINTS, FEW_RETURNS, MORE_RETURNS, Turns
 from rpod_estimator.acquisition.view_model import ViewModel, centroids_in_view
 from rpod_estimator.tracking.scan_alignment import draw_in
-from rpod_estimator.tracking.surface_model import SurfaceModel
+from rpod_estimator.tracking.signed_distance import field_arrays
+from rpod_estimator.tracking.surface_model import Field, SurfaceModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.types import Float32Array
@@ -27,10 +28,10 @@ DRAW_IN_SCALES_M = np.geomspace(0.5, 0.1, 6)
 """Of the steps that draw a candidate onto the frame."""
 FINE_SCALES_M = np.geomspace(0.15, 0.05, 6)
 """Of the steps that the best ones are refined with."""
-SHARPENED = np.repeat((0.03, 0.03), 3)
+SHARPENED = np.repeat((0.02, 0.02), 3)
 """Standard deviations, m and rad, within which the outline is searched for what the depth leaves open."""
-_ROUNDS, _SAMPLES = 3, 32
-_DRAWS = norm.ppf(qmc.Sobol(6, seed=1).random(128)[: _ROUNDS * _SAMPLES].clip(1e-3, 1.0 - 1e-3)).reshape(
+_ROUNDS, _SAMPLES = 4, 32
+_DRAWS = norm.ppf(qmc.Sobol(6, seed=1).random(_ROUNDS * _SAMPLES).clip(1e-3, 1.0 - 1e-3)).reshape(
     _ROUNDS, _SAMPLES, 6
 )
 """Standard normal samples, spread evenly, the same in every search."""
@@ -52,6 +53,7 @@ class Model:
     target: Target
     views: ViewModel
     surface: SurfaceModel
+    field: Field
     turns: Turns
 
     @classmethod
@@ -69,7 +71,7 @@ class Model:
             few=FEW_POINTS,
             truncation_m=config.truncation_m,
         )
-        return cls(target, views, surface, Turns.of(target))
+        return cls(target, views, surface, field_arrays(target), Turns.of(target))
 
 
 class FrameSearch:
@@ -91,7 +93,8 @@ class FrameSearch:
             around: R_sensor_target, shape (3, 3), from which no pose may be far, None for any.
         """
         config = self._config
-        found = [self._drawn_in(R, t) for R, t in self._candidates(attitudes)]
+        refined = config.refined if around is None else config.near_refined
+        found = [self._drawn_in(R, t) for R, t in self._candidates(attitudes, refined)]
         turned: list[Pose] = []
         for _ in range(config.turned):
             asked = next((pose for pose in self._distinct(found) if not self._alike(pose, turned)), None)
@@ -110,7 +113,7 @@ class FrameSearch:
         most = refined[0].fit.loss + self._config.rival_loss
         return self._distinct(self._sharpened(pose) if pose.fit.loss <= most else pose for pose in refined)
 
-    def _candidates(self, attitudes: Float32Array) -> Iterable[tuple[FloatArray, FloatArray]]:
+    def _candidates(self, attitudes: Float32Array, refined: int) -> Iterable[tuple[FloatArray, FloatArray]]:
         """Return rough poses R, t, least energy first."""
         config = self._config
         places_m = self._laid(attitudes)
@@ -118,7 +121,7 @@ class FrameSearch:
         better = np.argsort(energy, kind="stable")[: config.compared]
         attitudes, places_m = attitudes[better], places_m[better]
         energy = self._energies(attitudes, places_m, rounds=2)
-        for index in np.argsort(energy, kind="stable")[: config.refined]:
+        for index in np.argsort(energy, kind="stable")[:refined]:
             if energy[index] < NOTHING_IN_VIEW:
                 yield attitudes[index].astype(np.float64), places_m[index].astype(np.float64)
 
@@ -154,20 +157,12 @@ class FrameSearch:
 
     def _drawn_in(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a rough pose drawn to some of the points."""
-        return self._there(*self._steps(self._few_m, R, t, DRAW_IN_SCALES_M))
+        return self._there(*draw_in(self._few_m, R, t, self._model.surface.coarse_field, DRAW_IN_SCALES_M))
 
     def _refined(self, pose: Pose) -> Pose:
         """Return a pose drawn to more of the points, but where that explains the frame worse."""
-        refined = self._there(*self._steps(self._fine_m, pose.R, pose.t, FINE_SCALES_M))
+        refined = self._there(*draw_in(self._fine_m, pose.R, pose.t, self._model.field, FINE_SCALES_M))
         return min(refined, pose, key=lambda one: one.fit.loss)
-
-    def _steps(
-        self, points_m: FloatArray, R: FloatArray, t: FloatArray, scales_m: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        drawn: tuple[FloatArray, FloatArray] = draw_in(
-            points_m, R, t, self._model.surface.coarse_field, scales_m
-        )
-        return drawn
 
     def _sharpened(self, pose: Pose) -> Pose:
         """Return a pose moved to where the outline and the amplitude are explained best too."""

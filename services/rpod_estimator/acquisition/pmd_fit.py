@@ -20,7 +20,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdModelConfig
 from rpod_sim_sensor.geometry import cast_pose
 from rpod_sim_sensor.pmd.reflection import reflected_share
-from rpod_target import Target
+from rpod_target import Material, Target
 
 STEEPEST = 0.1
 """Cosine of incidence below which the slack along the ray grows no more."""
@@ -60,9 +60,8 @@ class PmdFitter:
     """Compares one frame with a target at any pose."""
 
     def __init__(self, config: PmdModelConfig, target: Target, scene: PmdScene) -> None:
-        materials = np.array([(m.diffuse, m.f0, m.roughness**4) for m in target.materials])
-        spread = config.sigma_log_amplitude + config.mirror_log_amplitude * materials[:, 1]
-        optics = np.column_stack((materials, spread))[target.triangle_material]
+        materials = np.array([(m.diffuse, m.f0, _lobe(m)) for m in target.materials])
+        optics = materials[target.triangle_material]
         self._surface = np.ascontiguousarray(target.triangles_m), np.ascontiguousarray(target.normals), optics
         block = _around(scene.lit)
         noise_m = np.minimum(scene.sigma_m, config.most_noise_m)
@@ -75,11 +74,20 @@ class PmdFitter:
             config.slack_m,
             config.outlier_loss,
             config.amplitude_outlier_loss,
+            config.sigma_log_amplitude,
+            config.mirror_log_amplitude,
+            config.foil_share,
+            float(np.log(scene.least_amplitude)) if scene.outlined else DARK,
         )
         dark_loss = config.dark_loss if scene.outlined else config.lost_loss
         self._losses = config.lost_loss, dark_loss, config.beyond_loss
         shape = noise_m[block].shape
-        self._buffers = np.empty(shape, np.float32), np.empty(shape, np.int32), np.zeros(shape, np.float32)
+        self._buffers = (
+            np.empty(shape, np.float32),
+            np.empty(shape, np.int32),
+            np.zeros(shape, np.float32),
+            np.zeros(shape, np.float32),
+        )
 
     def fit(self, R: FloatArray, t: FloatArray) -> PmdFit:
         """Return how badly the pose R, t of the target in the sensor explains the frame."""
@@ -121,6 +129,11 @@ class PmdFitter:
         return sharper
 
 
+def _lobe(material: Material) -> float:
+    """Return the squared width of a material's lobe, its crinkles included."""
+    return float(material.roughness**4 + 2.0 * np.tan(np.deg2rad(material.crinkle_deg)) ** 2)
+
+
 def _around(pixels: NDArray[np.bool_]) -> tuple[slice, slice]:
     """Return the rows and columns that hold some pixels, and a margin."""
     row, column = (np.flatnonzero(pixels.any(axis=axis)) for axis in (1, 0))
@@ -137,23 +150,25 @@ def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[
 
     Args:
         surface: triangles (T, 3, 3), normals (T, 3), and of each triangle diffuse albedo, specular
-            reflectance, squared width of the lobe and sigma of the logarithm of its amplitude (T, 4).
+            reflectance and squared width of the lobe (T, 3).
         R: of the target in the sensor, shape (3, 3).
         t: of the target in the sensor, shape (3,), m.
         grid: ``RayGrid.arrays``.
         seen: ranges, their noise, logarithms of amplitudes and what is lit, shape (rows, columns) each.
-        noise: sigma and slack of a depth, m; losses of outliers of depth and amplitude.
+        noise: sigma and slack of a depth, m; losses of outliers of depth and amplitude; sigma of the
+            amplitude's logarithm, what a lobe adds, and the least share of a mirror's lobe; logarithm of the
+            least amplitude that is lit.
         losses: of depth lost on a lit pixel, of a dark one, of one beyond the outline.
-        buffers: ranges, triangles and losses, shape (rows, columns) each.
+        buffers: ranges, triangles, losses, and sigmas of amplitudes, shape (rows, columns) each.
     """
-    triangles, normals, optics = surface
-    range_m, owner, loss = buffers
+    triangles, normals, _ = surface
+    range_m, owner, loss, vague = buffers
     cast_pose(grid, triangles, R, t, True, range_m, owner)
     rays = grid[0]
     rows, columns = range_m.shape
-    sigma, slack, outliers, strange = noise
+    sigma, slack, outliers, strange, _, _, _, least = noise
     lost, dark, beyond = losses
-    gain = _predict(surface, R, grid, seen, range_m, owner, loss)
+    gain = _predict(surface, R, grid, seen, noise, buffers)
     measured, spread, amplitude, lit = seen
     total, pixels, agreeing = 0.0, 0, 0
     for i in range(rows):
@@ -166,7 +181,8 @@ def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[
                     total += beyond
                 continue
             pixels += 1
-            worse = dark
+            above = max(loss[i, j] + gain - least, 0.0) / vague[i, j]
+            worse = min(lost + 0.5 * above * above, dark)
             if measured[i, j] > 0.0:
                 facing = _facing(normals[k], R, rays[0, i, j], rays[1, i, j], rays[2, i, j])
                 steep = slack / max(facing, STEEPEST)
@@ -177,7 +193,7 @@ def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[
                 worse = lost
             if lit[i, j] and amplitude[i, j] > DARK:
                 e = amplitude[i, j] - loss[i, j] - gain
-                e2 = e * e / optics[k, 3] ** 2
+                e2 = e * e / vague[i, j] ** 2
                 worse += strange * e2 / (2.0 * strange + e2)
             loss[i, j] = worse
             total += worse
@@ -196,12 +212,17 @@ def _facing(normal, R, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _predict(surface, R, grid, seen, range_m, owner, predicted):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Fill in logarithms of predicted amplitudes up to a gain; return the median of its logarithm."""
+def _predict(surface, R, grid, seen, noise, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Fill in logarithms of predicted amplitudes up to a gain, and their sigmas; return the gain's logarithm.
+
+    The more of an amplitude is reflected by the lobe, the less is known of it.
+    """
     _, normals, optics = surface
+    range_m, owner, predicted, vague = buffers
     rays, (_, _, amplitude, lit) = grid[0], seen
     rows, columns = owner.shape
-    ratios, count = np.empty(owner.size // GAIN_STRIDE + 1), 0
+    ratios, weights = np.empty(owner.size // GAIN_STRIDE + 1), np.empty(owner.size // GAIN_STRIDE + 1)
+    count = 0
     asked = 0
     for i in range(rows):
         for j in range(columns):
@@ -212,13 +233,27 @@ def _predict(surface, R, grid, seen, range_m, owner, predicted):  # type: ignore
             facing = _facing(normals[k], R, rays[0, i, j], rays[1, i, j], rays[2, i, j])
             facing = max(facing, 0.02)
             share = reflected_share(facing, facing, 1.0, optics[k, 0], optics[k, 1], optics[k, 2])
+            mirrored = 1.0 - facing * optics[k, 0] / (np.pi * share)
             predicted[i, j] = np.log(share / (range_m[i, j] * range_m[i, j]))
+            vague[i, j] = noise[4] + noise[5] * max(mirrored, noise[6] * optics[k, 1])
             if lit[i, j] and amplitude[i, j] > DARK:
                 if asked % GAIN_STRIDE == 0:
                     ratios[count] = amplitude[i, j] - predicted[i, j]
+                    weights[count] = 1.0 / vague[i, j] ** 2
                     count += 1
                 asked += 1
-    return np.median(ratios[:count]) if count else 0.0
+    return _weighted_median(ratios[:count], weights[:count]) if count else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _weighted_median(values, weights):  # type: ignore[no-untyped-def]
+    half, below = 0.5 * weights.sum(), 0.0
+    order = np.argsort(values)
+    for n in order:
+        below += weights[n]
+        if below >= half:
+            return values[n]
+    return values[order[-1]]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -7,6 +7,7 @@ against the black sky it draws the outline.
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -22,6 +23,10 @@ from rpod_sim_sensor.geometry import DistortionError
 DARKEST_PERCENT = 2.0
 """Percentile of the amplitudes of pixels with depth that counts as the darkest of them."""
 SEGMENTATION_ROUNDS = 5
+REACH = 1.5
+"""Radii of the target within which all of it that is seen lies around the middle of what is seen."""
+SKY_SPREADS, LEAST_AMPLITUDE = 9.0, 1.0
+"""Median absolute deviations of the sky, six standard ones, above which a pixel is lit; counts."""
 MOST_GLINTS = 0.5
 """Zeros that are a larger share of the dark pixels are the sky's, of an amplitude that has no noise left."""
 MEDIAN_OVER_MEAN = 1.25
@@ -38,13 +43,18 @@ class PmdScene:
     sigma_m: Float32Array
     """Standard deviation of the noise of a range, told by the neighbours, shape (rows, columns)."""
     amplitude: Float32Array
-    """Averaged over the neighbours; 0 where there is none, or a glint wiped it out."""
+    """Median of each pixel and its neighbours; 0 where there is none, or a glint wiped it out."""
     lit: NDArray[np.bool_]
     """Where depth or amplitude show something."""
-    outlined: bool
-    """Whether an amplitude tells what shows something without having a depth."""
+    least_amplitude: float
+    """From which on a pixel is lit; infinite where there is no amplitude to tell."""
     points_m: FloatArray
     """The measured points of the target, sensor axes, shape (N, 3)."""
+
+    @property
+    def outlined(self) -> bool:
+        """Whether an amplitude tells what shows something without having a depth."""
+        return bool(np.isfinite(self.least_amplitude))
 
     def thinned(self, count: int) -> FloatArray:
         """Return about ``count`` points, evenly over the image."""
@@ -74,10 +84,9 @@ def _cells(view: DepthView) -> tuple[NDArray[np.intp], tuple[float, float], tupl
     middle_v, middle_u = np.meshgrid(
         *(low[axis] + (np.arange(CELLS) + 0.5) * step[axis] for axis in (1, 0)), indexing="ij"
     )
-    rays: FloatArray = np.stack(
-        (middle_u, middle_v * np.hypot(middle_u, 1.0), np.ones((CELLS, CELLS))), axis=-1
-    )
-    coarse = np.rint((view.project(rays.reshape(-1, 3)) - view.offset) / view.stride).astype(np.intp)
+    upwards = middle_v * np.hypot(middle_u, 1.0)
+    rays = np.stack((middle_u, upwards, np.ones((CELLS, CELLS))), axis=-1).reshape(-1, 3).astype(np.float64)
+    coarse = np.rint((view.project(rays) - view.offset) / view.stride).astype(np.intp)
     rows, columns = view.coarse.shape
     pixel = coarse[:, 1].clip(0, rows - 1) * columns + coarse[:, 0].clip(0, columns - 1)
     return pixel.reshape(CELLS, CELLS), low, step
@@ -99,20 +108,23 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     depth_m = thinned(shown_m, stride, view.offset)
     rays = view.coarse.components
     range_m = np.nan_to_num(depth_m / rays[2], nan=0.0).astype(np.float32)
-    nearby = _around(rays, range_m, radius_m)
-    lit = nearby.copy()
-    amplitude = np.zeros(lit.shape, np.float32)
+    nearby = _around(rays, range_m, REACH * radius_m)
+    lit, least = nearby.copy(), np.inf
+    amplitude: Float32Array = np.zeros(depth_m.shape, np.float32)
     if frame.amplitude is not None and shown.any():
-        smooth = uniform_filter(frame.amplitude.astype(np.float32), 3)
-        amplitude = np.ascontiguousarray(smooth[view.offset :: stride, view.offset :: stride])
+        steady = cv2.medianBlur(frame.amplitude, 3)
+        amplitude = np.asarray(steady[view.offset :: stride, view.offset :: stride], np.float32, order="C")
         darkest = float(np.percentile(frame.amplitude[shown], DARKEST_PERCENT))
-        lit |= (range_m == 0.0) & _shows(amplitude, config.lit_share * darkest)
+        smooth = uniform_filter(frame.amplitude.astype(np.float32), 3)
+        sky = smooth[view.offset :: stride, view.offset :: stride][range_m == 0.0]
+        least = _least_amplitude(sky, config.lit_share * darkest)
+        lit |= (range_m == 0.0) & _shows(amplitude, least)
     range_m = np.where(nearby, range_m, np.float32(0.0))
     points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
     if len(points_m) < config.min_points:
         return f"{len(points_m)} points on {stride} px strides, {config.min_points} needed"
     sigma_m = spread(shown_m, stride, view.offset, depth_m.shape)
-    return PmdScene(view, range_m, sigma_m, amplitude, lit, frame.amplitude is not None, points_m)
+    return PmdScene(view, range_m, sigma_m, amplitude, lit, least, points_m)
 
 
 def _strange_camera(camera: Camera, config: PmdSceneConfig) -> str:
@@ -138,6 +150,16 @@ def _measured(frame: PmdFrame, config: PmdSceneConfig) -> NDArray[np.bool_]:
     if frame.amplitude is not None:
         measured &= frame.amplitude >= config.ghost_share * frame.amplitude.mean(dtype=np.float64)
     return measured
+
+
+def _least_amplitude(dark: Float32Array, most: float) -> float:
+    """Return the amplitude that the sky does not have, if it is the most of what has no depth; shape (N,)."""
+    most = max(most, LEAST_AMPLITUDE)
+    if not dark.size:
+        return most
+    middle = float(np.median(dark))
+    spread = float(np.median(np.abs(dark - middle)))
+    return float(np.clip(middle + SKY_SPREADS * spread, LEAST_AMPLITUDE, most))
 
 
 def _shows(amplitude: Float32Array, least: float) -> NDArray[np.bool_]:
