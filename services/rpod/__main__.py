@@ -243,7 +243,8 @@ def campaign(
         str | None, typer.Option("--frames", help="Of a sequence: keyframes (one a second), full or both.")
     ] = None,
     through: Annotated[
-        str | None, typer.Option("--through", help="First guess of a frame by: tracker, navigator or both.")
+        str | None,
+        typer.Option("--through", help="First guess of a frame: tracker, truth, navigator or both."),
     ] = None,
     depth: Annotated[
         str | None, typer.Option("--depth", help="Of the camera: raw, calibrated or both.")

@@ -50,8 +50,9 @@ class Options(Config):
     """Of the neighbour search of ICP with reverse calibration, pixels."""
     frames: Literal["keyframes", "full", "both"] | None = None
     """Of a sequence: one a second, or as fast as the camera is."""
-    through: Literal["tracker", "navigator", "both"] | None = None
-    """Where a frame's first guess comes from: the last estimate, or the navigator's prediction."""
+    through: Literal["tracker", "truth", "navigator", "both"] | None = None
+    """Where a frame's first guess comes from: the last estimate, the last true pose, the navigator; both is
+    the first and the last of them."""
     depth: Literal["raw", "calibrated", "both"] | None = None
     """With the camera's wiggling error, or with what a calibration leaves of it."""
     case: Choices | None = None

@@ -1,6 +1,7 @@
 """The 2018 paper's tables and figures, filled again, its own numbers beside them."""
 
 from collections.abc import Iterator
+from itertools import product
 
 import plotly.graph_objects as go
 import polars as pl
@@ -16,6 +17,7 @@ from rpod_analysis.campaign.words import number, word
 _ICP_COLUMNS = ("roll, deg", "pitch, deg", "yaw, deg", "x, m", "y, m", "z, m")
 _FORMS = (".2f", ".2f", ".2f", ".3f", ".3f", ".3f")
 _PAPER_SCENARIOS = (paper.OBLIQUE, paper.TUMBLING)
+_GUESS = {"tracker": "estimate", "truth": "true pose"}
 _SHOWN = (paper.ICP, paper.EPNP, "hybrid", "joint")
 """Methods in the figures of single images, where they were run."""
 
@@ -23,14 +25,13 @@ _SHOWN = (paper.ICP, paper.EPNP, "hybrid", "joint")
 def table_2(results: Results) -> tuple[Table, ...]:
     """Return RMS errors and time of the paper's ICP over its radius (Table 2), in both choices of axes."""
     tables = []
-    for scenario in _PAPER_SCENARIOS:
-        mine = [r for r in _trackers(results, scenario) if r.cell.method == paper.ICP]
+    for scenario, through in product(_PAPER_SCENARIOS, ("tracker", "truth")):
+        mine = [r for r in _of(results, scenario, through) if r.cell.method == paper.ICP]
         if mine:
-            tables.append(_over_radius(mine, f"{scenario}, as the facility gives errors", AXES))
+            title = f"{scenario}, from the last image's {_GUESS[through]}"
+            tables.append(_over_radius(mine, title, AXES))
             tables.append(
-                _over_radius(
-                    mine, f"{scenario}, attitude in camera axes, position in target axes", OTHER_AXES
-                )
+                _over_radius(mine, f"{title}: attitude in camera axes, position in target axes", OTHER_AXES)
             )
     return tuple(tables)
 
@@ -58,7 +59,7 @@ def spikes_table(results: Results) -> tuple[Table, ...]:
     tables = []
     for scenario, title in ((paper.OBLIQUE, "Table 3"), (paper.TUMBLING, "Table 4")):
         images = tuple(paper.NORMS[scenario, paper.ICP])
-        rows = [(result.cell.method, *_spikes(result, images)) for result in _one_radius(results, scenario)]
+        rows = [(_technique(r.cell), *_spikes(r, images)) for r in _one_radius(results, scenario)]
         columns = ("method", *(f"{image}: {unit}" for image in images for unit in ("deg", "m")))
         if rows:
             tables.append(Table(f"{title}: {scenario}, by image", columns, tuple(rows)))
@@ -94,7 +95,7 @@ def _over_images(results: Results, y_title: str, column: str) -> go.Figure:
     for index, result in enumerate(results):
         cell, colour = result.cell, COLOURS[index % len(COLOURS)]
         rows = result.rows.filter(pl.col("trial") == 0)
-        name = f"{cell.scenario}, {cell.method}"
+        name = f"{cell.scenario}, {_technique(cell)}"
         line = {"color": colour, "width": 1.6}
         images = (rows[FRAME] + 1).to_list()
         figure.add_trace(
@@ -116,7 +117,8 @@ def pictures(results: Results) -> tuple[go.Figure, ...]:
     """Return the seventh depth and amplitude images with the wireframe at the estimates (Figs. 13 and 14)."""
     figures = []
     for scenario in _PAPER_SCENARIOS:
-        shown = [r for r in _one_radius(results, scenario) if r.cell.method in _SHOWN]
+        shown = [r for r in _of(results, scenario, "tracker") if r.cell.method in _SHOWN]
+        shown = [r for r in shown if r.cell.radius_px in (None, paper.RADIUS_PX)]
         figures += [picture(shown, number=paper.SEVENTH - 1)] if shown else []
     return tuple(figures)
 
@@ -129,12 +131,19 @@ def seventh_note() -> str:
     )
 
 
-def _trackers(results: Results, scenario: str) -> list[CellResult[SequenceCell]]:
-    return [r for r in results if r.cell.scenario == scenario and r.cell.through == "tracker"]
+def _of(results: Results, scenario: str, through: str) -> list[CellResult[SequenceCell]]:
+    return [r for r in results if r.cell.scenario == scenario and r.cell.through == through]
 
 
 def _one_radius(results: Results, scenario: str) -> list[CellResult[SequenceCell]]:
-    return [r for r in _trackers(results, scenario) if r.cell.radius_px in (None, paper.RADIUS_PX)]
+    """Return what followed a scenario, with one radius; the paper's ICP from both guesses."""
+    mine = [r for r in results if r.cell.scenario == scenario and r.cell.through in _GUESS]
+    return [r for r in mine if r.cell.radius_px in (None, paper.RADIUS_PX)]
+
+
+def _technique(cell: SequenceCell) -> str:
+    """Return a method's name, with where its guess came from if that is no estimate."""
+    return cell.method if cell.through == "tracker" else f"{cell.method} from the true pose"
 
 
 def _beside(ours: float | None, printed: float | None, form: str) -> str:

@@ -91,8 +91,9 @@ def test_calibrated_depth_has_little_of_the_wiggling_and_raw_depth_all_of_it():
 
 def test_table_2_has_nine_radii_in_both_scenarios_and_other_comparisons_one():
     chosen = cells(method=("icp-reverse-calibration",), frames="both")
-    keyframes = [(c.scenario, c.radius_px) for c in chosen if c.frames == "keyframes"]
-    assert [key for key in keyframes if key[0] != "approach"] == list(paper.RMS)
+    for through in ("tracker", "truth"):
+        mine = [c for c in chosen if c.frames == "keyframes" and c.through == through]
+        assert [(c.scenario, c.radius_px) for c in mine if c.scenario != "approach"] == list(paper.RMS)
     assert {c.radius_px for c in chosen if c.frames == "full" or c.scenario == "approach"} == {25}
 
 
@@ -188,6 +189,13 @@ def test_where_the_tracker_gives_nothing_the_last_pose_stays(followed):
     assert len({tuple(row["found"]) for row in rows}) == 1
     assert all(row["reason"] for row in rows)
     assert all(row["nees"] is None for row in rows)
+
+
+def test_from_the_last_true_pose_one_failure_does_not_make_the_next(followed):
+    cell, _ = followed
+    blind = replace(cell, world=World(depth_lost_share=1.0), through="truth")
+    rows = sequence.run(blind, 7, 0)
+    assert [row["found"] for row in rows[1:]] == [row["truth"] for row in rows[:-1]]
 
 
 def test_the_navigator_follows_as_well(followed):

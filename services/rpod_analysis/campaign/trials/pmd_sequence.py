@@ -44,7 +44,8 @@ class SequenceCell:
     frames: str
     """keyframes or full."""
     through: str
-    """tracker: the last estimate is the next guess; navigator: its filter predicts, and gates."""
+    """tracker: the last estimate is the next guess; truth: the last image's true pose is, so that one failure
+    does not make the next; navigator: its filter predicts, and gates."""
     document: str = field(repr=False)
     """The scenario, as JSON."""
     target: str
@@ -96,7 +97,7 @@ class Answer(NamedTuple):
 class Follower(Protocol):
     """Follows the target from frame to frame."""
 
-    def follow(self, frame: PmdFrame) -> Answer:
+    def follow(self, shot: Shot) -> Answer:
         """Return the estimate of the next frame."""
         ...
 
@@ -118,7 +119,7 @@ def followed(cell: SequenceCell, seed: int, trial: int) -> Iterator[tuple[Shot, 
     for time_s in times_s(scenario, cell.frames):
         shot = stage.take(time_s)
         begin_s = time.process_time()
-        answer = follower.follow(shot.frame)
+        answer = follower.follow(shot)
         yield shot, answer, time.process_time() - begin_s
 
 
@@ -128,12 +129,21 @@ class _ByTracker:
     def __init__(self, tracker: Tracker[PmdFrame], first: RigidTransform) -> None:
         self._tracker, self._last = tracker, first
 
-    def follow(self, frame: PmdFrame) -> Answer:
-        found = self._tracker.track(frame, self._last)
+    def follow(self, shot: Shot) -> Answer:
+        found = self._tracker.track(shot.frame, self._last)
         measured = found.T_sensor_target is not None and not found.reason
         if measured and found.T_sensor_target is not None:
             self._last = found.T_sensor_target
         return Answer(self._last, measured, found.covariance, found.reason, found.inliers, found.iterations)
+
+
+class _FromTruth(_ByTracker):
+    """The last image's true pose is the next guess: what a tracker does with a guess as far off as that."""
+
+    def follow(self, shot: Shot) -> Answer:
+        answer = super().follow(shot)
+        self._last = shot.T_sensor_target
+        return answer
 
 
 class _ByNavigator:
@@ -149,8 +159,8 @@ class _ByNavigator:
         )
         self._state, self._last = self._navigator.start(self._mount * first), first
 
-    def follow(self, frame: PmdFrame) -> Answer:
-        measurement = Measurement(self._name, frame, self._mount)
+    def follow(self, shot: Shot) -> Answer:
+        measurement = Measurement(self._name, shot.frame, self._mount)
         self._state, output = self._navigator.step(self._state, measurement)
         status, odometry = output.status, output.odometry
         if odometry is None:
@@ -164,7 +174,8 @@ class _ByNavigator:
 def _follower(cell: SequenceCell, stage: Stage, first: RigidTransform) -> Follower:
     if cell.through == "navigator":
         return _ByNavigator(cell, stage, first)
-    return _ByTracker(_methods(cell).tracker, first)
+    follower = _FromTruth if cell.through == "truth" else _ByTracker
+    return follower(_methods(cell).tracker, first)
 
 
 @lru_cache(maxsize=8)
