@@ -49,6 +49,16 @@ def _own(scene: CameraScene, *, method: str) -> Register[CameraView]:
     return register
 
 
+def _searching(scene: CameraScene) -> Register[CameraView]:
+    methods = pmd_methods(pmd_input(DEFAULT), scene.target)
+    warm_up(methods, scene.target, None)
+
+    def register(view: CameraView, start: RigidTransform) -> RigidTransform | None:
+        return methods.acquirer.near(view.frame, start).pose
+
+    return register
+
+
 CAMERA_PEERS: tuple[Peer[CameraScene, CameraView], ...] = (
     Peer(
         "the 2018 paper's ICP",
@@ -82,9 +92,16 @@ CAMERA_PEERS: tuple[Peer[CameraScene, CameraView], ...] = (
     *(
         Peer(name, "rpod", Task.TRACKING, pmd_input(method).tracking.kind, partial(_own, method=method))
         for name, method in (
-            ("ICP with reverse calibration, to planes", "icp-reverse-calibration-plane"),
+            ("reverse calibration, to planes", "icp-reverse-calibration-plane"),
             ("signed distance", "signed-distance"),
             ("the facility's default", DEFAULT),
         )
+    ),
+    Peer(
+        "the default, searching around",
+        "rpod",
+        Task.TRACKING,
+        "what the navigator does where a prediction is vague",
+        _searching,
     ),
 )
