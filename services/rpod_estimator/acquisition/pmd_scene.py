@@ -112,13 +112,14 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     lit, least = nearby.copy(), np.inf
     amplitude: Float32Array = np.zeros(depth_m.shape, np.float32)
     if frame.amplitude is not None and shown.any():
-        steady = cv2.medianBlur(frame.amplitude, 3)
-        amplitude = np.asarray(steady[view.offset :: stride, view.offset :: stride], np.float32, order="C")
+        every = (slice(view.offset, None, stride),) * 2
+        amplitude = np.asarray(cv2.medianBlur(frame.amplitude, 3)[every], np.float32, order="C")
+        wiped = cv2.dilate(frame.amplitude, np.ones((3, 3), np.uint8))[every] == 0
         darkest = float(np.percentile(frame.amplitude[shown], DARKEST_PERCENT))
         smooth = uniform_filter(frame.amplitude.astype(np.float32), 3)
-        sky = smooth[view.offset :: stride, view.offset :: stride][range_m == 0.0]
+        sky = smooth[every][range_m == 0.0]
         least = _least_amplitude(sky, config.lit_share * darkest)
-        lit |= (range_m == 0.0) & _shows(amplitude, least)
+        lit |= (range_m == 0.0) & _shows(amplitude > least, wiped)
     range_m = np.where(nearby, range_m, np.float32(0.0))
     points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
     if len(points_m) < config.min_points:
@@ -162,17 +163,15 @@ def _least_amplitude(dark: Float32Array, most: float) -> float:
     return float(np.clip(middle + SKY_SPREADS * spread, LEAST_AMPLITUDE, most))
 
 
-def _shows(amplitude: Float32Array, least: float) -> NDArray[np.bool_]:
-    """Return which amplitudes show a surface, shape (rows, columns).
+def _shows(bright: NDArray[np.bool_], wiped: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which pixels show a surface, bright or wiped out by a glint, shape (rows, columns).
 
-    A glint fills both taps of a pixel and leaves no difference: exactly zero, which a sky that has noise is
-    nowhere.
+    A glint fills both taps of a pixel and leaves no difference: exactly zero, all around, which a sky with
+    noise never is.
     """
-    glint = amplitude == 0.0
-    bright: NDArray[np.bool_] = amplitude > least
-    if np.count_nonzero(glint) <= MOST_GLINTS * np.count_nonzero(~bright):
-        bright |= glint
-    return bright
+    if np.count_nonzero(wiped) > MOST_GLINTS * np.count_nonzero(~bright):
+        return bright
+    return bright | wiped
 
 
 def _around(rays: FloatArray, range_m: Float32Array, radius_m: float) -> NDArray[np.bool_]:
