@@ -65,7 +65,7 @@ class PmdVerdictConfig(Config):
 
     max_loss: Positive = 0.6
     """Most mean loss a pixel."""
-    min_explained_share: Share = 0.9
+    min_explained_share: Share = 0.87
     """Least share of pixels on which pose and frame agree."""
     patch_px: Count = 5
     """Side of a square patch of the pixels that are looked at, about a tenth of a metre wide."""
