@@ -10,6 +10,7 @@ from rpod_analysis.campaign import paper_2018 as paper
 from rpod_analysis.campaign.campaign import Campaign, CellResult, Options, Section, Table
 from rpod_analysis.campaign.charts import curve_figure
 from rpod_analysis.campaign.pmd_cells import methods, scenarios
+from rpod_analysis.campaign.pmd_tables import millimetres
 from rpod_analysis.campaign.statistics import quantile, rate
 from rpod_analysis.campaign.trials import pmd_acquisition as trial
 from rpod_analysis.campaign.trials.pmd_acquisition import (
@@ -89,7 +90,7 @@ def sections(results: Results) -> list[Section]:
         f"{FRONT_DEG:g} deg of the front, any roll; all: attitudes uniform on SO(3). wide: a start "
         f"{WIDE_DEG:g} deg and {WIDE_M:g} m off in random directions. Times are of the processor, one thread."
     )
-    return [Section("Acquisition", note, (_table(results), _refusals(results)), _figures(results))]
+    return [Section("Acquisition", note, (_table(results), *_refusals(results)), _figures(results))]
 
 
 def _table(results: Results) -> Table:
@@ -99,7 +100,7 @@ def _table(results: Results) -> Table:
             str(result.rows.height),
             str(rate(int(result.rows["success"].sum()), result.rows.height)),
             number(result.summary["median_deg"], ".2f"),
-            number(1e3 * (result.summary["median_m"] or 0.0), ".1f"),
+            number(millimetres(result.summary["median_m"]), ".1f"),
             milliseconds(result.summary["median_s"]),
             milliseconds(result.summary["p95_s"]),
             *(
@@ -116,8 +117,8 @@ def _table(results: Results) -> Table:
     return Table("Success and time", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
 
 
-def _refusals(results: Results) -> Table:
-    """Return the reasons of refusals, numbers in them left out so that alike ones count together."""
+def _refusals(results: Results) -> tuple[Table, ...]:
+    """Return the reasons of refusals, if any, numbers in them left out so that alike ones count together."""
     rows: list[tuple[str, ...]] = []
     for result in results:
         words = result.rows.filter(pl.col("reason") != "").select(
@@ -125,7 +126,9 @@ def _refusals(results: Results) -> Table:
         )
         counts = words["reason"].value_counts(sort=True).iter_rows()
         rows += [(*_name(result.cell), str(count), reason) for reason, count in counts]
-    return Table("Why refused", (*_NAMES, "trials", "reason"), tuple(rows)).condensed(len(_NAMES))
+    if not rows:
+        return ()
+    return (Table("Why refused", (*_NAMES, "trials", "reason"), tuple(rows)).condensed(len(_NAMES)),)
 
 
 _NAMES = ("view", "start", "method", "range, m")
