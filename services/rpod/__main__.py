@@ -137,7 +137,7 @@ def estimator(config: ConfigOption = None, connect: ConnectOption = None, wait: 
 def logger(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
     """Everything on the bus into MCAP."""
     from rpod_logger import daemon
-    from rpod_schemas.config.service import LoggerConfig
+    from rpod_schemas.config.logger import LoggerConfig
 
     _serve("logger", LoggerConfig, daemon.run, config=config, connect=connect, wait=wait)
 

@@ -11,8 +11,9 @@ from rpod_runtime.session import free_endpoint
 from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings, LidarInput
 from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.config.scenario import Scenario
-from rpod_schemas.config.service import BusConfig, LoggerConfig, RouterConfig, ServiceConfig
+from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 
 Speed = Literal["1", "max"]
 _ROUTER_POLL_S = 0.5

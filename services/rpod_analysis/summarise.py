@@ -12,7 +12,7 @@ from rpod_analysis.score import (
     summarise_durations,
     summarise_errors,
 )
-from rpod_schemas.config.service import LoggerConfig
+from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.summary import EstimateCount, Summary, Tracking
 from rpod_schemas.types import Mode
 

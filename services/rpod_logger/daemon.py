@@ -6,7 +6,7 @@ from threading import Event
 from rpod_logger.recorder import Recorder
 from rpod_logger.selection import Extras, patterns
 from rpod_runtime import Node, Received
-from rpod_schemas.config.service import LoggerConfig
+from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import LogReply, LogRequest, StatusReply
 from rpod_schemas.topics import DIAGNOSTICS
 

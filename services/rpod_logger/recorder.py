@@ -18,7 +18,7 @@ from rpod_logger.writer import WriterSettings, create_log
 from rpod_runtime import Received
 from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
-from rpod_schemas.config.service import LoggerConfig
+from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import LogReply, StatusReply
 from rpod_schemas.types import Health
 

@@ -1,10 +1,13 @@
-"""Sequence accounting: what was received, missed and doubled, per publisher (ICD section 2)."""
+"""Sequence accounting: what was received, recovered, missed and doubled, per publisher (ICD section 2)."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from enum import Enum, auto
 
 from rpod_schemas.wire import Attachment
+
+Publication = tuple[str, bytes]
+"""Key and gid: one publisher's sequence."""
 
 
 class Arrival(Enum):
@@ -21,23 +24,41 @@ class Count:
     received: int = 0
     missed: int = 0
     duplicates: int = 0
+    recovered: int = 0
+    """Of those received: lost at first, then fetched from the publisher's cache."""
 
 
 class SequenceAccount:
     """Counts per (key, gid), from the first number seen; an equal or lower number is a duplicate."""
 
     def __init__(self) -> None:
-        self._last: dict[tuple[str, bytes], int] = {}
+        self._last: dict[Publication, int] = {}
+        self._live: set[Publication] = set()
+        self._announced: Counter[Publication] = Counter()
         self.counts: dict[str, Count] = defaultdict(Count)
 
-    def take(self, key: str, attachment: Attachment) -> Arrival:
-        """Account for one arrival."""
-        count = self.counts[key]
-        last = self._last.get((key, attachment.gid))
+    def take(self, key: str, attachment: Attachment, *, fetched: bool = False) -> Arrival:
+        """Account for one arrival.
+
+        What was ``fetched`` out of a cache is recovered if its publisher was heard live before; until
+        then it is history.
+        """
+        count, publication = self.counts[key], (key, attachment.gid)
+        last = self._last.get(publication)
         if last is not None and attachment.sequence <= last:
             count.duplicates += 1
             return Arrival.DUPLICATE
-        count.missed += attachment.sequence - last - 1 if last is not None else 0
+        gap = attachment.sequence - last - 1 if last is not None else 0
+        count.missed += max(0, gap - self._announced.pop(publication, 0))
         count.received += 1
-        self._last[key, attachment.gid] = attachment.sequence
+        if not fetched:
+            self._live.add(publication)
+        elif publication in self._live:
+            count.recovered += 1
+        self._last[publication] = attachment.sequence
         return Arrival.NEXT
+
+    def miss(self, publication: Publication, messages: int) -> None:
+        """Take what the bus gave up: at the end of a sequence no later number would tell."""
+        self.counts[publication[0]].missed += messages
+        self._announced[publication] += messages

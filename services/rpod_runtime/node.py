@@ -9,7 +9,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from threading import Event, Thread
 from types import TracebackType
 from typing import Literal, Self, TypeVar
@@ -18,28 +17,22 @@ import zenoh
 import zenoh.ext
 from pydantic import BaseModel, ValidationError
 
-from rpod_runtime.accounting import Arrival, SequenceAccount
+from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.clock import BusClock, Clock, WallClock
 from rpod_runtime.errors import QueryFailedError
 from rpod_runtime.health import HealthBook
 from rpod_runtime.publisher import Publisher
 from rpod_runtime.received import Received
+from rpod_runtime.reception import Reception
 from rpod_runtime.replies import error_reply, error_text
 from rpod_runtime.session import open_client
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.control import Accepted, Empty, StatusReply
-from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_diagnostics
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Topic
 from rpod_schemas.types import Health
-from rpod_schemas.wire import (
-    GID_BYTES,
-    Attachment,
-    GraphNode,
-    publisher_tokens,
-    topic_of_token,
-    unpack_attachment,
-)
+from rpod_schemas.wire import GraphNode, publisher_tokens, topic_of_token
 
 log = logging.getLogger(__name__)
 
@@ -64,6 +57,7 @@ class Node:
         self.account = SequenceAccount()
         self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
         self._keys = config.bus.keys
+        self._reception = Reception(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
         self._entities = 0
         self._publishers: list[Publisher] = []
@@ -144,63 +138,44 @@ class Node:
     def _subscribe(
         self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool
     ) -> None:
-        kept = 1 if topic.latched else SENSOR_CACHE
-        past = (
-            zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=kept)
-            if history or topic.latched
-            else None
-        )
-        recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if recover else None
-        subscriber = zenoh.ext.declare_advanced_subscriber(
-            self._session,
+        past = SENSOR_CACHE if history else 0
+        self._declare(
             self._keys.selector(topic),
-            lambda sample: self._take(topic, sample, sink),
-            history=past,
-            recovery=recovery,
+            lambda sample: self._reception.take(topic, sample, sink),
+            kept=1 if topic.latched else past,
+            recover=recover,
         )
-        self._stack.callback(subscriber.undeclare)
-
-    def _take(self, topic: Topic, sample: zenoh.Sample, sink: Callable[[Received], None]) -> None:
-        key = str(sample.key_expr)
-        if "*" in topic.name:
-            topic = replace(topic, name=self._keys.topic_of(key))
-        try:
-            attachment = unpack_attachment(sample.attachment.to_bytes() if sample.attachment else None)
-            if self.account.take(key, attachment) is Arrival.DUPLICATE:
-                raise MessageRejectedError(Reason.DUPLICATE, f"sequence {attachment.sequence}")
-            payload = memoryview(sample.payload.to_bytes())
-            sink(Received(topic, key, payload, attachment, time.time_ns()))
-        except MessageRejectedError as error:
-            self.reject(topic.name, error)
-        except Exception:  # the bus's thread would print it, and nobody would count it
-            self.health.count(f"failed/{topic.name}")
-            log.exception("a message on %s could not be handled", topic.name)
 
     def listen(
         self, key_expression: str, sink: Callable[[Received], None], *, accept: Callable[[str], bool]
     ) -> None:
-        """Subscribe those keys of any form that are accepted.
+        """Subscribe, with recovery, those keys of any form that are accepted.
 
-        What is no known ROS topic comes without type and attachment.
+        What is no known ROS topic comes without type, and without attachment where it has none.
         """
 
         def take(sample: zenoh.Sample) -> None:
-            key = str(sample.key_expr)
-            if not accept(key):
-                return
-            topic = self._keys.topic_at(key)
-            if topic.type:
-                self._take(topic, sample, sink)
-            else:
-                nobody = Attachment(0, 0, bytes(GID_BYTES))
-                sink(Received(topic, key, memoryview(sample.payload.to_bytes()), nobody, time.time_ns()))
+            if accept(str(sample.key_expr)):
+                self._reception.take_any(sample, sink)
 
-        self._stack.callback(self._session.declare_subscriber(key_expression, take).undeclare)
+        self._declare(key_expression, take, kept=SENSOR_CACHE, recover=True)
+
+    def _declare(
+        self, key_expression: str, take: Callable[[zenoh.Sample], None], *, kept: int, recover: bool
+    ) -> None:
+        """Subscribe with so much history, if any."""
+        past = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=kept) if kept else None
+        recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if recover else None
+        subscriber = zenoh.ext.declare_advanced_subscriber(
+            self._session, key_expression, take, history=past, recovery=recovery
+        )
+        self._stack.callback(subscriber.undeclare)
+        if recover:
+            self._stack.callback(subscriber.sample_miss_listener(self._reception.miss).undeclare)
 
     def reject(self, topic: str, error: MessageRejectedError) -> None:
         """Count a rejected message; log the first of its kind."""
-        if self.health.reject(topic, error):
-            log.warning("rejected a message on %s: %s (counted from here on, see diagnostics)", topic, error)
+        self._reception.reject(topic, error)
 
     def _entity(self) -> int:
         self._entities += 1
@@ -318,8 +293,9 @@ class Node:
         for publisher in self._publishers:
             totals[f"published/{publisher.topic.name}"] += publisher.published
         for key, count in list(self.account.counts.items()):
-            topic = self._keys.topic_of(key)
+            topic = self._keys.topic_at(key).name
             totals[f"received/{topic}"] += count.received
             totals[f"missed/{topic}"] += count.missed
+            totals[f"recovered/{topic}"] += count.recovered
         for name, total in totals.items():
             self.health.put(name, total)

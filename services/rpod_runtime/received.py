@@ -27,6 +27,8 @@ class Received:
     """This machine's wall clock."""
     arrival_s: float = field(default_factory=time.monotonic)
     """Monotonic clock, for processing times."""
+    encoding: str = ""
+    """As the publisher named it to the bus."""
 
     def decode(self) -> Any:
         """Return the ROS message; raises ``MessageRejectedError``."""

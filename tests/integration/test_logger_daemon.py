@@ -15,7 +15,7 @@ from rpod_logger.daemon import run
 from rpod_runtime import Inbox, QueryFailedError
 from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.cdr import encode, type_hash
-from rpod_schemas.config.service import LoggerConfig
+from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import LogReply, LogRequest, StatusReply
 from rpod_schemas.logs import TopicCount
 from rpod_schemas.messages import read_diagnostics, write_clock

@@ -1,6 +1,5 @@
 """What every service's configuration has: its name and the bus."""
 
-from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
@@ -54,24 +53,3 @@ class RouterConfig(Config):
     """Zenoh endpoint to listen on."""
     estimators: tuple[str, ...] = (ESTIMATOR_ID,)
     """Zenoh identities that may not read the truth, of whatever domain and namespace."""
-
-
-class LoggerConfig(ServiceConfig):
-    """The MCAP writer."""
-
-    instance: Name = "logger"
-    """Name on the bus."""
-    directory: Path = Path("runs")
-    """Where logs go; made where it is missing."""
-    name: str | None = Field(default=None, pattern=r"^[A-Za-z0-9._-]+$")
-    """Stem of the file's name; the time of the start where left out."""
-    compression: Literal["lz4", "zstd", "none"] = "lz4"
-    """Of the chunks."""
-    chunk_bytes: int = Field(default=1 << 20, ge=1 << 12, le=1 << 24)
-    """Size of a chunk."""
-    sync_interval_s: Positive = 1.0
-    """How often the open chunk is flushed and synced to the disk."""
-    queue_bytes: int = Field(default=256 << 20, ge=1 << 20)
-    """Bound of the queue between bus and disk."""
-    record_extra: tuple[str, ...] = ()
-    """Key expressions to record beside the ICD's topics."""

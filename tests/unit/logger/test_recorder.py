@@ -14,7 +14,7 @@ from rpod_logger.recorder import Recorder
 from rpod_logger.writer import LogFile
 from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
-from rpod_schemas.config.service import LoggerConfig
+from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.logs import TopicCount
 from rpod_schemas.topics import CLOCK, TF_STATIC, Topic

@@ -43,3 +43,24 @@ def test_keys_are_counted_apart():
     take(account, 1, 2)
     take(account, 5, key="other")
     assert account.counts["other"].missed == 0
+
+
+def test_what_was_fetched_after_its_publisher_was_heard_live_is_recovered():
+    account = SequenceAccount()
+    account.take("k", Attachment(1, 0, A), fetched=True)
+    account.take("k", Attachment(2, 0, A))
+    for number in (3, 4):
+        account.take("k", Attachment(number, 0, A), fetched=True)
+    count = account.counts["k"]
+    assert (count.received, count.recovered, count.missed) == (4, 2, 0)
+
+
+def test_what_the_bus_gave_up_is_missed_once_whether_or_not_a_later_number_tells():
+    account = SequenceAccount()
+    take(account, 1, 2)
+    account.miss(("k", A), 3)
+    assert account.counts["k"].missed == 3
+    take(account, 8)
+    assert account.counts["k"].missed == 5
+    take(account, 11)
+    assert account.counts["k"].missed == 7

@@ -1,0 +1,92 @@
+"""From samples of the bus to received messages: what is unusable, doubled, missed or recovered is counted."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import zenoh
+import zenoh.ext
+
+from rpod_runtime.accounting import Arrival, Publication, SequenceAccount
+from rpod_runtime.health import HealthBook
+from rpod_runtime.received import Received
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.topics import Namespace, Topic
+from rpod_schemas.wire import GID_BYTES, Attachment, unpack_attachment
+
+log = logging.getLogger(__name__)
+
+_NOBODY = Attachment(0, 0, bytes(GID_BYTES))
+
+Sink = Callable[[Received], None]
+
+
+class Reception:
+    """Runs in the bus's threads: never raises, never waits."""
+
+    def __init__(self, keys: Namespace, health: HealthBook, account: SequenceAccount) -> None:
+        self._keys, self._health, self._account = keys, health, account
+        self._publications: dict[str, Publication] = {}
+        self._gids: set[bytes] = set()
+
+    def take(self, topic: Topic, sample: zenoh.Sample, sink: Sink) -> None:
+        """Hand over a message of a topic, or of one that fits a pattern, unless it is doubled or unusable."""
+        key = str(sample.key_expr)
+        if "*" in topic.name:
+            topic = replace(topic, name=self._keys.topic_of(key))
+        try:
+            attachment = _attachment(sample)
+            self._account_for(key, sample, attachment)
+            sink(_received(topic, key, sample, attachment))
+        except MessageRejectedError as error:
+            self.reject(topic.name, error)
+        except Exception:  # the bus's thread would print it, and nobody would count it
+            self._health.count(f"failed/{topic.name}")
+            log.exception("a message on %s could not be handled", topic.name)
+
+    def take_any(self, sample: zenoh.Sample, sink: Sink) -> None:
+        """Hand over a message of any key; what is no known ROS topic needs no attachment."""
+        key = str(sample.key_expr)
+        topic = self._keys.topic_at(key)
+        if topic.type or _is_numbered(sample):
+            self.take(topic, sample, sink)
+        else:
+            sink(_received(topic, key, sample, _NOBODY))
+
+    def miss(self, miss: zenoh.ext.Miss) -> None:
+        """Count what the bus could not recover; of a publisher never heard, nothing is missed."""
+        publication = self._publications.get(str(miss.source))
+        if publication:
+            self._account.miss(publication, miss.nb)
+
+    def reject(self, topic: str, error: MessageRejectedError) -> None:
+        """Count a rejected message; log the first of its kind."""
+        if self._health.reject(topic, error):
+            log.warning("rejected a message on %s: %s (counted from here on, see diagnostics)", topic, error)
+
+    def _account_for(self, key: str, sample: zenoh.Sample, attachment: Attachment) -> None:
+        if attachment.gid not in self._gids and sample.source_info:
+            self._gids.add(attachment.gid)
+            self._publications[str(sample.source_info.source_id)] = key, attachment.gid
+        # Our publishers drop under congestion; only the replies of their caches never do.
+        fetched = sample.congestion_control == zenoh.CongestionControl.BLOCK
+        if self._account.take(key, attachment, fetched=fetched) is Arrival.DUPLICATE:
+            raise MessageRejectedError(Reason.DUPLICATE, f"sequence {attachment.sequence}")
+
+
+def _attachment(sample: zenoh.Sample) -> Attachment:
+    return unpack_attachment(sample.attachment.to_bytes() if sample.attachment else None)
+
+
+def _is_numbered(sample: zenoh.Sample) -> bool:
+    try:
+        _attachment(sample)
+    except MessageRejectedError:
+        return False
+    return True
+
+
+def _received(topic: Topic, key: str, sample: zenoh.Sample, attachment: Attachment) -> Received:
+    payload = memoryview(sample.payload.to_bytes())
+    return Received(topic, key, payload, attachment, time.time_ns(), encoding=str(sample.encoding))
