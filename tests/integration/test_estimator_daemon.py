@@ -8,25 +8,27 @@ from time import monotonic
 
 import numpy as np
 from live_bus import TIMEOUT_S, daemon, first
-from pmd_frames import depth_frame
+from pmd_frames import frame_of
 from scipy.spatial.transform import Rotation
 
 from rpod_estimator.daemon import run
 from rpod_runtime import Inbox
 from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.config.estimator import EstimatorConfig, NavigatorConfig, PmdInput
+from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.control import Accepted, Empty, StatusReply
 from rpod_schemas.messages import read_diagnostics, read_odometry, read_status, read_transforms
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, STATUS, TF
 from rpod_schemas.types import Camera, Health, Mode
+from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target
 
 CAMERA = Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5)
 """Small, so that no frame is dropped by a bus that is short of processor time."""
 MOUNT = make_pose(translation_m=[0.0, -0.05, 0.0])
 T_CHASER_TARGET = make_pose(
-    rotation=Rotation.from_euler("ZYX", [12.0, 65.0, 5.0], degrees=True), translation_m=[0.05, 0.0, 5.0]
+    rotation=Rotation.from_euler("ZYX", [12.0, 65.0, 5.0], degrees=True), translation_m=[0.05, 0.0, 4.0]
 )
 
 
@@ -35,14 +37,14 @@ class Sensor:
 
     def __init__(self, bus) -> None:
         self._publisher = CameraPublisher(bus.node("camera"), "pmd", T_chaser_sensor=MOUNT)
-        self._frame = depth_frame(
-            load_target("mockup"), MOUNT.inv() * T_CHASER_TARGET, noise_m=0.005, camera=CAMERA
-        )
+        emulator = PmdEmulator(PmdConfig(camera=CAMERA), load_target("mockup"), seed=1)
+        poses = [MOUNT.inv() * T_CHASER_TARGET] * 4
+        exposure = emulator.expose(poses, sun_W_m2=np.zeros(3), frame=1)
+        self._frame = frame_of(exposure.depth_m.copy(), amplitude=exposure.amplitude.copy(), camera=CAMERA)
 
     def expose(self) -> int:
         stamp_ns = time.time_ns()
-        amplitude = np.full((CAMERA.height, CAMERA.width), 800, np.uint16)
-        self._publisher.publish(self._frame.model_copy(update={"stamp_ns": stamp_ns, "amplitude": amplitude}))
+        self._publisher.publish(self._frame.model_copy(update={"stamp_ns": stamp_ns}))
         return stamp_ns
 
 
