@@ -130,11 +130,11 @@ class PreparedTracker:
     def __init__(self, tracker: Tracker[PmdFrame], preparation: DepthPreparation) -> None:
         self._tracker, self._preparation = tracker, preparation
 
-    def track(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
+    def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Register the prepared frame; refused where it is of another camera."""
-        if why := self._preparation.refusal(frame):
+        if why := self._preparation.refusal(measurement):
             return Registration(Source.NONE, reason=why)
-        return self._tracker.track(self._preparation.predicted(frame, T_sensor_target), T_sensor_target)
+        return self._tracker.track(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
 
 
 class PreparedAcquirer:
@@ -143,12 +143,12 @@ class PreparedAcquirer:
     def __init__(self, acquirer: Acquirer[PmdFrame], preparation: DepthPreparation) -> None:
         self._acquirer, self._preparation = acquirer, preparation
 
-    def acquire(self, frame: PmdFrame) -> Acquisition:
+    def acquire(self, measurement: PmdFrame) -> Acquisition:
         """Return the first multiple of the unambiguous range at which the target is found, else the first."""
-        if why := self._preparation.refusal(frame):
+        if why := self._preparation.refusal(measurement):
             return _refused(why)
         failed: Acquisition | None = None
-        for prepared in self._preparation.possible(frame):
+        for prepared in self._preparation.possible(measurement):
             found = self._acquirer.acquire(prepared)
             if found.verdict is not Verdict.FAILED:
                 return found
@@ -156,11 +156,11 @@ class PreparedAcquirer:
         assert failed is not None  # noqa: S101 - one is always possible
         return failed
 
-    def near(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
+    def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
         """Search around a pose, which tells the multiple."""
-        if why := self._preparation.refusal(frame):
+        if why := self._preparation.refusal(measurement):
             return _refused(why)
-        return self._acquirer.near(self._preparation.predicted(frame, T_sensor_target), T_sensor_target)
+        return self._acquirer.near(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
 
 
 def corrections(calibration: DepthCalibration | None) -> Float32Array:

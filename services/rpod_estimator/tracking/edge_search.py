@@ -1,9 +1,9 @@
 """The model's edges in an amplitude image: which show, where each lies, and what that says of the pose.
 
-An edge sample shows where one of its faces is seen and nothing stands before it. From its projection the image is searched along the projected edge's
-normal for the steepest change of amplitude, nearer ones preferred, to sub-pixels by a parabola. How far that
-is from the projection is the residual (after T. Drummond, R. Cipolla, Real-Time Visual Tracking of Complex
-Structures, IEEE PAMI 24(7), 2002).
+An edge sample shows where one of its faces is seen and nothing stands before it. From its projection the
+image is searched along the projected edge's normal for the steepest change of amplitude, nearer ones
+preferred, to sub-pixels by a parabola. How far that is from the projection is the residual (after
+T. Drummond, R. Cipolla, Real-Time Visual Tracking of Complex Structures, IEEE PAMI 24(7), 2002).
 """
 
 import numpy as np
