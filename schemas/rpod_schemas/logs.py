@@ -26,6 +26,8 @@ STATUS = "status"
 """Record of each service's last status without its configuration, by instance."""
 COUNTS = "counts"
 """Record of a ``TopicCount`` for each topic, by the channel's topic; only in a file that was closed."""
+RECOVERY = "recovery"
+"""Record of a ``Recovery`` under ``recovery``; only in a file that was recovered from a damaged one."""
 
 QOS_METADATA = "offered_qos_profiles"
 """Channel metadata: quality of service in rosbag2's YAML."""
@@ -53,3 +55,42 @@ class TopicCount(Config):
     def lost(self) -> int:
         """Arrived and yet not in the file: no room in the queue, or the disk failed."""
         return self.received - self.written
+
+
+class RecoveredTopic(Config):
+    """What a recovered log has of a topic."""
+
+    messages: Total = 0
+    """In the recovered log."""
+    lost: Total = 0
+    """Estimated: by the summary where it is whole, else by indexes, sequence numbers and rate."""
+    last_ns: int | None = None
+    """Arrival of the last message; None where there is none."""
+
+
+class Recovery(Config):
+    """What could be had of a damaged log."""
+
+    source: str
+    """The damaged file; never touched."""
+    out: str
+    """The new file."""
+    size_bytes: Total
+    """Of the damaged file."""
+    unreadable_bytes: Total
+    """Of them, those that are no whole record: damaged, cut, or garbage."""
+    damaged_places: Total
+    """How many stretches these are."""
+    closed: bool
+    """Whether the end of the file is there; if not, nobody knows what came after it."""
+    messages: Total
+    """In the new file."""
+    without_definition: Total
+    """Messages left out because their channel's definition is lost."""
+    topics: dict[str, RecoveredTopic]
+    """By the channel's topic."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing was lost."""
+        return self.closed and not self.unreadable_bytes and not self.without_definition

@@ -184,6 +184,20 @@ def report(
 
 
 @app.command()
+def recover(
+    log: Annotated[Path, typer.Argument(help="Truncated or damaged MCAP file; it is not touched.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="File to write; <log>.recovered.mcap where left out.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+) -> None:
+    """A readable log out of a truncated or damaged one."""
+    from rpod.command_recover import recover_command
+
+    raise typer.Exit(recover_command(log, out=out, as_json=as_json))
+
+
+@app.command()
 def calibrate(
     logs: Annotated[list[Path], typer.Argument(help="MCAP files with a PMD camera's frames and the truth.")],
     camera: Annotated[str, typer.Option("--camera", help="Name of the camera.")] = "pmd",

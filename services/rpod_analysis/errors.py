@@ -35,6 +35,13 @@ class DamagedLogError(AnalysisError):
         super().__init__(f"{path}: the log is damaged ({reason}); 'rpod recover {path}' saves what is whole")
 
 
+class CannotWriteError(AnalysisError):
+    """A file cannot be written."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"{path}: {reason}")
+
+
 class NoEstimatesError(AnalysisError):
     """No estimator spoke while the log was open."""
 

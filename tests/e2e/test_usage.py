@@ -11,7 +11,9 @@ from rpod.facility import configure
 from rpod.scenarios import find, shipped
 
 SCENARIOS = {"mockup-tumbling", "mockup-oblique", "mockup-approach", "envisat-station", "envisat-mesh"}
-VERBS = {"run", "router", "motion", "emulator", "estimator", "logger", "scenarios", "report", "calibrate"}
+VERBS = {"run", "router", "motion", "emulator", "estimator", "logger", "scenarios", "report", "calibrate"} | {
+    "recover"
+}
 
 
 def rpod(*arguments: str | Path) -> subprocess.CompletedProcess[str]:

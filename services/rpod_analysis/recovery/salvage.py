@@ -1,0 +1,296 @@
+"""What is whole in a damaged MCAP file: its records in the order of the file, and where there are none.
+
+A record is believed only as a whole: its length fits the file, and it says the same once it is written anew.
+A chunk is believed by its checksum. Where bytes are no record, the search goes on byte by byte for the next
+one (MCAP specification, "Records": a byte of opcode, eight of length, the content).
+"""
+
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from io import BytesIO
+from typing import IO, Any
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.stream_reader import breakup_chunk
+
+MAGIC = b"\x89MCAP0\r\n"
+DAMAGE = (
+    McapError,
+    RuntimeError,
+    ValueError,
+    KeyError,
+    struct.error,
+    EOFError,
+    MemoryError,
+    zstandard.ZstdError,
+)
+"""What the MCAP library and the decompression raise on damaged bytes."""
+
+_FRAME = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQII")
+"""First and last time, size and checksum of the content, length of the compression's name."""
+_FOOTER = struct.Struct("<QQI")
+"""Beginning of the summary and of its offsets, checksum over all from there up to itself."""
+_CANDIDATE = re.compile(rb"(?=[\x01-\x0f].{4}\x00{4})", re.DOTALL)
+"""An opcode and a length below 4 GiB; looked ahead, so that candidates may overlap."""
+_WINDOW = 1 << 22
+_PIECE = 1 << 14
+_MOST_BYTES = 1 << 30
+"""A record that claims to be longer is none."""
+_TYPES: dict[int, Any] = {
+    Opcode.HEADER: Header,
+    Opcode.FOOTER: Footer,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.MESSAGE: Message,
+    Opcode.CHUNK: Chunk,
+    Opcode.MESSAGE_INDEX: MessageIndex,
+    Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
+    Opcode.STATISTICS: Statistics,
+    Opcode.METADATA: Metadata,
+    Opcode.METADATA_INDEX: MetadataIndex,
+    Opcode.SUMMARY_OFFSET: SummaryOffset,
+    Opcode.DATA_END: DataEnd,
+}
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Bytes that are no record."""
+
+    start: int
+    end: int
+
+
+@dataclass(frozen=True)
+class DamagedChunk:
+    """A chunk whose content cannot be believed, or that the end of the file cuts."""
+
+    size: int
+    """Bytes in the file."""
+    definitions: tuple[Schema | Channel, ...]
+    """Read out of it all the same: without them, later messages mean nothing."""
+    whole: tuple[Message, ...] = ()
+    """Of a cut chunk: the messages before the cut."""
+    end_ns: int | None = None
+    """Of a cut chunk: arrival of the last message that it held."""
+
+
+Found = McapRecord | Gap | DamagedChunk
+
+
+def is_mcap(stream: IO[bytes]) -> bool:
+    """Return whether a file begins as an MCAP file does."""
+    stream.seek(0)
+    return stream.read(len(MAGIC)) == MAGIC
+
+
+def summary_is_whole(stream: IO[bytes]) -> bool:
+    """Return whether the checksum over the summary holds, or is none (MCAP specification, "Footer")."""
+    stream.seek(-len(MAGIC) - _FOOTER.size, 2)
+    end = stream.tell() + _FOOTER.size - 4
+    summary_start, _, checksum = _FOOTER.unpack(stream.read(_FOOTER.size))
+    stream.seek(summary_start)
+    return checksum in (0, zlib.crc32(stream.read(end - summary_start)))
+
+
+def scan(stream: IO[bytes]) -> Iterator[Found]:
+    """Yield what a file holds from its beginning to its end; chunks as the records within them.
+
+    Reads one record at a time; never raises on damage.
+    """
+    size = stream.seek(0, 2)
+    offset = len(MAGIC) if is_mcap(stream) else 0
+    while offset < size:
+        whole = _record_at(stream, offset, size)
+        if whole is None:
+            resumed = _next_record(stream, offset + 1, size)
+            cut = _cut_chunk(stream, offset, size) if resumed == size else None
+            yield cut or Gap(offset, resumed)
+            offset = resumed
+            continue
+        record, length = whole
+        yield from _opened(record, length) if isinstance(record, Chunk) else (record,)
+        offset += length
+        if isinstance(record, Footer) and _tail(stream, offset) == MAGIC:
+            return
+
+
+def _tail(stream: IO[bytes], offset: int) -> bytes:
+    stream.seek(offset)
+    return stream.read(len(MAGIC) + 1)
+
+
+def _record_at(stream: IO[bytes], offset: int, size: int) -> tuple[McapRecord, int] | None:
+    """Return the record that begins at an offset, and its length; None where there is none that is whole."""
+    frame = _frame_at(stream, offset, size)
+    if frame is None:
+        return None
+    opcode, length = frame
+    if opcode == Opcode.CHUNK and not _is_chunk(stream, length):
+        return None
+    stream.seek(offset + _FRAME.size)
+    record = _parse(opcode, stream.read(length))
+    return None if record is None else (record, _FRAME.size + length)
+
+
+def _frame_at(stream: IO[bytes], offset: int, size: int) -> tuple[int, int] | None:
+    stream.seek(offset)
+    head = stream.read(_FRAME.size)
+    if len(head) < _FRAME.size:
+        return None
+    opcode, length = _FRAME.unpack(head)
+    if opcode not in _TYPES or length > min(size - offset - _FRAME.size, _MOST_BYTES):
+        return None
+    return opcode, length
+
+
+def _is_chunk(stream: IO[bytes], length: int) -> bool:
+    """Return whether the lengths within a chunk add up to its own; the stream stands behind its frame."""
+    head = stream.read(_CHUNK.size)
+    if len(head) < _CHUNK.size:
+        return False
+    name_length = _CHUNK.unpack(head)[-1]
+    if name_length > len("zstd"):
+        return False
+    rest = stream.read(name_length + 8)
+    return (
+        len(rest) == name_length + 8
+        and _CHUNK.size + len(rest) + int.from_bytes(rest[name_length:], "little") == length
+    )
+
+
+def _parse(opcode: int, content: bytes) -> McapRecord | None:
+    """Return the record of its content; None where its parts do not make up the whole."""
+    kind, stream = _TYPES[opcode], ReadDataStream(BytesIO(content))
+    try:
+        if kind is Message:
+            return Message.read(stream, len(content)) if len(content) >= 22 else None
+        record: McapRecord = kind.read(stream)
+    except DAMAGE:
+        return None
+    return record if kind is Chunk or _written(record) == content else None
+
+
+def _written(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    try:
+        record.write(builder)
+    except DAMAGE:
+        return b""
+    content: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return content[_FRAME.size :]
+
+
+def _next_record(stream: IO[bytes], offset: int, size: int) -> int:
+    """Return where the next record begins that another one, or the end of the file, follows."""
+    while offset < size:
+        stream.seek(offset)
+        window = stream.read(_WINDOW)
+        for match in _CANDIDATE.finditer(window):
+            start = offset + match.start()
+            whole = _record_at(stream, start, size)
+            # Within an uncompressed chunk messages look like records, but nothing vouches for their bytes.
+            if whole and not isinstance(whole[0], Message) and _goes_on(stream, start + whole[1], size):
+                return start
+        offset += max(len(window) - _FRAME.size, 1)
+    return size
+
+
+def _goes_on(stream: IO[bytes], offset: int, size: int) -> bool:
+    return (
+        offset == size
+        or _tail(stream, offset)[: len(MAGIC)] == MAGIC
+        or bool(_frame_at(stream, offset, size))
+    )
+
+
+def _opened(chunk: Chunk, length: int) -> Iterator[Found]:
+    try:
+        yield from breakup_chunk(chunk, validate_crc=True)
+    except DAMAGE:
+        yield DamagedChunk(length, tuple(_definitions(_records_in(_unpacked(chunk.compression, chunk.data)))))
+
+
+def _cut_chunk(stream: IO[bytes], offset: int, size: int) -> DamagedChunk | None:
+    """Return what the last chunk of a file holds whose end is missing; None where it is no chunk."""
+    stream.seek(offset)
+    head = stream.read(_FRAME.size + _CHUNK.size)
+    if len(head) < _FRAME.size + _CHUNK.size or head[0] != Opcode.CHUNK:
+        return None
+    _, end_ns, _, _, name_length = _CHUNK.unpack(head[_FRAME.size :])
+    if name_length > len("zstd") or _FRAME.unpack_from(head)[1] > _MOST_BYTES:
+        return None
+    compression, _ = stream.read(name_length), stream.read(8)
+    records = list(_records_in(_unpacked(compression.decode("latin-1"), stream.read())))
+    return DamagedChunk(
+        size - offset,
+        tuple(_definitions(records)),
+        tuple(record for record in records if isinstance(record, Message)),
+        end_ns,
+    )
+
+
+def _definitions(records: Any) -> Iterator[Schema | Channel]:
+    return (record for record in records if isinstance(record, Schema | Channel))
+
+
+def _unpacked(compression: str, data: bytes) -> bytes:
+    """Return a chunk's content as far as it can be decompressed."""
+    if not compression:
+        return data
+    unpacker: Any
+    if compression == "lz4":
+        unpacker = lz4.frame.LZ4FrameDecompressor()
+    elif compression == "zstd":
+        unpacker = zstandard.ZstdDecompressor().decompressobj()
+    else:
+        return b""
+    content = bytearray()
+    with suppress(*DAMAGE):
+        for start in range(0, len(data), _PIECE):
+            content += unpacker.decompress(data[start : start + _PIECE])
+    return bytes(content)
+
+
+def _records_in(content: bytes) -> Iterator[McapRecord]:
+    """Yield the whole records at the beginning of a chunk's content."""
+    offset = 0
+    while offset + _FRAME.size <= len(content):
+        opcode, length = _FRAME.unpack_from(content, offset)
+        start = offset + _FRAME.size
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE) or start + length > len(content):
+            return
+        record = _parse(opcode, content[start : start + length])
+        if record is None:
+            return
+        yield record
+        offset = start + length
