@@ -142,8 +142,10 @@ class _Copier:
         self._summary = _whole_summary(stream)
         self._definitions = _Definitions()
         if self._summary:
-            for definition in (*self._summary.schemas.values(), *self._summary.channels.values()):
-                self._definitions.add(definition, sure=True)
+            for schema in self._summary.schemas.values():
+                self._definitions.add(schema, sure=True)
+            for channel in self._summary.channels.values():
+                self._definitions.add(channel, sure=True)
         self._schemas: dict[int, int] = {}
         self._channels: dict[int, int] = {}
         self._accounts: dict[int, _Account] = defaultdict(_Account)
