@@ -9,7 +9,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rpod_schemas.errors import MessageRejectedError, Reason
@@ -33,6 +33,17 @@ def typestore() -> Typestore:
 def is_known(type_name: str) -> bool:
     """Return whether messages of a type can be encoded and decoded."""
     return type_name in typestore().types
+
+
+def learn(type_name: str, text: str | bytes) -> None:
+    """Make a type known by its ``ros2msg`` definition; a type that is known already stays as it is."""
+    if is_known(type_name):
+        return
+    try:
+        found = get_types_from_msg(text if isinstance(text, str) else text.decode(), type_name)
+        typestore().register({name: fields for name, fields in found.items() if not is_known(name)})
+    except (UnicodeDecodeError, TypesysError):
+        return  # its messages are handed over as bytes, and refused where they are to be decoded
 
 
 @cache

@@ -1,35 +1,30 @@
 """Opening a log: topics, messages and metadata of one or several MCAP files (ICD section 5).
 
 Nothing is read before it is asked for; a slice of time costs only the chunks that it touches.
-Several files are the parts of one run: they are read as one log, in the order of time.
+Several files, or those of a folder, are the parts of one run: they are read as one log, in the order
+of arrival.
 """
 
+import heapq
 import json
-import struct
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Self
+from typing import Any, Self
 
-from mcap.exceptions import McapError
-from mcap.reader import McapReader, make_reader
-from mcap.summary import Summary
+from mcap.records import Statistics
 from scipy.spatial.transform import RigidTransform
 
-from rpod_analysis.errors import DamagedLogError, NoLogError, NotMcapError, TruncatedLogError
+from rpod_analysis.log_file import LogFile, files_of, open_file, reading
 from rpod_schemas.cdr import decode
 from rpod_schemas.logs import CONFIGURATION, COUNTS, TopicCount
 from rpod_schemas.messages import read_odometry, read_status, read_transforms
 from rpod_schemas.topics import ESTIMATE, STATUS, TF_STATIC, TOPICS, Topic
 from rpod_schemas.types import EstimatorStatus, Odometry
-
-_MAGIC = b"\x89MCAP0\r\n"
-_DAMAGE = (McapError, RuntimeError, ValueError, KeyError, struct.error, EOFError)
-"""What the MCAP reader and the decompression raise on damaged bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +43,8 @@ class Logged:
     payload: bytes
 
     def decode(self) -> Any:
-        """Return the ROS message; raises ``MessageRejectedError``."""
-        return decode(self.payload, self.type)
+        """Return the ROS message, its arrays views of the payload; raises ``MessageRejectedError``."""
+        return decode(memoryview(self.payload), self.type)
 
 
 @dataclass(frozen=True)
@@ -61,36 +56,33 @@ class TopicInfo:
     """Messages in the log's files."""
 
 
-@dataclass(frozen=True)
-class _Part:
-    """One file of a log."""
+def open_log(path: Path | str, *more: Path | str, namespace: str = "") -> "Log":
+    """Open a log: a file, a folder, or several of either that are read as one.
 
-    path: Path
-    reader: McapReader
-    summary: Summary
+    Nothing but the files' summaries is read. Logs of others, as rosbag2 writes them, have the same topics.
 
-    @property
-    def start_ns(self) -> int:
-        """Arrival of the first message."""
-        return self.summary.statistics.message_start_time if self.summary.statistics else 0
-
-
-def open_log(path: Path | str, *more: Path | str) -> "Log":
-    """Open a log, or the parts of one.
+    Args:
+        path: MCAP file, or a folder of them, in which a recovered log stands for the damaged one, and
+            replays are left out.
+        more: further files or folders.
+        namespace: ROS namespace of the topics, where the log's own configuration does not tell.
 
     Raises:
         AnalysisError: a file is missing, no MCAP, or truncated.
     """
-    return Log(path, *more)
+    return Log(path, *more, namespace=namespace)
 
 
 class Log:
     """A log that is open; close it by ``with``."""
 
-    def __init__(self, *paths: Path | str) -> None:
+    def __init__(self, *paths: Path | str, namespace: str = "") -> None:
+        self._given_namespace = namespace.strip("/")
         with ExitStack() as stack:
-            parts = [_open_part(Path(path), stack) for path in paths]
-            self._parts = sorted(parts, key=lambda part: part.start_ns)
+            files = [file for path in paths for file in files_of(Path(path))]
+            parts = [open_file(file, stack) for file in files]
+            # By their ends: a part may open with latched messages from before the one before it.
+            self._parts = sorted(parts, key=lambda part: part.statistics.message_end_time)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -113,14 +105,28 @@ class Log:
         """Topics by name, without the ROS namespace."""
         counts: dict[str, TopicInfo] = {}
         for part in self._parts:
-            messages = part.summary.statistics.channel_message_counts if part.summary.statistics else {}
+            messages = part.statistics.channel_message_counts
             for channel in part.summary.channels.values():
                 name = self._name(channel.topic)
                 before = counts[name].count if name in counts else 0
-                schema = part.summary.schemas.get(channel.schema_id)
-                type_name = schema.name if schema else ""
-                counts[name] = TopicInfo(type_name, before + messages.get(channel.id, 0))
+                counts[name] = TopicInfo(
+                    part.type_of(channel.schema_id), before + messages.get(channel.id, 0)
+                )
         return dict(sorted(counts.items()))
+
+    @cached_property
+    def start_ns(self) -> int:
+        """Arrival of the first message; 0 in a log without any."""
+        return min((part.message_start_time for part in self._filled), default=0)
+
+    @cached_property
+    def end_ns(self) -> int:
+        """Arrival of the last message; 0 in a log without any."""
+        return max((part.message_end_time for part in self._filled), default=0)
+
+    @property
+    def _filled(self) -> list[Statistics]:
+        return [part.statistics for part in self._parts if part.statistics.message_count]
 
     @cached_property
     def configuration(self) -> dict[str, dict[str, Any]]:
@@ -131,7 +137,7 @@ class Log:
         """Return a metadata record, empty where there is none; what was written later counts."""
         values: dict[str, str] = {}
         for part in self._parts:
-            values |= _metadata_of(part, record)
+            values |= part.metadata(record)
         return values
 
     @cached_property
@@ -139,7 +145,7 @@ class Log:
         """The logger's account by topic, over all files that were closed."""
         totals: dict[str, Counter[str]] = defaultdict(Counter)
         for part in self._parts:
-            for topic, text in _metadata_of(part, COUNTS).items():
+            for topic, text in part.metadata(COUNTS).items():
                 totals[self._name(topic)].update(json.loads(text))
         return {topic: TopicCount(**counter) for topic, counter in totals.items()}
 
@@ -169,20 +175,20 @@ class Log:
         """
         names = {topic.name if isinstance(topic, Topic) else topic for topic in topics}
         latched: set[tuple[str, int, int]] = set()  # each file opens with the latched messages again
-        for part in self._parts:
-            for logged in self._messages_of(part, names, start_ns, end_ns):
-                if is_latched(logged.topic):
-                    identity = logged.topic, logged.sequence, logged.publish_ns
-                    if identity in latched:
-                        continue
-                    latched.add(identity)
-                yield logged
+        parts = [self._messages_of(part, names, start_ns, end_ns) for part in self._parts]
+        for logged in heapq.merge(*parts, key=lambda logged: logged.log_ns):
+            if is_latched(logged.topic):
+                identity = logged.topic, logged.sequence, logged.publish_ns
+                if identity in latched:
+                    continue
+                latched.add(identity)
+            yield logged
 
     def _messages_of(
-        self, part: _Part, names: set[str], start_ns: int | None, end_ns: int | None
+        self, part: LogFile, names: set[str], start_ns: int | None, end_ns: int | None
     ) -> Iterator[Logged]:
         channels = {
-            channel.topic: self._name(channel.topic)
+            channel.topic: (self._name(channel.topic), part.type_of(channel.schema_id))
             for channel in part.summary.channels.values()
             if not names or self._name(channel.topic) in names
         }
@@ -190,18 +196,14 @@ class Log:
             return
         found = part.reader.iter_messages(list(channels), starting_at=start_ns, ending_before=end_ns)
         while True:
-            with _reading(part.path):
+            with reading(part.path):
                 item = next(found, None)
             if item is None:
                 return
-            schema, channel, message = item
+            _, channel, message = item
+            name, type_name = channels[channel.topic]
             yield Logged(
-                channels[channel.topic],
-                schema.name if schema else "",
-                message.log_time,
-                message.publish_time,
-                message.sequence,
-                message.data,
+                name, type_name, message.log_time, message.publish_time, message.sequence, message.data
             )
 
     def odometry(
@@ -224,27 +226,12 @@ class Log:
 
     @cached_property
     def _namespace(self) -> str:
+        if self._given_namespace:
+            return f"{self._given_namespace}/"
         for service in self.configuration.values():
             if namespace := service.get("bus", {}).get("namespace"):
                 return f"{namespace}/"
         return ""
-
-
-def _metadata_of(part: _Part, record: str) -> dict[str, str]:
-    values: dict[str, str] = {}
-    with _reading(part.path):
-        for item in part.reader.iter_metadata():
-            values |= item.metadata if item.name == record else {}
-    return values
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Turn what damaged bytes provoke into the error that says so."""
-    try:
-        yield
-    except _DAMAGE as error:
-        raise DamagedLogError(path, " ".join(str(error).split()) or type(error).__name__) from error
 
 
 def is_latched(name: str) -> bool:
@@ -254,28 +241,3 @@ def is_latched(name: str) -> bool:
         topic.latched and (topic.name == name or topic.name in (f"<camera>/{kind}", f"<lidar>/{kind}"))
         for topic in TOPICS
     )
-
-
-def _open_part(path: Path, stack: ExitStack) -> _Part:
-    try:
-        stream = stack.enter_context(path.open("rb"))
-        _check_ends(path, stream)
-    except OSError as error:
-        raise NoLogError(path, (error.strerror or str(error)).lower()) from error
-    with _reading(path):
-        reader = make_reader(stream, validate_crcs=True)
-        summary = reader.get_summary()
-    if summary is None:
-        raise TruncatedLogError(path)
-    return _Part(path, reader, summary)
-
-
-def _check_ends(path: Path, stream: IO[bytes]) -> None:
-    """An MCAP file begins and, once it was closed, ends with the same eight bytes."""
-    if stream.read(len(_MAGIC)) != _MAGIC:
-        raise NotMcapError(path)
-    size = stream.seek(0, 2)
-    stream.seek(max(size - len(_MAGIC), len(_MAGIC)))
-    if stream.read() != _MAGIC:
-        raise TruncatedLogError(path)
-    stream.seek(0)

@@ -22,16 +22,9 @@ from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 
 from rpod_analysis.errors import CannotWriteError, NoLogError, NotMcapError
+from rpod_analysis.log_file import RECOVERED, beside
 from rpod_analysis.recovery.salvage import DAMAGE, DamagedChunk, Found, Gap, is_mcap, scan, summary_is_whole
 from rpod_schemas.logs import PROFILE, RECOVERY, RecoveredTopic, Recovery
-
-RECOVERED = ".recovered"
-"""Before the suffix of a recovered log's name."""
-
-
-def recovered_path(source: Path) -> Path:
-    """Return where a log is recovered to unless told otherwise: ``run.recovered.mcap`` of ``run.mcap``."""
-    return source.with_name(f"{source.stem}{RECOVERED}{source.suffix}")
 
 
 def recover(source: Path, out: Path | None = None) -> Recovery:
@@ -46,7 +39,7 @@ def recover(source: Path, out: Path | None = None) -> Recovery:
         NotMcapError: nothing in it is of an MCAP file.
         CannotWriteError: the new file exists already, or the disk does not take it.
     """
-    target = out or recovered_path(source)
+    target = out or beside(source, RECOVERED)
     try:
         stream = source.open("rb")
         size = stream.seek(0, 2)

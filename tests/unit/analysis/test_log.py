@@ -146,8 +146,8 @@ def test_a_missing_file_is_named_in_one_line(tmp_path):
     assert one_line(error)
 
 
-def test_a_directory_is_no_log(tmp_path):
-    with pytest.raises(AnalysisError, match="is a directory") as error:
+def test_a_folder_without_a_log_is_named(tmp_path):
+    with pytest.raises(AnalysisError, match=r"no \.mcap file in this folder") as error:
         open_log(tmp_path)
     assert one_line(error)
 
