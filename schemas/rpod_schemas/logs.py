@@ -4,7 +4,9 @@ Values of metadata records are JSON unless said otherwise. A record may stand in
 once, early for the case that the process dies and again at the close: the last one counts.
 """
 
-from typing import Annotated
+import json
+from collections.abc import Mapping
+from typing import Annotated, Self
 
 from pydantic import Field
 
@@ -28,11 +30,17 @@ COUNTS = "counts"
 """Record of a ``TopicCount`` for each topic, by the channel's topic; only in a file that was closed."""
 RECOVERY = "recovery"
 """Record of a ``Recovery`` under ``recovery``; only in a file that was recovered from a damaged one."""
+COMPLETENESS = "completeness"
+"""Record of the fields of ``Completeness``: what a file says of itself; only in a file that was closed."""
 
 QOS_METADATA = "offered_qos_profiles"
 """Channel metadata: quality of service in rosbag2's YAML."""
 HASH_METADATA = "topic_type_hash"
 """Channel metadata: RIHS01 hash of the type, as rosbag2 names it."""
+KEY_METADATA = "key"
+"""Channel metadata of what is no known ROS topic: the key on which it was published."""
+ENCODING_METADATA = "encoding"
+"""Channel metadata of what is no known ROS topic: the encoding as the publisher named it."""
 
 Total = Annotated[int, Field(ge=0)]
 
@@ -48,8 +56,12 @@ class TopicCount(Config):
     """Latched messages from before the file, which it opens with."""
     missed: Total = 0
     """Gaps in the publishers' sequence numbers: never arrived."""
+    recovered: Total = 0
+    """Of those received: missed at first, then fetched from the publisher's cache."""
     duplicates: Total = 0
     """Arrived again, left out."""
+    rejected: Total = 0
+    """Arrived without a usable attachment, left out."""
 
     @property
     def lost(self) -> int:
@@ -94,3 +106,79 @@ class Recovery(Config):
     def whole(self) -> bool:
         """Whether nothing was lost."""
         return self.closed and not self.unreadable_bytes and not self.without_definition
+
+
+class Completeness(Config):
+    """What a file says of itself: whether all that was published while it was open is in it."""
+
+    complete: bool
+    """Nothing missed, lost or rejected, and the file was closed as it should be."""
+    reasons: tuple[str, ...] = ()
+    """What keeps it from being complete."""
+    continues: str | None = None
+    """Name of the file before, where that ends at the very message at which this one begins."""
+    clock_jumps_s: tuple[float, ...] = ()
+    """By how much the logger's clock jumped while the file was open; ``log_time`` follows it."""
+
+    def record(self) -> dict[str, str]:
+        """Return the metadata record."""
+        return {name: json.dumps(value) for name, value in self.model_dump(mode="json").items()}
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, str]) -> Self:
+        """Read the metadata record of a file; one without it was not closed. Raises ``ValueError``."""
+        if not record:
+            return cls(complete=False, reasons=("the file was not closed",))
+        return cls.model_validate({name: json.loads(text) for name, text in record.items()})
+
+    def with_reasons(self, reasons: tuple[str, ...]) -> Self:
+        """Return this statement with more reasons against."""
+        more = tuple(reason for reason in reasons if reason not in self.reasons)
+        return self.model_copy(
+            update={"complete": self.complete and not more, "reasons": self.reasons + more}
+        )
+
+
+def shortfalls(counts: Mapping[str, TopicCount], messages: Mapping[str, int]) -> tuple[str, ...]:
+    """Return what keeps a file from being complete, a sentence each; none for a complete file.
+
+    Args:
+        counts: the file's account.
+        messages: how many messages there are in the file.
+
+    Both by the channel's topic.
+    """
+    reasons = []
+    for topic in sorted({*counts, *messages}):
+        count, found = counts.get(topic, TopicCount()), messages.get(topic, 0)
+        for what, number in (
+            ("missed on the bus", count.missed),
+            ("lost in the logger", count.lost),
+            ("rejected", count.rejected),
+        ):
+            if number:
+                reasons.append(f"{topic}: {number} {what}")
+        if found != count.written + count.repeated:
+            reasons.append(f"{topic}: {found} in the file, {count.written + count.repeated} by its account")
+    return tuple(reasons)
+
+
+def check_completeness(
+    statement: Mapping[str, str], counts: Mapping[str, str], messages: Mapping[str, int]
+) -> Completeness:
+    """Hold a closed file's statement against its account and against what is in it.
+
+    Args:
+        statement: the record ``COMPLETENESS``, empty where there is none.
+        counts: the record ``COUNTS``, empty where there is none.
+        messages: how many messages there are in the file, by the channel's topic (MCAP's statistics).
+
+    Returns:
+        The statement; what contradicts it is added to its reasons, and makes it incomplete.
+
+    Raises:
+        ValueError: a record holds something else.
+    """
+    said = Completeness.of_record(statement)
+    account = {topic: TopicCount.model_validate_json(text) for topic, text in counts.items()}
+    return said.with_reasons(shortfalls(account, messages) if statement else ())

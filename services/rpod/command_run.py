@@ -41,7 +41,7 @@ def run_command(
         with Progress(quiet=as_json) as progress:
             play(scenario, folder, speed=pace, progress=progress)
             progress.say("writing the report")
-            paths = write_report([folder.log])
+            paths = write_report(folder.logs)
     except (InterruptedRunError, KeyboardInterrupt):
         return _fail("interrupted", EXIT_INTERRUPTED, folder)
     except (RunError, BusError, AnalysisError, OSError) as error:

@@ -36,6 +36,12 @@ class RunFolder:
 
     directory: Path
     log: Path
+    """Its first file."""
+
+    @property
+    def logs(self) -> list[Path]:
+        """All files of the log that are there, in the order of time; the first one where there is none."""
+        return sorted(self.directory.glob("*.mcap")) or [self.log]
 
     @classmethod
     def make(cls, out: Path, scenario: Scenario) -> Self:

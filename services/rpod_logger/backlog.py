@@ -82,6 +82,11 @@ class Backlog:
                 self.bytes -= len(item.payload) + _OVERHEAD_BYTES
             return item
 
+    def received(self) -> Counter[str]:
+        """Return the messages received until now, by topic, those too for which there was no room."""
+        with self._changed:
+            return self._received.copy()
+
     @property
     def finished(self) -> bool:
         """Whether it is closed and empty."""

@@ -3,6 +3,7 @@
 from functools import partial
 from threading import Event
 
+from rpod_logger.errors import CannotWriteError
 from rpod_logger.recorder import Recorder
 from rpod_logger.selection import Extras, patterns
 from rpod_runtime import Node, Received
@@ -22,15 +23,23 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
     ):
         services = Services(node, recorder)
         recorder.know([node.status()])
-        started = recorder.start()
+        doing = _begin(recorder)
         node.health.watch(recorder.check)
         _subscribe(node, recorder, services, extras)
         _serve(node, recorder, services)
-        node.ready(f"recording to {started.path}")
+        node.ready(doing)
         while not stop.wait(_TICK_S):
             recorder.tell_losses()
             services.ask_new()
         services.ask()
+
+
+def _begin(recorder: Recorder) -> str:
+    """Start a log; where the disk refuses live on, count what is lost, and let it be started by query."""
+    try:
+        return f"recording to {recorder.start().path}"
+    except CannotWriteError:  # logged, and in the diagnostics
+        return "not recording"
 
 
 class Services:

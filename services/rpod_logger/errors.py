@@ -1,8 +1,19 @@
 """The errors of the logger."""
 
+import errno
 from pathlib import Path
 
 from rpod_runtime.errors import RefusedError
+
+_REMEDIES = {
+    errno.ENOSPC: "make room on the disk",
+    errno.EDQUOT: "make room in the quota",
+    errno.EFBIG: "lower split_bytes or raise the limit on a file's size",
+    errno.EROFS: "make the directory writable",
+    errno.EACCES: "make the directory writable",
+    errno.EPERM: "make the directory writable",
+}
+_REMEDY = "check the disk and its mount"
 
 
 class LoggerError(RefusedError):
@@ -24,8 +35,20 @@ class NotRecordingError(LoggerError):
 
 
 class CannotWriteError(LoggerError):
-    """The disk does not take the log."""
+    """The disk does not take the log: why, what became of the file, and what to do.
 
-    def __init__(self, path: Path, error: Exception) -> None:
+    Args:
+        path: the file.
+        error: what the system said.
+        closed: whether the file could still be closed; None where there is none.
+    """
+
+    def __init__(self, path: Path, error: Exception, *, closed: bool | None = None) -> None:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        super().__init__(f"cannot write {path}: {reason}")
+        remedy = _REMEDIES.get(error.errno or 0, _REMEDY) if isinstance(error, OSError) else _REMEDY
+        became = {
+            True: "; it is closed and readable",
+            False: "; it could not be closed: 'rpod recover' makes it readable",
+            None: "",
+        }[closed]
+        super().__init__(f"cannot write {path}: {reason}{became}; {remedy}, then use start to record again")

@@ -1,5 +1,6 @@
 """The writer's thread: from the backlog into logs, one after the other."""
 
+import errno
 import logging
 import time
 from collections import Counter
@@ -7,6 +8,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from contextlib import suppress
 from datetime import UTC, datetime
+from pathlib import Path
 from threading import Thread
 from types import TracebackType
 from typing import Self
@@ -20,12 +22,16 @@ from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import LogReply, StatusReply
+from rpod_schemas.errors import Reason
 from rpod_schemas.types import Health
 
 log = logging.getLogger(__name__)
 
 _COMMAND_TIMEOUT_S = 30.0
 _IDLE_S = 0.1
+_LOSSES_PERIOD_S = 5.0
+_CLOCK_JUMP_S = 0.5
+"""More than a process is held up between reading the two clocks, and than a clock is slewed."""
 
 
 class Recorder:
@@ -43,6 +49,9 @@ class Recorder:
         self._latched: dict[tuple[str, bytes], Received] = {}
         self._services: dict[str, StatusReply] = {}
         self._lost_told = 0
+        self._next_telling_s = 0.0
+        self._split_asked = False
+        self._clock_offset_s: float | None = None
         self._thread = Thread(target=self._run, name="writer")
 
     def __enter__(self) -> Self:
@@ -77,34 +86,30 @@ class Recorder:
 
     def split(self, name: str | None = None) -> LogReply:
         """Close the log and go on in a new one; no message is in neither or both. Raises ``LoggerError``."""
-
-        def close_and_open(received: Counter[str]) -> LogReply:
-            self._close(received)
-            return self._open(name, received)
-
-        return self._do(close_and_open)
+        return self._do(lambda received: self._renew(name, received))
 
     def check(self) -> tuple[Health, str]:
         """Return health: what was lost or missed is an error for as long as the process lives."""
         self._health.put("queue/bytes", self._backlog.bytes)
         self._health.put("queue/high_water_bytes", self._backlog.high_water_bytes)
+        self._health.put("queue/capacity_bytes", self._backlog.capacity_bytes)
         recording, doing = self._recording, "not recording"
         if recording is not None:
             doing = f"recording {recording.file.messages} messages to {recording.file.path.name}"
-        if self._failure:
-            return Health.ERROR, str(self._failure)
+        elif self._failure:
+            doing = str(self._failure)
         lost, missed = self._lost(), self._totals(Counter()).missed.total()
         if lost or missed:
             return Health.ERROR, f"{doing}; {lost} lost here, {missed} missed on the bus"
-        return Health.OK, doing
+        return (Health.ERROR if self._failure else Health.OK), doing
 
     def tell_losses(self) -> None:
-        """Log the messages that were lost since the last call."""
+        """Log the messages that were lost since it was last told, now and then."""
         lost = self._lost()
-        if lost > self._lost_told:
-            full = f"the queue of {self._config.queue_bytes >> 20} MiB is full"
+        if lost > self._lost_told and time.monotonic() >= self._next_telling_s:
+            full = f"the queue of {self._config.queue_bytes >> 20} MiB is full: the disk is too slow"
             log.error("lost %d messages: %s", lost - self._lost_told, self._failure or full)
-            self._lost_told = lost
+            self._lost_told, self._next_telling_s = lost, time.monotonic() + _LOSSES_PERIOD_S
 
     def _lost(self) -> int:
         counters = self._health.counters()
@@ -134,34 +139,73 @@ class Recorder:
             elif item is not None:
                 self._write(item)
             if time.monotonic() >= next_sync_s:
-                self._attempt(lambda recording: recording.file.sync())
+                self._sync()
                 next_sync_s = time.monotonic() + self._config.sync_interval_s
 
     def _write(self, received: Received) -> None:
         if received.topic.latched:
             self._latched[received.key, received.attachment.gid] = received
+        self._watch_clock(received)
         if self._attempt(lambda recording: recording.write(received)):
             self._health.count(f"written/{received.topic.name}")
+            self._tend()
         elif self._failure:
             self._health.count(f"lost/{received.topic.name}")
+
+    def _sync(self) -> None:
+        if self._attempt(lambda recording: recording.file.sync()):
+            self._tend()
+        if self._recording is not None and self._recording.file.vanished:
+            self._end_early(
+                self._recording, OSError(errno.ENOENT, "the file has vanished from its directory")
+            )
+
+    def _tend(self) -> None:
+        """End a file for which there is no more room, or split one that is large or old enough."""
+        recording, config = self._recording, self._config
+        if recording is None:
+            return
+        if recording.file.full:
+            self._end_early(recording, OSError(errno.ENOSPC, "the disk is full"))
+        elif not self._split_asked and (
+            recording.file.size_bytes >= config.split_bytes
+            or (config.split_interval_s and recording.age_s >= config.split_interval_s)
+        ):
+            self._split_asked = self._backlog.command(self._split)
+
+    def _watch_clock(self, received: Received) -> None:
+        offset_s = received.arrival_ns * 1e-9 - received.arrival_s
+        jump_s = 0.0 if self._clock_offset_s is None else offset_s - self._clock_offset_s
+        self._clock_offset_s = offset_s
+        if abs(jump_s) > _CLOCK_JUMP_S:
+            log.warning("this machine's clock jumped by %+.3f s; the log's times follow it", jump_s)
+            self._health.count("clock/jumps")
+            self._attempt(lambda recording: recording.note_clock_jump(jump_s))
 
     def _know(self, statuses: list[StatusReply]) -> None:
         self._services |= {status.name: status for status in statuses}
         self._attempt(lambda recording: recording.describe(self._services, self._version))
 
-    def _open(self, name: str | None, received: Counter[str]) -> LogReply:
+    # --- files ---
+
+    def _open(self, name: str | None, received: Counter[str], *, continues: str | None = None) -> LogReply:
         if self._recording is not None:
             raise AlreadyRecordingError(self._recording.file.path)
         self._stem = name or self._stem
+        config = self._config
         settings = WriterSettings(
-            self._config.bus.keys, f"rpod {self._version}", self._config.compression, self._config.chunk_bytes
+            config.bus.keys,
+            f"rpod {self._version}",
+            config.compression,
+            config.chunk_bytes,
+            config.reserve_bytes,
         )
         try:
-            file = create_log(self._config.directory, self._stem, settings)
+            file = create_log(config.directory, self._stem, settings)
         except OSError as error:
-            raise CannotWriteError(self._config.directory / f"{self._stem}.mcap", error) from error
+            raise self._fail(CannotWriteError(config.directory / f"{self._stem}.mcap", error)) from error
         self._failure = None
-        recording = self._recording = Recording(file, self._totals(received))
+        recording = self._recording = Recording(file, self._totals(received), continues=continues)
         self._attempt(lambda recording: recording.describe(self._services, self._version))
         self._attempt(lambda recording: recording.repeat(self._latched.values()))
         if self._failure:
@@ -181,9 +225,29 @@ class Recorder:
         log.info("closed %s: %d messages", recording.file.path, recording.file.messages)
         return _reply(recording)
 
+    def _renew(self, name: str | None, received: Counter[str]) -> LogReply:
+        before = self._close(received)
+        return self._open(name, received, continues=Path(before.path).name)
+
+    def _split(self, received: Counter[str]) -> None:
+        self._split_asked = False
+        with suppress(LoggerError):  # logged where it happened
+            self._renew(None, received)
+
     def _finish(self, received: Counter[str]) -> None:
         with suppress(LoggerError):  # logged where it happened
             self._close(received)
+
+    def _end_early(self, recording: Recording, error: OSError) -> None:
+        """Close the log as far as the disk lets it."""
+        closed_at = self._totals(self._backlog.received())
+        try:
+            recording.close(closed_at, self._config.bus.keys, reasons=(str(error.strerror),))
+        except OSError:
+            self._abandon(recording, error)
+        else:
+            self._recording = None
+            self._fail(CannotWriteError(recording.file.path, error, closed=True))
 
     def _attempt(self, work: Callable[[Recording], None]) -> bool:
         """Work on the open log; return whether there is one that took it. What fails is given up."""
@@ -192,20 +256,38 @@ class Recorder:
         try:
             work(self._recording)
         except Exception as error:  # noqa: BLE001 - whatever it is, the daemon lives on and says so
-            self._failure = CannotWriteError(self._recording.file.path, error)
-            log.error("%s", self._failure)
-            self._health.report(Health.ERROR, str(self._failure))
-            self._recording.file.abandon()
-            self._recording = None
+            self._abandon(self._recording, error)
             return False
         return True
+
+    def _abandon(self, recording: Recording, error: Exception) -> None:
+        """Leave the log as it is; what waited for its chunk is lost."""
+        recording.file.abandon()
+        self._recording = None
+        for topic, messages in recording.file.pending.items():
+            self._health.count(f"written/{topic}", -messages)
+            self._health.count(f"lost/{topic}", messages)
+        self._fail(CannotWriteError(recording.file.path, error, closed=False))
+
+    def _fail(self, failure: CannotWriteError) -> CannotWriteError:
+        """Say so, and count what comes from now on as lost."""
+        self._failure = failure
+        log.error("%s", failure)
+        self._health.report(Health.ERROR, str(failure))
+        return failure
 
     def _totals(self, received: Counter[str]) -> Totals:
         totals = Totals(received)
         for key, count in list(self._account.counts.items()):
-            topic = self._config.bus.keys.topic_of(key)
+            topic = self._config.bus.keys.topic_at(key).name
             totals.missed[topic] += count.missed
+            totals.recovered[topic] += count.recovered
             totals.duplicates[topic] += count.duplicates
+        for name, number in self._health.counters().items():
+            kind, _, rest = name.partition("/")
+            topic, _, reason = rest.rpartition("/")
+            if kind == "rejected" and reason != Reason.DUPLICATE:
+                totals.rejected[topic] += number
         return totals
 
 

@@ -1,14 +1,25 @@
 """One log in the making: the file, what it opens with, and the account that it closes with."""
 
 import json
+import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Self
 
 from rpod_logger.writer import LogFile, channel_topic
 from rpod_runtime import Received
 from rpod_schemas.control import StatusReply
-from rpod_schemas.logs import CONFIGURATION, COUNTS, SOFTWARE, STATUS, TopicCount
+from rpod_schemas.logs import (
+    COMPLETENESS,
+    CONFIGURATION,
+    COUNTS,
+    SOFTWARE,
+    STATUS,
+    Completeness,
+    TopicCount,
+    shortfalls,
+)
 from rpod_schemas.topics import Namespace
 
 
@@ -18,17 +29,42 @@ class Totals:
 
     received: Counter[str] = field(default_factory=Counter)
     missed: Counter[str] = field(default_factory=Counter)
+    recovered: Counter[str] = field(default_factory=Counter)
     duplicates: Counter[str] = field(default_factory=Counter)
+    rejected: Counter[str] = field(default_factory=Counter)
+
+    def since(self, before: Self) -> Self:
+        """Return what was added."""
+        return type(self)(
+            **{each.name: getattr(self, each.name) - getattr(before, each.name) for each in fields(self)}
+        )
+
+    def of(self, topic: str) -> dict[str, int]:
+        """Return the totals of one topic, by name."""
+        return {each.name: getattr(self, each.name)[topic] for each in fields(self)}
+
+    @property
+    def topics(self) -> set[str]:
+        """Topics of which anything was counted."""
+        return {topic for each in fields(self) for topic in getattr(self, each.name)}
 
 
 class Recording:
     """An open log. What the disk refuses is raised as ``OSError``."""
 
-    def __init__(self, file: LogFile, opened_at: Totals) -> None:
+    def __init__(self, file: LogFile, opened_at: Totals, *, continues: str | None = None) -> None:
         self.file = file
         self._opened_at = opened_at
+        self._opened_s = time.monotonic()
+        self._continues = continues
         self._written: Counter[str] = Counter()
         self._repeated: Counter[str] = Counter()
+        self._clock_jumps_s: list[float] = []
+
+    @property
+    def age_s(self) -> float:
+        """How long it has been open, whatever the clock says."""
+        return time.monotonic() - self._opened_s
 
     def write(self, received: Received) -> None:
         """Append a message."""
@@ -54,26 +90,37 @@ class Recording:
             {name: status.model_dump_json(exclude={"configuration"}) for name, status in services.items()},
         )
 
+    def note_clock_jump(self, jump_s: float) -> None:
+        """Remember that this machine's clock jumped."""
+        self._clock_jumps_s.append(round(jump_s, 3))
+
     def counts(self, closed_at: Totals) -> dict[str, TopicCount]:
         """Return what became of each topic's messages since the log was opened."""
-        received = closed_at.received - self._opened_at.received
-        missed = closed_at.missed - self._opened_at.missed
-        duplicates = closed_at.duplicates - self._opened_at.duplicates
+        totals = closed_at.since(self._opened_at)
         return {
-            name: TopicCount(
-                received=received[name],
-                written=self._written[name],
-                repeated=self._repeated[name],
-                missed=missed[name],
-                duplicates=duplicates[name],
+            topic: TopicCount(
+                **totals.of(topic), written=self._written[topic], repeated=self._repeated[topic]
             )
-            for name in sorted({*received, *missed, *duplicates, *self._repeated})
+            for topic in sorted({*totals.topics, *self._written, *self._repeated})
         }
 
-    def close(self, closed_at: Totals, keys: Namespace) -> None:
-        """Add the counts and finish the file."""
-        counts = self.counts(closed_at)
-        self.file.add_metadata(
-            COUNTS, {channel_topic(keys, name): count.model_dump_json() for name, count in counts.items()}
+    def close(self, closed_at: Totals, keys: Namespace, *, reasons: tuple[str, ...] = ()) -> None:
+        """Add the account and the statement of completeness, and finish the file.
+
+        Args:
+            closed_at: the totals of this moment.
+            keys: where in the key space the facility lives.
+            reasons: why the file is not complete, beside what the account tells.
+        """
+        counts = {channel_topic(keys, name): count for name, count in self.counts(closed_at).items()}
+        written = {topic: count.written + count.repeated for topic, count in counts.items()}
+        reasons += shortfalls(counts, written)
+        statement = Completeness(
+            complete=not reasons,
+            reasons=reasons,
+            continues=self._continues,
+            clock_jumps_s=tuple(self._clock_jumps_s),
         )
+        self.file.add_metadata(COUNTS, {topic: count.model_dump_json() for topic, count in counts.items()})
+        self.file.add_metadata(COMPLETENESS, statement.record())
         self.file.close()

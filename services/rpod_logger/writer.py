@@ -3,7 +3,8 @@
 Knows neither bus nor threads.
 """
 
-import os
+import re
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
@@ -13,10 +14,13 @@ from typing import Literal
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from rpod_logger.disk import DiskFile
 from rpod_runtime import Received
 from rpod_schemas.cdr import definition
 from rpod_schemas.logs import (
+    ENCODING_METADATA,
     HASH_METADATA,
+    KEY_METADATA,
     MESSAGE_ENCODING,
     OPAQUE,
     OPAQUE_ENCODING,
@@ -43,6 +47,8 @@ class WriterSettings:
     """Software and version, for the file's header."""
     compression: Compression = "lz4"
     chunk_bytes: int = 1 << 20
+    reserve_bytes: int = 16 << 20
+    """Room that is kept on the disk for closing the file."""
 
 
 class LogFile:
@@ -54,17 +60,34 @@ class LogFile:
         self.bytes = 0
         """Of payload."""
         self._settings = settings
-        self._stream = path.open("xb")
+        self._disk = DiskFile(path, reserve_bytes=settings.reserve_bytes)
         self._writer = Writer(
-            self._stream,
+            self._disk,  # type: ignore[arg-type]  # write, tell and flush are what it calls
             chunk_size=settings.chunk_bytes,
             compression=CompressionType[settings.compression.upper()],
         )
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._chunk_bytes = 0
+        self.pending: Counter[str] = Counter()
+        """Messages in the open chunk, by topic: not in the file yet."""
         self._dirty = True
         self._writer.start(profile=PROFILE, library=settings.library)
+
+    @property
+    def size_bytes(self) -> int:
+        """Of the file, without the open chunk."""
+        return self._disk.tell()
+
+    @property
+    def full(self) -> bool:
+        """Whether the disk is full: there is room left to close the file, for no more messages."""
+        return self._disk.full
+
+    @property
+    def vanished(self) -> bool:
+        """Whether the file is no longer to be found under its name."""
+        return self._disk.vanished
 
     def write(self, received: Received) -> None:
         """Append a message; its chunk stays open. Raises ``OSError`` where the disk does not take it."""
@@ -77,14 +100,15 @@ class LogFile:
         stamp_ns = received.attachment.stamp_ns
         self._writer.add_message(
             channel,
-            log_time=received.arrival_ns,
+            log_time=max(received.arrival_ns, 0),
             data=received.payload,  # type: ignore[arg-type]  # written as it is, never copied
-            publish_time=stamp_ns if stamp_ns > 0 else received.arrival_ns,
+            publish_time=stamp_ns if stamp_ns > 0 else max(received.arrival_ns, 0),
             sequence=received.attachment.sequence & _SEQUENCE_MASK,
         )
         self.messages += 1
         self.bytes += len(received.payload)
         self._chunk_bytes += size
+        self.pending[received.topic.name] += 1
         self._dirty = True
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
@@ -96,33 +120,35 @@ class LogFile:
         """Bring everything so far, the open chunk too, to the disk."""
         if self._dirty:
             self._flush()
-            os.fsync(self._stream.fileno())
+            self._disk.sync()
             self._dirty = False
 
     def close(self) -> None:
         """Finish the file: index, statistics, footer."""
+        self._flush()
         self._writer.finish()  # type: ignore[no-untyped-call]
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-        self._stream.close()
+        self._disk.sync()
+        self._disk.close()
 
     def abandon(self) -> None:
-        """Close the file as it is, after the disk failed; what was synced is there to be recovered."""
+        """Leave the file as it is, after the disk failed: it ends behind the last whole record."""
         with suppress(OSError):
-            self._stream.close()
+            self._disk.close()
 
     def _flush(self) -> None:
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._chunk_bytes = 0
+        self.pending.clear()
 
     def _register(self, received: Received) -> int:
         topic = received.topic
-        metadata = {QOS_METADATA: qos_profile(topic), HASH_METADATA: received.key.rsplit("/", 1)[-1]}
+        ros = {QOS_METADATA: qos_profile(topic), HASH_METADATA: received.key.rsplit("/", 1)[-1]}
+        opaque = {KEY_METADATA: received.key, ENCODING_METADATA: received.encoding}
         return self._writer.register_channel(
             channel_topic(self._settings.keys, topic.name),
             MESSAGE_ENCODING if topic.type else OPAQUE_ENCODING,
             self._schema(topic.type),
-            metadata if topic.type else {},
+            ros if topic.type else opaque,
         )
 
     def _schema(self, type_name: str) -> int:
@@ -135,17 +161,26 @@ class LogFile:
 
 
 def create_log(directory: Path, stem: str, settings: WriterSettings) -> LogFile:
-    """Create ``<stem>.mcap``, or ``<stem>-2.mcap`` and so on where that exists; never overwrites.
+    """Create ``<stem>.mcap``, or ``<stem>_0002.mcap`` and so on where there are earlier ones.
+
+    Never overwrites, and names a file so that it sorts behind all earlier ones, whatever the clock says.
 
     Raises:
         OSError: the directory or the file cannot be made.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    for number in count(1):
-        path = directory / (f"{stem}.mcap" if number == 1 else f"{stem}-{number}.mcap")
+    for number in count(_last_number(directory, stem) + 1):
+        path = directory / (f"{stem}.mcap" if number == 1 else f"{stem}_{number:04d}.mcap")
         with suppress(FileExistsError):
             return LogFile(path, settings)
     raise AssertionError("unreachable")
+
+
+def _last_number(directory: Path, stem: str) -> int:
+    """Return the highest number in use, 1 for the bare name, 0 for none."""
+    form = re.compile(rf"{re.escape(stem)}(?:_(\d{{4,}}))?\.mcap")
+    names = (form.fullmatch(path.name) for path in directory.iterdir())
+    return max((int(name[1] or 1) for name in names if name), default=0)
 
 
 def channel_topic(keys: Namespace, name: str) -> str:

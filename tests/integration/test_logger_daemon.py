@@ -160,11 +160,11 @@ def test_split_stop_and_start_by_query(bus, tmp_path):
     assert [Path(reply.path).name for reply in (split, closed, started)] == [
         "second.mcap",
         "second.mcap",
-        "second-2.mcap",
+        "second_0002.mcap",
     ]
     assert sequences(tmp_path / "run.mcap", "/clock") == [1, 2, 3, 4, 5]
     assert sequences(tmp_path / "second.mcap", "/clock") == [6, 7, 8]
-    for name in ("second.mcap", "second-2.mcap"):
+    for name in ("second.mcap", "second_0002.mcap"):
         with (tmp_path / name).open("rb") as stream:
             first = [c.topic for _, c, _ in make_reader(stream).iter_messages(log_time_order=False)][:2]
         assert sorted(first) == ["/pmd/info", "/tf_static"]

@@ -1,8 +1,12 @@
 """Messages as they come off the wire, without a wire."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
 
 import pytest
+from logger_desk import Desk
 
 from rpod_runtime import Received
 from rpod_schemas.cdr import encode
@@ -37,3 +41,16 @@ def arrive() -> Arrive:
         return Received(topic, key, memoryview(data), Attachment(number, stamp_ns, gid), stamp_ns + 500)
 
     return make
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
+    """Return a maker of recorders that end with the test: settings, optionally the directory."""
+    with ExitStack() as stack:
+
+        def make(directory: Path = tmp_path, **settings: Any) -> Desk:
+            desk = Desk(directory, **settings)
+            stack.enter_context(desk.recorder)
+            return desk
+
+        yield make

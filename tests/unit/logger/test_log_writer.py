@@ -92,7 +92,7 @@ def test_an_existing_file_is_never_overwritten(tmp_path, arrive):
         log.write(arrive(CLOCK, number))
         log.close()
         paths.append(log.path.name)
-    assert paths == ["run.mcap", "run-2.mcap", "run-3.mcap"]
+    assert paths == ["run.mcap", "run_0002.mcap", "run_0003.mcap"]
     for number, name in enumerate(paths, start=1):
         with (tmp_path / "deep" / name).open("rb") as stream:
             assert [m.sequence for _, _, m in make_reader(stream).iter_messages()] == [number]

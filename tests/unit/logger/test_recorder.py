@@ -1,70 +1,23 @@
 """The recorder without a bus: files, counts, commands, and a disk that fails."""
 
-import errno
 import json
 import threading
-from contextlib import ExitStack
+from dataclasses import replace
+from errno import EIO
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
+from logger_desk import Desk, completeness, counts, metadata, read, until
 
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, NotRecordingError
-from rpod_logger.recorder import Recorder
 from rpod_logger.writer import LogFile
-from rpod_runtime.accounting import SequenceAccount
-from rpod_runtime.health import HealthBook
-from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import StatusReply
-from rpod_schemas.logs import TopicCount
+from rpod_schemas.errors import Reason
+from rpod_schemas.logs import Completeness, TopicCount
 from rpod_schemas.topics import CLOCK, TF_STATIC, Topic
 from rpod_schemas.types import Health
 
 BIG = Topic("lab/big", "")
-
-
-class Desk:
-    """A recorder with its health and account, as the daemon would have them."""
-
-    def __init__(self, directory: Path, **settings: object) -> None:
-        self.health = HealthBook("logger")
-        self.account = SequenceAccount()
-        config = LoggerConfig(directory=directory, name="run", **settings)
-        self.recorder = Recorder(config, version="1.2.3", health=self.health, account=self.account)
-
-    def put(self, received) -> None:
-        self.account.take(received.key, received.attachment)
-        self.recorder.put(received)
-
-
-@pytest.fixture
-def desk(tmp_path):
-    with ExitStack() as stack:
-
-        def open_desk(**settings: object) -> Desk:
-            desk = Desk(tmp_path, **settings)
-            stack.enter_context(desk.recorder)
-            return desk
-
-        yield open_desk
-
-
-def read(path: Path | str) -> list[tuple[str, int]]:
-    with Path(path).open("rb") as stream:
-        return [
-            (channel.topic, message.sequence)
-            for _, channel, message in make_reader(stream).iter_messages(log_time_order=False)
-        ]
-
-
-def metadata(path: Path | str, name: str) -> dict[str, str]:
-    with Path(path).open("rb") as stream:
-        found = [item.metadata for item in make_reader(stream).iter_metadata() if item.name == name]
-    return found[-1] if found else {}
-
-
-def counts(path: Path | str) -> dict[str, TopicCount]:
-    return {topic: TopicCount.model_validate_json(text) for topic, text in metadata(path, "counts").items()}
 
 
 def test_counts_tell_what_was_received_written_missed_and_doubled(desk, arrive):
@@ -78,6 +31,81 @@ def test_counts_tell_what_was_received_written_missed_and_doubled(desk, arrive):
     assert closed.messages == len(read(closed.path)) == 4
 
 
+def test_a_file_that_lacks_nothing_says_so_and_what_it_continues(desk, arrive):
+    one = desk()
+    first = one.recorder.start()
+    one.put(arrive(CLOCK, 1))
+    second = one.recorder.split()
+    one.put(arrive(CLOCK, 2))
+    one.recorder.stop()
+    third = one.recorder.start()
+    one.put(arrive(CLOCK, 4))
+    one.recorder.stop()
+    assert completeness(first.path) == Completeness(complete=True)
+    assert completeness(second.path) == Completeness(complete=True, continues="run.mcap")
+    assert completeness(third.path) == Completeness(complete=False, reasons=("/clock: 1 missed on the bus",))
+
+
+def test_what_was_recovered_and_what_was_rejected_is_told(desk, arrive):
+    one = desk()
+    log = one.recorder.start()
+    for number, fetched in ((1, False), (2, True)):
+        message = arrive(CLOCK, number)
+        one.account.take(message.key, message.attachment, fetched=fetched)
+        one.recorder.put(message)
+    one.health.reject("pmd/info", Reason.MALFORMED)
+    one.health.reject("pmd/info", Reason.DUPLICATE)
+    one.recorder.stop()
+    assert counts(log.path) == {
+        "/clock": TopicCount(received=2, written=2, recovered=1),
+        "/pmd/info": TopicCount(rejected=1),
+    }
+    assert completeness(log.path).reasons == ("/pmd/info: 1 rejected",)
+
+
+def test_a_large_file_gives_way_to_the_next_and_nothing_is_lost_between(desk, arrive, tmp_path):
+    one = desk(split_bytes=1 << 16, chunk_bytes=1 << 13, compression="none")
+    one.recorder.start()
+    for number in range(1, 201):
+        one.put(arrive(BIG, number, payload=bytes(5_000)))
+        until(lambda number=number: one.counter("written/lab/big") == number)
+    one.recorder.stop()
+    paths = sorted(tmp_path.iterdir())
+    assert len(paths) >= 10
+    assert [number for path in paths for _, number in read(path)] == list(range(1, 201))
+    assert all(path.stat().st_size < 90_000 for path in paths)
+    said = [completeness(path) for path in paths]
+    assert all(statement.complete for statement in said)
+    assert [statement.continues for statement in said] == [None, *(path.name for path in paths[:-1])]
+
+
+def test_an_old_file_gives_way_to_the_next(desk, arrive, tmp_path):
+    one = desk(split_interval_s=0.05)
+    one.recorder.start()
+    number = 0
+    while len(list(tmp_path.iterdir())) < 3:
+        number += 1
+        one.put(arrive(CLOCK, number))
+        until(lambda number=number: one.counter("written/clock") == number)
+    one.recorder.stop()
+    paths = sorted(tmp_path.iterdir())
+    assert [sequence for path in paths for _, sequence in read(path)] == list(range(1, number + 1))
+
+
+def test_a_clock_that_jumps_is_told_and_nothing_is_lost(desk, arrive, caplog):
+    one = desk()
+    log = one.recorder.start()
+    for number, jump_s in ((1, 0), (2, 0), (3, -3600), (4, -3600)):
+        message = arrive(CLOCK, number)
+        at_s = message.arrival_ns * 1e-9  # so that both clocks agree but for the jump
+        one.put(replace(message, arrival_s=at_s, arrival_ns=message.arrival_ns + jump_s * 10**9))
+    one.recorder.stop()
+    assert read(log.path) == [("/clock", number) for number in (1, 2, 3, 4)]
+    assert completeness(log.path) == Completeness(complete=True, clock_jumps_s=(-3600.0,))
+    assert one.counter("clock/jumps") == 1
+    assert "jumped by -3600.000 s" in caplog.text
+
+
 def test_a_split_loses_and_doubles_nothing_and_counts_each_file_for_itself(desk, arrive):
     one = desk()
     first = one.recorder.start()
@@ -87,7 +115,7 @@ def test_a_split_loses_and_doubles_nothing_and_counts_each_file_for_itself(desk,
     for number in range(8, 12):
         one.put(arrive(CLOCK, number))
     one.recorder.stop()
-    assert Path(second.path).name == "run-2.mcap"
+    assert Path(second.path).name == "run_0002.mcap"
     assert read(first.path) == [("/clock", number) for number in range(1, 8)]
     assert read(second.path) == [("/clock", number) for number in range(8, 12)]
     assert [counts(log.path)["/clock"].received for log in (first, second)] == [7, 4]
@@ -145,35 +173,9 @@ def test_what_does_not_fit_is_lost_loudly_and_counted(desk, arrive, monkeypatch,
     assert 900_000 < one.health.counters()["queue/high_water_bytes"] <= 1 << 20
 
 
-def test_a_full_disk_is_an_error_and_a_new_log_can_be_started_later(desk, arrive, monkeypatch, caplog):
-    one = desk()
-    first = one.recorder.start()
-    one.put(arrive(CLOCK, 1))
-    write = LogFile.write
-
-    def full(self, received):
-        if received.attachment.sequence in (2, 3):
-            raise OSError(errno.ENOSPC, "No space left on device")
-        write(self, received)
-
-    monkeypatch.setattr(LogFile, "write", full)
-    one.put(arrive(CLOCK, 2))
-    one.put(arrive(CLOCK, 3))
-    with pytest.raises(NotRecordingError):
-        one.recorder.stop()
-    assert one.recorder.check() == (Health.ERROR, f"cannot write {first.path}: No space left on device")
-    assert one.health.counters()["lost/clock"] == 2
-    second = one.recorder.start()
-    one.put(arrive(CLOCK, 4))
-    one.recorder.stop()
-    assert read(second.path) == [("/clock", 4)]
-    assert one.recorder.check() == (Health.ERROR, "not recording; 2 lost here, 0 missed on the bus")
-    assert [record.levelname for record in caplog.records] == ["ERROR"]
-
-
 def test_a_failing_close_is_told_to_who_asked(desk, arrive, monkeypatch):
     def fail(_):
-        raise OSError(errno.EIO, "Input/output error")
+        raise OSError(EIO, "Input/output error")
 
     monkeypatch.setattr(LogFile, "close", fail)
     one = desk()

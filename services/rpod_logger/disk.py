@@ -1,0 +1,104 @@
+"""The file under a log: every write goes through to the disk or leaves no trace.
+
+Room for the end of the file is kept in a second, nameless file, which the system takes away with the
+process. When the disk is full it is given up: so the log can still be closed.
+"""
+
+import errno
+import os
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+class DiskFile:
+    """A new file that grows at its end. Never overwrites one.
+
+    Raises:
+        OSError: the file cannot be made, or the disk has no room for it and its reserve.
+    """
+
+    def __init__(self, path: Path, *, reserve_bytes: int) -> None:
+        self.path = path
+        self.full = False
+        """Whether the disk had no room any more; the reserve is then in use."""
+        self._reserve: IO[bytes] | None = _allocate(path.parent, reserve_bytes)
+        try:
+            self._stream = path.open("xb", buffering=0)
+        except OSError:
+            self._reserve.close()
+            raise
+        self._size = 0
+        _sync_directory(path.parent)
+
+    def write(self, data: bytes) -> int:
+        """Append everything; what was appended in part is cut off again before ``OSError`` is raised."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._append(rest) :]
+        except OSError:
+            with suppress(OSError):
+                self._stream.truncate(self._size)
+            raise
+        self._size += len(data)
+        return len(data)
+
+    def _append(self, data: memoryview) -> int:
+        try:
+            return self._stream.write(data)
+        except OSError as error:
+            if error.errno not in _FULL or self._reserve is None:
+                raise
+        self.full = True
+        self._reserve.close()
+        self._reserve = None
+        return self._stream.write(data)
+
+    def tell(self) -> int:
+        """Return the size."""
+        return self._size
+
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
+
+    def sync(self) -> None:
+        """Bring it to the disk."""
+        os.fsync(self._stream.fileno())
+
+    @property
+    def vanished(self) -> bool:
+        """Whether what is written is no longer to be found under its name: deleted, or its mount is gone."""
+        try:
+            found = self.path.stat()
+        except OSError:
+            return True
+        return not os.path.samestat(found, os.fstat(self._stream.fileno()))
+
+    def close(self) -> None:
+        """Close it, and give up the reserve."""
+        if self._reserve is not None:
+            self._reserve.close()
+        self._stream.close()
+
+
+def _allocate(directory: Path, size: int) -> IO[bytes]:
+    file: IO[bytes] = TemporaryFile(dir=directory, buffering=0)  # noqa: SIM115 - as long as the log
+    try:
+        os.posix_fallocate(file.fileno(), 0, size)
+    except OSError:
+        file.close()
+        raise
+    return file
+
+
+def _sync_directory(directory: Path) -> None:
+    """Make a new name survive a power failure."""
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
