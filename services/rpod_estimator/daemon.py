@@ -1,27 +1,15 @@
-"""The estimator daemon: a thin shell of bus and clock around the navigator."""
+"""The estimator daemon: a thin shell of bus and clock around the estimator."""
 
-import logging
-from dataclasses import replace
-from queue import Empty, SimpleQueue
 from threading import Event
 
-from rpod_estimator.inputs import Arrived, Inputs
-from rpod_estimator.measurement import Tick
-from rpod_estimator.methods import configured_pattern, lidar_methods, pmd_methods, warm_up
-from rpod_estimator.navigator import Navigator, NavigatorState, Output
+from rpod_estimator.estimator import TICK_S, Estimator
+from rpod_estimator.inputs import Inputs
 from rpod_estimator.outputs import Outputs
-from rpod_estimator.ports import Methods
 from rpod_runtime import Node
-from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, SensorInput
-from rpod_schemas.control import Accepted, ResetRequest
-from rpod_schemas.errors import ConfigurationError
-from rpod_schemas.topics import CHASER
-from rpod_schemas.types import EstimatorStatus, Health, Mode
-from rpod_target import Target, load_target
-
-log = logging.getLogger(__name__)
-
-_TICK_S = 0.1
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.control import ResetRequest
+from rpod_schemas.types import Health, Mode
+from rpod_target import load_target
 
 
 def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
@@ -34,8 +22,8 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
         node.serve("reset", ResetRequest, estimator.request_reset)
         node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
         while not stop.is_set():
-            arrived = inputs.newest(_TICK_S)
-            estimator.use_patterns(inputs)
+            arrived = inputs.newest(TICK_S)
+            estimator.use_patterns(inputs.patterns)
             if arrived is not None:
                 outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)
             outputs.publish(estimator.tick(node.clock.now_ns()))
@@ -43,112 +31,3 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
             node.health.report(level, estimator.mode.name.lower())
         for arrived in inputs.rest():  # no frame goes without an answer or a count
             outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)
-
-
-class Estimator:
-    """Navigator and state, between the frames."""
-
-    def __init__(self, config: EstimatorConfig, target: Target) -> None:
-        self._config, self._target = config, target
-        self._sensors = {sensor.name: sensor for sensor in config.sensors}
-        self._patterns = {name: configured_pattern(sensor) for name, sensor in self._sensors.items()}
-        self._methods: dict[str, Methods] = {}
-        for sensor in config.sensors:
-            self._build(sensor)
-        self._navigator = Navigator(
-            config,
-            self._methods,
-            centre_of_mass_m=target.centre_of_mass_m,
-            alike=target.turns(exact=True),
-        )
-        self._state: NavigatorState = self._navigator.start(config.initial_pose)
-        self._resets: SimpleQueue[ResetRequest] = SimpleQueue()
-
-    @property
-    def mode(self) -> Mode:
-        """State of the navigator."""
-        return self._state.mode
-
-    def _build(self, sensor: SensorInput) -> None:
-        """Build a sensor's methods and load their compiled code; a LIDAR's only once its pattern is known."""
-        pattern = self._patterns[sensor.name]
-        if isinstance(sensor, LidarInput):
-            if pattern is None:
-                return
-            self._methods[sensor.name] = lidar_methods(sensor, self._target, pattern)
-        else:
-            self._methods[sensor.name] = pmd_methods(sensor, self._target)
-        warm_up(self._methods[sensor.name], self._target, pattern)
-
-    def use_patterns(self, inputs: Inputs) -> None:
-        """Build a LIDAR's methods anew where its latched info tells another scan pattern."""
-        for name, pattern in inputs.patterns.items():
-            known = self._patterns[name]
-            if known is None or not known.equals(pattern):
-                log.info(
-                    "scan pattern of %s: %d x %d", name, pattern.elevation_rad.size, pattern.azimuth_rad.size
-                )
-                self._patterns[name] = pattern
-                self._build(self._sensors[name])
-
-    def request_reset(self, request: ResetRequest) -> Accepted:
-        """Begin anew with the next frame, from nothing or from a given pose."""
-        if request.pose is not None and request.frame_id != CHASER:
-            raise ConfigurationError(
-                "reset", "frame_id", f"{request.frame_id!r}: poses are taken in {CHASER!r}"
-            )
-        self._resets.put(request)
-        return Accepted()
-
-    def _take_resets(self) -> None:
-        while True:
-            try:
-                request = self._resets.get_nowait()
-            except Empty:
-                return
-            log.info("reset %s", "to a given pose" if request.pose is not None else "to nothing")
-            begun = self._navigator.start(
-                request.pose, covariance=request.covariance, stamp_ns=request.stamp_ns
-            )
-            self._state = replace(begun, shown_ns=self._state.shown_ns)
-
-    def process(self, arrived: Arrived) -> Output:
-        """Return what becomes of a frame."""
-        self._take_resets()
-        if arrived.measurement is None:
-            return self._rejected(arrived, arrived.reason)
-        if arrived.sensor not in self._methods:
-            return self._rejected(arrived, "no scan pattern: neither lidar info nor configuration tells it")
-        before = self._state.mode
-        self._state, output = self._navigator.step(self._state, arrived.measurement)
-        self._log_change(before, output)
-        return output
-
-    def tick(self, now_ns: int) -> Output | None:
-        """Let time pass without a frame."""
-        self._take_resets()
-        before = self._state.mode
-        self._state, output = self._navigator.step(self._state, Tick(now_ns))
-        if output is None or before == self._state.mode:
-            return None
-        self._log_change(before, output)
-        return output
-
-    def _rejected(self, arrived: Arrived, reason: str) -> Output:
-        status = EstimatorStatus(
-            stamp_ns=arrived.stamp_ns,
-            frame_id=CHASER,
-            mode=self._state.mode,
-            sensor=arrived.sensor,
-            reason=reason,
-        )
-        return Output(status, None)
-
-    def _log_change(self, before: Mode, output: Output) -> None:
-        if output.status.mode != before:
-            log.info(
-                "%s -> %s%s",
-                before.name,
-                output.status.mode.name,
-                f": {output.status.reason}" * bool(output.status.reason),
-            )

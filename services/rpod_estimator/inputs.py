@@ -1,59 +1,26 @@
-"""The estimator's ears: subscriptions, freshness, frame assembly, extrinsics.
+"""The estimator's ears: subscriptions, freshness, and the newest complete frame.
 
 Only sensors, ``tf_static`` and the clock are subscribed; nothing here knows a topic of the truth.
-Parts are told apart by topic and stamp from their first bytes; only the frame that is chosen is
-decoded.
 """
 
 from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 
-from rpod_estimator.assembler import Assembled, Assembler, NewestFrames
-from rpod_estimator.camera_watch import CameraWatch
-from rpod_estimator.errors import ExtrinsicsError
-from rpod_estimator.extrinsics import Extrinsics
-from rpod_estimator.frames import PartRejectedError, read_frame, read_scan
-from rpod_estimator.measurement import Measurement
+from rpod_estimator.assembler import Assembled, NewestFrames
+from rpod_estimator.frames import PartRejectedError
+from rpod_estimator.intake import LEADING, Arrived, Intake
 from rpod_estimator.methods import ScanPattern
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_schemas.cdr import peek_stamp
-from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, SensorInput
+from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages import NANOSECONDS, read_lidar_info, read_pmd_info, read_transforms
-from rpod_schemas.topics import (
-    AMPLITUDE,
-    CAMERA_INFO,
-    DEPTH,
-    LIDAR_INFO,
-    PMD_INFO,
-    POINTS,
-    TF_STATIC,
-    Topic,
-)
-from rpod_schemas.types import Camera, LidarInfo, LidarScan, PmdFrame, PmdInfo
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.types import PmdInfo
 
-_LIDAR_PARTS = {"points": POINTS}
-_CAMERA_PARTS = {"depth": DEPTH, "camera_info": CAMERA_INFO, "amplitude": AMPLITUDE}
-_OPTIONAL = frozenset({"amplitude"})
-_LEADING = frozenset({"points", "depth"})
-"""The part in whose place a frame is refused that never gets complete."""
 _WAITING_PARTS = 512
 """Parts between the bus and the assembler: some 200 MB of images."""
 _CLOCK_LAG_S = 0.2
 """How long a clock message may be behind a frame that was published after it."""
-
-
-@dataclass(frozen=True)
-class Arrived:
-    """A frame for the navigator, or why it is none."""
-
-    sensor: str
-    stamp_ns: int
-    arrival_s: float
-    """Of its last part, monotonic clock."""
-    measurement: Measurement | None
-    reason: str = ""
 
 
 class Inputs:
@@ -63,31 +30,24 @@ class Inputs:
         self._node, self._config = node, config
         self._in_lockstep = config.time_source == "clock"
         self._latched, self._waiting = Inbox(), Inbox(_WAITING_PARTS)
-        self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in config.sensors})
-        self._parts: dict[str, tuple[str, str]] = {}
-        self._assemblers: dict[str, Assembler[Received]] = {}
+        self._intake = Intake(config.sensors)
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
-        self.patterns: dict[str, ScanPattern] = {}
-        """Scan patterns of the LIDARs, from their latched info."""
-        self.infos: dict[str, PmdInfo] = {}
-        """What the cameras say of themselves; every frame carries it."""
-        self._cameras = CameraWatch()
-        node.subscribe(TF_STATIC, self._latched.put)
-        for sensor in config.sensors:
-            self._subscribe(sensor)
-
-    def _subscribe(self, sensor: SensorInput) -> None:
-        topics, info = _CAMERA_PARTS, PMD_INFO
-        if isinstance(sensor, LidarInput):
-            topics, info = _LIDAR_PARTS, LIDAR_INFO
-        self._node.subscribe(info.of(sensor.name), self._latched.put)
-        names = frozenset(topics)
-        self._assemblers[sensor.name] = Assembler(names - _OPTIONAL, names & _OPTIONAL)
-        for part, topic in topics.items():
-            self._parts[topic.of(sensor.name).name] = sensor.name, part
+        for topic in self._intake.latched:
+            node.subscribe(topic, self._latched.put)
+        for topic in self._intake.streams:
             # Live, what is missed is old by the time it could be had; in lockstep everybody waits for it.
-            self._node.subscribe(topic.of(sensor.name), self._waiting.put, recover=self._in_lockstep)
+            node.subscribe(topic, self._waiting.put, recover=self._in_lockstep)
+
+    @property
+    def patterns(self) -> Mapping[str, ScanPattern]:
+        """Scan patterns of the LIDARs, from their latched info."""
+        return self._intake.patterns
+
+    @property
+    def infos(self) -> Mapping[str, PmdInfo]:
+        """What the cameras say of themselves."""
+        return self._intake.infos
 
     def newest(self, timeout_s: float) -> Arrived | None:
         """Return the newest complete frame of the sensor that waits longest; None after the timeout.
@@ -111,7 +71,7 @@ class Inputs:
             except MessageRejectedError as error:
                 self._node.reject(received.topic.name, error)
         if timeout_s and not parts and not self._in_lockstep:
-            for sensor, assembler in self._assemblers.items():
+            for sensor, assembler in self._intake.assemblers.items():
                 self._put(sensor, assembler.release())
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
 
@@ -122,31 +82,21 @@ class Inputs:
         return self._arrived(*chosen) if chosen else None
 
     def _take(self, received: Received) -> None:
-        topic = received.topic
-        if topic == TF_STATIC:
-            for _, parent, child, pose in read_transforms(received.decode()):
-                self._extrinsics.set(parent, child, pose)
-        elif topic.name in self._parts:
+        if received.topic.name in self._intake.parts:
             self._take_part(received)
-        elif topic.type == PMD_INFO.type:
-            self.infos[_sensor_of(topic)] = read_pmd_info(received.decode())
         else:
-            self._take_info(_sensor_of(topic), read_lidar_info(received.decode()))
-
-    def _take_info(self, sensor: str, info: LidarInfo) -> None:
-        if info.azimuth_rad.size and info.elevation_rad.size:  # else it is a LIDAR without a pattern
-            self.patterns[sensor] = ScanPattern.of(info)
+            self._intake.learn(received)
 
     def _take_part(self, received: Received) -> None:
-        sensor, part = self._parts[received.topic.name]
-        assembler = self._assemblers[sensor]
+        sensor, part = self._intake.parts[received.topic.name]
+        assembler = self._intake.assemblers[sensor]
         stamp_ns = peek_stamp(received.payload)
         try:
             self._check_freshness(received, stamp_ns)
             if stamp_ns == assembler.done_ns and part in assembler.required:
                 raise MessageRejectedError(Reason.DUPLICATE, "a frame of this stamp is complete already")
         except MessageRejectedError as error:
-            if part in _LEADING:
+            if part in LEADING:
                 self._refused.append(Arrived(sensor, stamp_ns, received.arrival_s, None, str(error)))
             raise
         self._put(sensor, assembler.add(part, stamp_ns, received))
@@ -178,33 +128,8 @@ class Inputs:
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
         arrival_s = max(part.arrival_s for part in frame.parts.values())
         try:
-            measurement = self._measurement(sensor, frame)
+            measurement = self._intake.measurement(sensor, frame)
         except PartRejectedError as error:
             self._node.reject(error.topic, error)
             return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error))
         return Arrived(sensor, frame.stamp_ns, arrival_s, measurement)
-
-    def _measurement(self, sensor: str, frame: Assembled[Received]) -> Measurement:
-        leading = next(part for name, part in frame.parts.items() if name in _LEADING)
-        data: PmdFrame | LidarScan
-        if "depth" in frame.parts:
-            data = read_frame(frame, self.infos.get(sensor))
-            self._check_camera(sensor, data.camera, frame.parts["camera_info"])
-        else:
-            pattern = self.patterns.get(sensor)
-            data = read_scan(frame, rows_are_elevation=pattern is None or pattern.rows_are_elevation)
-        try:
-            return Measurement(sensor, data, self._extrinsics.mount(sensor, data.frame_id))
-        except ExtrinsicsError as error:
-            rejection = MessageRejectedError(Reason.UNKNOWN_FRAME, str(error))
-            raise PartRejectedError(leading, rejection) from error
-
-    def _check_camera(self, sensor: str, camera: Camera, camera_info: Received) -> None:
-        try:
-            self._cameras.check(sensor, camera)
-        except MessageRejectedError as rejection:
-            raise PartRejectedError(camera_info, rejection) from rejection
-
-
-def _sensor_of(topic: Topic) -> str:
-    return topic.name.split("/", 1)[0]
