@@ -61,11 +61,16 @@ def methods(
 
 
 def calibrated(scenario: Scenario) -> Scenario:
-    """Return a scenario whose cameras have the error that a calibration of their depth leaves."""
+    """Return a scenario whose cameras have the error that a calibration leaves, which the estimator knows."""
     document: dict[str, Any] = scenario.model_dump(mode="json")
-    for sensor in document["sensors"]:
-        if sensor["kind"] == "pmd":
+    hertz = {}
+    for camera, sensor in zip(scenario.sensors, document["sensors"], strict=True):
+        if isinstance(camera, PmdConfig):
             sensor["pixel"]["wiggling_share"] = CALIBRATED_WIGGLING
+            hertz[camera.name] = camera.frequencies_hz
+    for sensor in document["estimator"]["sensors"]:
+        if sensor["kind"] == "pmd":
+            sensor["calibration"] = {"modulation_frequency_hz": hertz[sensor["name"]]}
     return check(Scenario, document, source=scenario.name)
 
 

@@ -18,6 +18,8 @@ MOST_REACH = 32
 """Pixels: the longest profile both ways."""
 FLAT = 0.02
 """Of the change that counts: noise alone changes more, so that less is a glint's or a blackout's."""
+MIDDLE = 2
+"""Pixels both ways of a line's middle."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -82,7 +84,7 @@ def steepest(image, column, row, across, down, reach, least):  # type: ignore[no
     """Return where along a line the image changes most, px from its middle, and by how much over two pixels.
 
     The change is 0 where none exceeds ``least``, and negative where there was nothing to look at: the line
-    leaves the image, or is all dark or all clipped.
+    leaves the image, is dark in its middle, or is clipped all along.
 
     Args:
         image: float32, shape (rows, columns).
@@ -100,7 +102,7 @@ def steepest(image, column, row, across, down, reach, least):  # type: ignore[no
     profile = np.empty(2 * MOST_REACH + 5)
     if not inside:
         return 0.0, -1.0
-    lowest, highest = np.inf, -np.inf
+    lowest, highest, brightest = np.inf, -np.inf, 0.0
     for k in range(-most, most + 1):
         u, v = column + k * across, row + k * down
         j, i = int(u), int(v)
@@ -109,7 +111,9 @@ def steepest(image, column, row, across, down, reach, least):  # type: ignore[no
         lower = image[i + 1, j] + a * (image[i + 1, j + 1] - image[i + 1, j])
         profile[k + most] = upper + b * (lower - upper)
         lowest, highest = min(lowest, profile[k + most]), max(highest, profile[k + most])
-    if highest - lowest < FLAT * least:
+        if abs(k) <= MIDDLE:
+            brightest = max(brightest, profile[k + most])
+    if highest - lowest < FLAT * least or brightest < FLAT * least:
         return 0.0, -1.0
     best, place, change = 0.0, 0, 0.0
     width = 0.5 * reach + 1.0

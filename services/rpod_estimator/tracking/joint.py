@@ -1,11 +1,13 @@
 """Tracking in depth and amplitude at once: signed distance of the points, places of the edges.
 
 A prediction that explains the depth needs the last, narrow steps only; one that does so fairly all of them;
-any other is first drawn in on depth alone, which needs no edge to be near its place. The self-check asks both
+any other is first drawn in on depth alone, which needs no edge to be near its place. Where the result is in
+doubt, for depth may agree before the attitude does, the wider start is tried too. The self-check asks both
 images: with a wrong camera matrix, another target or a mirrored image the depth may agree, the edges do not.
 Where one image says nothing, the other goes on alone, and the source says so.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import radians
 
@@ -89,7 +91,29 @@ class JointTracker:
         seen = self._see(measurement, t)
         if isinstance(seen, str):
             return Registration(Source.PMD_JOINT, reason=seen)
-        R, t, schedule = self._start(seen, R, t)
+        registration = Registration(Source.PMD_JOINT, reason="nothing to see")
+        for start in self._starts(seen, R, t):
+            registration = self._registered(seen, *start)
+            if not registration.reason:
+                break
+        return registration
+
+    def _starts(
+        self, seen: _Seen, R: FloatArray, t: FloatArray
+    ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Yield poses to start from and the steps to do there, the fewest that may do first."""
+        config = self._config
+        share = self._explained(seen, R, t, config.near_m, 0.0)
+        if share >= config.near_share:
+            yield R, t, self._schedule[-config.near_iterations :]
+        if share >= config.fair_share or len(seen.points_m) < config.verdict.min_points:
+            yield R, t, self._schedule
+        if len(seen.points_m) >= config.verdict.min_points:
+            every = max(1, round(len(seen.points_m) / config.far_points))
+            few_m = np.ascontiguousarray(seen.points_m[::every])
+            yield *draw_in(few_m, R, t, self._coarse, self._far), self._schedule
+
+    def _registered(self, seen: _Seen, R: FloatArray, t: FloatArray, schedule: FloatArray) -> Registration:
         config, view = self._config, seen.view
         R, t, information, points, squares, edges, asked, bias = align(
             seen.points_m,
@@ -129,17 +153,6 @@ class JointTracker:
             covariance=to_sensor @ covariance @ to_sensor.T,
             iterations=len(schedule),
         )
-
-    def _start(self, seen: _Seen, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the pose to start from, and the steps to do: few where the prediction is good."""
-        config = self._config
-        share = self._explained(seen, R, t, config.near_m, 0.0)
-        if share >= config.near_share:
-            return R, t, self._schedule[-config.near_iterations :]
-        if share < config.fair_share and len(seen.points_m) >= config.verdict.min_points:
-            every = max(1, round(len(seen.points_m) / config.far_points))
-            R, t = draw_in(np.ascontiguousarray(seen.points_m[::every]), R, t, self._coarse, self._far)
-        return R, t, self._schedule
 
     def _explained(
         self, seen: _Seen, R: FloatArray, t: FloatArray, tolerance_m: float, bias_m: float

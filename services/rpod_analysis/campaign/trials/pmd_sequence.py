@@ -179,22 +179,18 @@ def _follower(cell: SequenceCell, stage: Stage, first: RigidTransform) -> Follow
 
 
 @lru_cache(maxsize=8)
-def _warm_methods(method: str, radius_px: int | None, name: str, target: str) -> Methods:
-    loaded = cached_target(target)
-    methods = pmd_methods(pmd_input(method, radius_px=radius_px, name=name), loaded)
-    warm_up(methods, loaded, None)
-    return methods
-
-
 def _methods(cell: SequenceCell) -> Methods:
-    scenario = scenario_of(cell.document)
-    return _warm_methods(cell.method, cell.radius_px, _input(cell).name, scenario.target)
+    target = cached_target(scenario_of(cell.document).target)
+    methods = pmd_methods(_input(cell), target)
+    warm_up(methods, target, None)
+    return methods
 
 
 def _input(cell: SequenceCell) -> PmdInput:
     sensors = scenario_of(cell.document).estimator.sensors
-    name = next(sensor.name for sensor in sensors if isinstance(sensor, PmdInput))
-    return pmd_input(cell.method, radius_px=cell.radius_px, name=name)
+    camera = next(sensor for sensor in sensors if isinstance(sensor, PmdInput))
+    method = pmd_input(cell.method, radius_px=cell.radius_px, name=camera.name)
+    return method.model_copy(update={"calibration": camera.calibration})
 
 
 def _row(shot: Shot, answer: Answer) -> dict[str, Any]:
