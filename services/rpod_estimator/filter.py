@@ -106,6 +106,8 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     """
     if stamp_ns < state.stamp_ns:
         raise StampOrderError(state.stamp_ns, stamp_ns)
+    if stamp_ns == state.stamp_ns:
+        return state
     step_s = (stamp_ns - state.stamp_ns) * 1e-9
     rate_rad_s, rotation = state.rate_rad_s, state.T_chaser_target.rotation
     phi = rate_rad_s * step_s

@@ -33,7 +33,7 @@ class JointDepthConfig(Config):
     """Most residuals counted as independent: neighbours share their errors."""
     raw: RangeErrorConfig = RangeErrorConfig(bias_m=0.025, uneven_m=0.005)
     """What noise leaves, where the depth is not calibrated: the wiggling."""
-    calibrated: RangeErrorConfig = RangeErrorConfig(bias_m=0.004, uneven_m=0.0006)
+    calibrated: RangeErrorConfig = RangeErrorConfig(bias_m=0.0035, uneven_m=0.0004)
     """The same where it is."""
 
 
@@ -100,7 +100,7 @@ class JointConfig(Config):
     """Below this share it is drawn in from afar."""
     near_m: Positive = 0.05
     """Within which a prediction agrees with a pixel."""
-    slack_m: NonNegative = 0.0003
+    slack_m: NonNegative = 0.0002
     """Standard deviation of the model's own error: that of a part over the root of their number."""
     ghost_share: Share = 0.08
     """Depth is dropped where the amplitude is below this share of the image's mean, in which pixels without
