@@ -70,7 +70,7 @@ class JointVerdictConfig(Config):
     """Of the pixels where model or measurement say "surface", where edges are seen too."""
     min_depth_share: Share = 0.7
     """The same where depth alone speaks."""
-    min_edge_share: Share = 0.5
+    min_edge_share: Share = 0.55
     """Of the places where edges should show, those where one was found, less one over the root of their
     number. Of right poses it is above 0.7, half of the image wiped above 0.5, of a camera matrix that is off
     by 10 % below 0.4."""
