@@ -3,6 +3,7 @@
 from collections import Counter, defaultdict
 from dataclasses import dataclass
 from enum import Enum, auto
+from threading import Lock
 
 from rpod_schemas.wire import Attachment
 
@@ -34,7 +35,9 @@ class SequenceAccount:
     def __init__(self) -> None:
         self._last: dict[Publication, int] = {}
         self._live: set[Publication] = set()
-        self._announced: Counter[Publication] = Counter()
+        self._gaps: Counter[Publication] = Counter()
+        self._given_up: Counter[Publication] = Counter()
+        self._lock = Lock()
         self.counts: dict[str, Count] = defaultdict(Count)
 
     def take(self, key: str, attachment: Attachment, *, fetched: bool = False) -> Arrival:
@@ -48,8 +51,8 @@ class SequenceAccount:
         if last is not None and attachment.sequence <= last:
             count.duplicates += 1
             return Arrival.DUPLICATE
-        gap = attachment.sequence - last - 1 if last is not None else 0
-        count.missed += max(0, gap - self._announced.pop(publication, 0))
+        if last is not None and attachment.sequence > last + 1:
+            self._find(publication, self._gaps, attachment.sequence - last - 1)
         count.received += 1
         if not fetched:
             self._live.add(publication)
@@ -60,5 +63,12 @@ class SequenceAccount:
 
     def miss(self, publication: Publication, messages: int) -> None:
         """Take what the bus gave up: at the end of a sequence no later number would tell."""
-        self.counts[publication[0]].missed += messages
-        self._announced[publication] += messages
+        self._find(publication, self._given_up, messages)
+
+    def _find(self, publication: Publication, finder: Counter[Publication], messages: int) -> None:
+        """Count once what both ways find, in whatever order, from several threads."""
+        with self._lock:
+            before = max(self._gaps[publication], self._given_up[publication])
+            finder[publication] += messages
+            now = max(self._gaps[publication], self._given_up[publication])
+            self.counts[publication[0]].missed += now - before

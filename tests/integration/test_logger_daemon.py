@@ -8,6 +8,7 @@ from time import monotonic
 
 import numpy as np
 import pytest
+from live_bus import first
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
@@ -187,13 +188,65 @@ def test_extra_keys_are_kept_as_they_came_and_icd_topics_are_not_doubled(bus, tm
     with logger(config):
         status_with(node)
         node.publisher(CLOCK).publish(write_clock(1))
-        node._session.put("0/lab/raw", b"any bytes")
+        node._session.put("0/lab/raw", b"any bytes", encoding="text/plain")
         status = status_with(node, **{"written/clock": 1, "written/lab/raw": 1})
     assert status.counters.get("rejected/clock/duplicate", 0) == 0
     path = tmp_path / "run.mcap"
     assert sequences(path, "/clock") == [1]
     with path.open("rb") as stream:
-        assert [m.data for _, _, m in make_reader(stream).iter_messages(["/lab/raw"])] == [b"any bytes"]
+        ((schema, channel, message),) = make_reader(stream).iter_messages(["/lab/raw"])
+    assert message.data == b"any bytes"
+    assert (schema.name, schema.encoding, channel.message_encoding) == (
+        "opaque",
+        "",
+        "application/octet-stream",
+    )
+    assert channel.metadata == {"key": "0/lab/raw", "encoding": "text/plain"}
+
+
+def test_a_numbered_key_of_an_unknown_type_is_accounted_for_like_a_topic(bus, tmp_path):
+    node = bus.node("publisher")
+    key = "0/lab/lab_msgs::msg::dds_::Nobody_/RIHS01_00"
+    config = LoggerConfig(bus=bus.config, directory=tmp_path, name="run", record_extra=("0/lab/**",))
+    with logger(config):
+        status_with(node)
+        for sequence in (1, 2, 5, 5):
+            node._session.put(key, b"bytes", attachment=Attachment(sequence, sequence, b"y" * 16).pack())
+        status_with(node, **{f"written/{key.removeprefix('0/')}": 3})
+    count = counts(tmp_path / "run.mcap")["/" + key.removeprefix("0/")]
+    assert count == TopicCount(received=3, written=3, missed=2, duplicates=1)
+
+
+def test_a_logger_that_cannot_write_lives_on_says_so_and_is_started_by_query(bus, tmp_path):
+    node = bus.node("publisher")
+    inbox = Inbox()
+    node.subscribe(DIAGNOSTICS, inbox.put)
+    blocker = tmp_path / "file"
+    blocker.touch()
+    with logger(LoggerConfig(bus=bus.config, directory=blocker / "logs", name="run")):
+        status_with(node)
+        clock = node.publisher(CLOCK)
+        clock.publish(write_clock(1))
+        status_with(node, **{"lost/clock": 1})
+        said = first(inbox, lambda received: unhealthy(received.decode()))
+        with pytest.raises(QueryFailedError, match="Not a directory"):
+            node.ask("logger", "start", LogReply)
+        blocker.unlink()
+        started = node.ask("logger", "start", LogReply)
+        clock.publish(write_clock(2))
+        status_with(node, **{"written/clock": 1})
+    assert "check the disk and its mount, then use start to record again" in said
+    assert sequences(Path(started.path), "/clock") == [2]
+
+
+def unhealthy(message) -> str:
+    """Return what the logger complains of."""
+    errors = [
+        item.message
+        for item in read_diagnostics(message)
+        if item.name == "logger" and item.level is Health.ERROR
+    ]
+    return errors[0] if errors else ""
 
 
 def test_health_names_the_log_and_a_gap_is_an_error(bus, tmp_path):

@@ -98,6 +98,19 @@ def test_an_existing_file_is_never_overwritten(tmp_path, arrive):
             assert [m.sequence for _, _, m in make_reader(stream).iter_messages()] == [number]
 
 
+def test_a_file_sorts_behind_all_earlier_ones_of_its_name_whichever_are_left(tmp_path, arrive):
+    create_log(tmp_path, "run_later", SETTINGS).close()
+    for number in range(1, 13):
+        log = create_log(tmp_path, "run", SETTINGS)
+        log.write(arrive(CLOCK, number))
+        log.close()
+        if number == 6:
+            (tmp_path / "run.mcap").unlink()
+            (tmp_path / "run_0004.mcap").unlink()
+    names = sorted(path.name for path in tmp_path.glob("run*.mcap"))
+    assert names == [*(f"run_{number:04d}.mcap" for number in (2, 3, *range(5, 13))), "run_later.mcap"]
+
+
 def test_what_was_synced_is_readable_without_a_close(tmp_path, arrive):
     log = create_log(tmp_path, "run", SETTINGS)
     log.add_metadata("software", {"name": "rpod"})

@@ -55,12 +55,17 @@ def test_what_was_fetched_after_its_publisher_was_heard_live_is_recovered():
     assert (count.received, count.recovered, count.missed) == (4, 2, 0)
 
 
-def test_what_the_bus_gave_up_is_missed_once_whether_or_not_a_later_number_tells():
+def test_what_the_bus_gave_up_is_missed_once_whether_a_later_number_tells_before_after_or_never():
     account = SequenceAccount()
     take(account, 1, 2)
     account.miss(("k", A), 3)
     assert account.counts["k"].missed == 3
-    take(account, 8)
+    take(account, 8)  # 3 to 7
+    assert account.counts["k"].missed == 5
+    account.miss(("k", A), 2)
     assert account.counts["k"].missed == 5
     take(account, 11)
+    account.miss(("k", A), 2)
     assert account.counts["k"].missed == 7
+    account.miss(("k", A), 4)
+    assert account.counts["k"].missed == 11
