@@ -8,10 +8,16 @@ from rpod_schemas.errors import ConfigurationError
 
 PAPER_ICP = "icp-reverse-calibration"
 _REVERSE_CALIBRATION: dict[str, dict[str, Any]] = {
-    PAPER_ICP: {"kind": "icp_reverse_calibration", "metric": "point_to_point"},
+    PAPER_ICP: {
+        "kind": "icp_reverse_calibration",
+        "metric": "point_to_point",
+        "iterations": 60,
+        "step_m": 0.0005,
+    },
     "icp-reverse-calibration-plane": {"kind": "icp_reverse_calibration"},
 }
-"""The 2018 paper's, point to point with equal weights; and the facility's, point to plane."""
+"""The 2018 paper's, point to point with equal weights, which takes many small steps; and the facility's, point
+to plane."""
 TRACKING: dict[str, dict[str, Any]] = {
     **_REVERSE_CALIBRATION,
     "epnp": {"kind": "epnp"},
