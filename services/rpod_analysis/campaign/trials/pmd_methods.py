@@ -16,8 +16,7 @@ _REVERSE_CALIBRATION: dict[str, dict[str, Any]] = {
     },
     "icp-reverse-calibration-plane": {"kind": "icp_reverse_calibration"},
 }
-"""The 2018 paper's, point to point with equal weights, which takes many small steps; and the facility's, point
-to plane."""
+"""The 2018 paper's, point to point with equal weights, in many small steps; and ours, point to plane."""
 TRACKING: dict[str, dict[str, Any]] = {
     **_REVERSE_CALIBRATION,
     "epnp": {"kind": "epnp"},
