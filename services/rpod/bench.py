@@ -29,7 +29,7 @@ from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import LidarInput, PmdInput
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.motion import FACING
-from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.pmd import MAX_RATE_HZ, PmdConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.messages import write_image
 from rpod_schemas.poses import make_pose
@@ -42,6 +42,8 @@ from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target
 
 _SUN_W_m2 = np.array([680.0, -817.0, -844.0])
+_OBLIQUE = Rotation.from_euler("ZYX", (30.0, 40.0, 20.0), degrees=True)
+"""An attitude of the LIDAR's target like most: no face at right angles to the line of sight."""
 _BUS_HZ = 45.0
 _WIDTH = 120
 """Of the table where it is not printed on a terminal."""
@@ -143,7 +145,7 @@ def _lidar() -> Iterator[Row]:
     emulator = LidarEmulator(config, target, seed=1)
     methods = lidar_methods(LidarInput(), target, ScanPattern(config.azimuth_rad, config.elevation_rad))
     for range_m in (20.0, 50.0):
-        pose = _facing(range_m)
+        pose = _facing(range_m) * make_pose(rotation=_OBLIQUE)
         poses = [pose] * len(config.pose_times_s())
         yield _timed(
             f"LIDAR scan, ENVISAT at {range_m:g} m",
@@ -154,13 +156,13 @@ def _lidar() -> Iterator[Row]:
         returns = emulator.scan(poses, frame=0)
         scan = LidarScan(stamp_ns=0, frame_id="lidar", points_m=returns.points_m)
         yield _timed(
-            f"template matching, ENVISAT at {range_m:g} m",
+            f"LIDAR acquisition, ENVISAT at {range_m:g} m",
             partial(methods.acquirer.acquire, scan),
             runs=5,
         )
         guess = make_pose(translation_m=[0.1, -0.2, 0.1]) * pose * _turn_deg(4.0)
         yield _timed(
-            f"nearest-neighbour ICP, ENVISAT at {range_m:g} m",
+            f"LIDAR tracking, ENVISAT at {range_m:g} m",
             partial(methods.tracker.track, scan, guess),
             runs=20,
             rate_hz=config.rate_hz,
@@ -176,10 +178,10 @@ def _next_exposure(emulator: PmdEmulator, poses: list[RigidTransform], frames: I
 
 
 def _pmd() -> Iterator[Row]:
-    config, target = PmdConfig(), load_target("mockup")
+    config, target = PmdConfig(rate_hz=MAX_RATE_HZ), load_target("mockup")
     emulator = PmdEmulator(config, target, seed=1)
     methods = pmd_methods(PmdInput(), target)
-    for range_m in (7.0, 4.0, 2.5):
+    for range_m in (7.0, 4.0, 2.5, 1.0):
         pose = _facing(range_m)
         yield _timed(
             f"PMD frame, mock-up at {range_m:g} m",
@@ -195,15 +197,15 @@ def _pmd() -> Iterator[Row]:
             amplitude=exposure.amplitude.copy(),
             camera=config.camera,
         )
-        guess = make_pose(translation_m=[0.01, -0.02, 0.02]) * pose * _turn_deg(1.0)
+        guess = make_pose(translation_m=[0.002, -0.001, 0.002]) * pose * _turn_deg(0.2)
         yield _timed(
-            f"ICP with reverse calibration at {range_m:g} m",
+            f"PMD tracking at {range_m:g} m",
             partial(methods.tracker.track, frame, guess),
             runs=40,
             rate_hz=config.rate_hz,
         )
         yield _timed(
-            f"view search at {range_m:g} m",
+            f"PMD acquisition at {range_m:g} m",
             partial(methods.acquirer.acquire, frame),
             runs=5,
         )
