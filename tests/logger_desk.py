@@ -9,7 +9,7 @@ from typing import Any
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Message, Metadata
+from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 
 from rpod_logger.recorder import Recorder
@@ -48,9 +48,16 @@ def read(path: Path | str) -> list[tuple[str, int]]:
         ]
 
 
-def readable(path: Path) -> list[int]:
-    """Return the sequence numbers in a log that may have no end."""
-    return [record.sequence for record in _records(path) if isinstance(record, Message)]
+def readable(path: Path, topic: str | None = None) -> list[int]:
+    """Return the sequence numbers, of one topic or all, in a log that may have no end."""
+    topics: dict[int, str] = {}
+    numbers: list[int] = []
+    for record in _records(path):
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message) and topic in (None, topics[record.channel_id]):
+            numbers.append(record.sequence)
+    return numbers
 
 
 def early_metadata(path: Path, name: str) -> dict[str, str]:
