@@ -9,10 +9,10 @@ PEERS := .venv-peers
 SCENARIO ?= mockup-tumbling
 ARGS ?=
 
-.PHONY: help run test check format lint types layers bench peers setup clean
+.PHONY: help run test check format lint types layers bench recording peers setup clean
 
 help: ## List the targets
-	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
 
 setup: $(READY) ## Virtual environment, dependencies, Open3D's system libraries
 
@@ -43,6 +43,9 @@ layers: $(READY) ## Import layers
 
 bench: $(READY) ## Measured speed of this machine
 	$(BIN)/python -m rpod bench $(ARGS)
+
+recording: $(READY) ## The logger at a camera's full rate: loss, processor time, memory
+	@PYTHONPATH=benchmarks $(BIN)/python -m recording $(ARGS)
 
 peers: $(PEERS)/.ready ## Registration packages beside our methods, on the same scans
 	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 PYTHONPATH=benchmarks $(PEERS)/bin/python -m peers $(ARGS)

@@ -13,6 +13,8 @@ from rpod_runtime import Received
 
 _OVERHEAD_BYTES = 512
 """What a queued message takes beside its payload."""
+_HURRY_BYTES = 4 << 20
+"""For so much the writer is woken; for less it comes by itself: a wake-up a message costs more than the message."""
 
 
 Action = Callable[[Counter[str]], None]
@@ -51,7 +53,8 @@ class Backlog:
             self.bytes += size
             self.high_water_bytes = max(self.high_water_bytes, self.bytes)
             self._items.append(received)
-            self._changed.notify()
+            if self.bytes > _HURRY_BYTES:
+                self._changed.notify()
         return True
 
     def command(self, action: Action) -> bool:
@@ -72,9 +75,10 @@ class Backlog:
                 self._changed.notify_all()
 
     def take(self, timeout_s: float) -> Received | Command | None:
-        """Return the oldest item; None after the timeout, or where it is closed and empty."""
+        """Return the oldest item; where there is none wait, and look again at the timeout or at a command."""
         with self._changed:
-            self._changed.wait_for(lambda: self._items or self._closed, timeout_s)
+            if not self._items and not self._closed:
+                self._changed.wait(timeout_s)
             if not self._items:
                 return None
             item = self._items.popleft()

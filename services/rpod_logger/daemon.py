@@ -4,6 +4,7 @@ from functools import partial
 from threading import Event
 
 from rpod_logger.errors import CannotWriteError
+from rpod_logger.memory import keep_freed_memory
 from rpod_logger.recorder import Recorder
 from rpod_logger.selection import Extras, patterns
 from rpod_runtime import Node, Received
@@ -16,6 +17,7 @@ _TICK_S = 0.25
 
 def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
     """Record until stopped, then drain and finish the log."""
+    keep_freed_memory()
     extras = Extras(config.bus.keys, config.record_extra)
     with (
         Node(config, version=version, stop=stop) as node,

@@ -28,7 +28,8 @@ from rpod_schemas.types import Health
 log = logging.getLogger(__name__)
 
 _COMMAND_TIMEOUT_S = 30.0
-_IDLE_S = 0.1
+_IDLE_S = 0.02
+"""How long messages gather before the writer takes them."""
 _LOSSES_PERIOD_S = 5.0
 _CLOCK_JUMP_S = 0.5
 """More than a process is held up between reading the two clocks, and than a clock is slewed."""

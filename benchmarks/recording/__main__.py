@@ -1,0 +1,69 @@
+"""``make recording``: run the benchmark and print it; the exit code is 1 where anything was lost."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from recording.benchmark import Load, Result, measure
+
+_WARM_S = 10.0
+"""From then on memory is compared: the queue and the allocator have seen a few syncs and chunks."""
+_MEBI = 1 << 20
+
+
+def main(  # noqa: PLR0917 - typer names its options
+    seconds: Annotated[float, typer.Option(min=2.0, help="How long the camera sends.")] = 60.0,
+    rate: Annotated[float, typer.Option(min=1.0, help="Frames a second.")] = 45.0,
+    raw: Annotated[bool, typer.Option(help="Raw samples beside depth and amplitude.")] = True,
+    out: Annotated[Path | None, typer.Option(help="Where the log goes and stays.")] = None,
+    setting: Annotated[list[str] | None, typer.Option(help="Of the logger, as 'compression: none'.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one object instead of the table.")] = False,
+) -> None:
+    """A PMD camera at full rate, through a router, into a logger: loss, processor time and memory."""
+    result = measure(Load(seconds, rate, raw), out=out, settings=setting or [])
+    figures = _figures(result, seconds)
+    if as_json:
+        sys.stdout.write(json.dumps(figures, indent=2) + "\n")
+    else:
+        table = Table("what", "value", title=f"{rate:g} Hz, {seconds:g} s{', raw samples' if raw else ''}")
+        for what, value in figures.items():
+            table.add_row(what, str(value))
+        Console().print(table)
+    raise typer.Exit(0 if figures["complete"] else 1)
+
+
+def _figures(result: Result, seconds: float) -> dict[str, object]:
+    first, last = result.samples[0], result.samples[-1]
+    warm = [sample for sample in result.samples if sample.time_s >= _WARM_S] or list(result.samples)
+    rss = np.array([sample.rss_bytes for sample in warm]) / _MEBI
+    minutes = np.array([sample.time_s for sample in warm]) / 60.0
+    growth = float(np.polyfit(minutes, rss, 1)[0]) if len(warm) > 1 else 0.0
+    thirds = [round(float(np.median(part)), 1) for part in np.array_split(rss, 3) if len(part)]
+    return {
+        "sent MB/s": round(result.sent_bytes / seconds / 1e6, 1),
+        "frames sent late": result.late_frames,
+        "files": len(result.files),
+        "files MB": round(result.file_bytes / 1e6, 1),
+        "complete": bool(result.files) and all(said.complete for said in result.files),
+        "reasons": [reason for said in result.files for reason in said.reasons],
+        "recovered": _total(result, "recovered/"),
+        "missed": _total(result, "missed/"),
+        "lost": _total(result, "lost/"),
+        "share of a core": round((last.cpu_s - first.cpu_s) / (last.time_s - first.time_s), 3),
+        "queue high water MiB": round(result.counters["queue/high_water_bytes"] / _MEBI, 1),
+        "RSS MiB, median of each third": thirds,
+        "RSS MiB/min, fitted": round(growth, 2),
+    }
+
+
+def _total(result: Result, kind: str) -> int:
+    return sum(count for name, count in result.counters.items() if name.startswith(kind))
+
+
+typer.run(main)
