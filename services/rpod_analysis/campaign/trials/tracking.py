@@ -124,7 +124,7 @@ def _frames(cell: TrackingCell, seed: int, trial: int) -> Iterator[tuple[float, 
         truth = motion.state(float(k)).T_chaser_target
         scan = scan_of(emulator, truth, trial=trial * FRAMES + k, stamp_ns=k * NANOSECONDS)
         state, output = navigator.step(state, Measurement(SENSOR, scan, make_pose()))
-        believed = state.history.state.T_chaser_target if state.history else None
+        believed = None if output.odometry is None else output.odometry.pose
         angle_deg = errors(truth, believed, cached_target(cell.target))[0]
         yield 180.0 if angle_deg is None else angle_deg, output.status.accepted, state.mode
 
