@@ -163,6 +163,8 @@ class SyntheticRun:
     """Where the truth is missing: from, to, ends excluded."""
     clock: bool = False
     """Whether time comes from the topic ``clock``."""
+    skipped: Callable[[int], bool] = field(default=lambda _number: False)
+    """Which frames, by number, the estimator passes over."""
     dropped: int = 0
     unlogged: int = 0
     """Depth images that were published and did not reach the log, from the second one on."""
@@ -247,7 +249,7 @@ class _LogWriter:
             self.pmd_frame(stamp_ns, number, time_s)
         else:
             self.lidar_scan(stamp_ns, number, time_s)
-        if self.run.with_estimates:
+        if self.run.with_estimates and not self.run.skipped(number):
             self.estimate(self.run.frame(number, time_s), stamp_ns, time_s)
 
     def pmd_frame(self, stamp_ns: int, number: int, time_s: float) -> None:

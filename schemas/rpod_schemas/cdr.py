@@ -99,6 +99,25 @@ def peek_stamp(payload: bytes | memoryview) -> int:
     return checked_stamp(seconds, nanoseconds)
 
 
+def restamped(payload: bytes | memoryview, shift_ns: int) -> bytearray:
+    """Return a message that begins with a stamp, as with a std_msgs/Header, moved in time.
+
+    Raises:
+        MessageRejectedError: there is no stamp.
+    """
+    seconds, nanoseconds = divmod(peek_stamp(payload) + shift_ns, NANOSECONDS)
+    moved = bytearray(payload)
+    _STAMP[payload[1]].pack_into(moved, 4, seconds, nanoseconds)
+    return moved
+
+
+@cache
+def begins_with_stamp(type_name: str) -> bool:
+    """Return whether messages of a type begin with a stamp."""
+    _, kind = typestore().fielddefs[type_name][1][0]
+    return kind[1] in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+
+
 def checked_stamp(seconds: int, nanoseconds: int) -> int:
     """Return a builtin_interfaces/Time as ns. Raises ``MessageRejectedError`` where it is none."""
     if seconds < 0 or not 0 <= nanoseconds < NANOSECONDS:

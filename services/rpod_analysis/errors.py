@@ -1,5 +1,6 @@
 """What can be wrong with a log. Each message is one line that says what to do."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 
@@ -47,6 +48,21 @@ class NoEstimatesError(AnalysisError):
 
     def __init__(self, path: Path, prefix: str) -> None:
         super().__init__(f"{path}: no estimates in the log ({prefix}/odometry, {prefix}/status)")
+
+
+class NoEstimatorError(AnalysisError):
+    """A log does not say how its estimator was configured."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path}: the log holds no estimator's configuration; give one with --config")
+
+
+class NothingToPlayError(AnalysisError):
+    """No topic of a log fits what is to be played."""
+
+    def __init__(self, path: Path, patterns: Sequence[str]) -> None:
+        asked = f" that fits {', '.join(patterns)}" if patterns else ""
+        super().__init__(f"{path}: no topic of a known type in the log{asked}")
 
 
 class FramesDifferError(AnalysisError):

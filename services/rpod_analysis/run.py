@@ -92,15 +92,20 @@ class Run:
         return (stamp_ns - self.start_ns) * np.float64(1e-9)
 
 
-def read_run(log: Log) -> Run:
+def read_run(log: Log, *, prefix: str | None = None, sensors: dict[str, Sensor] | None = None) -> Run:
     """Read a log and score its estimates against its truth.
+
+    Args:
+        log: with estimates.
+        prefix: first part of the estimates' topics, where the log has several; found where left out.
+        sensors: in whose axes errors are told, where the log has not their data; found where left out.
 
     Raises:
         NoEstimatesError: there is neither an estimate nor a status in the log.
         FramesDifferError: truth and estimates are of different frames.
     """
-    prefix = _prefix(log)
-    sensors = find_sensors(log)
+    prefix = prefix or estimate_prefix(log)
+    sensors = find_sensors(log) if sensors is None else sensors
     reader = _Reader(prefix, sensors)
     for logged in log.messages():
         reader.take(logged)
@@ -111,7 +116,7 @@ def read_run(log: Log) -> Run:
     return reader.run()
 
 
-def _prefix(log: Log) -> str:
+def estimate_prefix(log: Log) -> str:
     """Return the first part of the estimator's topics; ``estimate`` where there are several or none."""
     suffix = STATUS.name.removeprefix(DEFAULT_PREFIX)
     found = [name for name, info in log.topics.items() if info.type == STATUS.type and name.endswith(suffix)]

@@ -163,8 +163,8 @@ def summarise_errors(errors: Errors) -> ErrorSummary | None:
     roll, pitch, yaw = np.rad2deg(np.sqrt((known.attitude_rad**2).mean(axis=0)))
     x, y, z = np.sqrt((known.position_m**2).mean(axis=0))
     return ErrorSummary(
-        attitude_deg=_size(np.rad2deg(known.angle_rad)),
-        position_m=_size(known.distance_m),
+        attitude_deg=summarise_size(np.rad2deg(known.angle_rad)),
+        position_m=summarise_size(known.distance_m),
         roll_deg_rms=roll,
         pitch_deg_rms=pitch,
         yaw_deg_rms=yaw,
@@ -172,6 +172,11 @@ def summarise_errors(errors: Errors) -> ErrorSummary | None:
         y_m_rms=y,
         z_m_rms=z,
     )
+
+
+def summarise_size(values: FloatArray) -> ErrorSize:
+    """Return how large errors are, shape (N,), N > 0."""
+    return ErrorSize(rms=np.sqrt((values**2).mean()), p95=np.percentile(values, 95), max=values.max())
 
 
 def summarise_durations(seconds: FloatArray) -> Durations | None:
@@ -194,10 +199,6 @@ def summarise_consistency(nees: FloatArray) -> Consistency | None:
 def _lengths(vectors: FloatArray) -> FloatArray:
     squared: FloatArray = (vectors**2).sum(axis=1)
     return np.sqrt(squared)
-
-
-def _size(values: FloatArray) -> ErrorSize:
-    return ErrorSize(rms=np.sqrt((values**2).mean()), p95=np.percentile(values, 95), max=values.max())
 
 
 def _identities(count: int) -> RigidTransform:

@@ -36,7 +36,7 @@ def summarise(log: Log, run: Run, *, report: Path | None = None) -> Summary:
             unscored=int((~run.errors.scored).sum()),
             lost_s=find_lost_s(run.statuses.stamp_ns, run.statuses.mode),
         ),
-        modes=_tracking(run),
+        modes=find_tracking(run),
         error=summarise_errors(tracked),
         latency_s=summarise_durations(run.latency_s),
         processing_s=summarise_durations(run.statuses.processing_s),
@@ -44,7 +44,8 @@ def summarise(log: Log, run: Run, *, report: Path | None = None) -> Summary:
     )
 
 
-def _tracking(run: Run) -> Tracking:
+def find_tracking(run: Run) -> Tracking:
+    """Return how well a run held the target."""
     held = run.statuses.mode == Mode.TRACKING
     first = int(np.argmax(held)) if held.any() else None
     scored = run.tracked & run.errors.scored

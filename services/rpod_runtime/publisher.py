@@ -45,7 +45,7 @@ class Publisher:
         """Encode and publish a message of the topic's type."""
         self.put(encode(message))
 
-    def put(self, payload: bytearray) -> None:
+    def put(self, payload: bytes | bytearray) -> None:
         """Publish the CDR bytes of a message of the topic's type."""
         with self._lock:
             self._sequence += 1

@@ -12,7 +12,8 @@ from rpod.scenarios import find, shipped
 
 SCENARIOS = {"mockup-tumbling", "mockup-oblique", "mockup-approach", "envisat-station", "envisat-mesh"}
 VERBS = {"run", "router", "motion", "emulator", "estimator", "logger", "scenarios", "report", "calibrate"} | {
-    "recover"
+    "recover",
+    "replay",
 }
 
 

@@ -1,0 +1,217 @@
+"""``rpod replay`` from its arguments to its exit code."""
+
+import json
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from rpod import __version__
+from rpod_analysis import AnalysisError, Log, open_log
+from rpod_analysis.replay import Playback, Played, compare, configured_estimator, play, replay
+from rpod_analysis.score import summarise_durations
+from rpod_runtime import Node
+from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.lifecycle import run as run_service
+from rpod_schemas.config.base import check, load
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.service import BusConfig, ServiceConfig
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.replay import ReplayReport, Side
+from rpod_target import TargetError
+
+log = logging.getLogger(__name__)
+
+_INSTANCE = "replay"
+
+
+@dataclass(frozen=True)
+class BusOptions:
+    """How a log goes onto the bus."""
+
+    connect: str | None
+    wait: bool
+    speed: float
+    loop: bool
+    topics: str | None
+    clock: bool
+
+
+def bus_command(
+    logs: Sequence[Path], options: BusOptions, *, start_s: float, end_s: float | None, as_json: bool
+) -> int:
+    """Play a log onto the bus until its end or a signal; return the exit code."""
+    try:
+        config = _service(options)
+        playback = Playback(
+            speed=options.speed,
+            start_s=start_s,
+            end_s=end_s,
+            loop=options.loop,
+            topics=tuple((options.topics or "").split(",")) if options.topics else (),
+            clock=options.clock,
+        )
+        _check_playback(playback)
+        opened = open_log(*logs)
+    except (ConfigurationError, AnalysisError) as error:
+        return _refuse(error)
+    outcome = EXIT_OK
+
+    def serve(stop: Event) -> None:
+        nonlocal outcome
+        with Node(config, version=__version__, stop=stop) as node:
+            node.ready(f"playing {opened.paths[0]}")
+            try:
+                played = play(opened, node, playback, stop=stop)
+            except AnalysisError as error:
+                log.error("%s", error)
+                outcome = EXIT_FAILURE
+            else:
+                _tell_played(played, as_json=as_json)
+
+    with opened:
+        return run_service(_INSTANCE, serve) or outcome
+
+
+def _service(options: BusOptions) -> ServiceConfig:
+    bus = {"wait": options.wait} | ({"connect": options.connect} if options.connect else {})
+    document = {"instance": _INSTANCE, "bus": check(BusConfig, bus, source="rpod replay")}
+    return check(ServiceConfig, document, source="rpod replay")
+
+
+def _check_playback(playback: Playback) -> None:
+    if not playback.speed > 0.0:
+        raise ConfigurationError("rpod replay", "--speed", "needs a number above 0")
+    if playback.end_s is not None and playback.end_s <= playback.start_s:
+        raise ConfigurationError("rpod replay", "--to", "needs to lie behind --from")
+
+
+def _tell_played(played: Played, *, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(asdict(played), indent=2))
+        return
+    for name, count in sorted(played.messages.items()):
+        print(f"{name:30} {count}")
+    for name in played.left_out:
+        print(f"{name:30} left out: its type is not known")
+    print(f"at most {played.behind_s:.3f} s behind", file=sys.stderr)
+
+
+def navigator_command(
+    logs: Sequence[Path],
+    *,
+    config: Path | None,
+    as_live: bool,
+    out: Path | None,
+    start_s: float,
+    end_s: float | None,
+    as_json: bool,
+) -> int:
+    """Run the estimator over a log in this process, and compare; return the exit code."""
+    try:
+        _check_playback(Playback(start_s=start_s, end_s=end_s))
+        given = load(EstimatorConfig, config) if config else None
+        with open_log(*logs) as opened:
+            report = _replay(
+                opened,
+                given or configured_estimator(opened),
+                as_live=as_live,
+                out=out,
+                start_s=start_s,
+                end_s=end_s,
+            )
+    except (ConfigurationError, AnalysisError, TargetError) as error:
+        return _refuse(error)
+    if as_json:
+        print(report.model_dump_json(indent=2))
+    else:
+        _tell_report(report)
+    return EXIT_OK
+
+
+def _replay(
+    opened: Log,
+    config: EstimatorConfig,
+    *,
+    as_live: bool,
+    out: Path | None,
+    start_s: float,
+    end_s: float | None,
+) -> ReplayReport:
+    replayed = replay(
+        opened,
+        config,
+        out=out,
+        as_live=as_live,
+        start_s=start_s,
+        end_s=end_s,
+    )
+    compared = compare(opened, replayed)
+    return ReplayReport(
+        log=str(opened.paths[0]),
+        out=str(replayed.out),
+        as_live=as_live,
+        frames=replayed.frames,
+        missing=replayed.missing,
+        refused=replayed.refused,
+        processing_s=summarise_durations(np.array(replayed.processing_s)),
+        old=compared.old,
+        new=compared.new,
+        difference=compared.difference,
+    )
+
+
+def _refuse(error: Exception) -> int:
+    print(f"rpod replay: {error}", file=sys.stderr)
+    return EXIT_USAGE if isinstance(error, ConfigurationError) else EXIT_FAILURE
+
+
+_ROWS: tuple[tuple[str, str, Callable[[Side], float | None]], ...] = (
+    ("frames", ".0f", lambda side: side.frames),
+    ("estimates", ".0f", lambda side: side.estimates),
+    ("accepted", ".0f", lambda side: side.accepted),
+    ("tracking share", ".3f", lambda side: side.modes.tracking_share),
+    ("lost, s", ".1f", lambda side: side.lost_s),
+    ("attitude RMS, deg", ".3f", lambda side: side.error.attitude_deg.rms if side.error else None),
+    ("attitude max, deg", ".3f", lambda side: side.error.attitude_deg.max if side.error else None),
+    ("position RMS, m", ".4f", lambda side: side.error.position_m.rms if side.error else None),
+    ("position max, m", ".4f", lambda side: side.error.position_m.max if side.error else None),
+    (
+        "NEES within 95 %, share",
+        ".3f",
+        lambda side: side.consistency.nees_share_in_95 if side.consistency else None,
+    ),
+)
+
+
+def _cell(side: Side | None, form: str, of: Callable[[Side], float | None]) -> str:
+    value = None if side is None else of(side)
+    return "-" if value is None else format(value, form)
+
+
+def _tell_report(report: ReplayReport) -> None:
+    console = Console()
+    table = Table(title=f"{report.frames} frames replayed", title_justify="left")
+    table.add_column("", style="dim")
+    for column in ("logged", "replayed"):
+        table.add_column(column, justify="right")
+    for name, form, of in _ROWS:
+        table.add_row(name, _cell(report.old, form, of), _cell(report.new, form, of))
+    console.print(table)
+    if between := report.difference:
+        console.print(
+            f"{between.identical} of {between.common} common poses identical; apart by at most "
+            f"{between.attitude_deg.max:.3g} deg and {1e3 * between.position_m.max:.3g} mm",
+            highlight=False,
+        )
+    if report.missing:
+        console.print(f"{report.missing} frames of the live run are not in the log")
+    for name, count in report.refused.items():
+        console.print(f"{count} messages of {name} could not be used")
+    console.print(f"log   {report.out}", soft_wrap=True, highlight=False)

@@ -1,0 +1,7 @@
+"""A log played again: through the navigator in one process, or onto the bus."""
+
+from rpod_analysis.replay.compare import Compared, compare
+from rpod_analysis.replay.navigate import Replayed, configured_estimator, replay
+from rpod_analysis.replay.playback import Playback, Played, play
+
+__all__ = ["Compared", "Playback", "Played", "Replayed", "compare", "configured_estimator", "play", "replay"]

@@ -1,0 +1,119 @@
+"""The log that a replay writes: truth and old estimates as they were, the new ones beside them."""
+
+import json
+import os
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from mcap.writer import CompressionType, Writer
+
+from rpod_analysis.log import Log, Logged
+from rpod_estimator.navigator import Output
+from rpod_logger.writer import qos_profile
+from rpod_schemas.cdr import definition, encode, type_hash
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.logs import (
+    CONFIGURATION,
+    HASH_METADATA,
+    MESSAGE_ENCODING,
+    PROFILE,
+    QOS_METADATA,
+    REPLAY,
+    SCHEMA_ENCODING,
+    SOFTWARE,
+)
+from rpod_schemas.messages import write_odometry, write_pose_stamped, write_status
+from rpod_schemas.topics import ESTIMATE, ESTIMATE_POSE, STATUS, TOPICS, Topic
+
+_LATCHED = {topic.name for topic in TOPICS if topic.latched}
+
+
+class EstimateLog:
+    """An open log; nothing in it depends on when it is written. What fails leaves no file."""
+
+    def __init__(self, path: Path, source: Log, config: EstimatorConfig) -> None:
+        self.last_ns = 0
+        """Arrival of the last message that was copied."""
+        self._path, self._source, self._config = path, source, config
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._sequences: Counter[str] = Counter()
+
+    def __enter__(self) -> Self:
+        self._stream = self._path.open("wb")
+        self._writer = Writer(self._stream, compression=CompressionType.LZ4)
+        self._writer.start(profile=PROFILE, library="rpod replay")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._stream:
+            if kind is None:
+                self._describe()
+                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._stream.flush()
+                os.fsync(self._stream.fileno())
+        if kind is not None:
+            self._path.unlink(missing_ok=True)
+
+    def copy(self, logged: Logged) -> None:
+        """Add a message as it was."""
+        self.last_ns = logged.log_ns
+        topic = Topic(logged.topic, logged.type, logged.topic in _LATCHED)
+        self._put(
+            topic,
+            logged.payload,
+            log_ns=logged.log_ns,
+            publish_ns=logged.publish_ns,
+            sequence=logged.sequence,
+        )
+
+    def add(self, outputs: Iterable[Output], *, arrival_ns: int) -> None:
+        """Add what the estimator made of a frame; its arrival counts as that of the result."""
+        for output in outputs:
+            if output.odometry is not None:
+                self._add(ESTIMATE, write_odometry(output.odometry), arrival_ns)
+                self._add(ESTIMATE_POSE, write_pose_stamped(output.odometry), arrival_ns)
+            self._add(STATUS, write_status(output.status), arrival_ns)
+
+    def _add(self, topic: Topic, message: Any, arrival_ns: int) -> None:
+        self._sequences[topic.name] += 1
+        self._put(
+            topic.under(REPLAY),
+            bytes(encode(message)),
+            log_ns=arrival_ns,
+            publish_ns=arrival_ns,
+            sequence=self._sequences[topic.name],
+        )
+
+    def _put(self, topic: Topic, payload: bytes, *, log_ns: int, publish_ns: int, sequence: int) -> None:
+        self._writer.add_message(
+            self._channel(topic), log_time=log_ns, publish_time=publish_ns, sequence=sequence, data=payload
+        )
+
+    def _channel(self, topic: Topic) -> int:
+        if topic.name not in self._channels:
+            if topic.type not in self._schemas:
+                text = definition(topic.type).encode()
+                self._schemas[topic.type] = self._writer.register_schema(topic.type, SCHEMA_ENCODING, text)
+            metadata = {QOS_METADATA: qos_profile(topic), HASH_METADATA: type_hash(topic.type)}
+            self._channels[topic.name] = self._writer.register_channel(
+                f"/{topic.name}", MESSAGE_ENCODING, self._schemas[topic.type], metadata
+            )
+        return self._channels[topic.name]
+
+    def _describe(self) -> None:
+        """Add the source's records, without its namespace, and the configuration of the new estimates."""
+        services = {
+            name: model | ({"bus": model["bus"] | {"namespace": ""}} if "bus" in model else {})
+            for name, model in self._source.configuration.items()
+        }
+        services[REPLAY] = self._config.model_dump(mode="json") | {"instance": REPLAY, "prefix": REPLAY}
+        self._writer.add_metadata(SOFTWARE, self._source.metadata(SOFTWARE))
+        self._writer.add_metadata(
+            CONFIGURATION, {name: json.dumps(model) for name, model in services.items()}
+        )

@@ -1,0 +1,171 @@
+"""A log through the navigator, in one process: the same bytes come out each time.
+
+What runs is the daemon's estimator; time is the frames' own. Between two frames it passes in steps, as it
+does for the daemon, so that silence is noticed at the same place.
+"""
+
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+from rpod_analysis.errors import CannotWriteError, NoEstimatorError
+from rpod_analysis.log import Log, Logged
+from rpod_analysis.log_file import REPLAY, beside
+from rpod_analysis.replay.estimate_log import EstimateLog
+from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
+from rpod_analysis.replay.timeline import Timeline
+from rpod_analysis.run import estimate_prefix
+from rpod_estimator.estimator import TICK_S, Estimator
+from rpod_estimator.intake import Intake
+from rpod_estimator.measurement import Tick
+from rpod_estimator.navigator import Output
+from rpod_schemas.cdr import NANOSECONDS
+from rpod_schemas.config.base import check
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.topics import ESTIMATE, ESTIMATE_POSE, STATUS, TF_STATIC, TRUTH
+from rpod_target import load_target
+
+_TICK_NS = round(TICK_S * NANOSECONDS)
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What a replay did."""
+
+    out: Path
+    """The new log: truth, the old estimates, and the new ones under ``replay``."""
+    prefix: str
+    """Of the old estimates."""
+    frames: int
+    """Handed to the estimator."""
+    missing: int
+    """Frames that the live run took and the log has not."""
+    refused: dict[str, int]
+    """Messages that could not be used, by topic."""
+    processing_s: tuple[float, ...]
+    """Of each frame, on this machine."""
+
+
+def configured_estimator(log: Log) -> EstimatorConfig:
+    """Return the configuration with which a log's estimator ran; of several, the one named ``estimator``.
+
+    Raises:
+        NoEstimatorError: the log holds none.
+        ConfigurationError: it is of another version, and cannot be used.
+    """
+    found = {
+        name: model for name, model in log.configuration.items() if {"prefix", "sensors"} <= model.keys()
+    }
+    name = EstimatorConfig.model_fields["instance"].default
+    if not found:
+        raise NoEstimatorError(log.paths[0])
+    model = found.get(name) or next(iter(found.values()))
+    return check(EstimatorConfig, model, source=f"{log.paths[0]}: configuration of the estimator")
+
+
+def replay(
+    log: Log,
+    config: EstimatorConfig,
+    *,
+    out: Path | None = None,
+    as_live: bool = False,
+    start_s: float = 0.0,
+    end_s: float | None = None,
+) -> Replayed:
+    """Estimate a log's sensor data anew.
+
+    Args:
+        log: with sensor data.
+        config: of the estimator; its bus does not matter.
+        out: log to write; ``run.replay.mcap`` beside ``run.mcap`` where left out. An older one is replaced.
+        as_live: take the frames that the live run took, in its order, instead of all.
+        start_s: where to begin, from the log's beginning; latched messages from before are known.
+        end_s: where to end.
+
+    Raises:
+        TargetError: the configured target cannot be loaded.
+        AnalysisError: the log cannot be read, or the new one not be written.
+    """
+    target = out or beside(log.paths[0], REPLAY)
+    if target.resolve() in {path.resolve() for path in log.paths}:
+        raise CannotWriteError(target, "is the log itself")
+    estimator, intake = Estimator(config, load_target(config.target)), Intake(config.sensors)
+    old = estimate_prefix(log)
+    frames = FramesAsLive(intake, status_topic=STATUS.under(old).name) if as_live else Frames(intake)
+    feed = _Feed(estimator, intake, config, as_live=as_live)
+    try:
+        with EstimateLog(target, log, config) as written:
+            for logged in _relevant(log, intake, old, start_s=start_s, end_s=end_s):
+                if logged.topic in _copied(old):
+                    written.copy(logged)
+                written.add(feed.outputs(frames.take(logged)), arrival_ns=logged.log_ns)
+            written.add(feed.outputs(frames.rest()), arrival_ns=written.last_ns)
+    except OSError as error:
+        raise CannotWriteError(target, (error.strerror or str(error)).lower()) from error
+    return Replayed(
+        out=target,
+        prefix=old,
+        frames=len(feed.processing_s),
+        missing=frames.missing,
+        refused=dict(frames.refused),
+        processing_s=tuple(feed.processing_s),
+    )
+
+
+def _copied(prefix: str) -> set[str]:
+    """Return the names of the topics that the new log has from the old one."""
+    estimates = (topic.under(prefix).name for topic in (ESTIMATE, ESTIMATE_POSE, STATUS))
+    return {TRUTH.name, TF_STATIC.name, *estimates}
+
+
+def _relevant(
+    log: Log, intake: Intake, prefix: str, *, start_s: float, end_s: float | None
+) -> Iterator[Logged]:
+    timeline = Timeline(log)
+    start_ns = timeline.arrival_of(timeline.at(start_s)) if start_s else None
+    end_ns = None if end_s is None else timeline.arrival_of(timeline.at(end_s))
+    latched = [topic.name for topic in intake.latched]
+    streams = [topic.name for topic in intake.streams]
+    before = log.messages(*latched, end_ns=start_ns) if start_ns is not None else ()
+    wanted = {*latched, *streams, *_copied(prefix)}
+    return chain(before, log.messages(*wanted, start_ns=start_ns, end_ns=end_ns))
+
+
+class _Feed:
+    """Feeds the estimator, and lets time pass between the frames."""
+
+    def __init__(
+        self, estimator: Estimator, intake: Intake, config: EstimatorConfig, *, as_live: bool
+    ) -> None:
+        self.processing_s: list[float] = []
+        self._estimator, self._intake, self._as_live = estimator, intake, as_live
+        self._silence_ns = round(config.navigator.silence_timeout_s * NANOSECONDS) + 2 * _TICK_NS
+        self._now_ns: int | None = None
+
+    def outputs(self, events: Iterable[Event]) -> Iterator[Output]:
+        """Yield what the estimator has to say."""
+        for event in events:
+            self._estimator.use_patterns(self._intake.patterns)
+            if isinstance(event, Tick):
+                yield from self._tick(event.stamp_ns)
+                continue
+            yield from self._pass_time(event.stamp_ns)
+            started_s = time.perf_counter()
+            output = self._estimator.process(event)
+            self.processing_s.append(time.perf_counter() - started_s)
+            yield output
+
+    def _pass_time(self, until_ns: int) -> Iterator[Output]:
+        """Tick up to a frame's stamp; as live, the statuses tell when a tick had something to say."""
+        if self._now_ns is not None and not self._as_live:
+            last_ns = min(until_ns, self._now_ns + self._silence_ns)  # later ticks say nothing new
+            for now_ns in range(self._now_ns + _TICK_NS, last_ns, _TICK_NS):
+                yield from self._tick(now_ns)
+        self._now_ns = max(until_ns, self._now_ns or 0)
+
+    def _tick(self, now_ns: int) -> Iterator[Output]:
+        output = self._estimator.tick(now_ns)
+        if output is not None:
+            yield output

@@ -1,0 +1,161 @@
+"""A log onto the bus: the recorded bytes, at their pace, with the time that they were recorded at.
+
+A receiver whose time comes from ``clock`` cannot tell it from the sensors: keys, attachments, latched topics
+and stamps are theirs.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from threading import Event
+
+from rpod_analysis.errors import NothingToPlayError
+from rpod_analysis.log import Log, Logged, is_latched
+from rpod_analysis.replay.timeline import Timeline
+from rpod_runtime import Node
+from rpod_runtime.publisher import Publisher
+from rpod_schemas.cdr import NANOSECONDS, begins_with_stamp, is_known, restamped
+from rpod_schemas.messages import write_clock
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, STATUS, TF, Topic
+
+_CLOCK_PERIOD_NS = NANOSECONDS // 250
+_BETWEEN_LAPS_NS = NANOSECONDS // 10
+_SETTLE_S = 0.3
+"""Before the first message and after the last: publishers are found, what was missed is asked for again."""
+
+
+@dataclass(frozen=True)
+class Playback:
+    """How a log is played."""
+
+    speed: float = 1.0
+    """Times as fast as it was recorded."""
+    start_s: float = 0.0
+    """Where to begin, from the log's first message on."""
+    end_s: float | None = None
+    """Where to end; with the log where left out."""
+    loop: bool = False
+    """Begin again at the end; stamps and clock go on rising."""
+    topics: tuple[str, ...] = ()
+    """Patterns as ``pmd/*``; where left out, all but what estimators and services said, tf and clock."""
+    clock: bool = True
+    """Whether ``clock`` is published."""
+
+
+@dataclass
+class Played:
+    """What was played."""
+
+    messages: Counter[str] = field(default_factory=Counter)
+    """By topic."""
+    left_out: tuple[str, ...] = ()
+    """Topics that were asked for and whose type is not known."""
+    laps: int = 0
+    """How often the end was reached."""
+    behind_s: float = 0.0
+    """How late a message was at most."""
+
+
+def play(log: Log, node: Node, playback: Playback, *, stop: Event) -> Played:
+    """Publish a log's messages as they came, until its end or until stopped.
+
+    Raises:
+        NothingToPlayError: no topic of a known type fits.
+        DamagedLogError: the log cannot be read there.
+    """
+    return _Player(log, node, playback, stop).play()
+
+
+def chosen_topics(log: Log, patterns: tuple[str, ...] = ()) -> list[str]:
+    """Return the topics that are played; without patterns, what sensors, truth and environment said."""
+    if patterns:
+        return [name for name in log.topics if any(fnmatchcase(name, pattern) for pattern in patterns)]
+    estimators = {
+        name.rsplit("/", 1)[0] + "/" for name, info in log.topics.items() if info.type == STATUS.type
+    }
+    others = {DIAGNOSTICS.name, TF.name}
+    return [name for name in log.topics if name not in others and not name.startswith(tuple(estimators))]
+
+
+class _Player:
+    def __init__(self, log: Log, node: Node, playback: Playback, stop: Event) -> None:
+        self._log, self._playback, self._stop = log, playback, stop
+        self._timeline = Timeline(log)
+        self._played = Played()
+        names = [name for name in chosen_topics(log, playback.topics) if name != CLOCK.name]
+        self._publishers = {
+            name: node.publisher(Topic(name, log.topics[name].type, is_latched(name)))
+            for name in names
+            if is_known(log.topics[name].type)
+        }
+        if not self._publishers:
+            raise NothingToPlayError(log.paths[0], playback.topics)
+        self._played.left_out = tuple(name for name in names if name not in self._publishers)
+        self._clock: Publisher | None = node.publisher(CLOCK) if playback.clock else None
+        self._clock_ns = 0
+
+    def play(self) -> Played:
+        begin_ns = self._timeline.at(self._playback.start_s)
+        self._stop.wait(_SETTLE_S)
+        self._announce(begin_ns)
+        started_s, shift_ns = time.monotonic(), 0
+        while not self._stop.is_set():
+            for logged, now_ns in self._timed(begin_ns):
+                elapsed_s = (now_ns + shift_ns - begin_ns) / NANOSECONDS / self._playback.speed
+                if self._wait_until(started_s + elapsed_s):
+                    break
+                self._publish(logged, now_ns, shift_ns)
+            self._played.laps += not self._stop.is_set()
+            shift_ns += self._timeline.now_ns - begin_ns + _BETWEEN_LAPS_NS
+            if not self._playback.loop:
+                break
+        self._stop.wait(_SETTLE_S)
+        return self._played
+
+    def _announce(self, begin_ns: int) -> None:
+        """Publish the time and what was latched before the beginning."""
+        self._tell_time(begin_ns)
+        latched = [name for name in self._publishers if is_latched(name)]
+        newest: dict[tuple[str, bytes], Logged] = {}
+        for logged in (
+            self._log.messages(*latched, end_ns=self._timeline.arrival_of(begin_ns)) if latched else ()
+        ):
+            newest[logged.topic, logged.payload] = logged  # several sensors latch one tf_static each
+        for logged in newest.values():
+            self._send(logged, 0)
+
+    def _timed(self, begin_ns: int) -> Iterator[tuple[Logged, int]]:
+        """Yield messages with their time, from the beginning to the end."""
+        end_s, timeline = self._playback.end_s, self._timeline
+        end_ns = None if end_s is None else timeline.at(end_s)
+        timeline.now_ns = begin_ns
+        names = [*self._publishers, *([CLOCK.name] if timeline.recorded else [])]
+        for logged in self._log.messages(*names, start_ns=timeline.arrival_of(begin_ns)):
+            now_ns = timeline.advance(logged)
+            if end_ns is not None and now_ns >= end_ns:
+                return
+            yield logged, now_ns
+
+    def _wait_until(self, due_s: float) -> bool:
+        """Wait for a message's turn; return whether it is over."""
+        ahead_s = due_s - time.monotonic()
+        self._played.behind_s = max(self._played.behind_s, -ahead_s)
+        return self._stop.wait(ahead_s) if ahead_s > 0 else self._stop.is_set()
+
+    def _publish(self, logged: Logged, now_ns: int, shift_ns: int) -> None:
+        if logged.topic == CLOCK.name or now_ns + shift_ns - self._clock_ns >= _CLOCK_PERIOD_NS:
+            self._tell_time(now_ns + shift_ns)
+        if logged.topic != CLOCK.name and not (shift_ns and is_latched(logged.topic)):
+            self._send(logged, shift_ns)
+
+    def _tell_time(self, now_ns: int) -> None:
+        if self._clock is not None and now_ns > self._clock_ns:
+            self._clock.publish(write_clock(now_ns))
+            self._clock_ns = now_ns
+
+    def _send(self, logged: Logged, shift_ns: int) -> None:
+        moved = shift_ns and begins_with_stamp(logged.type)
+        self._publishers[logged.topic].put(restamped(logged.payload, shift_ns) if moved else logged.payload)
+        self._played.messages[logged.topic] += 1

@@ -1,0 +1,43 @@
+"""The time of a log: that of its own ``clock``, as after a run in lockstep, else that of the arrivals."""
+
+from bisect import bisect_left
+
+from rpod_analysis.log import Log, Logged
+from rpod_schemas.cdr import NANOSECONDS, peek_stamp
+from rpod_schemas.topics import CLOCK
+
+_NEVER_NS = 1 << 62
+
+
+class Timeline:
+    """The time of a log: that of its ``clock``, else that of the arrivals."""
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        self.recorded = CLOCK.name in log.topics and log.topics[CLOCK.name].count > 0
+        self.now_ns = self._clock_from(log.start_ns) if self.recorded else log.start_ns
+        self.start_ns = self.now_ns
+
+    def at(self, time_s: float) -> int:
+        """Return the time so many seconds from the beginning."""
+        return self.start_ns + round(time_s * NANOSECONDS)
+
+    def advance(self, logged: Logged) -> int:
+        """Return the time once a message has come."""
+        if not self.recorded:
+            self.now_ns = logged.log_ns
+        elif logged.topic == CLOCK.name:
+            self.now_ns = max(peek_stamp(logged.payload), self.now_ns)
+        return self.now_ns
+
+    def arrival_of(self, time_ns: int) -> int:
+        """Return when the log had reached a time, on the clock of the arrivals."""
+        if not self.recorded:
+            return time_ns
+        arrivals = range(self._log.start_ns, self._log.end_ns + 1)
+        return arrivals.start + bisect_left(arrivals, time_ns, key=self._clock_from)
+
+    def _clock_from(self, arrival_ns: int) -> int:
+        """Return the first time that was told from an arrival on; that of the end beyond it."""
+        first = next(self._log.messages(CLOCK, start_ns=arrival_ns), None)
+        return _NEVER_NS if first is None else peek_stamp(first.payload)

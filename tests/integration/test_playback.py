@@ -1,0 +1,144 @@
+"""A log onto a real bus: what subscribers get of it, and that an estimator takes it for its sensors."""
+
+from dataclasses import replace
+from threading import Event
+
+import pytest
+from live_bus import collect, daemon, first
+from synthetic_log import EPOCH_NS, T_CHASER_SENSOR, SyntheticRun, approach, see_depth
+
+from rpod_analysis import AnalysisError, open_log
+from rpod_analysis.replay import Playback, play, replay
+from rpod_estimator.daemon import run as run_estimator
+from rpod_runtime import Inbox
+from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
+from rpod_schemas.logs import REPLAY
+from rpod_schemas.messages import read_diagnostics
+from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE, STATUS, TF_STATIC, TRUTH
+from rpod_schemas.types import Camera
+from rpod_target import load_target
+
+CAMERA = Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5)
+SECOND = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def run():
+    return SyntheticRun(
+        duration_s=1.0, camera=CAMERA, target="mockup", render=see_depth(load_target("mockup"), CAMERA)
+    )
+
+
+@pytest.fixture(scope="module")
+def log_path(run, tmp_path_factory):
+    return run.write(tmp_path_factory.mktemp("playback") / "run.mcap")
+
+
+def listen(bus, *topics):
+    node, inbox = bus.node("listener"), Inbox()
+    for topic in topics:
+        node.subscribe(topic, inbox.put, recover=True)
+    return inbox
+
+
+def await_ready(health):
+    """Wait until the estimator says what it does: it listens then."""
+
+    def ready(received):
+        return any(
+            said.name == "estimator" and said.message != "starting"
+            for said in read_diagnostics(received.decode())
+        )
+
+    assert first(health, ready)
+
+
+def by_topic(received, topic):
+    return [item for item in received if item.topic.name == topic.name]
+
+
+def test_subscribers_get_the_recorded_bytes_in_order_and_the_time_of_the_log(bus, log_path):
+    inbox = listen(bus, DEPTH.of("pmd"), TF_STATIC, TRUTH, CLOCK)
+    with open_log(log_path) as log:
+        played = play(log, bus.node("replay"), Playback(speed=2.0), stop=Event())
+        received = collect(inbox, sum(played.messages[t.name] for t in (DEPTH.of("pmd"), TF_STATIC, TRUTH)))
+        received += collect(inbox, 1 << 20, timeout_s=0.5)
+        for topic in (DEPTH.of("pmd"), TF_STATIC, TRUTH):
+            mine = by_topic(received, topic)
+            assert [bytes(item.payload) for item in mine] == [m.payload for m in log.messages(topic)]
+            assert [item.attachment.sequence for item in mine] == list(range(1, len(mine) + 1))
+        clock = [peek_stamp(item.payload) for item in by_topic(received, CLOCK)]
+        assert clock == sorted(set(clock))
+        assert clock[0] == log.start_ns
+        assert 0 <= log.end_ns - clock[-1] < 0.5 * SECOND, "the estimates that come last are not played"
+    assert played.laps == 1
+    assert not any(name.startswith(("estimate/", "diagnostics")) for name in played.messages)
+
+
+def test_from_anywhere_with_chosen_topics_and_what_was_latched_before(bus, log_path):
+    inbox = listen(bus, DEPTH.of("pmd"), TF_STATIC, TRUTH)
+    playback = Playback(speed=4.0, start_s=0.45, end_s=0.85, topics=("pmd/depth/*", "tf_static"))
+    with open_log(log_path) as log:
+        played = play(log, bus.node("replay"), playback, stop=Event())
+    assert dict(played.messages) == {"tf_static": 1, "pmd/depth/image_raw": 4}
+    received = collect(inbox, 5)
+    stamps = [
+        round((peek_stamp(item.payload) - EPOCH_NS) / SECOND, 2)
+        for item in by_topic(received, DEPTH.of("pmd"))
+    ]
+    assert stamps == [0.5, 0.6, 0.7, 0.8]
+    assert len(by_topic(received, TF_STATIC)) == 1
+
+
+def test_in_a_loop_stamps_and_clock_go_on_rising(bus, log_path):
+    stop, stamps, times = Event(), [], []
+    node = bus.node("listener")
+
+    def take(received):
+        stamps.append(peek_stamp(received.payload))
+        if len(stamps) == 28:
+            stop.set()
+
+    node.subscribe(DEPTH.of("pmd"), take, recover=True)
+    node.subscribe(CLOCK, lambda received: times.append(peek_stamp(received.payload)), recover=True)
+    with open_log(log_path) as log:
+        play(log, bus.node("replay"), Playback(speed=8.0, loop=True), stop=stop)
+    assert len(stamps) >= 28
+    assert stamps == sorted(set(stamps))
+    assert times == sorted(set(times))
+    laps = [stamp - EPOCH_NS for stamp in stamps[:22]]
+    assert laps[:11] == [k * SECOND // 10 for k in range(11)]
+    assert {later - earlier for earlier, later in zip(laps[:11], laps[11:], strict=True)} == {
+        laps[11] - laps[0]
+    }
+
+
+def test_nothing_to_play_is_an_error(bus, log_path):
+    with open_log(log_path) as log, pytest.raises(AnalysisError, match="no topic of a known type"):
+        play(log, bus.node("replay"), Playback(topics=("lidar/*",)), stop=Event())
+
+
+@pytest.mark.parametrize("clock", [False, True], ids=["log of the wall clock", "log of a run in lockstep"])
+def test_an_estimator_cannot_tell_it_from_its_sensors(bus, run, tmp_path, clock):
+    """On the bus and in one process, the same frames make the same estimates, byte for byte."""
+    path = replace(run, clock=clock).write(tmp_path / "run.mcap")
+    config = EstimatorConfig(
+        target="mockup",
+        bus=bus.config,
+        sensors=(PmdInput(),),
+        time_source="clock",
+        initial_pose=T_CHASER_SENSOR * approach(0.0),
+    )
+    inbox, health = listen(bus, ESTIMATE, STATUS), Inbox()
+    bus.node("watcher").subscribe(DIAGNOSTICS, health.put)
+    with open_log(path) as log, daemon(run_estimator, config):
+        await_ready(health)
+        play(log, bus.node("replay"), Playback(speed=0.5), stop=Event())
+        received = collect(inbox, 11 + 10)
+        reference = replay(log, config, out=tmp_path / "reference.mcap")
+    with open_log(reference.out) as log:
+        ours = [message.payload for message in log.messages(ESTIMATE.under(REPLAY))]
+    assert ours
+    assert [bytes(item.payload) for item in by_topic(received, ESTIMATE)] == ours
+    assert len(by_topic(received, STATUS)) == 11
