@@ -1,15 +1,17 @@
 """One file of a log, or all files of a folder: what can be opened, and what is wrong where it cannot."""
 
 import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, cast
 
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import McapReader, make_reader
-from mcap.records import Schema, Statistics
+from mcap.records import ChunkIndex, Schema, Statistics
 from mcap.summary import Summary
 
 from rpod_analysis.errors import DamagedLogError, NoLogError, NotMcapError, TruncatedLogError
@@ -19,7 +21,12 @@ from rpod_schemas.logs import SCHEMA_ENCODING
 SUFFIX, RECOVERED, REPLAY = ".mcap", ".recovered", ".replay"
 """Of logs; of what is made of ``run.mcap`` beside it: ``run.recovered.mcap`` and ``run.replay.mcap``."""
 
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
+_FOOTER = struct.Struct("<QQI")
+"""Beginning of the summary and of its offsets, checksum over all from there up to itself."""
+_CHUNK = struct.Struct("<BQQQQ")
+"""Opcode, length, first and last time, size of the content; checksum and compression follow."""
+_FRAME_BYTES = 9
 _DAMAGE = (McapError, RuntimeError, ValueError, KeyError, struct.error, EOFError)
 """What the MCAP reader and the decompression raise on damaged bytes."""
 
@@ -44,6 +51,40 @@ def files_of(path: Path) -> list[Path]:
     if not files:
         raise NoLogError(path, f"no {SUFFIX} file in this folder")
     return files
+
+
+class _Guarded:
+    """A file that compares a chunk with its index before the reader has it, which believes the index."""
+
+    def __init__(self, path: Path, stream: IO[bytes]) -> None:
+        self.tell, self.read, self.seekable = stream.tell, stream.read, stream.seekable
+        self._path, self._stream = path, stream
+        self._chunks: dict[int, ChunkIndex] = {}
+
+    def guard(self, chunks: list[ChunkIndex]) -> None:
+        """Know the chunks by where the reader goes for them: behind opcode and length."""
+        self._chunks = {index.chunk_start_offset + _FRAME_BYTES: index for index in chunks}
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Go to a place. Raises ``DamagedLogError`` where a chunk should be and is not."""
+        index = self._chunks.get(offset) if whence == 0 else None
+        if index is not None:
+            self._check(index)
+        return self._stream.seek(offset, whence)
+
+    def _check(self, index: ChunkIndex) -> None:
+        self._stream.seek(index.chunk_start_offset)
+        compression = index.compression.encode()
+        head = _CHUNK.pack(
+            Opcode.CHUNK,
+            index.chunk_length - _FRAME_BYTES,
+            index.message_start_time,
+            index.message_end_time,
+            index.uncompressed_size,
+        )
+        found = self._stream.read(_CHUNK.size + 8 + len(compression))
+        if found[: _CHUNK.size] != head or found[_CHUNK.size + 8 :] != compression:
+            raise DamagedLogError(self._path, f"no chunk at byte {index.chunk_start_offset}")
 
 
 @dataclass(frozen=True)
@@ -93,23 +134,36 @@ def open_file(path: Path, stack: ExitStack) -> LogFile:
         _check_ends(path, stream)
     except OSError as error:
         raise NoLogError(path, (error.strerror or str(error)).lower()) from error
+    guarded = _Guarded(path, stream)
     with reading(path):
-        reader = make_reader(stream, validate_crcs=True)
+        reader = make_reader(cast("IO[bytes]", guarded), validate_crcs=True)
         summary = reader.get_summary()
     if summary is None or summary.statistics is None:
         raise TruncatedLogError(path)
+    if not summary_is_whole(stream):
+        raise DamagedLogError(path, "the checksum of its summary does not hold")
+    guarded.guard(summary.chunk_indexes)
     for schema in summary.schemas.values():
         if schema.encoding == SCHEMA_ENCODING:
             learn(ros_type(schema), schema.data)
     return LogFile(path, reader, summary, summary.statistics)
 
 
+def summary_is_whole(stream: IO[bytes]) -> bool:
+    """Return whether the checksum over the summary holds, or is none (MCAP specification, "Footer")."""
+    stream.seek(-len(MAGIC) - _FOOTER.size, 2)
+    end = stream.tell() + _FOOTER.size - 4
+    summary_start, _, checksum = _FOOTER.unpack(stream.read(_FOOTER.size))
+    stream.seek(summary_start)
+    return checksum in (0, zlib.crc32(stream.read(end - summary_start)))
+
+
 def _check_ends(path: Path, stream: IO[bytes]) -> None:
     """An MCAP file begins and, once it was closed, ends with the same eight bytes."""
-    if stream.read(len(_MAGIC)) != _MAGIC:
+    if stream.read(len(MAGIC)) != MAGIC:
         raise NotMcapError(path)
     size = stream.seek(0, 2)
-    stream.seek(max(size - len(_MAGIC), len(_MAGIC)))
-    if stream.read() != _MAGIC:
+    stream.seek(max(size - len(MAGIC), len(MAGIC)))
+    if stream.read() != MAGIC:
         raise TruncatedLogError(path)
     stream.seek(0)

@@ -7,7 +7,6 @@ one (MCAP specification, "Records": a byte of opcode, eight of length, the conte
 
 import re
 import struct
-import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -39,7 +38,8 @@ from mcap.records import (
 )
 from mcap.stream_reader import breakup_chunk
 
-MAGIC = b"\x89MCAP0\r\n"
+from rpod_analysis.log_file import MAGIC
+
 DAMAGE = (
     McapError,
     RuntimeError,
@@ -55,8 +55,6 @@ DAMAGE = (
 _FRAME = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
 """First and last time, size and checksum of the content, length of the compression's name."""
-_FOOTER = struct.Struct("<QQI")
-"""Beginning of the summary and of its offsets, checksum over all from there up to itself."""
 _CANDIDATE = re.compile(rb"(?=[\x01-\x0f].{4}\x00{4})", re.DOTALL)
 """An opcode and a length below 4 GiB; looked ahead, so that candidates may overlap."""
 _WINDOW = 1 << 22
@@ -111,15 +109,6 @@ def is_mcap(stream: IO[bytes]) -> bool:
     """Return whether a file begins as an MCAP file does."""
     stream.seek(0)
     return stream.read(len(MAGIC)) == MAGIC
-
-
-def summary_is_whole(stream: IO[bytes]) -> bool:
-    """Return whether the checksum over the summary holds, or is none (MCAP specification, "Footer")."""
-    stream.seek(-len(MAGIC) - _FOOTER.size, 2)
-    end = stream.tell() + _FOOTER.size - 4
-    summary_start, _, checksum = _FOOTER.unpack(stream.read(_FOOTER.size))
-    stream.seek(summary_start)
-    return checksum in (0, zlib.crc32(stream.read(end - summary_start)))
 
 
 def scan(stream: IO[bytes]) -> Iterator[Found]:
