@@ -87,7 +87,7 @@ def decode(payload: bytes | memoryview, type_name: str) -> Any:
         ) from error
 
 
-def peek_stamp(payload: bytes | memoryview) -> int:
+def peek_stamp(payload: bytes | bytearray | memoryview) -> int:
     """Return the stamp, ns, of a message that begins with a std_msgs/Header, undecoded.
 
     Raises:
@@ -99,7 +99,7 @@ def peek_stamp(payload: bytes | memoryview) -> int:
     return checked_stamp(seconds, nanoseconds)
 
 
-def restamped(payload: bytes | memoryview, shift_ns: int) -> bytearray:
+def restamped(payload: bytes | bytearray | memoryview, shift_ns: int) -> bytearray:
     """Return a message that begins with a stamp, as with a std_msgs/Header, moved in time.
 
     Raises:

@@ -17,6 +17,7 @@ from rpod_analysis.log import Log, open_log
 from rpod_analysis.run import Run, read_run
 from rpod_analysis.snapshots import take_snapshots
 from rpod_analysis.summarise import summarise
+from rpod_analysis.tables import write_tables
 from rpod_analysis.verdict import find_checks, verdict
 from rpod_schemas.logs import SOFTWARE
 from rpod_schemas.summary import Summary
@@ -36,7 +37,7 @@ class ReportPaths:
 
 
 def write_report(logs: Sequence[Path], out: Path | None = None) -> ReportPaths:
-    """Write ``report.html`` and ``summary.json`` of a run.
+    """Write ``report.html`` and ``summary.json`` of a run, and its tables and trajectories beside them.
 
     Args:
         logs: the run's log, or its parts.
@@ -52,6 +53,7 @@ def write_report(logs: Sequence[Path], out: Path | None = None) -> ReportPaths:
         summary = summarise(log, run, report=paths.html)
         page = render(log, run, summary)
     directory.mkdir(parents=True, exist_ok=True)
+    write_tables(directory, run)
     paths.html.write_text(page, encoding="utf-8")
     paths.summary.write_text(summary.model_dump_json(indent=2) + "\n", encoding="utf-8")
     return paths

@@ -50,6 +50,10 @@ def test_report_and_summary_stand_beside_the_log(written):
         "run.mcap",
         "report.html",
         "summary.json",
+        "truth.parquet",
+        "frames.parquet",
+        "truth.tum",
+        "estimate.tum",
     }
     summary = Summary.model_validate_json(written.summary.read_text("utf-8"))
     assert summary.report == str(written.html)

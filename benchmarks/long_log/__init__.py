@@ -1,0 +1,1 @@
+"""How reading a log scales with its length."""
