@@ -9,7 +9,7 @@ PEERS := .venv-peers
 SCENARIO ?= mockup-tumbling
 ARGS ?=
 
-.PHONY: help run test check format lint types layers bench recording peers setup clean
+.PHONY: help run test check format lint types layers bench recording reading peers setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
@@ -43,6 +43,9 @@ layers: $(READY) ## Import layers
 
 bench: $(READY) ## Measured speed of this machine
 	$(BIN)/python -m rpod bench $(ARGS)
+
+reading: $(READY) ## A log of 10 GB: time to open and slice it, memory to summarise it
+	@PYTHONPATH=benchmarks $(BIN)/python -m long_log $(ARGS)
 
 recording: $(READY) ## The logger at a camera's full rate: loss, processor time, memory
 	@PYTHONPATH=benchmarks $(BIN)/python -m recording $(ARGS)

@@ -3,6 +3,8 @@
 Three facilities run on this machine at the same time, two of them with the same seed.
 """
 
+import subprocess
+import sys
 from contextlib import ExitStack, closing
 
 import pytest
@@ -12,6 +14,7 @@ from logs import messages_of, read_closed
 from rpod.scenarios import find
 from rpod_analysis.log import open_log
 from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.replay import ReplayReport
 from rpod_schemas.schedule import due_frames
 from rpod_schemas.summary import Summary
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, ESTIMATE_POSE, POINTS, TRUTH, Topic
@@ -132,3 +135,23 @@ def test_json_prints_nothing_else(runs):
     run = runs["eight"]
     assert Summary.model_validate_json(run.stdout) == run.summary
     assert not run.stderr
+
+
+@pytest.mark.parametrize("how", [(), ("--as-live",)], ids=["all frames", "as live"])
+def test_a_replay_makes_the_very_estimates_of_the_run(runs, how, tmp_path):
+    log, out = runs["seven"].log, tmp_path / "again.mcap"
+    done = subprocess.run(
+        [sys.executable, "-m", "rpod", "replay", str(log), *how, "--out", str(out), "--json"],
+        capture_output=True,
+        text=True,
+        timeout=120.0,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    report = ReplayReport.model_validate_json(done.stdout)
+    assert (report.frames, report.missing, report.refused) == (DURATION_S, 0, {})
+    assert report.difference.identical == report.difference.common == report.old.estimates > 0
+    assert report.new.error == report.old.error
+    with open_log(out) as new:
+        for topic in (ESTIMATE, ESTIMATE_POSE):
+            assert [m.payload for m in new.messages(topic.under("replay"))] == payloads(runs["seven"], topic)
