@@ -42,8 +42,6 @@ def _figures(result: Result, seconds: float) -> dict[str, object]:
     first, last = result.samples[0], result.samples[-1]
     warm = [sample for sample in result.samples if sample.time_s >= _WARM_S] or list(result.samples)
     rss = np.array([sample.rss_bytes for sample in warm]) / _MEBI
-    minutes = np.array([sample.time_s for sample in warm]) / 60.0
-    growth = float(np.polyfit(minutes, rss, 1)[0]) if len(warm) > 1 else 0.0
     thirds = [round(float(np.median(part)), 1) for part in np.array_split(rss, 3) if len(part)]
     return {
         "sent MB/s": round(result.sent_bytes / seconds / 1e6, 1),
@@ -58,7 +56,7 @@ def _figures(result: Result, seconds: float) -> dict[str, object]:
         "share of a core": round((last.cpu_s - first.cpu_s) / (last.time_s - first.time_s), 3),
         "queue high water MiB": round(result.counters["queue/high_water_bytes"] / _MEBI, 1),
         "RSS MiB, median of each third": thirds,
-        "RSS MiB/min, fitted": round(growth, 2),
+        "RSS MiB, most": round(float(rss.max()), 1),
     }
 
 

@@ -14,7 +14,7 @@ from rpod_runtime import Received
 _OVERHEAD_BYTES = 512
 """What a queued message takes beside its payload."""
 _HURRY_BYTES = 4 << 20
-"""For so much the writer is woken; for less it comes by itself: a wake-up a message costs more than the message."""
+"""For so much the writer is woken; for less it comes by itself, so that not each message costs a wake-up."""
 
 
 Action = Callable[[Counter[str]], None]

@@ -96,9 +96,8 @@ def _allocate(directory: Path, size: int) -> IO[bytes]:
 
 
 def _sync_directory(directory: Path) -> None:
-    """Make a new name survive a power failure."""
+    """Make a new name survive a power failure, where the file system can do that."""
     descriptor = os.open(directory, os.O_RDONLY)
-    try:
+    with suppress(OSError):
         os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    os.close(descriptor)
