@@ -42,6 +42,8 @@ State = Literal["starting", "ready", "running", "finished", "stopping", "failed"
 
 _DIAGNOSTICS_PERIOD_S = 1.0
 _CHANGE_POLL_S = 0.1
+_LINGER_S = 0.3
+"""After the last message of a service: for a heartbeat and the recovery of what it shows to be missed."""
 
 
 class Node:
@@ -60,6 +62,7 @@ class Node:
         self._reception = Reception(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
         self._entities = 0
+        self._silent = False
         self._publishers: list[Publisher] = []
         self._stack = ExitStack()
 
@@ -88,8 +91,11 @@ class Node:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        lingers = self.state in ("ready", "running", "finished")
         self.state = "failed" if kind else "stopping"
-        self.stop.set()
+        self._last_beat()
+        if lingers:
+            time.sleep(_LINGER_S)
         self._stack.close()
 
     # --- endpoints ---
@@ -282,7 +288,9 @@ class Node:
     def _last_beat(self) -> None:
         self.stop.set()
         self._heart.join(timeout=2.0)
-        self._publish_health()
+        if not self._silent:
+            self._silent = True
+            self._publish_health()
 
     def _publish_health(self) -> None:
         self._update_counters()
