@@ -43,7 +43,7 @@ State = Literal["starting", "ready", "running", "finished", "stopping", "failed"
 _DIAGNOSTICS_PERIOD_S = 1.0
 _CHANGE_POLL_S = 0.1
 _LINGER_S = 0.3
-"""After the last message of a service: for a heartbeat and the recovery of what it shows to be missed."""
+"""After a service's last message: for a heartbeat, and the recovery of what it shows to be missed."""
 
 
 class Node:
@@ -62,7 +62,6 @@ class Node:
         self._reception = Reception(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
         self._entities = 0
-        self._silent = False
         self._publishers: list[Publisher] = []
         self._stack = ExitStack()
 
@@ -91,11 +90,12 @@ class Node:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        lingers = self.state in ("ready", "running", "finished")
+        serves = self.state in ("ready", "running", "finished")
         self.state = "failed" if kind else "stopping"
-        self._last_beat()
-        if lingers:
-            time.sleep(_LINGER_S)
+        self.stop.set()
+        last_s = max((each.last_s for each in self._publishers if each.topic != DIAGNOSTICS), default=0.0)
+        if serves and (linger_s := last_s + _LINGER_S - time.monotonic()) > 0:
+            time.sleep(linger_s)
         self._stack.close()
 
     # --- endpoints ---
@@ -288,9 +288,7 @@ class Node:
     def _last_beat(self) -> None:
         self.stop.set()
         self._heart.join(timeout=2.0)
-        if not self._silent:
-            self._silent = True
-            self._publish_health()
+        self._publish_health()
 
     def _publish_health(self) -> None:
         self._update_counters()
