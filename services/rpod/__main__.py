@@ -10,6 +10,7 @@ import typer
 from pydantic import BaseModel
 
 from rpod import __version__
+from rpod.log_verbs import log_verbs
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_runtime.lifecycle import run as run_service
 from rpod_schemas.config.base import check, read_document
@@ -52,6 +53,9 @@ def _version(asked: bool) -> None:
     if asked:
         print(f"rpod {__version__}")
         raise typer.Exit
+
+
+app.add_typer(log_verbs)
 
 
 @app.callback()
@@ -168,95 +172,6 @@ def run(
     raise typer.Exit(
         run_command(scenario, duration_s=duration, speed=speed, seed=seed, out=out, as_json=as_json)
     )
-
-
-@app.command()
-def report(
-    logs: Annotated[list[Path], typer.Argument(help="MCAP files.")],
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the summary as one JSON object only.")
-    ] = False,
-) -> None:
-    """Score a log: HTML and summary.json beside it."""
-    from rpod.command_report import report_command
-
-    raise typer.Exit(report_command(logs, as_json=as_json))
-
-
-@app.command()
-def replay(
-    logs: Annotated[list[Path], typer.Argument(help="MCAP files, or a folder of them.")],
-    config: Annotated[
-        Path | None, typer.Option("--config", help="Of the estimator; the log's own where left out.")
-    ] = None,
-    as_live: Annotated[
-        bool, typer.Option("--as-live", help="Just the frames that the live run took.")
-    ] = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Log to write; <log>.replay.mcap where left out.")
-    ] = None,
-    bus: Annotated[
-        bool, typer.Option("--bus", help="Onto the bus instead of through the navigator.")
-    ] = False,
-    connect: Annotated[
-        str | None, typer.Option("--connect", help="Endpoint of the router; onto the bus.")
-    ] = None,
-    wait: WaitOption = False,
-    start: Annotated[float, typer.Option("--from", help="Seconds from the log's beginning.")] = 0.0,
-    end: Annotated[float | None, typer.Option("--to", help="Seconds from the log's beginning.")] = None,
-    speed: Annotated[float, typer.Option("--speed", help="Onto the bus: times as fast as recorded.")] = 1.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Onto the bus: begin again at the end.")] = False,
-    topics: Annotated[
-        str | None, typer.Option("--topics", help="Onto the bus: which, with commas, as 'pmd/*,tf_static'.")
-    ] = None,
-    clock: Annotated[
-        bool, typer.Option("--clock/--no-clock", help="Onto the bus: publish the time of the log.")
-    ] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
-) -> None:
-    """A log again: through the navigator with any configuration, or onto the bus."""
-    from rpod.command_replay import BusOptions, bus_command, navigator_command
-
-    if bus or connect or wait:
-        onto = BusOptions(connect, wait, speed=speed, loop=loop, topics=topics, clock=clock)
-        raise typer.Exit(bus_command(logs, onto, start_s=start, end_s=end, as_json=as_json))
-    raise typer.Exit(
-        navigator_command(
-            logs, config=config, as_live=as_live, out=out, start_s=start, end_s=end, as_json=as_json
-        )
-    )
-
-
-@app.command()
-def recover(
-    log: Annotated[Path, typer.Argument(help="Truncated or damaged MCAP file; it is not touched.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", help="File to write; <log>.recovered.mcap where left out.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
-) -> None:
-    """A readable log out of a truncated or damaged one."""
-    from rpod.command_recover import recover_command
-
-    raise typer.Exit(recover_command(log, out=out, as_json=as_json))
-
-
-@app.command()
-def calibrate(
-    logs: Annotated[list[Path], typer.Argument(help="MCAP files with a PMD camera's frames and the truth.")],
-    camera: Annotated[str, typer.Option("--camera", help="Name of the camera.")] = "pmd",
-    check: Annotated[
-        Path | None, typer.Option("--check", help="Fit nothing: how this calibration does on the logs.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="File to write; <camera>-calibration.yaml where left out.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
-) -> None:
-    """Offset and wiggling of a PMD camera's distances, for the estimator."""
-    from rpod.command_calibrate import calibrate_command
-
-    raise typer.Exit(calibrate_command(logs, camera=camera, check=check, out=out, as_json=as_json))
 
 
 @app.command()

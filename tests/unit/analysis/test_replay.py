@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from mcap_ros2.reader import read_ros2_messages
+from rosbags.highlevel import AnyReader
 from synthetic_log import EPOCH_NS, T_CHASER_SENSOR, Frame, SyntheticRun, approach, see_depth
 
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.replay import compare, configured_estimator, replay
-from rpod_schemas.cdr import decode
+from rpod_schemas.cdr import decode, typestore
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.logs import CONFIGURATION, REPLAY
 from rpod_schemas.topics import ESTIMATE, STATUS
@@ -176,3 +178,12 @@ def test_the_new_estimates_say_nothing_of_when_they_were_made(replayed):
         first = next(new.messages(NEW_ESTIMATE))
         assert decode(first.payload, first.type).child_frame_id == "target_estimate"
         assert first.log_ns == first.publish_ns
+
+
+def test_other_readers_open_the_new_log(replayed):
+    with AnyReader([replayed.out], default_typestore=typestore()) as reader:
+        types = {reader.deserialize(raw, item.msgtype).__msgtype__ for item, _, raw in reader.messages()}
+    assert STATUS.type in types
+    with open_log(replayed.out) as new:
+        count = sum(info.count for info in new.topics.values())
+    assert sum(1 for _ in read_ros2_messages(replayed.out)) == count
