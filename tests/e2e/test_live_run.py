@@ -85,6 +85,10 @@ def test_the_folder_holds_log_report_and_summary(live):
         "report.html",
         "scenario.json",
         "summary.json",
+        "truth.parquet",
+        "frames.parquet",
+        "truth.tum",
+        "estimate.tum",
     }
     assert Path(live.summary.log) == live.log
     assert Path(live.summary.report) == live.directory / "report.html"
