@@ -1,9 +1,14 @@
 """Attitudes spread evenly over all of SO(3), and directions over the sphere."""
 
+from functools import lru_cache
+from math import cos, radians
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 BORESIGHT = np.array([0.0, 0.0, 1.0])
@@ -31,3 +36,15 @@ def even_directions(count: int) -> FloatArray:
     z = 1.0 - (2.0 * index + 1.0) / count
     across = np.sqrt(1.0 - z * z)
     return np.column_stack((across * np.cos(GOLDEN_ANGLE * index), across * np.sin(GOLDEN_ANGLE * index), z))
+
+
+@lru_cache(maxsize=16)
+def attitudes_of(count: int) -> Float32Array:
+    """Return ``super_fibonacci`` as matrices, shape (count, 3, 3); made once, and not to be written to."""
+    return super_fibonacci(count).as_matrix().astype(np.float32)
+
+
+def within(attitudes: Float32Array, around: FloatArray, angle_deg: float) -> NDArray[np.bool_]:
+    """Return which attitudes, shape (M, 3, 3), are within an angle of another one; shape (M,)."""
+    near: NDArray[np.bool_] = np.einsum("mij,ij->m", attitudes, around) >= 1.0 + 2.0 * cos(radians(angle_deg))
+    return near

@@ -6,9 +6,9 @@ from math import cos, radians
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
+from rpod_estimator.acquisition.attitude_grid import within
 from rpod_estimator.acquisition.energy import NOTHING_IN_VIEW, energies
 from rpod_estimator.acquisition.pmd_fit import PmdFit, PmdFitter
 from rpod_estimator.acquisition.pmd_scene import PmdScene
@@ -203,9 +203,3 @@ class FrameSearch:
             if not self._alike(pose, kept):
                 kept.append(pose)
         return kept
-
-
-def within(attitudes: Float32Array, around: FloatArray, angle_deg: float) -> NDArray[np.bool_]:
-    """Return which attitudes are within an angle of another one, shape (M,)."""
-    near: NDArray[np.bool_] = np.einsum("mij,ij->m", attitudes, around) >= 1.0 + 2.0 * cos(radians(angle_deg))
-    return near

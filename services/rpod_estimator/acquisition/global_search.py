@@ -12,15 +12,14 @@ The verdict needs no other pose to compare with: the scan's likelihood against w
 The weights of the hypotheses are their likelihoods.
 """
 
-from functools import lru_cache
-from math import cos, log, radians, sqrt
+from math import log, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import softmax
 
-from rpod_estimator.acquisition.attitude_grid import super_fibonacci
+from rpod_estimator.acquisition.attitude_grid import attitudes_of, within
+from rpod_estimator.acquisition.hypotheses import NEGLIGIBLE, hypotheses
 from rpod_estimator.acquisition.scan_search import (
     FEW_POINTS,
     FINE_SCALES_M,
@@ -36,12 +35,8 @@ from rpod_estimator.tracking.projective_icp import ProjectiveIcp
 from rpod_estimator.tracking.scan_view import SeenScan
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import GlobalSearchConfig
-from rpod_schemas.poses import pose_of
-from rpod_schemas.types import Float32Array, Hypothesis, LidarScan, Source
+from rpod_schemas.types import LidarScan, Source
 from rpod_target import Target
-
-NEGLIGIBLE = 1e-3
-"""Hypotheses with a smaller weight are not listed."""
 
 
 class GlobalSearch:
@@ -114,9 +109,9 @@ class GlobalSearch:
         first = 0 if search.seen.returns >= config.sure_returns else min(1, len(config.levels) - 1)
         templates, poses = 0, list[Pose]()
         for level in config.levels[first:]:
-            attitudes = _attitudes(level.attitudes)
+            attitudes = attitudes_of(level.attitudes)
             if around is not None:
-                attitudes = attitudes[_within(attitudes, around, config.near_deg)]
+                attitudes = attitudes[within(attitudes, around, config.near_deg)]
             templates += len(attitudes)
             poses = search.search(attitudes, level)
             if poses and poses[0].fit.deficit <= 0.0:  # it could not be explained better
@@ -151,37 +146,14 @@ class GlobalSearch:
         if reason or registration.T_sensor_target is None:
             return Acquisition(Verdict.FAILED, registration, reason, templates=templates)
         weights = softmax([pose.fit.log_likelihood for pose in poses])
-        hypotheses = self._hypotheses(poses, weights)
+        listed = hypotheses(poses, weights, self._model.turns.exact)
         alike, best = len(self._model.turns.exact), weights[0]
         by_symmetry = alike > 1 and best >= self._config.ambiguous_weight
         if by_symmetry:
             reason = f"{alike} poses look alike by the target's symmetry"
         elif best < self._config.ambiguous_weight:
-            reason = f"{len(hypotheses)} poses explain the scan, the best with weight {best / alike:.2f}"
+            reason = f"{len(listed)} poses explain the scan, the best with weight {best / alike:.2f}"
         verdict = Verdict.AMBIGUOUS if reason else Verdict.ACCEPTED
         return Acquisition(
-            verdict, registration, reason, hypotheses, templates=templates, by_symmetry=by_symmetry
+            verdict, registration, reason, listed, templates=templates, by_symmetry=by_symmetry
         )
-
-    def _hypotheses(self, poses: list[Pose], weights: FloatArray) -> tuple[Hypothesis, ...]:
-        """Return the poses with all turns that nobody sees, likeliest first."""
-        exact = self._model.turns.exact
-        listed = weights > NEGLIGIBLE
-        shares = weights / weights[listed].sum() / len(exact)
-        return tuple(
-            Hypothesis(pose=pose_of(pose.R @ turn, pose.t), weight=float(share))
-            for pose, share, kept in zip(poses, shares, listed, strict=True)
-            if kept
-            for turn in exact
-        )
-
-
-@lru_cache(maxsize=8)
-def _attitudes(count: int) -> Float32Array:
-    return super_fibonacci(count).as_matrix().astype(np.float32)
-
-
-def _within(attitudes: Float32Array, around: FloatArray, angle_deg: float) -> NDArray[np.bool_]:
-    """Return which attitudes are within an angle of another one, shape (M,)."""
-    near: NDArray[np.bool_] = np.einsum("mij,ij->m", attitudes, around) >= 1.0 + 2.0 * cos(radians(angle_deg))
-    return near

@@ -12,25 +12,21 @@ The verdict asks how much of the frame the best pose explains; the weights of th
 losses.
 """
 
-from functools import lru_cache
-
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import softmax
 
-from rpod_estimator.acquisition.attitude_grid import super_fibonacci
-from rpod_estimator.acquisition.frame_search import FrameSearch, Model, Pose, within
+from rpod_estimator.acquisition.attitude_grid import attitudes_of, within
+from rpod_estimator.acquisition.frame_search import FrameSearch, Model, Pose
+from rpod_estimator.acquisition.hypotheses import hypotheses
 from rpod_estimator.acquisition.pmd_scene import PmdScene, scene_of
 from rpod_estimator.ports import Acquisition, Registration, Verdict
 from rpod_estimator.tracking.signed_distance import measured_equations
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.poses import pose_of
-from rpod_schemas.types import Float32Array, Hypothesis, PmdFrame, Source
+from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
-
-NEGLIGIBLE = 1e-3
-"""Hypotheses with a smaller weight are not listed."""
 
 
 class ViewSearch:
@@ -57,9 +53,9 @@ class ViewSearch:
         if isinstance(scene, str):
             return Acquisition(Verdict.FAILED, Registration(Source.NONE), scene)
         if around is None:
-            attitudes = _attitudes(config.attitudes)
+            attitudes = attitudes_of(config.attitudes)
         else:
-            attitudes = _attitudes(config.near_attitudes)
+            attitudes = attitudes_of(config.near_attitudes)
             attitudes = attitudes[within(attitudes, around, config.near_deg)]
         search = FrameSearch(config, self._model, scene)
         return self._judged(search, search.search(attitudes, around), len(attitudes))
@@ -75,18 +71,18 @@ class ViewSearch:
             return Acquisition(Verdict.FAILED, registration, reason, templates=templates)
         per_fact = self._config.model.pixels_per_fact
         weights = softmax([-pose.fit.loss / per_fact for pose in poses])
-        hypotheses = self._hypotheses(poses, weights)
+        listed = hypotheses(poses, weights, self._model.turns.exact)
         alike, best = len(self._model.turns.exact), weights[0]
         sure = best >= self._config.verdict.ambiguous_weight
         if alike > 1 and sure:
             reason = f"{alike} poses look alike by the target's symmetry"
         elif not sure:
-            reason = f"{len(hypotheses)} poses explain the frame, the best with weight {best / alike:.2f}"
+            reason = f"{len(listed)} poses explain the frame, the best with weight {best / alike:.2f}"
         return Acquisition(
             Verdict.AMBIGUOUS if reason else Verdict.ACCEPTED,
             registration,
             reason,
-            hypotheses,
+            listed,
             templates=templates,
             by_symmetry=alike > 1 and sure,
         )
@@ -121,20 +117,3 @@ class ViewSearch:
             judged=True,
             covariance=sums.covariance(T, config.errors) if not reason else np.full((6, 6), np.nan),
         )
-
-    def _hypotheses(self, poses: list[Pose], weights: FloatArray) -> tuple[Hypothesis, ...]:
-        """Return the poses with all turns that nobody sees, likeliest first."""
-        exact = self._model.turns.exact
-        listed = weights > NEGLIGIBLE
-        shares = weights / weights[listed].sum() / len(exact)
-        return tuple(
-            Hypothesis(pose=pose_of(pose.R @ turn, pose.t), weight=float(share))
-            for pose, share, kept in zip(poses, shares, listed, strict=True)
-            if kept
-            for turn in exact
-        )
-
-
-@lru_cache(maxsize=8)
-def _attitudes(count: int) -> Float32Array:
-    return super_fibonacci(count).as_matrix().astype(np.float32)
