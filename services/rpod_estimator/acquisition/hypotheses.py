@@ -25,9 +25,7 @@ class Placed(Protocol):
         ...
 
 
-def hypotheses(
-    poses: Sequence[Placed], weights: FloatArray, turns: Sequence[FloatArray]
-) -> tuple[Hypothesis, ...]:
+def hypotheses(poses: Sequence[Placed], weights: FloatArray, turns: FloatArray) -> tuple[Hypothesis, ...]:
     """Return the poses with all turns that nobody sees, likeliest first; weights sum to 1.
 
     Args:
