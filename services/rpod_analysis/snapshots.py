@@ -13,9 +13,10 @@ from rpod_analysis.log import Log
 from rpod_analysis.run import Run
 from rpod_analysis.score import IntArray, Track, interpolate
 from rpod_analysis.sensors import Sensor, lidar_scans, pmd_frames
-from rpod_analysis.wireframe import project, svg_path, visible_pieces
+from rpod_analysis.wireframe import svg_path
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Camera, LidarScan, PmdFrame
+from rpod_sim_sensor.wireframe import project, visible_pieces
 from rpod_target import Target
 
 _SAMPLES = 4

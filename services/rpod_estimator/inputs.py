@@ -6,11 +6,11 @@ Only sensors, ``tf_static`` and the clock are subscribed; nothing here knows a t
 from collections import deque
 from collections.abc import Iterator, Mapping
 
-from rpod_estimator.assembler import Assembled, NewestFrames
-from rpod_estimator.frames import PartRejectedError
 from rpod_estimator.intake import LEADING, Arrived, Intake
 from rpod_estimator.methods import ScanPattern
 from rpod_runtime import BusClock, Inbox, Node, Received
+from rpod_runtime.assembler import Assembled, NewestFrames
+from rpod_runtime.frames import PartRejectedError
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import MessageRejectedError, Reason

@@ -6,24 +6,27 @@ Parts are told apart by topic and stamp from their first bytes; only a frame tha
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rpod_estimator.assembler import Assembled, Assembler
 from rpod_estimator.camera_watch import CameraWatch
-from rpod_estimator.errors import ExtrinsicsError
-from rpod_estimator.extrinsics import Extrinsics
-from rpod_estimator.frames import PartRejectedError, read_frame, read_scan
 from rpod_estimator.measurement import Measurement
 from rpod_estimator.methods import ScanPattern
 from rpod_runtime import Received
+from rpod_runtime.assembler import Assembled, Assembler
+from rpod_runtime.errors import ExtrinsicsError
+from rpod_runtime.extrinsics import Extrinsics
+from rpod_runtime.frames import (
+    CAMERA_PARTS,
+    LIDAR_PARTS,
+    PartRejectedError,
+    assembler_of,
+    read_frame,
+    read_scan,
+)
 from rpod_schemas.config.estimator import LidarInput, SensorInput
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_lidar_info, read_pmd_info, read_transforms
 from rpod_schemas.topics import (
-    AMPLITUDE,
-    CAMERA_INFO,
-    DEPTH,
     LIDAR_INFO,
     PMD_INFO,
-    POINTS,
     TF_STATIC,
     Topic,
 )
@@ -31,9 +34,6 @@ from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo
 
 LEADING = frozenset({"points", "depth"})
 """The part in whose place a frame is refused that never gets complete."""
-_LIDAR_PARTS = {"points": POINTS}
-_CAMERA_PARTS = {"depth": DEPTH, "camera_info": CAMERA_INFO, "amplitude": AMPLITUDE}
-_OPTIONAL = frozenset({"amplitude"})
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,10 @@ class Intake:
 
     def _expect(self, sensor: SensorInput) -> None:
         topics, info = (
-            (_LIDAR_PARTS, LIDAR_INFO) if isinstance(sensor, LidarInput) else (_CAMERA_PARTS, PMD_INFO)
+            (LIDAR_PARTS, LIDAR_INFO) if isinstance(sensor, LidarInput) else (CAMERA_PARTS, PMD_INFO)
         )
-        names = frozenset(topics)
         self.latched += (info.of(sensor.name),)
-        self.assemblers[sensor.name] = Assembler(names - _OPTIONAL, names & _OPTIONAL)
+        self.assemblers[sensor.name] = assembler_of(topics)
         self.streams += tuple(topic.of(sensor.name) for topic in topics.values())
         self.parts |= {topic.of(sensor.name).name: (sensor.name, part) for part, topic in topics.items()}
 

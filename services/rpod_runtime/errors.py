@@ -38,5 +38,9 @@ class LockstepError(BusError):
         super().__init__(f"{service} did not deliver {waited_for} within {waited_s:.0f} s of lockstep")
 
 
+class ExtrinsicsError(BusError):
+    """A sensor's mount is unknown, or told in two ways."""
+
+
 class RefusedError(BusError):
     """A command that cannot be carried out now; says why and what to do instead."""

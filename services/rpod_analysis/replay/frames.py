@@ -6,11 +6,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from rpod_analysis.log import Logged
-from rpod_estimator.assembler import Assembled
-from rpod_estimator.frames import PartRejectedError
 from rpod_estimator.intake import Arrived, Intake
 from rpod_estimator.measurement import Tick
 from rpod_runtime import Received
+from rpod_runtime.assembler import Assembled
+from rpod_runtime.frames import PartRejectedError
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_status

@@ -1,17 +1,30 @@
 """From the parts of a complete frame to what the methods work on: decoded and checked."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 import numpy as np
 
-from rpod_estimator.assembler import Assembled
-from rpod_runtime import Received
+from rpod_runtime.assembler import Assembled, Assembler
+from rpod_runtime.received import Received
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import build, read_amplitude, read_camera, read_depth, read_points
+from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, POINTS
 from rpod_schemas.types import Float32Array, LidarScan, PmdFrame, PmdInfo
 
 ReadT = TypeVar("ReadT")
+
+CAMERA_PARTS = {"depth": DEPTH, "camera_info": CAMERA_INFO, "amplitude": AMPLITUDE}
+"""Topics of the parts of a camera's frame."""
+LIDAR_PARTS = {"points": POINTS}
+"""Topics of the parts of a LIDAR's."""
+_OPTIONAL = frozenset({"amplitude"})
+
+
+def assembler_of(parts: Iterable[str]) -> Assembler[Received]:
+    """Return an assembler of a sensor's parts (ICD section 2): depth and camera_info are required."""
+    names = frozenset(parts)
+    return Assembler(names - _OPTIONAL, names & _OPTIONAL)
 
 
 class PartRejectedError(MessageRejectedError):

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rpod_estimator.errors import ExtrinsicsError
-from rpod_estimator.extrinsics import Extrinsics
+from rpod_runtime.errors import ExtrinsicsError
+from rpod_runtime.extrinsics import Extrinsics
 from rpod_schemas.poses import make_pose
 
 T_CHASER_PLATE = make_pose(

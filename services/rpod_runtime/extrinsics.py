@@ -2,7 +2,7 @@
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_estimator.errors import ExtrinsicsError
+from rpod_runtime.errors import ExtrinsicsError
 from rpod_schemas.topics import CHASER
 
 _AGREE_M = 1e-4

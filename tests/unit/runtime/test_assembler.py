@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rpod_estimator.assembler import Assembled, Assembler, NewestFrames
+from rpod_runtime.assembler import Assembled, Assembler, NewestFrames
 
 REQUIRED, OPTIONAL = frozenset({"depth", "camera_info"}), frozenset({"amplitude"})
 PARTS = ("camera_info", "depth", "amplitude")

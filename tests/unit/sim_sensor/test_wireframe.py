@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rpod_analysis.wireframe import project, svg_path, visible_pieces
 from rpod_schemas.types import Camera
+from rpod_sim_sensor.wireframe import project, visible_pieces
 
 CAMERA = Camera(width=200, height=160, fx=150.0, fy=150.0, cx=99.5, cy=79.5)
 
@@ -69,9 +69,3 @@ def test_projection_is_the_cameras_and_follows_its_distortion():
     bent = CAMERA.model_copy(update={"distortion": np.array([-0.3, 0.0, 0.0, 0.0, 0.0])})
     assert project(point, bent)[0, 0, 0] < 122.0
     np.testing.assert_allclose(project(point, None), [[[150.0, -100.0], [0.0, 0.0]]])
-
-
-def test_segments_that_follow_each_other_are_one_line():
-    segments = np.array([[[0, 0], [1, 0]], [[1, 0], [2, 0]], [[5, 5], [6, 6]]], float)
-    assert svg_path(segments) == "M0.0 0.0L1.0 0.0L2.0 0.0M5.0 5.0L6.0 6.0"
-    assert svg_path(np.zeros((0, 2, 2))) == ""
