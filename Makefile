@@ -9,10 +9,10 @@ PEERS := .venv-peers
 SCENARIO ?= mockup-tumbling
 ARGS ?=
 
-.PHONY: help run test check format lint types layers bench recording reading peers setup clean
+.PHONY: help run test check format lint types layers bench recording reading peers check-viewers setup clean
 
 help: ## List the targets
-	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 
 setup: $(READY) ## Virtual environment, dependencies, Open3D's system libraries
 
@@ -40,6 +40,10 @@ types: $(READY) ## mypy strict and pyright
 
 layers: $(READY) ## Import layers
 	$(BIN)/lint-imports
+
+check-viewers: $(READY) ## A log and a report in other people's readers and viewers; gets what it needs
+	@bash deploy/viewers.sh $(VENV)
+	$(BIN)/python -m pytest tests/viewers $(ARGS)
 
 bench: $(READY) ## Measured speed of this machine
 	$(BIN)/python -m rpod bench $(ARGS)

@@ -1,0 +1,75 @@
+"""Short logs as the facility makes them, for the readers."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from logger_desk import Desk
+
+from rpod import run
+from rpod.facility import Facility, configure
+from rpod.progress import Progress
+from rpod.scenarios import find
+from rpod_runtime import Received
+from rpod_schemas.cdr import encode
+from rpod_schemas.messages import NANOSECONDS, write_clock
+from rpod_schemas.summary import Summary
+from rpod_schemas.topics import CLOCK, Namespace, Topic
+from rpod_schemas.wire import Attachment
+
+HERE = Path(__file__).parent
+RUN_TIMEOUT_S = 400.0
+"""The first run on a machine compiles kernels and builds the target."""
+OPAQUE = Topic("robot/telegram", "")
+
+
+def play_a_run(out: Path) -> Summary:
+    """Play the standard scenario for two seconds by ``rpod run``, with its report."""
+    command = ["run", "mockup-tumbling", "--duration", "2", "--speed", "max", "--out", str(out), "--json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "rpod", *command],
+        capture_output=True,
+        text=True,
+        timeout=RUN_TIMEOUT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return Summary.model_validate_json(done.stdout)
+
+
+def play_every_sensor(out: Path) -> Path:
+    """Play a camera with its raw samples beside a LIDAR; return the log."""
+
+    def with_samples(*arguments: Any, **settings: Any) -> Facility:
+        facility = configure(*arguments, **settings)
+        emulator = facility.services["emulator"].model_copy(update={"publish_samples": True})
+        return replace(facility, services=facility.services | {"emulator": emulator})
+
+    scenario = find(str(HERE / "every-sensor.yaml"))
+    folder = run.RunFolder.make(out, scenario)
+    with pytest.MonkeyPatch.context() as patch, Progress(quiet=True) as progress:
+        patch.setattr(run, "configure", with_samples)
+        run.play(scenario, folder, speed="max", progress=progress)
+    return folder.log
+
+
+def record_what_is_no_ros_message(out: Path) -> Path:
+    """Record JSON of a robot, which the logger keeps as opaque bytes, between two clocks; return the log."""
+    desk = Desk(out)
+    with desk.recorder:
+        desk.recorder.start()
+        for number in (1, 2):
+            desk.put(_received(CLOCK, Namespace().key(CLOCK), encode(write_clock(number)), number))
+            telegram = json.dumps({"joints_rad": [0.1 * number] * 6}).encode()
+            desk.put(_received(OPAQUE, f"{Namespace().root}/{OPAQUE.name}", telegram, number))
+        return Path(desk.recorder.stop().path)
+
+
+def _received(topic: Topic, key: str, payload: bytes | bytearray, number: int) -> Received:
+    stamp_ns = NANOSECONDS * number
+    attachment = Attachment(number, stamp_ns, b"g" * 16)
+    return Received(topic, key, memoryview(payload), attachment, stamp_ns, arrival_s=number)
