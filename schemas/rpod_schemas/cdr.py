@@ -16,6 +16,8 @@ from rpod_schemas.errors import MessageRejectedError, Reason
 
 _STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 """By the byte order that the encapsulation header tells."""
+_SEPARATOR = f"{'=' * 80}\n"
+"""Between the definitions of a type and of those that it needs."""
 NANOSECONDS = 1_000_000_000
 
 
@@ -24,10 +26,17 @@ def typestore() -> Typestore:
     """Return the type store: ROS 2 Humble's types, equal to Jazzy's and Kilted's here, and rpod_msgs."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     own: dict[str, Any] = {}
-    for file in sorted(resources.files("rpod_msgs").joinpath("msg").iterdir(), key=lambda item: item.name):
-        own |= get_types_from_msg(file.read_text("utf-8"), f"rpod_msgs/msg/{file.name.removesuffix('.msg')}")
+    for type_name, text in _own_definitions().items():
+        own |= get_types_from_msg(text, type_name)
     store.register(own)
     return store
+
+
+@cache
+def _own_definitions() -> dict[str, str]:
+    """Return the texts of the project's ``.msg`` files by type."""
+    files = sorted(resources.files("rpod_msgs").joinpath("msg").iterdir(), key=lambda item: item.name)
+    return {f"rpod_msgs/msg/{file.name.removesuffix('.msg')}": file.read_text("utf-8") for file in files}
 
 
 def is_known(type_name: str) -> bool:
@@ -60,9 +69,14 @@ def type_hash(type_name: str) -> str:
 
 @cache
 def definition(type_name: str) -> str:
-    """Return the ``ros2msg`` definition of a type with all that it needs, for logs."""
+    """Return the ``ros2msg`` definition of a type with all that it needs, for logs.
+
+    A type of the project's own is as its file has it, each constant right before the field that it names a
+    value of: Foxglove finds the names of values by that, and a generated text has all constants first.
+    """
     text, _ = typestore().generate_msgdef(type_name, ros_version=2)
-    return text
+    generated, *needed = text.split(_SEPARATOR)
+    return _SEPARATOR.join([_own_definitions().get(type_name, generated), *needed])
 
 
 def encode(message: Any) -> bytearray:
