@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+from rpod_schemas.config.pmd_check import PmdCheckConfig
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -59,21 +60,13 @@ class JointEdgeConfig(Config):
 
 
 class JointVerdictConfig(Config):
-    """When the tracker believes its own result."""
+    """When the tracker believes its own result: ``check``, and what the edges say."""
 
-    tolerance_m: Positive = 0.08
-    """Measured and rendered depth agree within this."""
-    missing_weight: Share = 0.1
-    """Weight of a pixel without depth where the model predicts surface, beside a measured one: glints, dark
-    parts and close, bright ones lose theirs."""
-    min_explained_share: Share = 0.45
-    """Of the pixels where model or measurement say "surface", where edges are seen too."""
-    min_depth_share: Share = 0.7
-    """The same where depth alone speaks."""
-    min_edge_share: Share = 0.55
-    """Of the places where edges should show, those where one was found, less one over the root of their
-    number. Of right poses it is above 0.7, half of the image wiped above 0.5, of a camera matrix that is off
-    by 10 % below 0.4."""
+    min_edge_share: Share = 0.6
+    """Found in their place, of the edges to expect there by the noise of the frame, less one over the root of
+    their number. What is expected are places that show a change, where it is."""
+    min_changed_share: Share = 0.9
+    """Of all places of edges those that should show a change, where there is no depth to judge by."""
     min_points: Annotated[int, Field(ge=6)] = 40
     """Fewer matched points say nothing."""
     min_edges: Annotated[int, Field(ge=6)] = 40
@@ -99,7 +92,10 @@ class JointConfig(Config):
     fair_share: Share = 0.5
     """Below this share it is drawn in from afar."""
     near_m: Positive = 0.05
-    """Within which a prediction agrees with a pixel."""
+    """Within which a prediction agrees with a pixel, or within twice its noise."""
+    missing_weight: Share = 0.1
+    """Weight of a pixel without depth where a prediction has surface, beside a measured one: glints, dark
+    parts and close, bright ones lose theirs."""
     slack_m: NonNegative = 0.0002
     """Standard deviation of the model's own error: that of a part over the root of their number."""
     ghost_share: Share = 0.08
@@ -113,8 +109,10 @@ class JointConfig(Config):
     """Its residuals and their errors."""
     edges: JointEdgeConfig = JointEdgeConfig()
     """Their search and their errors."""
+    check: PmdCheckConfig = PmdCheckConfig()
+    """The self-check by render and compare."""
     verdict: JointVerdictConfig = JointVerdictConfig()
-    """The self-check."""
+    """That by the edges, and what is too little to say anything."""
 
     @model_validator(mode="after")
     def _narrows(self) -> Self:

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_estimator.ports import Registration
+from rpod_estimator.tracking.amplitude_noise import noise_of, noise_of_change
 from rpod_estimator.tracking.depth_view import PLUMB_BOB, DepthView
 from rpod_estimator.tracking.edge_model import EdgeModel
+from rpod_estimator.tracking.frame_check import Contradictions, contradictions
 from rpod_estimator.tracking.joint_fit import agreement, align, coarse_ranges
 from rpod_estimator.tracking.scan_alignment import draw_in
 from rpod_estimator.tracking.signed_distance import field_arrays
@@ -27,7 +29,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import Camera, PmdFrame, Source
-from rpod_sim_sensor.geometry import DistortionError, Hits
+from rpod_sim_sensor.geometry import DistortionError, Hits, cast_pose
 from rpod_target import Target
 
 MARGIN_PX = 16
@@ -40,7 +42,12 @@ STRIDES_PX = 3, 8
 """Least and greatest distance of two points in the image."""
 SPARSE = 4
 """Every how many pixels the image's mean is taken from."""
-_NO_PATCH = np.zeros((1, 1), np.float32), np.zeros(2), 1.0
+LIT_SHARE = 0.25
+"""Of the median amplitude: darker pixels do not tell the noise."""
+CHANGE_SIGMAS = 3.0
+"""Of the noise: a lesser change of amplitude does not count as an edge."""
+_NO_PATCH = np.zeros((1, 1), np.float32), np.zeros(2), 1.0, 0.0
+_Patch = tuple[NDArray[np.float32], FloatArray, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +57,19 @@ class _Seen:
     view: DepthView
     range_m: FloatArray
     """Of the coarse pixels, shape (rows, columns), NaN for none."""
+    sigma_m: FloatArray
+    """Standard deviation of their noise, same shape."""
+    shade: FloatArray
+    """Their amplitude, same shape; 0 where a glint wiped it out, NaN where there is none."""
+    typical: float
+    """Median amplitude of the pixels with depth; 0 where these are too few."""
     points_m: FloatArray
     """Sensor axes, shape (N, 3)."""
     trust: FloatArray
     """Weight of each point, 0 to 1: less for a dark one, shape (N,)."""
-    patch: tuple[NDArray[np.float32], FloatArray, float]
-    """Smoothed amplitude around the target, column and row of its first pixel, change that counts."""
+    patch: _Patch
+    """Smoothed amplitude around the target, column and row of its first pixel, change that counts, and the
+    noise of a change."""
 
 
 class JointTracker:
@@ -103,7 +117,7 @@ class JointTracker:
     ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Yield poses to start from and the steps to do there, the fewest that may do first."""
         config = self._config
-        share = self._explained(seen, R, t, config.near_m, 0.0)
+        share = self._explained(seen, R, t)
         if share >= config.near_share:
             yield R, t, self._schedule[-config.near_iterations :]
         if share >= config.fair_share or len(seen.points_m) < config.verdict.min_points:
@@ -115,7 +129,7 @@ class JointTracker:
 
     def _registered(self, seen: _Seen, R: FloatArray, t: FloatArray, schedule: FloatArray) -> Registration:
         config, view = self._config, seen.view
-        R, t, information, points, squares, edges, asked, bias = align(
+        R, t, information, points, squares, edges, asked, expected, bias = align(
             seen.points_m,
             seen.trust,
             R,
@@ -137,55 +151,62 @@ class JointTracker:
         if points < config.verdict.min_points and asked < config.verdict.min_edges:
             reason = f"nothing to see: {points} points on the target, {asked} places of edges"
             return Registration(Source.PMD_JOINT, reason=reason)
-        explained_share = self._explained(seen, R, t, config.verdict.tolerance_m, bias)
+        contrary = self._contradictions(seen, R, t, bias)
         to_sensor = np.zeros((6, 6))
         to_sensor[:3, :3] = to_sensor[3:, 3:] = R
         covariance = np.linalg.inv(information + self._weak)[:6, :6]
         return Registration(
             self._source(points, asked),
             T_sensor_target=pose_of(R, t),
-            reason=self._doubt(len(seen.points_m), explained_share, edges, asked),
+            reason=contrary.doubt(config.check) or self._doubt(len(seen.points_m), edges, expected, asked),
             judged=True,
             cost_m2=squares / max(points, 1),
             inliers=points + edges,
             inlier_share=(points + edges) / max(len(seen.points_m) + asked, 1),
-            explained_share=explained_share,
+            explained_share=contrary.explained_share,
             covariance=to_sensor @ covariance @ to_sensor.T,
             iterations=len(schedule),
         )
 
-    def _explained(
-        self, seen: _Seen, R: FloatArray, t: FloatArray, tolerance_m: float, bias_m: float
-    ) -> float:
-        missing_weight = self._config.verdict.missing_weight
+    def _explained(self, seen: _Seen, R: FloatArray, t: FloatArray) -> float:
+        """Return the share of the pixels that agree with a predicted pose."""
         agreeing, asked = agreement(
             seen.range_m,
-            bias_m,
+            seen.sigma_m,
             seen.view.coarse.arrays,
             self._model[0],
             R,
             t,
-            tolerance_m,
-            missing_weight,
+            self._config.near_m,
+            self._config.missing_weight,
             self._buffers_of(seen.view),
         )
         return agreeing / asked if asked else 0.0
+
+    def _contradictions(self, seen: _Seen, R: FloatArray, t: FloatArray, bias_m: float) -> Contradictions:
+        rendered = self._buffers_of(seen.view)
+        cast_pose(seen.view.coarse.arrays, self._model[0], R, t, True, *rendered)
+        images = seen.range_m, seen.sigma_m, seen.shade
+        return contradictions(images, rendered, self._config.check, typical=seen.typical, bias_m=bias_m)
 
     def _source(self, points: int, edges: int) -> Source:
         if edges < self._config.verdict.min_edges:
             return Source.PMD_DEPTH
         return Source.PMD_JOINT if points >= self._config.verdict.min_points else Source.PMD_AMPLITUDE
 
-    def _doubt(self, points: int, explained_share: float, edges: int, asked: int) -> str:
-        """Return why a pose is not to be believed, empty if it is."""
+    def _doubt(self, points: int, edges: int, expected: float, asked: int) -> str:
+        """Return why the edges do not bear out a pose, empty if they do.
+
+        Where there is depth, only those are asked that show a change: between two faces there may be none.
+        """
         limits = self._config.verdict
-        with_depth, with_edges = points >= limits.min_points, asked >= limits.min_edges
-        least_explained = limits.min_explained_share if with_edges else limits.min_depth_share
-        if with_depth and explained_share < least_explained:
-            return f"{explained_share:.0%} of the depth agrees with the pose, {least_explained:.0%} needed"
-        least_found = limits.min_edge_share - 1.0 / np.sqrt(max(asked, 1))
-        if with_edges and edges < least_found * asked:
-            return f"{edges / asked:.0%} of {asked} places of edges show one, {least_found:.0%} needed"
+        if asked < limits.min_edges:
+            return ""
+        if points < limits.min_points:
+            expected = max(expected, asked * limits.min_changed_share)
+        least = limits.min_edge_share - 1.0 / np.sqrt(max(expected, 1.0))
+        if edges < least * expected:
+            return f"{edges} edges are in their place, of {expected:.0f} expected, {least:.0%} needed"
         return ""
 
     def _buffers_of(self, view: DepthView) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
@@ -206,7 +227,7 @@ class JointTracker:
         sparse = slice(None, None, SPARSE)
         lit = np.where(frame.depth_m[sparse, sparse] > 0.0, amplitude[sparse, sparse], 0.0)
         least = config.ghost_share * float(lit.mean())
-        range_m, strengths = coarse_ranges(
+        range_m, sigma_m, strengths, shade = coarse_ranges(
             frame.depth_m, amplitude, least, view.coarse.components[2], view.stride, view.offset
         )
         measured = np.flatnonzero(np.isfinite(range_m))
@@ -217,10 +238,13 @@ class JointTracker:
         strength = strengths.ravel()[measured]
         typical = float(np.median(strength)) if len(measured) else 1.0
         trust = 1.0 / (1.0 + (DARK_SHARE * typical / np.maximum(strength, 1e-9)) ** 2)
+        typical = typical if len(measured) >= config.verdict.min_points else 0.0
         patch = _NO_PATCH
-        if frame.amplitude is not None:
-            patch = self._patch(frame, t, typical if len(measured) >= config.verdict.min_points else 0.0)
-        return _Seen(view, range_m, points_m, trust, patch)
+        if frame.amplitude is None:
+            shade[:] = np.nan
+        else:
+            patch = self._patch(frame, t, typical)
+        return _Seen(view, range_m, sigma_m, shade, typical, points_m, trust, patch)
 
     def _stride(self, camera: Camera, t: FloatArray) -> int:
         """Return every how many pixels the target's share of the image holds the points wanted."""
@@ -228,10 +252,8 @@ class JointTracker:
         pixels = min(camera.width, 2.0 * radius_px) * min(camera.height, 2.0 * radius_px) * FILLED
         return int(np.clip(np.sqrt(pixels / self._config.depth.points), *STRIDES_PX))
 
-    def _patch(
-        self, frame: PmdFrame, t: FloatArray, typical: float
-    ) -> tuple[NDArray[np.float32], FloatArray, float]:
-        """Return the smoothed amplitude around the target, its first pixel and the change that counts."""
+    def _patch(self, frame: PmdFrame, t: FloatArray, typical: float) -> _Patch:
+        """Return the smoothed amplitude around the target, its first pixel, a change's least and noise."""
         config, camera = self._config.edges, frame.camera
         assert frame.amplitude is not None  # noqa: S101 - told by the caller
         top, bottom, left, right = 0, camera.height, 0, camera.width
@@ -248,9 +270,11 @@ class JointTracker:
         typical = typical or float(np.median(part[part >= part.mean()]))
         if typical <= 0.0:
             return _NO_PATCH
+        noise = noise_of_change(config.blur_px) * noise_of(part, LIT_SHARE * typical)
         np.minimum(part, config.clip * typical, out=part)
         smooth: NDArray[np.float32] = cv2.GaussianBlur(part, (0, 0), config.blur_px)  # type: ignore[assignment]
-        return smooth, np.array((left, top), float), config.least_contrast * typical
+        least = max(config.least_contrast * typical, CHANGE_SIGMAS * noise)
+        return smooth, np.array((left, top), float), least, noise
 
 
 def _lens(view: DepthView) -> FloatArray:

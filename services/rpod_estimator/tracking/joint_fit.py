@@ -5,6 +5,8 @@ the frame are. The camera's wiggling is such an error; edges do not feel it, so 
 range they correct the depth, and where they do not its standard deviation enters the covariance.
 """
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -17,6 +19,10 @@ REACH_M, REACH_RAD = 0.5, 0.2
 """Standard deviation of a step that nothing asks for."""
 SCALE = 0.25
 """Geman-McClure scale of an edge's place over the reach of its search."""
+BLUNTNESS_PX = 1.4
+"""Times the noise of its change over the change itself: standard deviation of an edge's place by noise."""
+MEDIAN_OVER_MEAN = 1.25
+"""Standard deviation of a median of normal errors over that of their mean."""
 NEAREST_M = 0.3
 """Edges are not weighed for being nearer than this."""
 NEAR_M, FARTHEST_M = 0.05, 1e3
@@ -79,8 +85,10 @@ def depth_sums(points, trust, R, t, bias, field, scale):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def edge_sums(edges, seen, R, t, lens, image, corner, reach, least):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return the sums of edge residuals, px, the inliers' squares, px2, their number, and that of all asked.
+def edge_sums(edges, seen, R, t, lens, image, corner, reach, least, noise):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return the sums of edge residuals, px, the inliers' squares, px2, and three numbers of samples.
+
+    They are the inliers, those asked, and how many of those that show a change the right pose should have in.
 
     Args:
         edges: ``EdgeModel.arrays``.
@@ -92,10 +100,11 @@ def edge_sums(edges, seen, R, t, lens, image, corner, reach, least):  # type: ig
         corner: column and row of its first pixel.
         reach: of the search, px.
         least: change of amplitude over two pixels that counts.
+        noise: standard deviation of an edge's place, px, and of a change of amplitude over two pixels.
     """
     places, directions = edges[0], edges[1]
     sums, row = np.zeros((7, 8)), np.zeros(7)
-    squares, inliers, asked = 0.0, 0, 0
+    squares, inliers, asked, expected = 0.0, 0, 0, 0.0
     c2 = (SCALE * reach) ** 2
     for n in seen:
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
@@ -119,6 +128,7 @@ def edge_sums(edges, seen, R, t, lens, image, corner, reach, least):  # type: ig
         asked += change >= 0.0
         if change <= 0.0:
             continue
+        expected += share_within(SCALE * reach, noise[0], BLUNTNESS_PX * noise[1] / change)
         e2 = place * place
         weight = (c2 / (c2 + e2)) ** 2
         gx, gy = across * ux + down * vx, across * uy + down * vy  # by the slopes
@@ -130,12 +140,18 @@ def edge_sums(edges, seen, R, t, lens, image, corner, reach, least):  # type: ig
         if e2 < c2:
             inliers += 1
             squares += e2
-    return sums, squares, inliers, asked
+    return sums, squares, inliers, asked, expected
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def share_within(reach, sharp, noisy):  # type: ignore[no-untyped-def]
+    """Return the share of normal errors within a reach, whose variance is the sum of two squares."""
+    return math.erf(reach / math.sqrt(2.0 * (sharp * sharp + noisy * noisy)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edge_errors, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return R, t, information (7, 7), the points matched and their squares, edges found and asked, bias.
+    """Return R, t, information (7, 7), points matched, their squares, edges found, asked, expected, and bias.
 
     Args:
         points: sensor axes, shape (N, 3), m.
@@ -143,7 +159,7 @@ def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edg
         R: of the target in the sensor, shape (3, 3).
         t: of the target in the sensor, shape (3,), m.
         model: triangles, ``field_arrays``, ``EdgeModel.arrays``.
-        image: part of the amplitude image, its first pixel, change that counts.
+        image: part of the amplitude image, its first pixel, change that counts, noise of a change.
         camera: coarse ``RayGrid.arrays``, (stride, offset), lens as for ``imaged``.
         schedule: scale, m, and reach, px, of each step, shape (steps, 2).
         depth_errors: noise, m, effective points, sigmas, m, of the bias, of what differs from it, and of
@@ -152,7 +168,7 @@ def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edg
         buffers: ranges and triangles of the coarse pixels.
     """
     triangles, field, edges = model
-    patch, corner, least = image
+    patch, corner, least, noise_change = image
     grid, coarse, lens = camera
     noise, most_points, bias_sigma, uneven, slack = depth_errors
     noise_px, most_edges = edge_errors
@@ -162,7 +178,7 @@ def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edg
     steps = schedule.shape[0]
     seen = np.empty(0, np.int64)
     total = np.zeros((7, 8))
-    inliers, squares, found, squares_px, asked = 0, 0.0, 0, 0.0, 0
+    inliers, squares, found, squares_px, asked, expected = 0, 0.0, 0, 0.0, 0, 0.0
     for step in range(steps):
         if step == 0 or step == steps - 2:
             cast_pose(grid, triangles, R, t, True, range_m, owner)
@@ -173,7 +189,9 @@ def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edg
         if inliers > 0:
             variance = max(squares / weight, noise * noise) / min(most_points, weight)
             total += sums / (weight * (variance + uneven * uneven + slack * slack))
-        sums, squares_px, found, asked = edge_sums(edges, seen, R, t, lens, patch, corner, reach, least)
+        sums, squares_px, found, asked, expected = edge_sums(
+            edges, seen, R, t, lens, patch, corner, reach, least, (noise_px, noise_change)
+        )
         if found > 0:
             per_m = lens[0] / max(t[2], NEAREST_M)
             variance = max(squares_px / found, noise_px * noise_px) / min(most_edges, found)
@@ -188,21 +206,21 @@ def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edg
         t = t + R @ delta[:3]
         R = turned(R, delta[3:6])
         bias += delta[6]
-    return R, t, total[:, :7].copy(), inliers, squares, found, asked, bias
+    return R, t, total[:, :7].copy(), inliers, squares, found, asked, expected, bias
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def agreement(measured, bias, grid, triangles, R, t, tolerance, missing, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def agreement(measured, sigma, grid, triangles, R, t, tolerance, missing, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return the weight of the coarse pixels that agree with a pose, and that of all that say "surface".
 
     Args:
         measured: range, shape (rows, columns), m, NaN for none.
-        bias: by which all are too long, m.
+        sigma: standard deviation of its noise, m, same shape.
         grid: coarse ``RayGrid.arrays``.
         triangles: of the target, shape (T, 3, 3).
         R: of the target in the sensor, shape (3, 3).
         t: of the target in the sensor, shape (3,), m.
-        tolerance: within which ranges agree, m.
+        tolerance: within which ranges agree, m; twice their noise where that is more.
         missing: weight of a predicted pixel without a measurement.
         buffers: ranges and triangles of the coarse pixels.
     """
@@ -216,14 +234,18 @@ def agreement(measured, bias, grid, triangles, R, t, tolerance, missing, buffers
                 asked += missing if owner[i, j] >= 0 else 0.0
                 continue
             asked += 1.0
-            if owner[i, j] >= 0 and abs(m - bias - range_m[i, j]) < tolerance:
+            if owner[i, j] >= 0 and abs(m - range_m[i, j]) < max(tolerance, 2.0 * sigma[i, j]):
                 agreeing += 1.0
     return agreeing, asked
 
 
 @njit(cache=True, nogil=True)
 def coarse_ranges(depth, amplitude, least, rays_z, stride, offset):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return range and amplitude of every ``stride``-th pixel, range the median of it and its neighbours.
+    """Return what every ``stride``-th pixel and its neighbours show, four arrays of shape (rows, columns).
+
+    They are the median range, m, NaN where fewer than ``FEWEST`` of the nine have depth or the amplitude is
+    too low; its standard deviation, m, told by how the nine differ; the pixel's own amplitude where it has a
+    range, else 0; and the nine's mean amplitude.
 
     Args:
         depth: z-depth, shape (height, width), m; NaN or 0 for none.
@@ -232,20 +254,19 @@ def coarse_ranges(depth, amplitude, least, rays_z, stride, offset):  # type: ign
         rays_z: z of the coarse pixels' unit rays, shape (rows, columns).
         stride: px.
         offset: of the first coarse pixel, px.
-
-    Ranges are NaN where fewer than ``FEWEST`` neighbours have depth, or the amplitude is too low.
     """
     height, width = depth.shape
-    ranges, strengths = np.full(rays_z.shape, np.nan), np.zeros(rays_z.shape)
+    ranges, sigmas = np.full(rays_z.shape, np.nan), np.zeros(rays_z.shape)
+    strengths, shades = np.zeros(rays_z.shape), np.zeros(rays_z.shape)
     nine = np.empty(9)
     for i in range(rays_z.shape[0]):
         for j in range(rays_z.shape[1]):
             row, column = offset + i * stride, offset + j * stride
-            if amplitude[row, column] < least:
-                continue
-            count = 0
+            count, pixels, light, total, squares = 0, 0, 0.0, 0.0, 0.0
             for v in range(max(row - 1, 0), min(row + 2, height)):
                 for u in range(max(column - 1, 0), min(column + 2, width)):
+                    pixels += 1
+                    light += amplitude[v, u]
                     z = np.float64(depth[v, u])
                     if not NEAR_M < z < FARTHEST_M:
                         continue
@@ -255,8 +276,13 @@ def coarse_ranges(depth, amplitude, least, rays_z, stride, offset):  # type: ign
                         k -= 1
                     nine[k] = z
                     count += 1
-            if count >= FEWEST:
+                    total += z
+                    squares += z * z
+            shades[i, j] = light / pixels
+            if count >= FEWEST and amplitude[row, column] >= least:
                 middle = 0.5 * (nine[(count - 1) // 2] + nine[count // 2])
+                variance = max(squares - total * total / count, 0.0) / (count - 1)
                 ranges[i, j] = middle / rays_z[i, j]
+                sigmas[i, j] = MEDIAN_OVER_MEAN * math.sqrt(variance / count)
                 strengths[i, j] = amplitude[row, column]
-    return ranges, strengths
+    return ranges, sigmas, strengths, shades

@@ -1,9 +1,10 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
-from tests.pmd_frames import strange_frames
+from tests.pmd_frames import frame_of, strange_frames
 
 from rpod_estimator.ports import Registration
 from rpod_estimator.tracking.joint import JointTracker
@@ -153,7 +154,21 @@ def _upside_down(shown: PmdFrame) -> PmdFrame:
 def test_what_is_not_the_target_as_this_camera_sees_it_is_refused(
     spoil: Callable[[PmdFrame], PmdFrame],
 ) -> None:
-    assert "needed" in TRACKER.track(spoil(FRAME), TRUTH).reason
+    assert "contradict" in TRACKER.track(spoil(FRAME), TRUTH).reason
+
+
+@pytest.mark.parametrize("material", ["silver-mli", "panel"])
+def test_a_right_pose_is_believed_with_the_sun_behind_the_camera_from_afar(material: str) -> None:
+    index = [known.name for known in MOCKUP.materials].index(material)
+    coated = replace(MOCKUP, triangle_material=np.full_like(MOCKUP.triangle_material, index))
+    emulator = PmdEmulator(CAMERA, coated, seed=3)
+    for seed in range(4):
+        T = off(make_pose(rotation=FACING, translation_m=(0.0, 0.0, 6.4)), 15.0, 0.1, seed)
+        exposure = emulator.expose([T] * 4, sun_W_m2=np.array((0.0, 0.0, -1361.0)), frame=seed)
+        seen = frame_of(exposure.depth_m, amplitude=exposure.amplitude)
+        registration = TRACKER.track(seen, off(T, 1.0, 0.01, seed))
+        assert not registration.reason
+        assert error(registration, T) < (3.0, 0.08)
 
 
 def test_the_covariance_is_as_large_as_the_errors() -> None:

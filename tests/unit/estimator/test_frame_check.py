@@ -1,0 +1,97 @@
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_estimator.tracking.amplitude_noise import noise_of, noise_of_change
+from rpod_estimator.tracking.frame_check import Contradictions, contradictions
+from rpod_schemas.config.motion import FACING
+from rpod_schemas.config.pmd_check import PmdCheckConfig
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Camera
+from rpod_sim_sensor.geometry import RayGrid, cast
+from rpod_target import load_target
+
+TARGET = load_target("mockup")
+LIMITS = PmdCheckConfig()
+RAYS = RayGrid.pinhole(Camera(width=88, height=72, fx=170.0, fy=172.0, cx=43.5, cy=35.5))
+POSE = make_pose(
+    rotation=Rotation.from_euler("y", 15.0, degrees=True) * FACING, translation_m=(0.0, 0.0, 4.0)
+)
+SKY, LIT = 2.0, 100.0
+
+
+def rendered(T: RigidTransform = POSE):
+    hits = cast(RAYS, TARGET.triangles_m, T, cull_back_faces=True)
+    return hits.range_m, hits.triangle
+
+
+def seen(*, noise_m: float = 0.0, T: RigidTransform = POSE):
+    """Return ranges, their noise, and amplitudes."""
+    range_m, triangle = rendered(T)
+    rng = np.random.default_rng(1)
+    measured_m = np.where(triangle >= 0, range_m, np.nan) + noise_m * rng.standard_normal(range_m.shape)
+    shade = np.where(triangle >= 0, LIT, SKY + 0.3 * rng.standard_normal(range_m.shape))
+    return measured_m, np.full(range_m.shape, noise_m), shade
+
+
+def judged(images, **kwargs) -> Contradictions:
+    return contradictions(images, rendered(), LIMITS, typical=LIT, **kwargs)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.03, 0.1])
+def test_at_the_right_pose_noise_contradicts_nowhere(noise_m):
+    found = judged(seen(noise_m=noise_m))
+    assert found.doubt(LIMITS) == ""
+    assert found.explained_share > 0.99
+    assert found.pixels == np.count_nonzero(rendered()[1] >= 0)
+
+
+def test_what_all_ranges_are_too_long_by_is_no_contradiction():
+    range_m, sigma_m, shade = seen()
+    long = range_m + 0.2, sigma_m, shade
+    assert judged(long).doubt(LIMITS)
+    assert not judged(long, bias_m=0.2).doubt(LIMITS)
+
+
+def test_a_detail_out_of_place_contradicts():
+    turned = POSE * make_pose(rotation=Rotation.from_euler("x", 60.0, degrees=True))
+    assert "contradict" in judged(seen(T=turned)).doubt(LIMITS)
+
+
+def test_a_dark_place_where_surface_should_be_contradicts_and_a_wiped_one_does_not():
+    range_m, sigma_m, shade = seen()
+    hole = (slice(30, 40), slice(38, 48))
+    range_m[hole] = np.nan
+    for level, contradicts in ((SKY, True), (0.0, False), (np.nan, False), (LIT, False)):
+        shade[hole] = level
+        assert bool(judged((range_m, sigma_m, shade)).doubt(LIMITS)) is contradicts
+
+
+def test_a_bright_place_where_no_surface_should_be_contradicts():
+    images = seen()
+    images[2][2:8, 2:8] = LIT
+    assert "a detail contradicts" in judged(images).doubt(LIMITS)
+
+
+def test_where_nothing_is_seen_nothing_is_explained():
+    nothing = np.full(RAYS.shape, np.nan)
+    assert judged((nothing, nothing, nothing)) == Contradictions(0, 0, 0)
+    assert Contradictions(0, 0, 0).explained_share == 0.0
+
+
+def test_the_noise_of_an_image_is_told_in_spite_of_slopes_and_edges():
+    rng = np.random.default_rng(2)
+    row, column = np.mgrid[:200, :200]
+    image = (50.0 + 0.5 * row + column + 200.0 * (column % 80 > 40)).astype(np.float32)
+    noisy = (image + 4.0 * rng.standard_normal(image.shape)).astype(np.float32)
+    assert noise_of(noisy, 0.0) == pytest.approx(4.0, rel=0.1)
+    assert noise_of(noisy, 1e4) == 0.0
+
+
+@pytest.mark.parametrize("blur_px", [0.8, 1.5])
+def test_a_blur_leaves_of_noise_what_is_expected(blur_px):
+    noise = np.random.default_rng(3).standard_normal((500, 500)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), blur_px)
+    change = smooth[:, 2:] - smooth[:, :-2]
+    assert noise_of_change(blur_px) == pytest.approx(float(change.std()), rel=0.05)
