@@ -78,8 +78,6 @@ class ProjectiveIcpConfig(Config):
     """Standard deviation of the distance of a return that lies beyond the outline."""
     min_points: Annotated[int, Field(ge=6)] = 6
     """Fewer returns, or fewer of them on faces, are no registration."""
-    outlined_returns: Annotated[int, Field(ge=0)] = 150
-    """With fewer, a pose that the steps to the faces make less likely is left as it was before them."""
     unobserved_m: Positive = 1.0
     """Standard deviation of a position that no face determines."""
     unobserved_deg: Positive = 20.0
@@ -133,9 +131,9 @@ class GlobalSearchConfig(Config):
     """... this much a return."""
     sharpened_returns: Annotated[int, Field(ge=0)] = 70
     """Of scans with fewer the outline is searched too, once the best poses are drawn in; of others only for
-    poses that explain them halfway."""
+    poses that explain them halfway, and where the best has a rival."""
     rival_log_likelihood: Positive = 25.0
-    """Of their best poses those that are behind the best by no more."""
+    """Poses that are behind the best by no more are its rivals."""
     siblings: Count = 2
     """Best distinct poses that must have been turned; the best one alone where it is sure."""
     turned: Count = 5

@@ -34,12 +34,15 @@ SETTLE_SCALES_M = np.array([0.5, 0.3, 0.2])
 """Of a candidate's steps to the faces."""
 FINE_SCALES_M = np.array([0.2, 0.1, 0.1])
 """Of the steps that the best ones are finished with."""
-HALFWAY = 1.5
+HALFWAY = 4.0
 """Deficit a return, above none, of a pose that the outline may yet make right."""
 GAIN = 5.0
 """Log likelihood by which a pose is worth being turned again."""
 OPEN_M, OPEN_RAD = 0.3, 0.1
 """Standard deviations within which the outline is searched for what the faces leave open."""
+STRETCH = 1.5
+"""Of the standard deviations of what the faces tell, within which it is searched too: a few returns may be on
+the wrong ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,12 +154,13 @@ class ScanSearch:
             found += [asked, *self._turned(asked)]
         best = self._distinct(found)[: config.finished]
         finished = self._distinct([self._improved(pose, FINE_SCALES_M) for pose in best])
-        if not finished or self.seen.returns >= config.sharpened_returns:
+        if not finished:
             return finished
         least = finished[0].fit.log_likelihood - config.rival_log_likelihood
-        return self._distinct(
-            [self._sharpened(pose) if pose.fit.log_likelihood >= least else pose for pose in finished]
-        )
+        rivals = [pose for pose in finished if pose.fit.log_likelihood >= least]
+        if len(rivals) == 1 and self.seen.returns >= config.sharpened_returns:
+            return finished
+        return self._distinct([*map(self._sharpened, rivals), *finished[len(rivals) :]])
 
     def _finished(self, pose: Pose) -> Pose:
         """Return a pose finished, so that its turns are no worse than it is itself."""
@@ -299,7 +303,7 @@ class ScanSearch:
     def _sharpened(self, pose: Pose) -> Pose:
         """Return a pose moved to where the outline is explained best too."""
         held: FloatArray = np.repeat((OPEN_M, OPEN_RAD), 3)
-        covariance = np.linalg.inv(pose.information + np.diag(held**-2)).astype(np.float64)
+        covariance = np.linalg.inv(pose.information / STRETCH**2 + np.diag(held**-2)).astype(np.float64)
         R, t = self._scanner.statistics.sharpen(self.seen, pose.R, pose.t, covariance)
         return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), pose.information)
 

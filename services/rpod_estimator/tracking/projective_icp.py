@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_estimator.ports import Registration
-from rpod_estimator.tracking.scan_alignment import draw_in, settle
+from rpod_estimator.tracking.scan_alignment import draw_in, settle, spread
 from rpod_estimator.tracking.scan_fit import ScanModel
 from rpod_estimator.tracking.scan_view import ScanView, SeenScan
 from rpod_estimator.tracking.surface_model import SurfaceModel
@@ -54,7 +54,7 @@ class ProjectiveIcp:
             return _failed(f"{seen.returns} returns, {self._config.min_points} needed")
         matrix = T_sensor_target.as_matrix()
         R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()
-        if self.model.fit(seen, R, t).explained_share < self._config.near_share:
+        if self.model.agreement(seen, R, t).share < self._config.near_share:
             R, t = draw_in(seen.thinned(self._config.points), R, t, self.surface.coarse_field, self._far)
         return self.finish(seen, R, t)
 
@@ -82,11 +82,10 @@ class ProjectiveIcp:
         if inliers < config.min_points:
             return _failed(f"{inliers} returns on faces, {config.min_points} needed")
         fit = self.model.fit(seen, settled_R, settled_t)
-        if seen.returns < config.outlined_returns:
-            before = self.model.fit(seen, R, t)
-            if before.log_likelihood > fit.log_likelihood:  # the faces led astray what the outline had right
-                settled_R, settled_t, fit = R, t, before
-        R, t = settled_R, settled_t
+        if self.model.log_likelihood(seen, R, t) > fit.log_likelihood:
+            fit = self.model.fit(seen, R, t)  # the faces led astray what the outline had right
+        else:
+            R, t = settled_R, settled_t
         return Registration(
             Source.LIDAR,
             T_sensor_target=pose_of(R, t),
@@ -95,7 +94,7 @@ class ProjectiveIcp:
             cost_m2=squares / inliers,
             inliers=inliers,
             inlier_share=inliers / seen.returns,
-            explained_share=fit.explained_share,
+            explained_share=fit.agreement.share,
             covariance=self._covariance(information, squares / inliers, inliers, R),
             iterations=len(self._far) + len(self._near),
         )
@@ -108,9 +107,7 @@ class ProjectiveIcp:
         """
         excess = max(1.0, cost_m2 / self._config.model.sigma_range_m**2)
         excess *= inliers / max(inliers - 6, 1)
-        to_sensor = np.zeros((6, 6))
-        to_sensor[:3, :3] = to_sensor[3:, 3:] = R
-        covariance: FloatArray = to_sensor @ np.linalg.inv(information / excess + self._weak) @ to_sensor.T
+        covariance: FloatArray = spread(information / excess + self._weak, R)
         return covariance
 
 

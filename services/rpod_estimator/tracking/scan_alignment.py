@@ -87,6 +87,15 @@ def held(information, gradient, variance):  # type: ignore[no-untyped-def]
     return np.linalg.solve(held_back, -gradient)
 
 
+@njit(cache=True, nogil=True)
+def spread(information, R):  # type: ignore[no-untyped-def]
+    """Return the covariance of (dp, dtheta) in the sensor's axes from information about (dtau, dtheta)."""
+    to_sensor = np.zeros((6, 6))
+    to_sensor[:3, :3] = R
+    to_sensor[3:, 3:] = R
+    return to_sensor @ np.linalg.inv(information) @ to_sensor.T
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def shared(information, claims):  # type: ignore[no-untyped-def]
     """Return the information without that of returns whose leverage is beyond ``ALONE``.
@@ -95,13 +104,18 @@ def shared(information, claims):  # type: ignore[no-untyped-def]
         information: of all returns, shape (6, 6).
         claims: gradient and weight of each return, shape (N, 7).
     """
-    covariance = np.linalg.inv(information + 1e-3 * np.eye(6))
+    leverages = np.linalg.inv(information + 1e-3 * np.eye(6))
+    for i in range(6):
+        leverages[i, :i] = 0.0
+        leverages[i, i + 1 :] *= 2.0
     kept = information.copy()
     for claim in claims:
         leverage = 0.0
         for i in range(6):
-            for j in range(6):
-                leverage += claim[i] * covariance[i, j] * claim[j]
+            row = 0.0
+            for j in range(i, 6):
+                row += leverages[i, j] * claim[j]
+            leverage += claim[i] * row
         if claim[6] * leverage > ALONE:
             for i in range(6):
                 for j in range(6):
@@ -164,20 +178,20 @@ def settle(points, rays, R, t, grid, faces, field, noise, scales, range_m, owner
         owner: buffer, shape (rows, columns).
 
     The information is what the faces tell in the last step, in units of one over its weights' sigmas, of
-    what more than one return tells; the squares, m2, and the number of inliers are those within the last
-    scale.
+    what more than one return tells; inliers count in it as whole ones, though good ones fade a little too.
+    The squares, m2, and the number of inliers are those within the last scale.
     """
     triangles, normals, offsets, _ = faces
     origin, spacing, values = field
     sigma, slack, steepest, per_outline_m = noise
     per_m = 1.0 / spacing
     flat = owner.reshape(-1)
-    information, squares, inliers = np.zeros((6, 6)), 0.0, 0
+    information, squares, inliers, counted = np.zeros((6, 6)), 0.0, 0, 0.0
     claims = np.empty((points.shape[0], 7))
     for scale in scales:
         cast_pose(grid, triangles, R, t, True, range_m, owner)
         information, outline, gradient = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
-        squares, inliers, c2 = 0.0, 0, scale * scale
+        squares, inliers, counted, c2 = 0.0, 0, 0.0, scale * scale
         claims[:, 6] = 0.0
         for n in range(points.shape[0]):
             px, py, pz = points[n, 0], points[n, 1], points[n, 2]
@@ -195,11 +209,13 @@ def settle(points, rays, R, t, grid, faces, field, noise, scales, range_m, owner
             e = n0 * x + n1 * y + n2 * z - offsets[face]
             cosine2 = (n0 * dx + n1 * dy + n2 * dz) ** 2 / (px * px + py * py + pz * pz)
             along2 = e * e / max(cosine2, steepest, 1e-6)
-            weight = (c2 / (c2 + along2)) ** 2 / (sigma * sigma * cosine2 + slack * slack)
+            fading = (c2 / (c2 + along2)) ** 2
+            weight = fading / (sigma * sigma * cosine2 + slack * slack)
             add_upper(information, gradient, (n0, n1, n2), (x, y, z), e, weight)
             claims[n] = (n0, n1, n2, y * n2 - z * n1, z * n0 - x * n2, x * n1 - y * n0, weight)
             if along2 < c2:
                 inliers += 1
+                counted += fading
                 squares += e * e
         mirror(information)
         mirror(outline)
@@ -208,4 +224,4 @@ def settle(points, rays, R, t, grid, faces, field, noise, scales, range_m, owner
         step = held(information + outline, gradient, 1.0)
         t = t + R @ step[:3]
         R = turned(R, step[3:])
-    return R, t, shared(information, claims), squares, inliers
+    return R, t, shared(information, claims) * (inliers / max(counted, 1e-6)), squares, inliers

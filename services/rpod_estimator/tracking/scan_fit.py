@@ -11,28 +11,21 @@ nothing but chance, a wrong one lacks several units a return.
 
 from dataclasses import dataclass
 from math import log, sqrt
+from typing import Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import erf
 from scipy.stats import norm, qmc
 
+from rpod_estimator.tracking.scan_likelihood import agreed, judged, likeliest, told
 from rpod_estimator.tracking.scan_view import ScanView, SeenScan
-from rpod_estimator.tracking.signed_distance import turned
 from rpod_estimator.tracking.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
 from rpod_schemas.poses import pose_of
-from rpod_sim_sensor.geometry import cast, cast_pose
+from rpod_sim_sensor.geometry import cast
 
-OUTLIER_FACTOR = 4.0
-"""Sigma of outliers over that of the others (2015 paper, section 3.2)."""
-STEEPEST = 0.05
-"""Cosine of incidence below which a surface's slack along the ray grows no more."""
-HIT_MEAN, HIT_VARIANCE = 0.677, 1.03
-"""Of minus the log likelihood of a range error, without 0.5 log(2 pi sigma^2): of the mixture with 6 % of
-outliers, integrated numerically."""
 LEAST_DEVIATION = 3.0
 """Of a deficit, where nothing is left to chance."""
 MARGIN = 3
@@ -48,6 +41,29 @@ _DRAWS = norm.ppf(qmc.Sobol(6, seed=1).random(_ROUNDS * _SAMPLES).clip(1e-3, 1.0
 
 
 @dataclass(frozen=True, eq=False)
+class Agreement:
+    """Which rays agree with a pose."""
+
+    agreeing: int
+    """Returns where one was predicted, at the predicted range."""
+    contrary: int
+    """Returns where none was predicted, or at another range."""
+    missing: float
+    """Predicted returns that are lacking beyond what P_D lets expect."""
+
+    @classmethod
+    def of(cls, agreeing: int, contrary: int, missed: float, expected_missed: float) -> Self:
+        """Return the agreement of counted rays: an excess of one standard deviation is left to chance."""
+        return cls(agreeing, contrary, max(0.0, missed - expected_missed - sqrt(expected_missed)))
+
+    @property
+    def share(self) -> float:
+        """Of the rays where scan or model say "return", the share that agrees; NaN where there is none."""
+        asked = self.agreeing + self.contrary + self.missing
+        return self.agreeing / asked if asked else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
 class ScanFit:
     """How well a pose explains a scan."""
 
@@ -56,18 +72,7 @@ class ScanFit:
     """Expected minus actual log likelihood."""
     deviation: float
     """Standard deviation of the deficit under the pose."""
-    agreeing: int
-    """Returns where one was predicted, at the predicted range."""
-    contrary: int
-    """Returns where none was predicted, or at another range."""
-    missing: float
-    """Predicted returns that are lacking beyond what P_D lets expect."""
-
-    @property
-    def explained_share(self) -> float:
-        """Of the rays where scan or model say "return", the share that agrees; NaN where there is none."""
-        asked = self.agreeing + self.contrary + self.missing
-        return self.agreeing / asked if asked else float("nan")
+    agreement: Agreement
 
 
 class ScanModel:
@@ -80,10 +85,39 @@ class ScanModel:
         self.detection = detection_table(config)
         self._chances, self._noise = _chances(config), _noise(config)
         self._pessimistic = _chances(verdict.pessimistic), _noise(verdict.pessimistic)
+        self._buffers = view.hits.range_m, view.hits.triangle
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
         return self._fit(seen, R, t, self._chances, self._noise)
+
+    def agreement(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Agreement:
+        """Return that part of ``fit`` alone, which takes half its time."""
+        return Agreement.of(
+            *agreed(
+                seen.range_m,
+                (R, t),
+                self._view.grid.arrays,
+                self._faces,
+                self._chances,
+                self._noise,
+                self._buffers,
+            )
+        )
+
+    def log_likelihood(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> float:
+        """Return that part of ``fit`` alone."""
+        return float(
+            told(
+                seen.range_m,
+                (R, t),
+                self._view.grid.arrays,
+                self._faces,
+                self._chances,
+                self._noise,
+                self._buffers,
+            )
+        )
 
     def doubt(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> str:
         """Return why a pose does not explain a scan, whose fit is known; empty if it does."""
@@ -91,9 +125,10 @@ class ScanModel:
             self._fit(seen, R, t, *self._pessimistic), seen.returns
         ):
             return ""
+        rays = fit.agreement
         return (
-            f"does not explain the scan: of {seen.returns} returns {fit.contrary} contradict the pose, "
-            f"{fit.missing:.0f} more are missing"
+            f"does not explain the scan: of {seen.returns} returns {rays.contrary} contradict the pose, "
+            f"{rays.missing:.0f} more are missing"
         )
 
     def _content(self, fit: ScanFit, returns: int) -> bool:
@@ -102,7 +137,7 @@ class ScanModel:
         contrary = verdict.contrary_share + 2.0 * sqrt(verdict.contrary_share / returns)
         return (
             fit.deficit <= most + verdict.max_deficit_per_return * returns
-            and fit.explained_share >= 1.0 - contrary
+            and fit.agreement.share >= 1.0 - contrary
         )
 
     def _fit(
@@ -113,20 +148,10 @@ class ScanModel:
         chances: tuple[float, FloatArray],
         noise: tuple[float, ...],
     ) -> ScanFit:
-        hits = self._view.hits
-        actual, expected, variance, agreeing, contrary, missed, expected_missed = likelihood(
-            seen.range_m,
-            R,
-            t,
-            self._view.grid.arrays,
-            self._faces,
-            chances,
-            noise,
-            hits.range_m,
-            hits.triangle,
+        actual, (expected, variance), counts = judged(
+            seen.range_m, (R, t), self._view.grid.arrays, self._faces, chances, noise, self._buffers
         )
-        missing = max(0.0, missed - expected_missed - sqrt(expected_missed))
-        return ScanFit(actual, expected - actual, sqrt(variance), agreeing, contrary, missing)
+        return ScanFit(actual, expected - actual, sqrt(variance), Agreement.of(*counts))
 
     def sharpen(
         self, seen: SeenScan, R: FloatArray, t: FloatArray, covariance: FloatArray
@@ -149,16 +174,15 @@ class ScanModel:
         measured = np.ascontiguousarray(seen.range_m[rows, columns])
         sharper: tuple[FloatArray, FloatArray] = likeliest(
             measured,
-            R,
-            t,
+            (R, t),
             self._view.grid.block(rows, columns),
             self._faces,
             self._chances,
             self._noise,
+            (np.empty(measured.shape, np.float32), np.empty(measured.shape, np.int32)),
             covariance,
             _DRAWS,
-            np.empty(measured.shape, np.float32),
-            np.empty(measured.shape, np.int32),
+            _ELITE,
         )
         return sharper
 
@@ -197,92 +221,3 @@ def _chances(config: ScanModelConfig) -> tuple[float, FloatArray]:
     steps, table = detection_table(config)
     p = (1.0 - config.clutter_share) * table
     return steps, np.stack((p, np.log(p + 1e-9), np.log(1.0 - p)))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def likelihood(measured, R, t, grid, faces, chances, noise, range_m, owner):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return actual, expected, variance, agreeing, contrary, missed and expected missed (``ScanFit``).
-
-    Args:
-        measured: range of each ray, 0 where no return, shape (rows, columns), m.
-        R: of the target in the sensor, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        grid: ``RayGrid.arrays``.
-        faces: ``SurfaceModel.faces``.
-        chances: ``_chances``.
-        noise: sigma, slack, outlier share, clutter share, clutter density a metre.
-        range_m: buffer for the predicted ranges, shape (rows, columns).
-        owner: buffer for the predicted faces, shape (rows, columns).
-    """
-    triangles, normals, _, reflectivity = faces
-    steps, table = chances
-    sigma, slack, outliers, clutter, density = noise
-    rays = grid[0]
-    cast_pose(grid, triangles, R, t, True, range_m, owner)
-    log_density, log_clear = np.log(density), np.log(1.0 - clutter)
-    actual, expected, variance, missed, expected_missed = 0.0, 0.0, 0.0, 0.0, 0.0
-    agreeing, contrary = 0, 0
-    for i in range(range_m.shape[0]):
-        for j in range(range_m.shape[1]):
-            face, m = owner[i, j], measured[i, j]
-            if face < 0:
-                if m > 0.0:
-                    actual += log_density - log_clear
-                    contrary += 1
-                continue
-            dx, dy, dz = rays[0, i, j], rays[1, i, j], rays[2, i, j]
-            cosine = 0.0
-            for k in range(3):
-                cosine -= normals[face, k] * (R[0, k] * dx + R[1, k] * dy + R[2, k] * dz)
-            r = np.float64(range_m[i, j])
-            echo = cosine * reflectivity[face] / (r * r)
-            rung = min(int(echo * steps), table.shape[1] - 1)
-            p, log_p, miss = table[0, rung], table[1, rung], table[2, rung]
-            lateral = slack / max(cosine, STEEPEST)
-            narrow = sigma * sigma + lateral * lateral
-            hit = log_p - 0.5 * np.log(2.0 * np.pi * narrow) - HIT_MEAN
-            expected += p * hit + (1.0 - p) * miss - log_clear
-            variance += p * (1.0 - p) * (hit - miss) ** 2 + HIT_VARIANCE * p
-            expected_missed += 1.0 - p
-            if m > 0.0:
-                e2 = (m - r) * (m - r)
-                wide = OUTLIER_FACTOR**2 * sigma * sigma + lateral * lateral
-                near = (1.0 - outliers) * np.exp(-0.5 * e2 / narrow) / np.sqrt(2.0 * np.pi * narrow)
-                near += outliers * np.exp(-0.5 * e2 / wide) / np.sqrt(2.0 * np.pi * wide)
-                actual += np.log(p * near + density) - log_clear
-                if e2 < 16.0 * wide:
-                    agreeing += 1
-                else:
-                    contrary += 1
-            else:
-                actual += miss - log_clear
-                missed += 1.0
-    return actual, expected, variance, agreeing, contrary, missed, expected_missed
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def likeliest(  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    measured, R, t, grid, faces, chances, noise, covariance, draws, range_m, owner
-):
-    """Return ``ScanModel.sharpen``; draws are standard normal, shape (rounds, samples, 6)."""
-    best_R, best_t, spread = R, t, covariance.copy()
-    best = likelihood(measured, R, t, grid, faces, chances, noise, range_m, owner)[0]
-    steps, scores = np.empty(draws.shape[1:]), np.empty(draws.shape[1])
-    for number in range(draws.shape[0]):
-        root = np.linalg.cholesky(spread + 1e-12 * np.eye(6))
-        centre_R, centre_t = best_R, best_t
-        for n in range(draws.shape[1]):
-            steps[n] = root @ draws[number, n]
-            moved_t, moved_R = centre_t + centre_R @ steps[n, :3], turned(centre_R, steps[n, 3:])
-            sums = likelihood(measured, moved_R, moved_t, grid, faces, chances, noise, range_m, owner)
-            scores[n] = sums[0]
-            if scores[n] > best:
-                best, best_R, best_t = scores[n], moved_R, moved_t
-        elite = steps[np.argsort(-scores)[:_ELITE]]
-        middle = np.zeros(6)
-        for row in elite:
-            middle += row / _ELITE
-        spread = np.zeros((6, 6))
-        for row in elite:
-            spread += np.outer(row - middle, row - middle) / _ELITE
-    return best_R, best_t

@@ -57,6 +57,23 @@ def test_any_attitude_is_found_in_a_single_scan(target, range_m):
         assert acquisition.templates >= 900
 
 
+HARD = [
+    (BULKY, 30.0, 11, 1633, (0.6151030, 0.3539230, 0.6110514, -0.3507177)),
+    (SLIM, 30.0, 11, 152, (0.6088292, 0.4069013, 0.5579402, -0.3904625)),
+    (BULKY, 50.0, 12, 337, (0.7137261, -0.6990946, -0.0074552, -0.0424985)),
+    (SLIM, 30.0, 12, 9, (-0.0666932, 0.0848480, 0.7681588, 0.6310982)),
+]
+"""Scans whose faces lead astray what their outline tells: target, range, noise's seed and frame, attitude."""
+
+
+@pytest.mark.parametrize(("target", "range_m", "seed", "frame", "quaternion"), HARD)
+def test_what_only_the_outline_tells_decides_between_rivals(target, range_m, seed, frame, quaternion):
+    T = make_pose(rotation=Rotation.from_quat(quaternion), translation_m=(0.0, 0.0, range_m))
+    emulator = LidarEmulator(LIDAR, load(target), seed=seed)
+    acquisition = search(target).acquire(scan_of(emulator.scan([T], frame=frame).points_m))
+    assert_accepted(acquisition, T, angle_deg=3.0, distance_m=0.3)
+
+
 def test_what_is_found_is_described_in_full():
     for seed in range(5):
         acquisition = found(seed)

@@ -5,7 +5,8 @@ import pytest
 from lidar_scans import LIDAR, errors, load, off, random_pose, scan_at, scan_of, tracker
 from scipy.spatial.transform import Rotation
 
-from rpod_estimator.tracking.scan_fit import OUTLIER_FACTOR, STEEPEST, ScanModel, detection_table
+from rpod_estimator.tracking.scan_fit import ScanModel, detection_table
+from rpod_estimator.tracking.scan_likelihood import OUTLIER_FACTOR, STEEPEST
 from rpod_estimator.tracking.scan_view import ScanView, SeenScan
 from rpod_estimator.tracking.surface_model import SurfaceModel
 from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
@@ -84,8 +85,8 @@ def test_the_truth_is_never_in_deficit_and_never_doubted_on_the_sensors_scans(ta
         scan = scan_at(T, target, frame=seed)
         fit, seen = fitted(T, scan, target)
         assert fit.deficit <= 0.0
-        assert fit.explained_share > 0.9
-        assert fit.agreeing >= 0.95 * seen.returns
+        assert fit.agreement.share > 0.9
+        assert fit.agreement.agreeing >= 0.95 * seen.returns
         assert doubt(T, scan, target) == ""
 
 
@@ -128,26 +129,26 @@ def test_a_scan_of_half_the_target_says_that_the_other_half_is_missing():
     whole, _ = fitted(T, scan_of(points_m))
     points_m[:, :20] = np.nan
     half, seen = fitted(T, scan_of(points_m))
-    assert whole.missing < 20.0
-    assert half.missing > 50.0
-    assert half.contrary <= whole.contrary
+    assert whole.agreement.missing < 20.0
+    assert half.agreement.missing > 50.0
+    assert half.agreement.contrary <= whole.agreement.contrary
     assert doubt(T, scan_of(points_m)) == (
-        f"does not explain the scan: of {seen.returns} returns {half.contrary} contradict the pose, "
-        f"{half.missing:.0f} more are missing"
+        f"does not explain the scan: of {seen.returns} returns {half.agreement.contrary} contradict "
+        f"the pose, {half.agreement.missing:.0f} more are missing"
     )
 
 
 def test_returns_where_the_pose_predicts_none_all_contradict_it():
     T = make_pose(translation_m=(0.0, 0.0, -30.0))
     fit, seen = fitted(T, scan_at(random_pose(3)))
-    assert (fit.agreeing, fit.contrary, fit.missing) == (0, seen.returns, 0.0)
-    assert fit.explained_share == 0.0
+    assert (fit.agreement.agreeing, fit.agreement.contrary, fit.agreement.missing) == (0, seen.returns, 0.0)
+    assert fit.agreement.share == 0.0
     assert fit.deficit > 0.0
 
 
 def test_of_nothing_nothing_is_explained():
     fit, _ = fitted(make_pose(translation_m=(0.0, 0.0, -30.0)), scan_of(np.full((41, 41, 3), np.nan)))
-    assert np.isnan(fit.explained_share)
+    assert np.isnan(fit.agreement.share)
     assert fit.log_likelihood == pytest.approx(0.0, abs=40.0)
 
 
