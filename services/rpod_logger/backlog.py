@@ -13,8 +13,9 @@ from rpod_runtime import Received
 
 _OVERHEAD_BYTES = 512
 """What a queued message takes beside its payload."""
-_HURRY_BYTES = 4 << 20
-"""For so much the writer is woken; for less it comes by itself, so that not each message costs a wake-up."""
+_BATCH_BYTES = 4 << 20
+"""For so much the writer is woken, and so much it takes at once; for less it comes by itself, so that not
+each message costs a wake-up."""
 
 
 Action = Callable[[Counter[str]], None]
@@ -35,7 +36,9 @@ class Backlog:
     def __init__(self, capacity_bytes: int) -> None:
         self.capacity_bytes = capacity_bytes
         self.bytes = 0
+        """Queued, and in the writer's hands."""
         self.high_water_bytes = 0
+        self._taken_bytes = 0
         self._received: Counter[str] = Counter()
         self._items: deque[Received | Command] = deque()
         self._changed = Condition()
@@ -53,7 +56,7 @@ class Backlog:
             self.bytes += size
             self.high_water_bytes = max(self.high_water_bytes, self.bytes)
             self._items.append(received)
-            if self.bytes > _HURRY_BYTES:
+            if self.bytes > _BATCH_BYTES:
                 self._changed.notify()
         return True
 
@@ -74,17 +77,23 @@ class Backlog:
                 self._closed = True
                 self._changed.notify_all()
 
-    def take(self, timeout_s: float) -> Received | Command | None:
-        """Return the oldest item; where there is none wait, and look again at the timeout or at a command."""
+    def take(self, timeout_s: float) -> list[Received | Command]:
+        """Return the oldest items; where there is none wait, and look again at the timeout or at a command.
+
+        Who comes again is done with what it took before: until then that takes room.
+        """
         with self._changed:
+            self.bytes -= self._taken_bytes
+            self._taken_bytes = 0
             if not self._items and not self._closed:
                 self._changed.wait(timeout_s)
-            if not self._items:
-                return None
-            item = self._items.popleft()
-            if isinstance(item, Received):
-                self.bytes -= len(item.payload) + _OVERHEAD_BYTES
-            return item
+            taken = []
+            while self._items and self._taken_bytes < _BATCH_BYTES:
+                item = self._items.popleft()
+                taken.append(item)
+                if isinstance(item, Received):
+                    self._taken_bytes += len(item.payload) + _OVERHEAD_BYTES
+            return taken
 
     def received(self) -> Counter[str]:
         """Return the messages received until now, by topic, those too for which there was no room."""

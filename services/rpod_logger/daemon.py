@@ -57,7 +57,7 @@ class Services:
 
     def notice(self, received: Received) -> None:
         """Look at a message for the first heartbeat of a service."""
-        if received.topic == DIAGNOSTICS and received.attachment.gid not in self._hearts:
+        if received.topic.name == DIAGNOSTICS.name and received.attachment.gid not in self._hearts:
             self._hearts.add(received.attachment.gid)
             self._new.set()
 

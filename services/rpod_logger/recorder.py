@@ -28,7 +28,7 @@ from rpod_schemas.types import Health
 log = logging.getLogger(__name__)
 
 _COMMAND_TIMEOUT_S = 30.0
-_IDLE_S = 0.02
+_IDLE_S = 0.05
 """How long messages gather before the writer takes them."""
 _LOSSES_PERIOD_S = 5.0
 _CLOCK_JUMP_S = 0.5
@@ -48,6 +48,8 @@ class Recorder:
         self._stem = config.name or f"rpod-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
         self._failure: CannotWriteError | None = None
         self._latched: dict[tuple[str, bytes], Received] = {}
+        self._written: Counter[str] = Counter()
+        """By topic, of the batch in hand."""
         self._services: dict[str, StatusReply] = {}
         self._lost_told = 0
         self._next_telling_s = 0.0
@@ -134,11 +136,12 @@ class Recorder:
     def _run(self) -> None:
         next_sync_s = time.monotonic() + self._config.sync_interval_s
         while not self._backlog.finished:
-            item = self._backlog.take(_IDLE_S)
-            if isinstance(item, Command):
-                item.action(item.received)
-            elif item is not None:
-                self._write(item)
+            for item in self._backlog.take(_IDLE_S):
+                if isinstance(item, Command):
+                    item.action(item.received)
+                else:
+                    self._write(item)
+            self._tell_written()
             if time.monotonic() >= next_sync_s:
                 self._sync()
                 next_sync_s = time.monotonic() + self._config.sync_interval_s
@@ -148,10 +151,16 @@ class Recorder:
             self._latched[received.key, received.attachment.gid] = received
         self._watch_clock(received)
         if self._attempt(lambda recording: recording.write(received)):
-            self._health.count(f"written/{received.topic.name}")
+            self._written[received.topic.name] += 1
             self._tend()
         elif self._failure:
             self._health.count(f"lost/{received.topic.name}")
+
+    def _tell_written(self) -> None:
+        """Add the batch to the counters: once for all of it, since each costs a lock and a name."""
+        for topic, messages in self._written.items():
+            self._health.count(f"written/{topic}", messages)
+        self._written.clear()
 
     def _sync(self) -> None:
         if self._attempt(lambda recording: recording.file.sync()):
@@ -265,6 +274,7 @@ class Recorder:
         """Leave the log as it is; what waited for its chunk is lost."""
         recording.file.abandon()
         self._recording = None
+        self._tell_written()
         for topic, messages in recording.file.pending.items():
             self._health.count(f"written/{topic}", -messages)
             self._health.count(f"lost/{topic}", messages)

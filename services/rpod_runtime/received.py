@@ -28,7 +28,7 @@ class Received:
     arrival_s: float = field(default_factory=time.monotonic)
     """Monotonic clock, for processing times."""
     encoding: str = ""
-    """As the publisher named it to the bus."""
+    """As the publisher named it to the bus; only of what has no type that is known."""
 
     def decode(self) -> Any:
         """Return the ROS message; raises ``MessageRejectedError``."""

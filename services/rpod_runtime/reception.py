@@ -18,6 +18,8 @@ from rpod_schemas.wire import GID_BYTES, Attachment, unpack_attachment
 log = logging.getLogger(__name__)
 
 _NOBODY = Attachment(0, 0, bytes(GID_BYTES))
+_REPLAYED = zenoh.CongestionControl.BLOCK
+"""Our publishers drop under congestion; only the replies of their caches never do."""
 
 Sink = Callable[[Received], None]
 
@@ -27,6 +29,8 @@ class Reception:
 
     def __init__(self, keys: Namespace, health: HealthBook, account: SequenceAccount) -> None:
         self._keys, self._health, self._account = keys, health, account
+        self._topics: dict[str, Topic] = {}
+        """By key, of those that came by a pattern."""
         self._publications: dict[str, Publication] = {}
         self._gids: set[bytes] = set()
 
@@ -34,7 +38,7 @@ class Reception:
         """Hand over a message of a topic, or of one that fits a pattern, unless it is doubled or unusable."""
         key = str(sample.key_expr)
         if "*" in topic.name:
-            topic = replace(topic, name=self._keys.topic_of(key))
+            topic = self._topics.get(key) or self._name(topic, key)
         try:
             attachment = _attachment(sample)
             self._account_for(key, sample, attachment)
@@ -65,18 +69,23 @@ class Reception:
         if self._health.reject(topic, error):
             log.warning("rejected a message on %s: %s (counted from here on, see diagnostics)", topic, error)
 
+    def _name(self, pattern: Topic, key: str) -> Topic:
+        """Return the topic of a key that a pattern brought, and remember it."""
+        topic = self._topics[key] = replace(pattern, name=self._keys.topic_of(key))
+        return topic
+
     def _account_for(self, key: str, sample: zenoh.Sample, attachment: Attachment) -> None:
         if attachment.gid not in self._gids and sample.source_info:
             self._gids.add(attachment.gid)
             self._publications[str(sample.source_info.source_id)] = key, attachment.gid
-        # Our publishers drop under congestion; only the replies of their caches never do.
-        fetched = sample.congestion_control == zenoh.CongestionControl.BLOCK
+        fetched = sample.congestion_control == _REPLAYED
         if self._account.take(key, attachment, fetched=fetched) is Arrival.DUPLICATE:
             raise MessageRejectedError(Reason.DUPLICATE, f"sequence {attachment.sequence}")
 
 
 def _attachment(sample: zenoh.Sample) -> Attachment:
-    return unpack_attachment(sample.attachment.to_bytes() if sample.attachment else None)
+    attachment = sample.attachment
+    return unpack_attachment(attachment.to_bytes() if attachment else None)
 
 
 def _is_numbered(sample: zenoh.Sample) -> bool:
@@ -89,4 +98,5 @@ def _is_numbered(sample: zenoh.Sample) -> bool:
 
 def _received(topic: Topic, key: str, sample: zenoh.Sample, attachment: Attachment) -> Received:
     payload = memoryview(sample.payload.to_bytes())
-    return Received(topic, key, payload, attachment, time.time_ns(), encoding=str(sample.encoding))
+    encoding = "" if topic.type else str(sample.encoding)
+    return Received(topic, key, payload, attachment, time.time_ns(), encoding=encoding)
