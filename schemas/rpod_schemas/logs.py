@@ -28,6 +28,8 @@ STATUS = "status"
 """Record of each service's last status without its configuration, by instance."""
 COUNTS = "counts"
 """Record of a ``TopicCount`` for each topic, by the channel's topic; only in a file that was closed."""
+PUBLISHERS = "publishers"
+"""Record of a list of ``Numbers`` for each topic, by the channel's topic; only in a file that was closed."""
 REPLAY = "replay"
 """First part of the topics of estimates that were made from a log, and name of their configuration."""
 RECOVERY = "recovery"
@@ -69,6 +71,23 @@ class TopicCount(Config):
     def lost(self) -> int:
         """Arrived and yet not in the file: no room in the queue, or the disk failed."""
         return self.received - self.written
+
+
+class Numbers(Config):
+    """The sequence numbers of one publisher instance that a file holds, without the repeated messages.
+
+    Those of a topic's publishers together are its messages' sequence numbers, but for the missed ones: so
+    anyone can count them again, though a message does not name its publisher.
+    """
+
+    key: str
+    """On which it published."""
+    gid: str
+    """The instance, in hexadecimal digits: a publisher that was restarted is another."""
+    first: Total
+    last: Total
+    messages: Total
+    """How many of them are there; they rise."""
 
 
 class RecoveredTopic(Config):

@@ -2,21 +2,24 @@
 
 import json
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Self
 
 from rpod_logger.writer import LogFile, channel_topic
 from rpod_runtime import Received
+from rpod_runtime.accounting import Publication
 from rpod_schemas.control import StatusReply
 from rpod_schemas.logs import (
     COMPLETENESS,
     CONFIGURATION,
     COUNTS,
+    PUBLISHERS,
     SOFTWARE,
     STATUS,
     Completeness,
+    Numbers,
     TopicCount,
     shortfalls,
 )
@@ -49,6 +52,16 @@ class Totals:
         return {topic for each in fields(self) for topic in getattr(self, each.name)}
 
 
+@dataclass
+class _Run:
+    """What a publisher instance's messages in the file come to."""
+
+    topic: str
+    first: int
+    last: int = 0
+    messages: int = 0
+
+
 class Recording:
     """An open log. What the disk refuses is raised as ``OSError``."""
 
@@ -57,7 +70,7 @@ class Recording:
         self._opened_at = opened_at
         self._opened_s = time.monotonic()
         self._continues = continues
-        self._written: Counter[str] = Counter()
+        self._runs: dict[Publication, _Run] = {}
         self._repeated: Counter[str] = Counter()
         self._clock_jumps_s: list[float] = []
 
@@ -69,7 +82,12 @@ class Recording:
     def write(self, received: Received) -> None:
         """Append a message."""
         self.file.write(received)
-        self._written[received.topic.name] += 1
+        publication, sequence = (received.key, received.attachment.gid), received.attachment.sequence
+        run = self._runs.get(publication)
+        if run is None:
+            run = self._runs[publication] = _Run(received.topic.name, first=sequence)
+        run.last = sequence
+        run.messages += 1
 
     def repeat(self, latched: Iterable[Received]) -> None:
         """Append latched messages from before this file."""
@@ -96,13 +114,22 @@ class Recording:
 
     def counts(self, closed_at: Totals) -> dict[str, TopicCount]:
         """Return what became of each topic's messages since the log was opened."""
-        totals = closed_at.since(self._opened_at)
+        totals, written = closed_at.since(self._opened_at), Counter[str]()
+        for run in self._runs.values():
+            written[run.topic] += run.messages
         return {
-            topic: TopicCount(
-                **totals.of(topic), written=self._written[topic], repeated=self._repeated[topic]
-            )
-            for topic in sorted({*totals.topics, *self._written, *self._repeated})
+            topic: TopicCount(**totals.of(topic), written=written[topic], repeated=self._repeated[topic])
+            for topic in sorted({*totals.topics, *written, *self._repeated})
         }
+
+    def _publishers(self, keys: Namespace) -> dict[str, str]:
+        """Return the record of the publishers; of a message without a number nobody is known."""
+        numbers: dict[str, list[dict[str, str | int]]] = defaultdict(list)
+        for (key, gid), run in self._runs.items():
+            if run.first:
+                each = Numbers(key=key, gid=gid.hex(), first=run.first, last=run.last, messages=run.messages)
+                numbers[channel_topic(keys, run.topic)].append(each.model_dump())
+        return {topic: json.dumps(each) for topic, each in numbers.items()}
 
     def close(self, closed_at: Totals, keys: Namespace, *, reasons: tuple[str, ...] = ()) -> None:
         """Add the account and the statement of completeness, and finish the file.
@@ -121,6 +148,7 @@ class Recording:
             continues=self._continues,
             clock_jumps_s=tuple(self._clock_jumps_s),
         )
+        self.file.add_metadata(PUBLISHERS, self._publishers(keys))
         self.file.add_metadata(COUNTS, {topic: count.model_dump_json() for topic, count in counts.items()})
         self.file.add_metadata(COMPLETENESS, statement.record())
         self.file.close()

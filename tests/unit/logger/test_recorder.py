@@ -2,6 +2,7 @@
 
 import json
 import threading
+from collections import Counter
 from dataclasses import replace
 from errno import EIO
 from pathlib import Path
@@ -13,7 +14,7 @@ from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, NotRecor
 from rpod_logger.writer import LogFile
 from rpod_schemas.control import StatusReply
 from rpod_schemas.errors import Reason
-from rpod_schemas.logs import Completeness, TopicCount
+from rpod_schemas.logs import PUBLISHERS, Completeness, Numbers, TopicCount
 from rpod_schemas.topics import CLOCK, TF_STATIC, Topic
 from rpod_schemas.types import Health
 
@@ -61,6 +62,35 @@ def test_what_was_recovered_and_what_was_rejected_is_told(desk, arrive):
         "/pmd/info": TopicCount(rejected=1),
     }
     assert completeness(log.path).reasons == ("/pmd/info: 1 rejected",)
+
+
+def test_sequence_numbers_can_be_counted_again_by_publisher(desk, arrive):
+    one, restarted = desk(), b"r" * 16
+    log = one.recorder.start()
+    one.put(arrive(TF_STATIC, 1))
+    for number in (1, 2, 5):
+        one.put(arrive(CLOCK, number))
+        one.put(arrive(CLOCK, number + 10, gid=restarted))
+    second = one.recorder.split()
+    one.put(arrive(CLOCK, 16, gid=restarted))
+    one.put(arrive(Topic("lab/raw", ""), 0))
+    one.recorder.stop()
+    kept = [numbers(log.path), numbers(second.path)]
+    key, gid = arrive(CLOCK, 1).key, (b"g" * 16).hex()
+    assert kept[0]["/clock"] == [
+        Numbers(key=key, gid=gid, first=1, last=5, messages=3),
+        Numbers(key=key, gid=restarted.hex(), first=11, last=15, messages=3),
+    ]
+    assert kept[1] == {"/clock": [Numbers(key=key, gid=restarted.hex(), first=16, last=16, messages=1)]}
+    there = Counter(number for topic, number in read(log.path) if topic == "/clock")
+    ought = Counter(n for each in kept[0]["/clock"] for n in range(each.first, each.last + 1))
+    assert ought - there == Counter((3, 4, 13, 14))
+    assert counts(log.path)["/clock"].missed == 4
+
+
+def numbers(path: str) -> dict[str, list[Numbers]]:
+    record = metadata(path, PUBLISHERS)
+    return {topic: [Numbers(**each) for each in json.loads(text)] for topic, text in record.items()}
 
 
 def test_a_large_file_gives_way_to_the_next_and_nothing_is_lost_between(desk, arrive, tmp_path):
