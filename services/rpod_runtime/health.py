@@ -19,6 +19,7 @@ class HealthBook:
         self._lock = Lock()
         self._counters: Counter[str] = Counter()
         self._measures: dict[str, float] = {}
+        self._commands: dict[str, str] = {}
         self._level, self._message = Health.OK, "starting"
         self._check: Callable[[], tuple[Health, str]] | None = None
         self._changed = True
@@ -48,6 +49,13 @@ class HealthBook:
             self._changed |= first
         return first
 
+    def obey(self, verb: str, request: str) -> None:
+        """Count a command that was accepted, and keep its text: so that a log tells who was asked what."""
+        with self._lock:
+            self._counters[f"commands/{verb}"] += 1
+            self._commands[f"command/{verb}"] = request
+            self._changed = True
+
     def report(self, level: Health, message: str) -> None:
         """Say how the service is; a change is published at once."""
         with self._lock:
@@ -73,5 +81,6 @@ class HealthBook:
         """Return the diagnostic of this moment."""
         level, message = self._check() if self._check else (self._level, self._message)
         values = {name: str(value) for name, value in self.counters().items()}
-        values |= {name: f"{value:.6g}" for name, value in self._measures.items()}
+        with self._lock:
+            values |= {name: f"{value:.6g}" for name, value in self._measures.items()} | self._commands
         return Diagnostic(stamp_ns=stamp_ns, name=self.name, level=level, message=message, values=values)

@@ -201,11 +201,14 @@ class Node:
             with query:
                 payload = query.payload.to_bytes() if query.payload else b"{}"
                 try:
-                    reply = handler(request.model_validate_json(payload)).model_dump_json()
+                    asked = request.model_validate_json(payload)
+                    reply = handler(asked).model_dump_json()
                 except Exception as error:  # noqa: BLE001 - whatever it is, the asker must hear of it
                     query.reply_err(error_reply(error).model_dump_json())
                 else:
                     query.reply(key, reply)
+                    if verb != "status":  # that is asked all the time, and changes nothing
+                        self.health.obey(verb, asked.model_dump_json())
 
         queryable = self._session.declare_queryable(key, answer)
         self._stack.callback(queryable.undeclare)

@@ -8,9 +8,9 @@ from time import monotonic
 import pytest
 import zenoh
 from facility_process import until
-from live_bus import TIMEOUT_S, router
+from live_bus import TIMEOUT_S, first, router
 
-from rpod_runtime import NoRouterError, QueryFailedError
+from rpod_runtime import Inbox, NoRouterError, QueryFailedError
 from rpod_runtime.errors import EndpointError, LockstepError, RefusedError
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, run
 from rpod_runtime.node import Node
@@ -18,7 +18,8 @@ from rpod_runtime.session import free_endpoint, open_client, open_router
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.control import Accepted, Empty, ErrorReply, FaultRequest, LogReply, StatusReply
 from rpod_schemas.errors import ConfigurationError
-from rpod_schemas.topics import Namespace
+from rpod_schemas.messages import read_diagnostics
+from rpod_schemas.topics import DIAGNOSTICS, Namespace
 
 KEYS = Namespace()
 
@@ -40,6 +41,28 @@ def test_a_service_says_what_it_is(bus):
     assert status.counters["frames/pmd"] == 3
     assert status.configuration["bus"]["connect"] == bus.endpoint
     assert status.target_digest == "abc"
+
+
+def test_a_command_that_was_accepted_is_in_the_diagnostics_and_one_that_was_refused_is_not(bus):
+    def inject(request: FaultRequest) -> Accepted:
+        if request.duration_s > 1.0:
+            raise RefusedError("too long")
+        return Accepted()
+
+    server, asker, heard = bus.node("server"), bus.node("asker"), Inbox()
+    asker.subscribe(DIAGNOSTICS, heard.put)
+    server.serve("fault", FaultRequest, inject)
+    asker.ask("server", "fault", Accepted, FaultRequest(fault="blackout", duration_s=0.5))
+    with pytest.raises(QueryFailedError, match="too long"):
+        asker.ask("server", "fault", Accepted, FaultRequest(fault="blackout", duration_s=5.0))
+    said = first(heard, lambda received: commands(received.decode()))
+    assert json.loads(said["command/fault"]) == {"fault": "blackout", "start_s": 0.0, "duration_s": 0.5}
+    assert said["commands/fault"] == "1"
+
+
+def commands(message: object) -> dict[str, str]:
+    (diagnostic,) = read_diagnostics(message)
+    return {name: value for name, value in diagnostic.values.items() if name.startswith("command")}
 
 
 def test_every_service_can_be_asked_at_once(bus):

@@ -47,6 +47,19 @@ def test_a_change_of_health_is_seen_once():
     assert not health.take_change()
 
 
+def test_a_command_is_told_at_once_and_its_text_stays():
+    health = HealthBook("estimator")
+    health.take_change()
+    health.obey("reset", "{}")
+    health.obey("reset", '{"frame_id":"chaser"}')
+    assert health.take_change()
+    assert health.diagnostic(5).values == {
+        "commands/reset": "2",
+        "command/reset": '{"frame_id":"chaser"}',
+    }
+    assert health.counters() == {"commands/reset": 2}
+
+
 def test_a_diagnostic_carries_level_message_and_counters():
     health = HealthBook("logger")
     health.count("frames/pmd", 3)
