@@ -34,6 +34,7 @@ _SETTLE_S = 2.0
 """In which what is missing is recovered, before the logger is stopped."""
 _VARIANTS = 4
 """Frames with different noise, in turn."""
+_TELL_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,10 @@ class Sample:
     """From the first frame."""
     cpu_s: float
     rss_bytes: int
+
+
+Tell = Callable[[Sample, dict[str, int]], None]
+"""Gets the logger's process and its counters, now and then."""
 
 
 @dataclass(frozen=True)
@@ -89,13 +94,14 @@ class Shelf:
                     path.unlink()
 
 
-def measure(load: Load, *, out: Path | None, settings: Sequence[str]) -> Result:
+def measure(load: Load, *, out: Path | None, settings: Sequence[str], tell: Tell) -> Result:
     """Record for a while.
 
     Args:
         load: what is sent.
         out: where the log goes, and stays; where left out, files are removed as they are closed.
         settings: lines of YAML for the logger's configuration.
+        tell: is told how it goes, each minute.
     """
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(TemporaryDirectory()))
@@ -109,15 +115,20 @@ def measure(load: Load, *, out: Path | None, settings: Sequence[str]) -> Result:
         )
         node = stack.enter_context(Node(ServiceConfig(instance="camera", bus=bus), version=__version__))
         _await_logger(node)
-        process, samples = psutil.Process(logger.pid), list[Sample]()
+        process, samples, told = psutil.Process(logger.pid), list[Sample](), 0
 
         def each_second(time_s: float) -> None:
+            nonlocal told
             samples.append(_sample(process, time_s))
             shelf.judge()
+            if time_s >= told * _TELL_S:
+                told += 1
+                tell(samples[-1], _counters(node))
 
         late, sent = _send(node, load, each_second)
         node.stop.wait(_SETTLE_S)
-        counters = node.ask("logger", "status", StatusReply).counters
+        counters = _counters(node)
+        tell(samples[-1], counters)
         logger.terminate()
         logger.wait()
         shelf.judge(last_too=True)
@@ -146,6 +157,10 @@ def _await_logger(node: Node) -> None:
             if time.monotonic() > deadline_s:
                 raise
         node.stop.wait(0.1)
+
+
+def _counters(node: Node) -> dict[str, int]:
+    return node.ask("logger", "status", StatusReply).counters
 
 
 def _send(node: Node, load: Load, each_second: Callable[[float], None]) -> tuple[int, int]:
