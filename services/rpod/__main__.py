@@ -1,5 +1,6 @@
 """The command line: parses, loads configurations, runs, and turns errors into exit codes."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,9 @@ from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 
 ConfigT = TypeVar("ConfigT", bound=BaseModel)
+
+_LOWER_PRIORITY = 10
+"""Of what only looks on."""
 
 app = typer.Typer(
     name="rpod",
@@ -68,14 +72,20 @@ def options(
 
 
 def _serve(
-    verb: str, model: type[ConfigT], body: Callable[..., None], *, config: Path | None, **bus: Any
+    verb: str,
+    model: type[ConfigT],
+    body: Callable[..., None],
+    *,
+    config: Path | None,
+    changes: dict[str, Any] | None = None,
+    **bus: Any,
 ) -> NoReturn:
-    """Load a service's configuration, with what the command line says of the bus on top, and run it."""
+    """Load a service's configuration, with what the command line says on top, and run it."""
     from rpod_target import TargetError
 
     source = config or f"rpod {verb}"
     try:
-        document = read_document(config) if config else {}
+        document = (read_document(config) if config else {}) | (changes or {})
         configured = document.get("bus") or {}
         if isinstance(configured, dict):  # else the check below says what is wrong with it
             document["bus"] = configured | {key: value for key, value in bus.items() if value}
@@ -147,6 +157,43 @@ def logger(config: ConfigOption = None, connect: ConnectOption = None, wait: Wai
 
 
 @app.command()
+def view(
+    logs: Annotated[
+        list[Path] | None, typer.Argument(help="MCAP files to look at; the bus where left out.")
+    ] = None,
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = False,
+    target: Annotated[
+        str | None, typer.Option("--target", help="Whose mesh and wireframe are drawn.")
+    ] = None,
+    web: Annotated[
+        bool | None,
+        typer.Option("--web/--native", help="A web page or a window; by the display if left out."),
+    ] = None,
+    bind: Annotated[str | None, typer.Option("--bind", help="Address of the viewer; 127.0.0.1.")] = None,
+    save: Annotated[
+        Path | None, typer.Option("--save", help="Recording (.rrd) to write instead of a viewer.")
+    ] = None,
+    start: Annotated[float, typer.Option("--from", help="Of a log: seconds from its beginning.")] = 0.0,
+    end: Annotated[float | None, typer.Option("--to", help="Of a log: seconds from its beginning.")] = None,
+) -> None:
+    """Look at the facility, or at a log: images, scene, errors, state."""
+    from rpod.command_view import view_log
+    from rpod_schemas.config.view import ViewConfig
+
+    changes = {"target": target, "bind": bind, "save": save}
+    changes["viewer"] = None if web is None else "web" if web else "native"
+    given = {name: value for name, value in changes.items() if value is not None}
+    if logs:
+        raise typer.Exit(view_log(logs, config=config, changes=given, start_s=start, end_s=end))
+    from rpod_view import daemon
+
+    os.nice(_LOWER_PRIORITY)
+    _serve("view", ViewConfig, daemon.run, config=config, changes=given, connect=connect, wait=wait)
+
+
+@app.command()
 def scenarios() -> None:
     """List what can be run."""
     from rpod.scenarios import find, shipped
@@ -162,6 +209,7 @@ def run(
     speed: Annotated[str, typer.Option("--speed", help="1 by the wall clock, max in lockstep.")] = "1",
     seed: Annotated[int | None, typer.Option("--seed", help="Of all noise.")] = None,
     out: Annotated[Path, typer.Option("--out", help="Where the run's folder is made.")] = Path("runs"),
+    with_view: Annotated[bool, typer.Option("--view", help="Open the live view.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the summary as one JSON object only.")
     ] = False,
@@ -169,9 +217,10 @@ def run(
     """Play a scenario through all services, and score it."""
     from rpod.command_run import run_command
 
-    raise typer.Exit(
-        run_command(scenario, duration_s=duration, speed=speed, seed=seed, out=out, as_json=as_json)
+    code = run_command(
+        scenario, duration_s=duration, speed=speed, seed=seed, out=out, view=with_view, as_json=as_json
     )
+    raise typer.Exit(code)
 
 
 @app.command()

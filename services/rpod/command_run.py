@@ -1,6 +1,7 @@
 """``rpod run`` from its arguments to its exit code."""
 
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from rich.console import Console
@@ -25,10 +26,20 @@ EXIT_INTERRUPTED = 130
 
 
 def run_command(
-    name: str, *, duration_s: float | None, speed: str, seed: int | None, out: Path, as_json: bool
+    name: str,
+    *,
+    duration_s: float | None,
+    speed: str,
+    seed: int | None,
+    out: Path,
+    view: bool,
+    as_json: bool,
 ) -> int:
     """Play, score, and say where everything is; return the exit code."""
     configure_logging("supervisor")
+    if view and find_spec("rerun") is None:
+        print("rpod run: no view, it needs rerun-sdk: pip install 'rpod[view]'", file=sys.stderr)
+        view = False
     try:
         scenario, pace = _scenario(name, duration_s=duration_s, seed=seed), _speed(speed)
         load_target(scenario.target)  # built once here, so that the services find it in the cache
@@ -39,7 +50,7 @@ def run_command(
         return _fail(error, EXIT_FAILURE)
     try:
         with Progress(quiet=as_json) as progress:
-            play(scenario, folder, speed=pace, progress=progress)
+            play(scenario, folder, speed=pace, progress=progress, view=view)
             progress.say("writing the report")
             paths = write_report(folder.logs)
     except (InterruptedRunError, KeyboardInterrupt):

@@ -14,6 +14,7 @@ from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
+from rpod_schemas.config.view import ViewConfig
 
 Speed = Literal["1", "max"]
 _ROUTER_POLL_S = 0.5
@@ -28,6 +29,8 @@ class Facility:
     services: dict[str, BaseModel]
     """By verb, in the order in which they stop: who feeds others first."""
     supervisor: ServiceConfig
+    view: ViewConfig
+    """Of a view that looks on, where one is wanted."""
 
 
 def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
@@ -68,6 +71,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
         supervisor=ServiceConfig(
             instance="supervisor", bus=BusConfig(connect=endpoint, connect_timeout_s=_ROUTER_POLL_S)
         ),
+        view=ViewConfig(bus=bus, target=scenario.target),
     )
 
 

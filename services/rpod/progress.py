@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime import Inbox, Node, Received
 from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_diagnostics, read_status, read_transforms
 from rpod_schemas.poses import between, pose_error
@@ -25,6 +26,7 @@ from rpod_schemas.types import Mode
 
 _STYLES = {Mode.TRACKING: "green", Mode.VERIFYING: "yellow", Mode.ACQUIRING: "yellow", Mode.LOST: "red"}
 _PLAIN_PERIOD_S = 5.0
+_VIEW = ViewConfig.model_fields["instance"].default
 
 
 @dataclass
@@ -52,6 +54,7 @@ class Progress:
         self._inbox = Inbox()
         self._scenario: Scenario | None = None
         self._said = ""
+        self._told: set[str] = set()
         self._plain_s = 0.0
 
     def __enter__(self) -> "Progress":
@@ -105,7 +108,15 @@ class Progress:
             self._seen.accepted += status.accepted
         else:
             for diagnostic in read_diagnostics(message):
+                if diagnostic.name == _VIEW:
+                    self._tell_view(diagnostic.message)
                 self._take_counters(diagnostic.stamp_ns, diagnostic.values)
+
+    def _tell_view(self, message: str) -> None:
+        """Say, on a line that stays, what the view says of itself: where it is to be seen."""
+        if message not in self._told:
+            self._told.add(message)
+            self._console.print(f"view: {message}", soft_wrap=True, highlight=False)
 
     def _take_transform(self, stamp_ns: int, child: str, pose: RigidTransform) -> None:
         seen = self._seen

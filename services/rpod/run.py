@@ -28,6 +28,7 @@ _READY_TIMEOUT_S = 240.0
 _LEAD_S = 0.5
 """From telling the services to start to the epoch."""
 _POLL_S = 0.1
+_VIEW = "view"
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,10 @@ def _new_directory(out: Path, name: str) -> Path:
     raise FileExistsError(out / stem)
 
 
-def play(scenario: Scenario, folder: RunFolder, *, speed: Speed, progress: Progress) -> None:
-    """Play a scenario to its end and close the log.
+def play(
+    scenario: Scenario, folder: RunFolder, *, speed: Speed, progress: Progress, view: bool = False
+) -> None:
+    """Play a scenario to its end and close the log; with a view that looks on if that is wanted.
 
     Raises:
         ServiceDiedError: a service ended; the log is closed all the same.
@@ -76,12 +79,14 @@ def play(scenario: Scenario, folder: RunFolder, *, speed: Speed, progress: Progr
     with _interruptible() as interrupted, Supervisor(folder.directory, progress.say) as services:
         services.start("router", facility.router)
         _start_listeners_first(services, facility)
+        if view:
+            services.start(_VIEW, facility.view, optional=True)
         with _client(services, facility, interrupted) as node:
             progress.watch(node, scenario)
             _await_ready(node, services, facility, interrupted, progress)
             _start(node, scenario, speed)
             _await_end(node, services, interrupted, progress)
-            for verb in facility.services:
+            for verb in (*facility.services, _VIEW):
                 services.stop(verb)
         services.stop("router")
 

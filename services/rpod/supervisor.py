@@ -30,6 +30,12 @@ _TAIL_LINES = 8
 class _Service:
     process: subprocess.Popen[bytes]
     log: Path
+    optional: bool
+
+    def close(self) -> None:
+        """Let go of a process that has ended."""
+        if self.process.stdin:
+            self.process.stdin.close()
 
     def tail(self) -> list[str]:
         return self.log.read_text("utf-8", errors="replace").splitlines()[-_TAIL_LINES:]
@@ -47,8 +53,8 @@ class Supervisor:
         self._logs = directory / "logs"
         self._services: dict[str, _Service] = {}
 
-    def start(self, verb: str, config: BaseModel) -> None:
-        """Start ``rpod <verb>`` with a configuration."""
+    def start(self, verb: str, config: BaseModel, *, optional: bool = False) -> None:
+        """Start ``rpod <verb>`` with a configuration; an optional one may end as it likes."""
         self._configurations.mkdir(exist_ok=True)
         self._logs.mkdir(exist_ok=True)
         file = self._configurations / f"{verb}.json"
@@ -63,32 +69,40 @@ class Supervisor:
                 start_new_session=True,
                 env=os.environ | {SUPERVISED: "1"},
             )
-        self._services[verb] = _Service(process, output)
+        self._services[verb] = _Service(process, output, optional)
 
     def log_of(self, verb: str) -> Path:
         """Return the file with a service's log lines."""
         return self._services[verb].log
 
     def check(self) -> None:
-        """See that all services run.
+        """See that all services run. An optional one that does not is forgotten, and said.
 
         Raises:
             ServiceDiedError: names the first that does not, with its last lines.
         """
-        for name, service in self._services.items():
+        for name, service in list(self._services.items()):
             code = service.process.poll()
-            if code is not None:
-                raise ServiceDiedError(name, code, service.tail(), service.log)
+            if code is None:
+                continue
+            died = ServiceDiedError(name, code, service.tail(), service.log)
+            if not service.optional:
+                raise died
+            log.warning("the run goes on without %s: %s", name, died if code else "it was closed")
+            self._services.pop(name).close()
 
     def stop(self, verb: str) -> None:
         """Ask a service to finish, wait, and end it by force where it does not.
 
         Raises:
             ServiceDiedError: it ended with an error. A service that is asked while it still starts
-                knows no signals yet and ends by this one: that is no error.
+                knows no signals yet and ends by this one: that is no error. Nor is any end of an
+                optional one, nor that it has ended before.
         """
+        service = self._services.pop(verb, None)
+        if service is None:
+            return
         self._say(f"stopping {verb}")
-        service = self._services.pop(verb)
         process = service.process
         process.terminate()
         try:
@@ -98,9 +112,8 @@ class Supervisor:
             process.kill()
             code = process.wait()
         finally:
-            if process.stdin:
-                process.stdin.close()
-        if code not in (0, -signal.SIGTERM):
+            service.close()
+        if code not in (0, -signal.SIGTERM) and not service.optional:
             raise ServiceDiedError(verb, code, service.tail(), service.log)
 
     def __enter__(self) -> Self:

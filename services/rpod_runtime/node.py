@@ -119,14 +119,16 @@ class Node:
         self._subscribe(topic, sink, recover=recover, history=history)
         self._token(self._graph.endpoint_token("MS", self._entity(), topic))
 
-    def subscribe_all(self, patterns: Sequence[Topic], sink: Callable[[Received], None]) -> None:
-        """Subscribe, with recovery, all topics that fit patterns (``*`` for a part of the name).
+    def subscribe_all(
+        self, patterns: Sequence[Topic], sink: Callable[[Received], None], *, recover: bool = True
+    ) -> None:
+        """Subscribe all topics that fit patterns (``*`` for a part of the name), with recovery or plainly.
 
         Tokens carry no wildcards, so one is declared for each topic as its first publisher appears:
         newer rmw_zenoh publishers of images and point clouds are silent without it.
         """
         for pattern in patterns:
-            self._subscribe(pattern, sink, recover=True, history=True)
+            self._subscribe(pattern, sink, recover=recover, history=recover)
         shown: set[Topic] = set()
 
         def show(token: zenoh.Sample) -> None:

@@ -74,3 +74,14 @@ def test_after_a_second_interrupt_nobody_is_waited_for(services, said):
     assert not said
     services.check()
     services.stop("router")
+
+
+def test_an_optional_service_may_end_as_it_likes_and_that_is_said_once(services, caplog):
+    with services:
+        services.start("router", RouterConfig(listen=ELSEWHERE), optional=True)
+        until(lambda: services.check() or caplog.messages)
+        assert "service router ended with exit code 1" in caplog.text
+        assert "the run goes on without router" in caplog.text
+        services.check()
+        services.stop("router")
+    assert len(caplog.messages) == 1

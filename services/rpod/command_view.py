@@ -1,0 +1,110 @@
+"""``rpod view`` of a log, from its arguments to its exit code."""
+
+import logging
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from rpod_analysis import AnalysisError, Log, open_log
+from rpod_analysis.log_view import show_log
+from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.lifecycle import run as run_service
+from rpod_schemas.cdr import NANOSECONDS
+from rpod_schemas.config.base import check, read_document
+from rpod_schemas.config.view import ViewConfig
+from rpod_schemas.errors import ConfigurationError
+from rpod_target import Target, TargetError, load_target
+from rpod_view.view import View
+from rpod_view.viewer import Viewer, open_viewer
+
+log = logging.getLogger(__name__)
+
+_MOST_MOMENTS = 1200
+"""Drawn of a log, so that a long one does not fill the viewer's memory."""
+_LOG_MEMORY_BYTES = 4_000_000_000
+_POLL_S = 0.2
+
+
+@dataclass(frozen=True)
+class _Slice:
+    """Part of a log, by arrival."""
+
+    start_ns: int
+    end_ns: int
+
+
+def view_log(
+    logs: Sequence[Path], *, config: Path | None, changes: dict[str, Any], start_s: float, end_s: float | None
+) -> int:
+    """Show a log until the viewer is closed, or write it as a recording; return the exit code."""
+    try:
+        document = {"memory_bytes": _LOG_MEMORY_BYTES} | (read_document(config) if config else {}) | changes
+        checked = check(ViewConfig, document, source=config or "rpod view")
+        if end_s is not None and end_s <= start_s:
+            raise ConfigurationError("rpod view", "--to", "needs to lie behind --from")
+        opened = open_log(*logs)
+    except (ConfigurationError, AnalysisError) as error:
+        print(f"rpod view: {error}", file=sys.stderr)
+        return EXIT_USAGE if isinstance(error, ConfigurationError) else EXIT_FAILURE
+    outcome = EXIT_OK
+
+    def serve(stop: Event) -> None:
+        nonlocal outcome
+        part = _Slice(
+            opened.start_ns + round(start_s * NANOSECONDS),
+            opened.end_ns + 1 if end_s is None else opened.start_ns + round(end_s * NANOSECONDS),
+        )
+        try:
+            _show(opened, checked, part, stop)
+        except AnalysisError as error:
+            log.error("%s", error)
+            outcome = EXIT_FAILURE
+
+    with opened:
+        return run_service("view", serve) or outcome
+
+
+def _show(opened: Log, config: ViewConfig, part: _Slice, stop: Event) -> None:
+    target = _target(opened, config.target)
+    moments_hz = _MOST_MOMENTS * NANOSECONDS / max(part.end_ns - part.start_ns, 1)
+    with open_viewer(config, stop) as viewer:
+        log.info("to be seen in %s", viewer.where)
+        refused = show_log(
+            opened,
+            View(viewer.recording, target=target, prefix=config.prefix),
+            prefix=config.prefix,
+            rate_hz=min(config.rate_hz, moments_hz),
+            start_ns=part.start_ns,
+            end_ns=part.end_ns,
+            drawn=lambda: _await_taken(viewer, stop),
+        )
+        for topic, count in refused.items():
+            log.warning("%d messages of %s could not be used", count, topic)
+        while viewer.process is not None and not viewer.closed and not stop.wait(_POLL_S):
+            pass
+
+
+def _await_taken(viewer: Viewer, stop: Event) -> bool:
+    """Wait until the viewer has what was drawn; return False where nobody wants more."""
+    while not (stop.is_set() or viewer.closed):
+        if viewer.has_taken(_POLL_S):
+            return True
+    return False
+
+
+def _target(opened: Log, name: str | None) -> Target | None:
+    """Return the target that is asked for, else the one that the log's services had."""
+    names = [service["target"] for service in opened.configuration.values() if service.get("target")]
+    chosen = name or next(iter(names), None)
+    if chosen is None:
+        return None
+    try:
+        return load_target(chosen)
+    except TargetError as error:
+        if name:
+            raise ConfigurationError("rpod view", "--target", str(error)) from error
+        log.warning("no mesh: %s", error)
+        return None

@@ -1,0 +1,84 @@
+"""The view daemon: the bus's newest onto the screen, and nothing of it back.
+
+It subscribes without recovery to what it draws, keeps a bounded number of messages, and draws at most
+ten times a second, and only once the viewer has taken what was drawn before.
+"""
+
+import logging
+import time
+from threading import Event
+
+from rpod_runtime import Inbox, Node
+from rpod_schemas.config.view import ViewConfig
+from rpod_schemas.control import StatusReply
+from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.topics import TF, TRUTH
+from rpod_target import Target, load_target
+from rpod_view.scene import SENSOR_TOPICS, pose_topics
+from rpod_view.view import View
+from rpod_view.viewer import Viewer, open_viewer
+
+log = logging.getLogger(__name__)
+
+_WAITING_PARTS = 128
+"""Parts of frames between the bus and the drawing: the newest, some 30 MB of images."""
+_WAITING = 2048
+_PATIENCE_S = 0.05
+"""For the viewer to take what was drawn a period ago."""
+
+
+def run(config: ViewConfig, *, version: str, stop: Event) -> None:
+    """Show what is on the bus until stopped, or until the viewer is closed."""
+    with Node(config, version=version, stop=stop) as node, open_viewer(config, stop) as viewer:
+        view = View(viewer.recording, target=_target(node, config.target), prefix=config.prefix)
+        ears = _Ears(node, config)
+        node.ready(f"to be seen in {viewer.where}")
+        next_s = time.monotonic()
+        while not stop.wait(max(next_s - time.monotonic(), 0.0)):
+            next_s = max(next_s, time.monotonic()) + 1.0 / config.rate_hz
+            if viewer.closed:
+                log.info("the viewer was closed")
+                return
+            ears.hand_over(view)
+            _draw(node, view, viewer)
+
+
+def _target(node: Node, name: str | None) -> Target | None:
+    """Return the target that is configured, else the one that a service on the bus says it has."""
+    if name is None:
+        replies = node.ask_all("status", StatusReply)
+        name = next(
+            (reply.configuration["target"] for reply in replies if reply.configuration.get("target")), None
+        )
+    return load_target(name) if name else None
+
+
+def _draw(node: Node, view: View, viewer: Viewer) -> None:
+    if not viewer.has_taken(_PATIENCE_S):
+        node.health.count("skipped")
+        return
+    try:
+        node.health.count("drawn", view.draw())
+    except MessageRejectedError as error:
+        node.reject("frames", error)
+
+
+class _Ears:
+    """What is subscribed; what is not fetched in time is lost, and that is meant."""
+
+    def __init__(self, node: Node, config: ViewConfig) -> None:
+        self._node = node
+        self._parts, self._others = Inbox(_WAITING_PARTS), Inbox(_WAITING)
+        truth = TF if config.truth == "tf" else TRUTH
+        for topic in (truth, *pose_topics(config.prefix)):
+            node.subscribe(topic, self._others.put)
+        node.subscribe_all(SENSOR_TOPICS, self._parts.put, recover=False)
+
+    def hand_over(self, view: View) -> None:
+        """Give the view everything that has come."""
+        for received in self._others.wait(0.0) + self._parts.wait(0.0):
+            try:
+                view.take(received)
+            except MessageRejectedError as error:
+                self._node.reject(received.topic.name, error)
+        self._node.health.put("overflowed/inbox", self._parts.overflowed + self._others.overflowed)

@@ -1,0 +1,200 @@
+"""The scene in Rerun's terms: images with the wireframe over them, points, meshes, ellipsoids."""
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Camera, Odometry, PmdFrame
+from rpod_sim_sensor.geometry import DistortionError, RayGrid
+from rpod_sim_sensor.wireframe import project, visible_pieces
+from rpod_target import Target
+from rpod_view import palette
+from rpod_view.layout import CHASER, ESTIMATE, FOCUS, IMAGES, TIMELINE, TRUTH, UNCERTAINTY
+from rpod_view.scene import Frame
+from rpod_view.shading import MILLIMETRES, depth_colours, depth_mm, depth_span_m, ellipsoid, grey
+
+_ELLIPSOID = f"{CHASER}/uncertainty"
+_MOST_POINTS = 20_000
+_VANISHING = 1e-6
+"""Scale of what is hidden: what is static cannot be cleared."""
+_LINE = rr.Radius.ui_points(1.0)
+_POINT = rr.Radius.ui_points(1.2)
+
+
+class Drawing:
+    """Draws frames and poses into a recording.
+
+    Args:
+        recording: where to.
+        target: whose mesh and wireframe are drawn; None where it is not known.
+    """
+
+    def __init__(self, recording: rr.RecordingStream, target: Target | None) -> None:
+        self._recording, self._target = recording, target
+        self._rays: dict[str, tuple[Camera, FloatArray | None]] = {}
+        recording.log(CHASER, rr.TransformAxes3D(axis_length=0.3), static=True)
+        recording.log(UNCERTAINTY, rr.TransformAxes3D(axis_length=0.25), static=True)
+        if target is not None:
+            self._draw_target(target)
+
+    def _draw_target(self, target: Target) -> None:
+        albedo = np.array([material.diffuse for material in target.materials])[target.triangle_material]
+        tones = np.repeat(np.interp(albedo, (0.0, 1.0), (70.0, 215.0)).astype(np.uint8), 3)
+        truth = rr.Mesh3D(
+            vertex_positions=target.triangles_m.reshape(-1, 3),
+            vertex_normals=np.repeat(target.normals, 3, axis=0),
+            vertex_colors=np.column_stack([tones, tones, tones]),
+        )
+        estimate = rr.Mesh3D(
+            vertex_positions=target.triangles_m.reshape(-1, 3),
+            vertex_normals=np.repeat(target.normals, 3, axis=0),
+            albedo_factor=(*palette.ESTIMATE, 60),
+        )
+        lines = rr.LineStrips3D(target.edges_m.astype(np.float32), colors=palette.ESTIMATE, radii=_LINE)
+        self._recording.log(f"{TRUTH}/mesh", truth, static=True)
+        self._recording.log(f"{ESTIMATE}/mesh", estimate, static=True)
+        self._recording.log(f"{ESTIMATE}/wireframe", lines, static=True)
+
+    # --- frames ---
+
+    def frame(self, frame: Frame, T_chaser_target: RigidTransform | None) -> None:
+        """Draw a frame at its stamp, with the wireframe at the estimate of that time over its images."""
+        self._at(frame.data.stamp_ns)
+        if frame.T_chaser_sensor is not None:
+            self._place(f"{CHASER}/{frame.sensor}", frame.T_chaser_sensor)
+        if isinstance(frame.data, PmdFrame):
+            self._images(frame, frame.data, T_chaser_target)
+        else:
+            self._cloud(frame.sensor, frame.data.returns_m)
+
+    def _images(self, frame: Frame, data: PmdFrame, T_chaser_target: RigidTransform | None) -> None:
+        span_m = depth_span_m(data.depth_m)
+        depth = rr.DepthImage(
+            depth_mm(data.depth_m),
+            meter=MILLIMETRES,
+            colormap="viridis",
+            depth_range=(MILLIMETRES * span_m[1], MILLIMETRES * span_m[0]),
+        )
+        outline = self._outline(frame, data.camera, T_chaser_target)
+        self._image(f"{IMAGES}/{frame.sensor}/depth", depth, outline)
+        if data.amplitude is not None:
+            self._image(f"{IMAGES}/{frame.sensor}/amplitude", rr.Image(grey(data.amplitude)), outline)
+        rays = self._rays_of(frame.sensor, data.camera)
+        if rays is not None:
+            seen = np.isfinite(data.depth_m)
+            self._cloud(frame.sensor, rays[seen] * data.depth_m[seen][:, None])
+
+    def _image(self, path: str, image: rr.DepthImage | rr.Image, outline: FloatArray) -> None:
+        lines = rr.LineStrips2D(outline.astype(np.float32), colors=palette.ESTIMATE, radii=_LINE)
+        self._recording.log(path, image)
+        self._recording.log(f"{path}/wireframe", lines)
+
+    def _outline(
+        self, frame: Frame, camera: Camera, T_chaser_target: RigidTransform | None
+    ) -> NDArray[np.float64]:
+        if self._target is None or frame.T_chaser_sensor is None or T_chaser_target is None:
+            return np.zeros((0, 2, 2))
+        return project(visible_pieces(self._target, frame.T_chaser_sensor.inv() * T_chaser_target), camera)
+
+    def _rays_of(self, sensor: str, camera: Camera) -> FloatArray | None:
+        """Return a camera's rays of unit depth, shape (height, width, 3); None where its lens forbids."""
+        known, rays = self._rays.get(sensor, (None, None))
+        if known is None or not _same(known, camera):
+            rays = _unit_depth(camera)
+            self._rays[sensor] = camera, rays
+            self._recording.log(
+                f"{CHASER}/{sensor}/camera",
+                rr.Pinhole(
+                    image_from_camera=camera.K,
+                    resolution=(camera.width, camera.height),
+                    image_plane_distance=0.6,
+                    color=palette.QUIET,
+                ),
+                static=True,
+            )
+        return rays
+
+    def _cloud(self, sensor: str, points_m: NDArray[np.floating]) -> None:
+        points_m = points_m[:: len(points_m) // _MOST_POINTS + 1]
+        colours = depth_colours(points_m[:, 2], depth_span_m(points_m[:, 2]))
+        cloud = rr.Points3D(points_m.astype(np.float32), colors=colours, radii=_POINT)
+        self._recording.log(f"{CHASER}/{sensor}/points", cloud)
+
+    # --- poses ---
+
+    def poses(
+        self,
+        stamp_ns: int,
+        truth: RigidTransform | None,
+        estimate: RigidTransform | None,
+        newest: Odometry | None,
+    ) -> None:
+        """Draw the target where it is and where it is thought to be; what is not known is hidden.
+
+        Args:
+            stamp_ns: of the poses.
+            truth: T_chaser_target.
+            estimate: T_chaser_target.
+            newest: the estimate whose covariance is drawn.
+        """
+        self._at(stamp_ns)
+        self._show(TRUTH, truth)
+        self._show(ESTIMATE, estimate)
+        known = estimate if truth is None else truth
+        if known is not None:
+            self._recording.log(FOCUS, rr.Transform3D(translation=known.translation))
+        if estimate is None or newest is None:
+            for path in (_ELLIPSOID, f"{UNCERTAINTY}/ellipsoid", f"{UNCERTAINTY}/truth"):
+                self._recording.log(path, rr.Clear(recursive=False))
+            return
+        half_m, quaternion = ellipsoid(newest.pose_covariance[:3, :3])
+        self._recording.log(_ELLIPSOID, _drawn(half_m, quaternion, centre=estimate.translation))
+        largest_m = max(float(half_m.max()), 1e-6)
+        label = f"{MILLIMETRES * largest_m:.0f} mm"
+        shape = _drawn(half_m / largest_m, quaternion, centre=np.zeros(3), label=label)
+        self._recording.log(f"{UNCERTAINTY}/ellipsoid", shape)
+        if truth is not None:
+            error = (truth.translation - estimate.translation) / largest_m
+            point = rr.Points3D([error], colors=palette.TRUTH, radii=rr.Radius.ui_points(5.0))
+            self._recording.log(f"{UNCERTAINTY}/truth", point)
+
+    def _show(self, path: str, pose: RigidTransform | None) -> None:
+        if pose is None:
+            self._recording.log(path, rr.Transform3D(scale=_VANISHING))
+        else:
+            self._place(path, pose)
+
+    def _place(self, path: str, pose: RigidTransform) -> None:
+        quaternion = rr.Quaternion(xyzw=pose.rotation.as_quat())
+        self._recording.log(path, rr.Transform3D(translation=pose.translation, quaternion=quaternion))
+
+    def _at(self, stamp_ns: int) -> None:
+        self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+
+
+def _drawn(
+    half: FloatArray, quaternion: FloatArray, *, centre: FloatArray, label: str | None = None
+) -> rr.Ellipsoids3D:
+    return rr.Ellipsoids3D(
+        half_sizes=[half],
+        quaternions=[rr.Quaternion(xyzw=quaternion)],
+        centers=[centre],
+        colors=palette.ELLIPSOID,
+        line_radii=_LINE,
+        fill_mode="majorwireframe",
+        labels=label,
+    )
+
+
+def _unit_depth(camera: Camera) -> FloatArray | None:
+    try:
+        directions = RayGrid.pinhole(camera).directions
+    except DistortionError:
+        return None
+    return np.asarray(directions / directions[..., 2:])
+
+
+def _same(first: Camera, second: Camera) -> bool:
+    return first is second or first.model_dump_json() == second.model_dump_json()

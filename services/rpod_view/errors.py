@@ -1,0 +1,14 @@
+"""The errors of the view. Each message is one line that says what to do."""
+
+from rpod_runtime.errors import BusError
+
+
+class ViewError(BusError):
+    """Root of the errors that this package raises."""
+
+
+class ViewerFailedError(ViewError):
+    """The viewer does not start."""
+
+    def __init__(self, how: str) -> None:
+        super().__init__(f"the viewer {how}; try --web, or --save FILE.rrd")

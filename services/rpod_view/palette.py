@@ -1,0 +1,18 @@
+"""Colours, the same as in the report."""
+
+from rpod_schemas.types import Mode
+
+ESTIMATE = (255, 77, 46)
+TRUTH = (225, 230, 236)
+QUIET = (139, 148, 158)
+ACCENT = (47, 125, 246)
+ELLIPSOID = (255, 209, 102)
+BACKGROUND = (13, 17, 23)
+GRID = (139, 148, 158, 40)
+
+MODES = {
+    Mode.ACQUIRING: (184, 191, 199),
+    Mode.VERIFYING: (156, 195, 251),
+    Mode.TRACKING: (46, 160, 67),
+    Mode.LOST: (217, 83, 79),
+}

@@ -1,0 +1,171 @@
+"""What the view knows: the poses of the last seconds, and what has come since it was drawn last.
+
+Messages come from the bus or from a log. The parts of frames are told apart by topic and stamp; only
+the newest complete frame of each sensor is decoded, and only when it is drawn.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from scipy.spatial.transform import RigidTransform
+
+from rpod_runtime import Received
+from rpod_runtime.assembler import Assembled, Assembler, NewestFrames
+from rpod_runtime.errors import ExtrinsicsError
+from rpod_runtime.extrinsics import Extrinsics
+from rpod_runtime.frames import CAMERA_PARTS, LIDAR_PARTS, assembler_of, read_frame, read_scan
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.cdr import NANOSECONDS, peek_stamp
+from rpod_schemas.messages import read_odometry, read_status, read_transforms
+from rpod_schemas.poses import pose_error
+from rpod_schemas.topics import ESTIMATE, STATUS, TARGET, TF, TF_STATIC, TRUTH, Topic
+from rpod_schemas.types import EstimatorStatus, LidarScan, Mode, Odometry, PmdFrame
+from rpod_view.track import Track
+
+_SENSORS = {"camera": CAMERA_PARTS, "lidar": LIDAR_PARTS}
+SENSOR_TOPICS = tuple(topic.of("*") for parts in _SENSORS.values() for topic in parts.values())
+"""What is drawn of any sensor; patterns."""
+_PATIENCE_NS = NANOSECONDS
+"""How long an estimate waits for its truth."""
+_MOST_WAITING = 512
+
+
+def pose_topics(prefix: str) -> tuple[Topic, ...]:
+    """Return what is drawn beside frames and truth, the estimates under their prefix."""
+    return TF_STATIC, ESTIMATE.under(prefix), STATUS.under(prefix)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A sensor's frame and where the sensor sits."""
+
+    sensor: str
+    data: PmdFrame | LidarScan
+    T_chaser_sensor: RigidTransform | None
+    """None where nobody tells."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """An estimate, and its errors where the truth is known."""
+
+    estimate: Odometry
+    attitude_rad: FloatArray | None
+    """Log(R_truth^T R_estimate), target axes, shape (3,)."""
+    position_m: FloatArray | None
+    """Chaser axes, shape (3,)."""
+
+
+class Scene:
+    """Takes messages; hands out what is to be drawn."""
+
+    def __init__(self, prefix: str) -> None:
+        self.truth = Track(gap_s=0.1, reach_s=0.1)
+        self.estimates = Track(gap_s=2.5, reach_s=1.5)
+        self.newest: Odometry | None = None
+        """The last estimate."""
+        self.status: EstimatorStatus | None = None
+        """The last one."""
+        self._estimate, self._status = ESTIMATE.under(prefix).name, STATUS.under(prefix).name
+        self._extrinsics = Extrinsics({})
+        self._assemblers: dict[str, Assembler[Received]] = {}
+        self._frames: NewestFrames[Received] = NewestFrames()
+        self._statuses: deque[EstimatorStatus] = deque(maxlen=_MOST_WAITING)
+        self._unscored: deque[Odometry] = deque(maxlen=_MOST_WAITING)
+
+    # --- what comes ---
+
+    def take(self, received: Received) -> None:
+        """Take a message. Raises ``MessageRejectedError``."""
+        name = received.topic.name
+        if name == self._estimate:
+            self._take_estimate(read_odometry(received.decode()))
+        elif name == self._status:
+            self.status = read_status(received.decode())
+            self._statuses.append(self.status)
+        elif name == TRUTH.name:
+            odometry = read_odometry(received.decode())
+            self.truth.add(odometry.stamp_ns, odometry.pose)
+        elif name in (TF.name, TF_STATIC.name):
+            self._take_transforms(received)
+        else:
+            self._take_part(received)
+
+    def _take_estimate(self, odometry: Odometry) -> None:
+        self.newest = odometry
+        self.estimates.add(odometry.stamp_ns, odometry.pose)
+        self._unscored.append(odometry)
+
+    def _take_transforms(self, received: Received) -> None:
+        for stamp_ns, parent, child, pose in read_transforms(received.decode()):
+            if received.topic.name == TF_STATIC.name:
+                self._extrinsics.set(parent, child, pose)
+            elif child == TARGET:
+                self.truth.add(stamp_ns, pose)
+
+    def _take_part(self, received: Received) -> None:
+        found = _part_of(received.topic)
+        if found is None:
+            return
+        sensor, kind, part = found
+        if sensor not in self._assemblers:
+            self._assemblers[sensor] = assembler_of(_SENSORS[kind])
+        for frame in self._assemblers[sensor].add(part, peek_stamp(received.payload), received):
+            self._frames.put(sensor, frame)
+
+    # --- what is drawn ---
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the newest complete frame of each sensor with a new one. Raises ``MessageRejectedError``."""
+        while (chosen := self._frames.take()) is not None:
+            yield self._frame(*chosen)
+
+    def _frame(self, sensor: str, frame: Assembled[Received]) -> Frame:
+        data = read_frame(frame) if "depth" in frame.parts else read_scan(frame)
+        try:
+            mount = self._extrinsics.mount(sensor, data.frame_id)
+        except ExtrinsicsError:
+            mount = None
+        return Frame(sensor, data, mount)
+
+    def statuses(self) -> list[EstimatorStatus]:
+        """Return those that have come."""
+        statuses = list(self._statuses)
+        self._statuses.clear()
+        return statuses
+
+    def estimated(self) -> list[Scored]:
+        """Return the estimates that have come, each once its truth is known or comes no more."""
+        scored: list[Scored] = []
+        while self._unscored:
+            odometry = self._unscored[0]
+            is_known = self.truth.newest_ns >= odometry.stamp_ns
+            newest_ns = max(self._unscored[-1].stamp_ns, self.truth.newest_ns)
+            if not is_known and self.truth.newest_ns >= 0 and newest_ns - odometry.stamp_ns < _PATIENCE_NS:
+                break
+            scored.append(self._scored(self._unscored.popleft()))
+        return scored
+
+    def _scored(self, odometry: Odometry) -> Scored:
+        is_known = self.truth.newest_ns >= odometry.stamp_ns
+        truth = self.truth.at(odometry.stamp_ns) if is_known else None
+        if truth is None:
+            return Scored(odometry, None, None)
+        return Scored(odometry, *pose_error(truth, odometry.pose))
+
+    def estimate_at(self, stamp_ns: int) -> RigidTransform | None:
+        """Return the estimate of a time, predicted where it has not come yet; None where there is none."""
+        if self.status is not None and self.status.mode != Mode.TRACKING:
+            return None
+        return self.estimates.at(stamp_ns)
+
+
+def _part_of(topic: Topic) -> tuple[str, str, str] | None:
+    """Return sensor, kind and part of a topic; None where it is of no frame."""
+    sensor, _, _ = topic.name.partition("/")
+    for kind, parts in _SENSORS.items():
+        for part, pattern in parts.items():
+            if pattern.of(sensor) == topic:
+                return sensor, kind, part
+    return None

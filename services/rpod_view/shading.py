@@ -1,0 +1,67 @@
+"""From measurements to what an eye can read: ranges, tones, colours, ellipsoids. Knows no viewer."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from rpod_schemas.arrays import Array, FloatArray
+from rpod_schemas.types import Float32Array
+
+MILLIMETRES = 1000.0
+SIGMAS = 3.0
+"""What ellipsoids and bands show."""
+_STEP_M = 0.25
+"""Colour scales of depth begin and end at multiples of it, so that they do not flicker."""
+_VIRIDIS = np.array(
+    [[68, 1, 84], [65, 68, 135], [42, 120, 142], [34, 168, 132], [122, 209, 81], [253, 231, 37]], float
+)
+_GAMMA = 0.6
+_FAR_MM = 65_535.0
+
+
+def depth_span_m(depth_m: Array) -> tuple[float, float]:
+    """Return where the colours of depths, NaN where there is none, begin and end."""
+    finite = depth_m[np.isfinite(depth_m)]
+    if not finite.size:
+        return 0.0, 1.0
+    near, far = np.percentile(finite, (1, 99))
+    near_m, far_m = _STEP_M * np.floor(near / _STEP_M), _STEP_M * np.ceil(far / _STEP_M)
+    return float(near_m), float(max(far_m, near_m + _STEP_M))
+
+
+def depth_mm(depth_m: Float32Array) -> NDArray[np.uint16]:
+    """Return depths in millimetres: half the bytes. The largest, which is dark, where there is none."""
+    millimetres: NDArray[np.uint16] = (
+        np.nan_to_num(MILLIMETRES * depth_m, nan=_FAR_MM).clip(0.0, _FAR_MM).astype(np.uint16)
+    )
+    return millimetres
+
+
+def grey(amplitude: Array) -> NDArray[np.uint8]:
+    """Return an image's tones, 0 to 255, between its first and last per cent."""
+    values = amplitude.astype(np.float32)
+    low, high = np.nanpercentile(values[::2, ::2], (1, 99))
+    share = np.nan_to_num((values - low) / max(high - low, 1e-6)).clip(0.0, 1.0)
+    tones: NDArray[np.uint8] = (255.0 * share**_GAMMA).astype(np.uint8)
+    return tones
+
+
+def depth_colours(depth_m: Array, span_m: tuple[float, float]) -> NDArray[np.uint8]:
+    """Return colours of depths, near ones bright, shape (N, 3)."""
+    near, far = span_m
+    share = ((far - depth_m) / (far - near)).clip(0.0, 1.0)
+    knots = np.linspace(0.0, 1.0, len(_VIRIDIS))
+    table = np.column_stack([np.interp(np.linspace(0.0, 1.0, 256), knots, band) for band in _VIRIDIS.T])
+    return table.astype(np.uint8)[(255.0 * share).astype(np.uint8)]
+
+
+def ellipsoid(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return half axes, shape (3,), and quaternion x, y, z, w of a covariance's ellipsoid of three sigma."""
+    variances, axes = np.linalg.eigh(covariance)
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    return SIGMAS * np.sqrt(variances.clip(0.0)), Rotation.from_matrix(axes).as_quat()
+
+
+def band(covariance: FloatArray) -> float:
+    """Return three sigma along the worst axis of a covariance."""
+    return float(SIGMAS * np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))

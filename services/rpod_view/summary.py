@@ -1,0 +1,53 @@
+"""What an operator reads first: the navigator in one short table."""
+
+import numpy as np
+
+from rpod_schemas.types import EstimatorStatus, Mode
+from rpod_view.scene import Scored
+from rpod_view.shading import MILLIMETRES, band
+
+_SOURCES = {
+    "LIDAR": "LIDAR",
+    "PMD_DEPTH": "PMD depth",
+    "PMD_AMPLITUDE": "PMD amplitude",
+    "PMD_JOINT": "PMD depth and amplitude",
+    "NONE": "none",
+}
+
+
+def summary(status: EstimatorStatus | None, scored: Scored | None) -> str:
+    """Return Markdown of the last status and the last estimate with its errors."""
+    if status is None:
+        return "# no estimator\n\nWaiting for its first status."
+    rows = [
+        ("source", _SOURCES[status.source.name]),
+        ("measurement", "accepted" if status.accepted else f"rejected: {status.reason or '-'}"),
+        ("processing", _value(1e3 * status.processing_s, "ms")),
+    ]
+    if status.mode == Mode.TRACKING and scored is not None:
+        rows += _rows_of(scored)
+    table = "\n".join(f"| {name} | {value} |" for name, value in rows)
+    return f"# {status.mode.name}\n\n| | |\n|---|---|\n{table}"
+
+
+def _rows_of(scored: Scored) -> list[tuple[str, str]]:
+    estimate = scored.estimate
+    rows = [
+        ("range", _value(float(np.linalg.norm(estimate.pose.translation)), "m")),
+        ("turn rate", _value(float(np.rad2deg(np.linalg.norm(estimate.angular_rad_s))), "deg/s")),
+    ]
+    position_mm = MILLIMETRES * band(estimate.pose_covariance[:3, :3])
+    attitude_deg = float(np.rad2deg(band(estimate.pose_covariance[3:, 3:])))
+    if scored.position_m is None or scored.attitude_rad is None:
+        return [*rows, ("3 sigma", f"{position_mm:.1f} mm, {attitude_deg:.2f} deg")]
+    error_mm = MILLIMETRES * float(np.linalg.norm(scored.position_m))
+    error_deg = float(np.rad2deg(np.linalg.norm(scored.attitude_rad)))
+    return [
+        *rows,
+        ("position error", f"{error_mm:.1f} mm (3 sigma {position_mm:.1f})"),
+        ("attitude error", f"{error_deg:.2f} deg (3 sigma {attitude_deg:.2f})"),
+    ]
+
+
+def _value(value: float, unit: str) -> str:
+    return f"{value:.2f} {unit}" if np.isfinite(value) else "-"

@@ -1,0 +1,87 @@
+"""The view without a bus: messages in, and at each call what is newest of them drawn.
+
+The daemon and the view of a log share this very path.
+"""
+
+import numpy as np
+import rerun as rr
+
+from rpod_runtime import Received
+from rpod_schemas.types import PmdFrame
+from rpod_target import Target
+from rpod_view.drawing import Drawing
+from rpod_view.layout import SUMMARY, TIMELINE, Eye, layout, over_shoulder
+from rpod_view.plots import Plots
+from rpod_view.scene import Frame, Scene, Scored
+from rpod_view.summary import summary
+
+_RADIUS_M = 1.0
+"""Of a target that is not known."""
+
+
+class View:
+    """Takes messages and draws the newest.
+
+    Args:
+        recording: where it is drawn.
+        target: whose mesh and wireframe are drawn; None where it is not known.
+        prefix: first part of the topics of the estimates.
+    """
+
+    def __init__(self, recording: rr.RecordingStream, *, target: Target | None, prefix: str) -> None:
+        self._recording = recording
+        self._scene = Scene(prefix)
+        self._drawing, self._plots = Drawing(recording, target), Plots(recording)
+        self._scored: Scored | None = None
+        self._radius_m = target.radius_m if target else _RADIUS_M
+        self._image_sizes: dict[str, tuple[int, int]] = {}
+        self._eye: Eye | None = None
+        recording.send_blueprint(layout({}, None, self._radius_m))
+
+    def take(self, received: Received) -> None:
+        """Take a message. Raises ``MessageRejectedError``."""
+        self._scene.take(received)
+
+    def draw(self) -> int:
+        """Draw what is new, and return how many frames there were. Raises ``MessageRejectedError``."""
+        statuses, scored = self._scene.statuses(), self._scene.estimated()
+        self._plots.statuses(statuses)
+        self._plots.estimates(scored)
+        self._scored = scored[-1] if scored else self._scored
+        frames = self._draw_frames()
+        self._draw_poses(frames)
+        if statuses:
+            self._summarise(statuses[-1].stamp_ns)
+        return len(frames)
+
+    def _draw_frames(self) -> list[Frame]:
+        frames = []
+        for frame in self._scene.frames():
+            self._arrange(frame)
+            self._drawing.frame(frame, self._scene.estimate_at(frame.data.stamp_ns))
+            frames.append(frame)
+        return frames
+
+    def _draw_poses(self, frames: list[Frame]) -> None:
+        """Draw both poses at one time: of the newest frame or estimate, else of the truth."""
+        scene = self._scene
+        stamp_ns = max([frame.data.stamp_ns for frame in frames] + [scene.estimates.newest_ns])
+        stamp_ns = scene.truth.newest_ns if stamp_ns < 0 else stamp_ns
+        if stamp_ns >= 0:
+            self._drawing.poses(stamp_ns, scene.truth.at(stamp_ns), scene.estimate_at(stamp_ns), scene.newest)
+
+    def _summarise(self, stamp_ns: int) -> None:
+        text = rr.TextDocument(summary(self._scene.status, self._scored), media_type="text/markdown")
+        self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+        self._recording.log(SUMMARY, text)
+
+    def _arrange(self, frame: Frame) -> None:
+        """Divide the screen again where a camera is new, or it is known for the first time how to look."""
+        sizes, eye = dict(self._image_sizes), self._eye
+        if isinstance(frame.data, PmdFrame):
+            sizes[frame.sensor] = frame.data.camera.width, frame.data.camera.height
+        if eye is None and frame.T_chaser_sensor is not None:
+            eye = over_shoulder(frame.T_chaser_sensor)
+        if sizes != self._image_sizes or eye is not self._eye:
+            self._image_sizes, self._eye = sizes, eye
+            self._recording.send_blueprint(layout(sizes, eye, self._radius_m))

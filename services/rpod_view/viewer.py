@@ -1,0 +1,150 @@
+"""Where it is seen: a window, a web page, or a file. The viewer is Rerun's own program, as a process."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from threading import Event
+
+import rerun as rr
+
+from rpod_schemas.config.view import ViewConfig
+from rpod_view.errors import ViewerFailedError
+
+APPLICATION = "rpod"
+_START_TIMEOUT_S = 30.0
+_POLL_S = 0.05
+_END_TIMEOUT_S = 3.0
+_LAST_FLUSH_S = 2.0
+
+
+@dataclass
+class Viewer:
+    """A recording and who looks at it; made by ``open_viewer``."""
+
+    recording: rr.RecordingStream
+    where: str
+    """For an operator: where it is to be seen."""
+    process: subprocess.Popen[bytes] | None = None
+    """None where it is written to a file."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether nobody looks any more."""
+        return self.process is not None and self.process.poll() is not None
+
+    def has_taken(self, timeout_s: float) -> bool:
+        """Return whether everything that was drawn has been taken, after at most so long.
+
+        What has not been taken waits in memory: so nothing more is to be drawn until it has.
+        """
+        try:
+            self.recording.flush(timeout_sec=timeout_s)
+        except RuntimeError:  # it is slow, or gone
+            return False
+        return True
+
+
+@contextmanager
+def open_viewer(config: ViewConfig, stop: Event) -> Iterator[Viewer]:
+    """Open a viewer, or the file that is written instead.
+
+    Raises:
+        ViewerFailedError: it does not start.
+    """
+    recording = rr.RecordingStream(APPLICATION)
+    recording.set_log_time_enabled(False)
+    recording.set_log_tick_enabled(False)
+    if config.save is not None:
+        recording.save(config.save)
+        with _flushed(recording):
+            yield Viewer(recording, str(config.save))
+        return
+    config = _with_ports(config)
+    is_web = config.viewer == "web" or (config.viewer is None and not has_display())
+    with _process(config, web=is_web) as process:
+        _await_listening(process, config, stop)
+        recording.connect_grpc(config.data_url)
+        with _flushed(recording):
+            yield Viewer(recording, config.page_url if is_web else "a window", process)
+
+
+def has_display() -> bool:
+    """Return whether windows can be opened here."""
+    return not sys.platform.startswith("linux") or any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
+
+
+@contextmanager
+def _flushed(recording: rr.RecordingStream) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        with suppress(RuntimeError):  # nobody takes it any more
+            recording.flush(timeout_sec=_LAST_FLUSH_S)
+        recording.disconnect()
+
+
+def _with_ports(config: ViewConfig) -> ViewConfig:
+    """Return the configuration with free ports where it leaves them open."""
+    family = socket.AF_INET if config.bind.version == 4 else socket.AF_INET6
+    with ExitStack() as stack:
+        ports = {}
+        for name in ("port", "web_port"):
+            if not getattr(config, name):
+                probe = stack.enter_context(socket.socket(family))
+                probe.bind((str(config.bind), 0))
+                ports[name] = probe.getsockname()[1]
+    return config.model_copy(update=ports)
+
+
+@contextmanager
+def _process(config: ViewConfig, *, web: bool) -> Iterator[subprocess.Popen[bytes]]:
+    """Run the viewer; at the end its whole group ends, since the command leaves its child behind."""
+    page = ("--serve-web", "--web-viewer-port", str(config.web_port)) if web else ("--hide-welcome-screen",)
+    memory = f"{config.memory_bytes // 1_000_000}MB"
+    limits = ("--memory-limit", memory, "--server-memory-limit", memory)
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "rerun_cli",
+            "--bind",
+            str(config.bind),
+            "--port",
+            str(config.port),
+            *page,
+            *limits,
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=sys.stderr.fileno(),
+        start_new_session=True,
+        env=os.environ | {"RUST_LOG": "warn"},
+    )
+    try:
+        yield process
+    finally:
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, number)
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_END_TIMEOUT_S)
+
+
+def _await_listening(process: subprocess.Popen[bytes], config: ViewConfig, stop: Event) -> None:
+    deadline_s = time.monotonic() + _START_TIMEOUT_S
+    address = str(config.bind) if not config.bind.is_unspecified else "localhost"
+    while not stop.is_set():
+        if process.poll() is not None:
+            raise ViewerFailedError(f"ended with exit code {process.returncode}")
+        with suppress(OSError), socket.create_connection((address, config.port), timeout=1.0):
+            return
+        if time.monotonic() > deadline_s:
+            raise ViewerFailedError(f"does not answer after {_START_TIMEOUT_S:.0f} s")
+        stop.wait(_POLL_S)

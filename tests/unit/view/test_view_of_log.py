@@ -1,0 +1,184 @@
+"""The whole view without a bus: a synthetic log with known errors in, a recording out."""
+
+import numpy as np
+import pytest
+import rerun as rr
+from recordings import blueprints, read_recording
+from scipy.spatial import KDTree
+from synthetic_log import (
+    EPOCH_NS,
+    T_CHASER_SENSOR,
+    Frame,
+    SyntheticRun,
+    approach,
+    see_depth,
+    see_points,
+)
+
+from rpod_analysis import open_log
+from rpod_analysis.log_view import show_log
+from rpod_schemas.types import Camera, Mode
+from rpod_sim_sensor.wireframe import project, visible_pieces
+from rpod_target import load_target
+from rpod_view.view import View
+
+CAMERA = Camera(
+    width=88, height=72, fx=89.7, fy=89.8, cx=44.4, cy=35.4, distortion=np.array([-0.35, 0.15, 0.0, 0.0, 0.0])
+)
+"""A quarter of a PMD camera."""
+SIGMA_M = (0.01, 0.02, 0.05)
+POSITION_M, ATTITUDE_RAD = np.array([0.003, 0.0, 0.004]), np.array([0.0, 0.002, 0.0])
+
+
+@pytest.fixture(scope="module")
+def target():
+    return load_target("mockup")
+
+
+def covariance():
+    return np.diag([*np.square(SIGMA_M), *[1e-6] * 3])
+
+
+def estimated(number, _time_s):
+    mode = Mode.ACQUIRING if number < 3 else Mode.TRACKING
+    reason = "cost: too high" if number == 8 else ""
+    return Frame(mode, ATTITUDE_RAD, POSITION_M, covariance(), reason=reason)
+
+
+def draw(log_path, out, target, **options):
+    recording = rr.RecordingStream("rpod")
+    recording.save(out)
+    options = {"prefix": "estimate", "rate_hz": 10.0} | options
+    with open_log(log_path) as log:
+        refused = show_log(log, View(recording, target=target, prefix="estimate"), **options)
+    recording.disconnect()
+    assert not refused
+    return read_recording(out)
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory, target):
+    folder = tmp_path_factory.mktemp("view")
+    run = SyntheticRun(
+        camera=CAMERA,
+        target="mockup",
+        render=see_depth(target, CAMERA),
+        rate_hz=20.0,
+        duration_s=1.2,
+        frame=estimated,
+    )
+    log = run.write(folder / "run.mcap")
+    return draw(log, folder / "run.rrd", target) | {"path": folder / "run.rrd"}
+
+
+def time_s(entity):
+    return (np.array(entity.stamps_ns) - EPOCH_NS) * 1e-9
+
+
+def test_images_are_drawn_ten_times_a_second_of_twenty_five_frames(drawn):
+    for image in ("depth", "amplitude"):
+        stamps_s = time_s(drawn[f"image/pmd/{image}"])
+        assert 11 <= len(stamps_s) <= 13
+        assert np.diff(stamps_s).min() > 0.0
+
+
+def test_the_wireframe_lies_where_the_estimate_is(drawn, target):
+    entity = drawn["image/pmd/depth/wireframe"]
+    strips = dict(zip(entity.stamps_ns, entity.columns["LineStrips2D:strips"], strict=True))
+    stamp_ns = max(entity.stamps_ns)
+    truth = approach((stamp_ns - EPOCH_NS) * 1e-9)
+    at_truth = project(visible_pieces(target, truth), CAMERA).reshape(-1, 2)
+    drawn_px = np.array(strips[stamp_ns], float).reshape(-1, 2)
+    distance_px, _ = KDTree(at_truth).query(drawn_px)
+    assert 0.01 < np.median(distance_px) < 1.0  # the estimate's error of 5 mm and 0.1 deg
+
+
+def test_without_an_estimate_no_wireframe_is_drawn(drawn):
+    first = np.argmin(drawn["image/pmd/depth/wireframe"].stamps_ns)
+    assert drawn["image/pmd/depth/wireframe"].columns["LineStrips2D:strips"][first] == []
+
+
+def test_the_errors_are_those_that_were_put_in(drawn):
+    error = drawn["plot/position/error"]
+    np.testing.assert_allclose(error.values("Scalars:scalars"), 5.0, atol=1e-3)
+    np.testing.assert_allclose(
+        drawn["plot/attitude/error"].values("Scalars:scalars"), np.rad2deg(0.002), atol=1e-4
+    )
+    np.testing.assert_allclose(drawn["plot/position/band"].values("Scalars:scalars"), 150.0, rtol=1e-6)
+    assert len(error.stamps_ns) == 22  # each estimate, not only those at which something was drawn
+
+
+def test_the_ellipsoid_is_three_sigma(drawn):
+    half = np.array(drawn["chaser/uncertainty"].values("Ellipsoids3D:half_sizes")[-1])
+    np.testing.assert_allclose(np.sort(half), 3.0 * np.array(SIGMA_M), rtol=1e-5)
+    inside = np.array(drawn["uncertainty/truth"].values("Points3D:positions")[-1])
+    error_m = np.linalg.norm(POSITION_M)
+    np.testing.assert_allclose(np.linalg.norm(inside), error_m / 0.15, rtol=1e-2)
+
+
+def test_truth_and_estimate_stand_at_their_places_at_one_time(drawn):
+    truth, estimate = drawn["chaser/truth"], drawn["chaser/estimate"]
+    assert truth.stamps_ns == estimate.stamps_ns
+    expected = (T_CHASER_SENSOR * approach(time_s(truth)[-1])).translation
+    np.testing.assert_allclose(truth.values("Transform3D:translation")[-1], expected, atol=1e-5)
+    apart = np.subtract(
+        truth.values("Transform3D:translation")[-1], estimate.values("Transform3D:translation")[-1]
+    )
+    np.testing.assert_allclose(np.linalg.norm(apart), 0.005, atol=1e-4)
+
+
+def test_points_lie_on_the_target(drawn, target):
+    entity = drawn["chaser/pmd/points"]
+    last = int(np.argmax(entity.stamps_ns))
+    points_m = np.array(entity.columns["Points3D:positions"][last])
+    assert 100 < len(points_m) <= 20_000
+    pose = approach(time_s(entity)[last])
+    assert np.percentile(np.linalg.norm(pose.inv().apply(points_m), axis=1), 90) < target.radius_m
+
+
+def test_state_and_events_tell_what_changed(drawn):
+    assert [row[0] for row in drawn["state/mode"].columns["StateChange:state"]] == ["ACQUIRING", "TRACKING"]
+    verdicts = [row[0] for row in drawn["state/verdict"].columns["StateChange:state"]]
+    assert verdicts == ["accepted", "rejected", "accepted"]
+    events = [row[0] for row in drawn["events"].columns["TextLog:text"]]
+    assert events == ["ACQUIRING", "TRACKING", "pmd rejected: cost: too high"]
+
+
+def test_the_summary_says_what_an_operator_asks_for(drawn):
+    texts = [row[0] for row in drawn["summary"].columns["TextDocument:text"]]
+    assert texts[0].startswith("# ACQUIRING")
+    assert "# TRACKING" in texts[-1]
+    assert "| position error | 5.0 mm (3 sigma 150.0) |" in texts[-1]
+
+
+def test_the_screen_is_divided_once_more_when_the_camera_is_known(drawn):
+    assert blueprints(drawn["path"]) == 2
+
+
+def test_a_slice_of_a_log_at_a_lower_rate(tmp_path, target):
+    log = SyntheticRun(duration_s=2.2, truth_rate_hz=50.0, rate_hz=20.0).write(tmp_path / "run.mcap")
+    start_ns, end_ns = EPOCH_NS + 10**9, EPOCH_NS + 2 * 10**9
+    drawn = draw(log, tmp_path / "run.rrd", target, rate_hz=4.0, start_ns=start_ns, end_ns=end_ns)
+    stamps_s = time_s(drawn["image/pmd/depth"])
+    assert 4 <= len(stamps_s) <= 5
+    assert 0.9 < stamps_s.min() < stamps_s.max() < 2.0
+
+
+def test_drawing_ends_when_nobody_looks_any_more(tmp_path):
+    log = SyntheticRun(duration_s=0.6, truth_rate_hz=50.0).write(tmp_path / "run.mcap")
+    moments = iter([True, True, False])
+    drawn = draw(log, tmp_path / "run.rrd", None, drawn=lambda: next(moments))
+    assert len(drawn["image/pmd/depth"].stamps_ns) == 3
+
+
+def test_a_lidar_without_truth_and_target_shows_its_points(tmp_path, target):
+    run = SyntheticRun(
+        kind="lidar", name="lidar", render=see_points(target), rate_hz=5.0, duration_s=1.0, with_truth=False
+    )
+    drawn = draw(run.write(tmp_path / "run.mcap"), tmp_path / "run.rrd", None)
+    assert drawn["chaser/lidar/points"].stamps_ns
+    assert "plot/position/error" not in {
+        path for path, entity in drawn.items() if "Scalars:scalars" in entity.columns
+    }
+    assert "chaser/truth/mesh" not in drawn
+    assert "3 sigma" in drawn["summary"].columns["TextDocument:text"][-1][0]
