@@ -10,7 +10,9 @@ from functools import cache
 from rpod_schemas.cdr import is_known, type_hash
 
 SENSOR_CACHE = 90
-"""Samples that a publisher keeps for receivers that missed them."""
+"""Images and point clouds that a publisher keeps for receivers that missed them: two seconds."""
+SMALL_CACHE = 500
+"""Of what is small: two seconds of truth."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,18 @@ class Topic:
         )
 
     @property
+    def bulky(self) -> bool:
+        """Whether its messages are large: images and point clouds."""
+        return self.type in (_IMAGE, _POINTS)
+
+    @property
+    def kept(self) -> int:
+        """Messages that a publisher keeps for receivers that missed them, or come late."""
+        if self.latched:
+            return 1
+        return SENSOR_CACHE if self.bulky else SMALL_CACHE
+
+    @property
     def qos(self) -> str:
         """Quality of service as rmw_zenoh writes it into liveliness tokens."""
         return ":1:,1:,:,:,," if self.latched else "::,10:,:,:,,"
@@ -54,18 +68,21 @@ class Topic:
         return f"{package}::msg::dds_::{name}_"
 
 
+_IMAGE = "sensor_msgs/msg/Image"
+_POINTS = "sensor_msgs/msg/PointCloud2"
+
 TRUTH = Topic("truth/odometry", "nav_msgs/msg/Odometry")
 REFERENCE = Topic("motion/reference", "nav_msgs/msg/Odometry")
 SUN = Topic("environment/sun", "geometry_msgs/msg/Vector3Stamped", latched=True)
 TF_STATIC = Topic("tf_static", "tf2_msgs/msg/TFMessage", latched=True)
 TF = Topic("tf", "tf2_msgs/msg/TFMessage")
 CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock")
-DEPTH = Topic("<camera>/depth/image_raw", "sensor_msgs/msg/Image")
-AMPLITUDE = Topic("<camera>/amplitude/image_raw", "sensor_msgs/msg/Image")
+DEPTH = Topic("<camera>/depth/image_raw", _IMAGE)
+AMPLITUDE = Topic("<camera>/amplitude/image_raw", _IMAGE)
 CAMERA_INFO = Topic("<camera>/camera_info", "sensor_msgs/msg/CameraInfo")
-PHASE = Topic("<camera>/phase/image_raw", "sensor_msgs/msg/Image")
+PHASE = Topic("<camera>/phase/image_raw", _IMAGE)
 PMD_INFO = Topic("<camera>/info", "rpod_msgs/msg/PmdInfo", latched=True)
-POINTS = Topic("<lidar>/points", "sensor_msgs/msg/PointCloud2")
+POINTS = Topic("<lidar>/points", _POINTS)
 LIDAR_INFO = Topic("<lidar>/info", "rpod_msgs/msg/LidarInfo", latched=True)
 ESTIMATE = Topic("estimate/odometry", "nav_msgs/msg/Odometry")
 ESTIMATE_POSE = Topic("estimate/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")

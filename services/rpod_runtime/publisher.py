@@ -10,14 +10,18 @@ import zenoh
 import zenoh.ext
 
 from rpod_schemas.cdr import encode
-from rpod_schemas.topics import SENSOR_CACHE, Namespace, Topic
+from rpod_schemas.topics import Namespace, Topic
 from rpod_schemas.wire import GID_BYTES, Attachment
 
 _HEARTBEAT_S = 0.2
 
 
 class Publisher:
-    """Publishes one topic. Safe to call from several threads."""
+    """Publishes one topic. Safe to call from several threads.
+
+    On a link that is congested, images and point clouds wait and are dropped in a queue of their own: what is
+    small goes past them.
+    """
 
     def __init__(self, session: zenoh.Session, keys: Namespace, topic: Topic) -> None:
         self.topic = topic
@@ -31,7 +35,8 @@ class Publisher:
             keys.key(topic),
             encoding=zenoh.Encoding.APPLICATION_CDR,
             congestion_control=zenoh.CongestionControl.DROP,
-            cache=zenoh.ext.CacheConfig(max_samples=1 if topic.latched else SENSOR_CACHE),
+            priority=zenoh.Priority.DATA if topic.bulky else zenoh.Priority.DATA_HIGH,
+            cache=zenoh.ext.CacheConfig(max_samples=topic.kept),
             sample_miss_detection=zenoh.ext.MissDetectionConfig(
                 heartbeat=_HEARTBEAT_S, sporadic_heartbeat=None
             ),

@@ -22,6 +22,9 @@ log = logging.getLogger(__name__)
 _THREADS = ("ZENOH_RUNTIME", "(rx:(handover:app))")
 """Zenoh's own setting of its threads, for a process: the one that waits for the socket also reads from it.
 By default it wakes another, and that a third, for each of some hundred messages a second."""
+_QUEUED_BATCHES = 16
+"""Of 64 KiB each, the most that Zenoh takes, for bulky and for small messages each. By default they are two,
+and an image, or what a process that was held up sends at once, is dropped where the next one is slow."""
 _RETRY_S = 0.25
 _REMIND_S = 10.0
 
@@ -29,7 +32,10 @@ _REMIND_S = 10.0
 def _zenoh_config(**settings: Any) -> zenoh.Config:
     common = {
         "timestamping": {"enabled": True},
-        "transport": {"shared_memory": {"enabled": False}},
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "link": {"tx": {"queue": {"size": dict.fromkeys(("data", "data_high"), _QUEUED_BATCHES)}}},
+        },
     }
     return zenoh.Config.from_json5(json.dumps(common | settings))
 

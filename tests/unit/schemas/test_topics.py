@@ -4,7 +4,18 @@ from pathlib import Path
 import pytest
 
 from rpod_schemas.cdr import message_class, type_hash
-from rpod_schemas.topics import DEPTH, ESTIMATE_POSE, TOPICS, TRUTH, Namespace, type_of_wire
+from rpod_schemas.topics import (
+    DEPTH,
+    ESTIMATE_POSE,
+    PMD_INFO,
+    POINTS,
+    STATUS,
+    TF_STATIC,
+    TOPICS,
+    TRUTH,
+    Namespace,
+    type_of_wire,
+)
 
 ICD = Path(__file__).parents[3] / "schemas" / "ICD.md"
 
@@ -23,6 +34,13 @@ def test_every_topic_has_a_type_that_the_codec_knows(topic):
     assert message_class(topic.type)
     assert re.fullmatch(r"RIHS01_[0-9a-f]{64}", type_hash(topic.type))
     assert type_of_wire(topic.wire_type) == topic.type
+
+
+@pytest.mark.parametrize(
+    ("topic", "kept"), [(DEPTH, 90), (POINTS, 90), (TRUTH, 500), (STATUS, 500), (TF_STATIC, 1), (PMD_INFO, 1)]
+)
+def test_a_publisher_keeps_what_the_icd_says(topic, kept):
+    assert topic.kept == kept
 
 
 def test_a_key_is_that_of_rmw_zenoh():
