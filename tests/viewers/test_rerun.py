@@ -1,13 +1,11 @@
-"""The facility's logs in Rerun: what its importer makes of them to be seen, and its viewer."""
+"""What Rerun's importer makes of the facility's logs to be seen."""
 
-import subprocess
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from machine import rerun_program
 
 from rpod_analysis import open_log
 from rpod_schemas.messages import read_camera, read_points, read_transforms
@@ -76,31 +74,3 @@ def test_raw_samples_alone_are_no_picture(shown):
     assert shown[f"/{PHASE_TOPIC.name}", "CoordinateFrame:frame"]
     assert not shown[f"/{PHASE_TOPIC.name}", "DepthImage:buffer"]
     assert not shown[f"/{PHASE_TOPIC.name}", "Image:buffer"]
-
-
-@pytest.fixture
-def silent(tmp_path, monkeypatch):
-    """Rerun with settings of its own, by which it tells nobody of its use."""
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    rerun("analytics", "disable")
-
-
-def rerun(*arguments: str | Path) -> str:
-    """Run Rerun's command and return what it had to say."""
-    command = [rerun_program(), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120.0, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stderr
-
-
-@pytest.mark.needs("rerun_viewer")
-@pytest.mark.usefixtures("silent")
-def test_the_viewer_opens_a_run(summary, tmp_path):
-    from PIL import Image  # noqa: PLC0415 - Rerun brings it
-
-    picture = tmp_path / "viewer.png"
-    said = rerun("--headless", "--window-size", "1280x800", "--screenshot-to", picture, summary.log)
-    assert "ERROR" not in said
-    with Image.open(picture) as image:
-        colours = np.unique(np.asarray(image.convert("RGB")).reshape(-1, 3), axis=0)
-    assert len(colours) > 100
