@@ -74,7 +74,7 @@ def running(log: Path, *, settings: Path) -> Iterator[Any]:
 
 
 def colours(png: bytes) -> int:
-    """Return how many colours there are in a picture."""
+    """Return how many colours there are in a picture; about 110 in that of a view without data."""
     from PIL import Image  # noqa: PLC0415 - Rerun brings it
 
     with Image.open(io.BytesIO(png)) as image:
@@ -95,5 +95,5 @@ def test_every_view_is_drawn(viewer):
     views = viewer.get_state().views
     assert {view.view_class for view in views} == {"2D", "3D"}
     for view in views:
-        assert colours(viewer.take_screenshot(view.view_id)) > 100, view.name
+        assert colours(viewer.take_screenshot(view.view_id)) > 200, f"{view.name} is empty"
     assert [(view.name, view.reports) for view in viewer.get_state().views if view.reports] == []
