@@ -13,13 +13,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.cdr import definition, encode
 from rpod_schemas.logs import (
+    COMPLETENESS,
     CONFIGURATION,
     COUNTS,
     MESSAGE_ENCODING,
     PROFILE,
     SCHEMA_ENCODING,
     SOFTWARE,
+    Completeness,
     TopicCount,
+    shortfalls,
 )
 from rpod_schemas.messages import (
     write_camera,
@@ -135,6 +138,7 @@ class Frame:
     covariance: Any = field(default_factory=lambda: np.zeros((6, 6)))
     """Of (dp, dtheta), chaser axes."""
     reason: str = ""
+    nis: float = float("nan")
     latency_s: float = 0.06
     processing_s: float = 0.03
 
@@ -173,6 +177,10 @@ class SyntheticRun:
     namespace: str = ""
     with_truth: bool = True
     with_estimates: bool = True
+    states_completeness: bool = True
+    """Whether the log says of itself whether it is complete."""
+    continues: str | None = None
+    """Name of the file from which the log says that it goes on."""
     part: tuple[float, float] = (-np.inf, np.inf)
     """Only what arrives in this time; latched messages always."""
 
@@ -189,6 +197,8 @@ class _LogWriter:
         self.writer = Writer(stream, chunk_size=1 << 16, compression=CompressionType.LZ4)
         self.channels: dict[Topic, int] = {}
         self.sequences: Counter[str] = Counter()
+        self.written: Counter[str] = Counter()
+        self.missed: Counter[str] = Counter()
         self.frame_id = optical_frame(run.name) if run.kind == "pmd" else run.name
 
     def write(self) -> None:
@@ -223,6 +233,7 @@ class _LogWriter:
             schema = self.writer.register_schema(topic.type, SCHEMA_ENCODING, definition(topic.type).encode())
             name = self.channel_topic(topic.name)
             self.channels[topic] = self.writer.register_channel(name, MESSAGE_ENCODING, schema)
+        self.written[topic.name] += 1
         self.writer.add_message(
             self.channels[topic],
             log_time=publish_ns + 200_000,
@@ -263,6 +274,7 @@ class _LogWriter:
         self.put(CAMERA_INFO.of(name), stamp_ns, write_camera(stamp_ns, self.frame_id, camera))
         if 1 <= number <= self.run.unlogged:
             self.sequences[DEPTH.of(name).name] += 1
+            self.missed[DEPTH.of(name).name] += 1
         else:
             self.put(DEPTH.of(name), stamp_ns, write_image(stamp_ns, self.frame_id, depth_m, "32FC1"))
         if time_s < self.run.amplitude_until_s:
@@ -295,6 +307,7 @@ class _LogWriter:
             sensor=self.run.name,
             accepted=not frame.reason,
             reason=frame.reason,
+            nis=frame.nis,
             processing_s=frame.processing_s,
         )
         self.put(STATUS, stamp_ns, write_status(status), delay_s=frame.latency_s)
@@ -326,10 +339,18 @@ class _LogWriter:
             CONFIGURATION, {name: json.dumps(model) for name, model in configuration.items()}
         )
         counts = {
-            self.channel_topic(name): TopicCount(received=count, written=count).model_dump_json()
-            for name, count in self.sequences.items()
+            self.channel_topic(topic.name): TopicCount(
+                received=self.written[topic.name],
+                written=self.written[topic.name],
+                missed=self.missed[topic.name],
+            )
+            for topic in self.channels
         }
-        self.writer.add_metadata(COUNTS, counts)
+        self.writer.add_metadata(COUNTS, {topic: count.model_dump_json() for topic, count in counts.items()})
+        if self.run.states_completeness:
+            reasons = shortfalls(counts, {topic: count.written for topic, count in counts.items()})
+            statement = Completeness(complete=not reasons, reasons=reasons, continues=self.run.continues)
+            self.writer.add_metadata(COMPLETENESS, statement.record())
 
 
 def _stamp_ns(time_s: float) -> int:

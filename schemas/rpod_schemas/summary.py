@@ -103,6 +103,24 @@ class Consistency(Config):
     """Share at or below 12.59, the 95 % quantile of chi-squared with six degrees of freedom."""
 
 
+class Innovation(Config):
+    """Whether prediction and measurement are apart as their covariances say."""
+
+    nis_mean: NonNegative
+    """Mean normalised innovation squared; 6 where the covariances are right."""
+    nis_share_in_95: Share
+    """Share at or below 12.59, the 95 % quantile of chi-squared with six degrees of freedom."""
+
+
+class LogCompleteness(Config):
+    """What the log says of itself, held against what is in it."""
+
+    complete: bool | None
+    """Whether all that was published while it was open is in it; null where it does not say."""
+    reasons: tuple[str, ...]
+    """What speaks against it, a sentence each."""
+
+
 class Tracking(Config):
     """How well the target was held."""
 
@@ -143,3 +161,12 @@ class Summary(Config):
     """From the arrival of a frame's last part to publication."""
     consistency: Consistency | None
     """Over the tracked frames with a covariance."""
+    innovation: Innovation | None = None
+    """Over the frames whose measurement was held against the prediction, rejected ones included."""
+    completeness: LogCompleteness | None = None
+    """The log's statement of itself."""
+
+    @property
+    def missed(self) -> int:
+        """Messages of all topics that were published and are not in the log."""
+        return sum(count.missed for count in self.frames.values())

@@ -8,23 +8,26 @@ from rich.console import Console
 
 from rpod.summary_table import print_summary
 from rpod_analysis import AnalysisError
-from rpod_analysis.report import write_report
+from rpod_analysis.report import SUMMARIES, group_parts, write_comparison, write_report
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_schemas.summary import Summary
 
 
-def report_command(logs: Sequence[Path], *, as_json: bool) -> int:
-    """Write report and summary of a log; return the exit code."""
+def report_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> int:
+    """Write report and summary of a log, or of several and their comparison; return the exit code."""
+    runs = group_parts(logs)
     try:
-        paths = write_report(logs)
-    except AnalysisError as error:
+        paths = write_report(runs[0], out) if len(runs) == 1 else write_comparison(runs, out)
+    except (AnalysisError, OSError) as error:
         print(f"rpod report: {error}", file=sys.stderr)
         return EXIT_FAILURE
-    summary = Summary.model_validate_json(paths.summary.read_text("utf-8"))
+    text = paths.summary.read_text("utf-8")
     if as_json:
-        print(summary.model_dump_json(indent=2))
-    else:
-        console = Console()
+        print(text, end="")
+        return EXIT_OK
+    console = Console()
+    summaries = [Summary.model_validate_json(text)] if len(runs) == 1 else SUMMARIES.validate_json(text)
+    for summary in summaries:
         print_summary(summary, console)
-        console.print(f"report   {paths.html}", soft_wrap=True, highlight=False)
+    console.print(f"report   {paths.html}", soft_wrap=True, highlight=False)
     return EXIT_OK

@@ -10,15 +10,21 @@ log_verbs = typer.Typer()
 
 @log_verbs.command()
 def report(
-    logs: Annotated[list[Path], typer.Argument(help="MCAP files.")],
+    logs: Annotated[
+        list[Path],
+        typer.Argument(help="MCAP files or folders; parts of one run are one, several runs are compared."),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder to write to; beside the log where left out.")
+    ] = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print the summary as one JSON object only.")
+        bool, typer.Option("--json", help="Print JSON only: the summary, of several runs a list of them.")
     ] = False,
 ) -> None:
-    """Score a log: HTML and summary.json beside it."""
+    """Score a log, or several side by side: HTML and summary.json beside it."""
     from rpod.command_report import report_command
 
-    raise typer.Exit(report_command(logs, as_json=as_json))
+    raise typer.Exit(report_command(logs, out=out, as_json=as_json))
 
 
 @log_verbs.command()

@@ -2,7 +2,7 @@
 
 from rpod_analysis.errors import AnalysisError
 from rpod_analysis.log import Log, Logged, TopicInfo, open_log
-from rpod_analysis.run import Run, read_run
+from rpod_analysis.run import Run, StreamedRun, read_run, stream_run
 from rpod_analysis.sensors import Sensor, find_sensors, lidar_scans, pmd_frames
 
 __all__ = [
@@ -11,10 +11,12 @@ __all__ = [
     "Logged",
     "Run",
     "Sensor",
+    "StreamedRun",
     "TopicInfo",
     "find_sensors",
     "lidar_scans",
     "open_log",
     "pmd_frames",
     "read_run",
+    "stream_run",
 ]

@@ -6,12 +6,35 @@ from dataclasses import dataclass, field
 from rpod_analysis.log import Logged
 from rpod_schemas.summary import FrameCount
 from rpod_schemas.topics import SENSOR_CACHE
-from rpod_schemas.types import Diagnostic
+from rpod_schemas.types import Diagnostic, Health
 
 _PUBLISHED = "published/"
 _DROPPED = "dropped"
-_PASSED_OVER = (f"{_DROPPED}/", "incomplete/")
+_INCOMPLETE = "incomplete"
+_PASSED_OVER = (f"{_DROPPED}/", f"{_INCOMPLETE}/")
 """By sensor: complete but not the newest, and never complete before a newer one was."""
+_MOST_ALARMS = 100
+"""Kinds of alarms that are told apart."""
+
+
+@dataclass(frozen=True)
+class SensorFlow:
+    """What became of a sensor's frames at the estimator."""
+
+    sensor: str
+    published: int
+    accepted: int
+    rejected: int
+    dropped: int
+    """Complete, and passed over in favour of a newer one."""
+    incomplete: int
+    """Never complete before a newer one was."""
+
+    @property
+    def rest(self) -> int:
+        """Of which nothing is told: before the estimator listened, after it, or lost on the way to it."""
+        told = self.accepted + self.rejected + self.dropped + self.incomplete
+        return max(self.published - told, 0)
 
 
 @dataclass
@@ -25,6 +48,8 @@ class Account:
     """Highest sequence number, by topic."""
     counters: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
     """Last value of every counter, by service; the lives of a service that was restarted add up."""
+    alarms: Counter[str] = field(default_factory=Counter)
+    """Diagnostics of level ERROR, by service and what it said; of many kinds the first."""
     _lives: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
 
     def take(self, logged: Logged) -> None:
@@ -35,7 +60,11 @@ class Account:
         self.last[name] = max(sequence, self.last.get(name, sequence))
 
     def hear(self, diagnostic: Diagnostic) -> None:
-        """Take a service's counters."""
+        """Take a service's counters, and its alarm where it raises one."""
+        if diagnostic.level == Health.ERROR:
+            alarm = f"{diagnostic.name}: {diagnostic.message}"
+            known = alarm in self.alarms or len(self.alarms) < _MOST_ALARMS
+            self.alarms[alarm if known else f"{diagnostic.name}: other errors"] += 1
         now, ended = self.counters[diagnostic.name], self._lives[diagnostic.name]
         for name, text in diagnostic.values.items():
             if text.isdecimal():
@@ -66,3 +95,11 @@ class Account:
                 by_sensor = [value for name, value in counters.items() if name.startswith(_PASSED_OVER)]
                 total += sum(by_sensor) if by_sensor else counters[_DROPPED]
         return total
+
+    def passed_over(self, status_topic: str, sensor: str) -> tuple[int, int]:
+        """Return a sensor's frames that were dropped and incomplete at the estimator of this status."""
+        mine = [counters for counters in self.counters.values() if _PUBLISHED + status_topic in counters]
+        dropped, incomplete = (
+            sum(counters[f"{kind}/{sensor}"] for counters in mine) for kind in (_DROPPED, _INCOMPLETE)
+        )
+        return dropped, incomplete

@@ -1,19 +1,25 @@
-"""The report's figures, in plotly. Colours of text, grid and paper come from the page's style sheet."""
+"""The report's figures over time, in plotly: state and errors.
 
+Colours of text, grid and paper come from the page's style sheet.
+"""
+
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from rpod_analysis.run import Run
-from rpod_analysis.score import NEES_95, BoolArray, IntArray
+from rpod_analysis.digest import Digest
+from rpod_analysis.thinning import Band, Line
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import Mode
+from rpod_schemas.types import Mode, Source
 
 ACCENT = "#2f7df6"
 BAD = "#d9534f"
 QUIET = "#8b949e"
+SEVERAL = (ACCENT, "#e8833a", "#2aa876", "#a05fd6", "#d6487e", "#8a6d3b", "#17a2b8", "#6c757d")
+"""Of several logs in one figure, in their order."""
 _BAND = "rgba(139,148,158,0.22)"
 _MODES = {
     Mode.TRACKING: ACCENT,
@@ -21,15 +27,22 @@ _MODES = {
     Mode.ACQUIRING: "#b8bfc7",
     Mode.LOST: BAD,
 }
-_MOST_POINTS = 5000
-_NEES = "NEES and chi-squared, 6 d.o.f."
+_SOURCES = {
+    Source.NONE: "rgba(139,148,158,0.30)",
+    Source.LIDAR: "#2aa876",
+    Source.PMD_DEPTH: "#a05fd6",
+    Source.PMD_AMPLITUDE: "#e8833a",
+    Source.PMD_JOINT: "#d6487e",
+}
 _AXES = (
     ("roll", "pitch", "yaw"),
     ("x, right", "y, down", "z, boresight"),
 )
+_LIMITS = (10.0, 0.3)
+"""Of attitude, deg, and position, m: worse is off the target."""
 
 
-def error_figure(run: Run) -> go.Figure:
+def error_figure(digest: Digest) -> go.Figure:
     """Attitude and position errors over time: size, and each axis with the covariance's 3-sigma band."""
     titles = [title for pair in (("attitude", "position"), *zip(*_AXES, strict=True)) for title in pair]
     figure = make_subplots(
@@ -40,119 +53,77 @@ def error_figure(run: Run) -> go.Figure:
         vertical_spacing=0.055,
         horizontal_spacing=0.08,
     )
-    order = np.argsort(run.estimates.stamp_ns, kind="stable")
-    time_s = run.seconds(run.estimates.stamp_ns)[order]
-    sigma_deg, sigma_m = _sigmas(run)
     columns = (
-        (np.rad2deg(run.errors.angle_rad), np.rad2deg(run.errors.attitude_rad), sigma_deg, "°", 10.0),
-        (run.errors.distance_m, run.errors.position_m, sigma_m, "m", 0.3),
+        (digest.angle_deg, digest.attitude_deg, digest.sigma_deg, "°"),
+        (digest.distance_m, digest.position_m, digest.sigma_m, "m"),
     )
-    for column, (size, axes, sigma, unit, limit) in enumerate(columns, start=1):
-        _line(figure, time_s, size[order], unit, row=1, col=column)
-        if np.nanmax(size, initial=0.0) > 0.6 * limit:
-            _limit(figure, "y", limit, BAD, row=1, col=column)
-        for axis in range(3):
-            _band(figure, time_s, 3.0 * sigma[order, axis], unit, row=axis + 2, col=column)
-            _line(figure, time_s, axes[order, axis], unit, row=axis + 2, col=column)
-            reach = _reach(axes[:, axis], sigma[:, axis])
-            figure.update_yaxes(range=[-reach, reach], row=axis + 2, col=column)
+    for col, (size, axes, sigmas, unit) in enumerate(columns, start=1):
+        _line(figure, digest, size, unit, row=1, col=col)
+        if size.values.max(initial=0.0) > 0.6 * _LIMITS[col - 1]:
+            draw_limit(figure, "y", _LIMITS[col - 1], BAD, row=1, col=col)
+        for row, (axis, sigma) in enumerate(zip(axes, sigmas, strict=True), start=2):
+            _band(figure, digest, sigma, unit, row=row, col=col)
+            _line(figure, digest, axis, unit, row=row, col=col)
+            reach = _reach(axis.values, sigma.values)
+            figure.update_yaxes(range=[-reach, reach], row=row, col=col)
         for row in range(1, 5):
-            figure.update_yaxes(title_text=f"error [{unit}]", row=row, col=column)
-        figure.update_yaxes(rangemode="tozero", row=1, col=column)
-        figure.update_xaxes(title_text="time [s]", row=4, col=column)
+            figure.update_yaxes(title_text=f"error [{unit}]", row=row, col=col)
+        figure.update_yaxes(rangemode="tozero", row=1, col=col)
+        figure.update_xaxes(title_text="time [s]", row=4, col=col)
     return styled(figure, height=860)
 
 
-def state_figure(run: Run) -> go.Figure:
-    """The navigator's state as bands, rejected frames, and the distance to the target."""
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, row_heights=[0.16, 0.84], vertical_spacing=0.05)
-    time_s = run.seconds(run.statuses.stamp_ns)
-    _mode_bands(figure, time_s, run.statuses.mode)
-    rejected = ~run.statuses.accepted
+def state_figure(digest: Digest) -> go.Figure:
+    """State and source as bands, rejected frames as ticks on them, and the distance to the target."""
+    figure = make_subplots(
+        rows=3, cols=1, shared_xaxes=True, row_heights=[0.13, 0.13, 0.74], vertical_spacing=0.03
+    )
+    _stretches(figure, digest, digest.mode, _MODES, row=1)
+    _stretches(figure, digest, digest.source, _SOURCES, row=2)
+    time_s = digest.seconds(digest.rejected.stamp_ns)
     figure.add_trace(
         go.Scatter(
-            x=time_s[rejected][:_MOST_POINTS],
-            y=np.full(min(rejected.sum(), _MOST_POINTS), 0.5),
+            x=time_s,
+            y=np.full(time_s.size, 0.5),
             mode="markers",
             marker={"symbol": "line-ns-open", "size": 14, "color": "#111"},
             name="rejected",
-            showlegend=False,
-            text=run.statuses.reason[rejected][:_MOST_POINTS],
-            hovertemplate="%{x:.2f} s: %{text}<extra></extra>",
+            showlegend=bool(time_s.size),
+            text=digest.reasons,
+            hovertemplate="%{x:.2f} s: %{text}<extra>rejected</extra>",
         ),
         row=1,
         col=1,
     )
-    for track, name, line in (
-        (run.truth, "truth", {"color": QUIET, "width": 4}),
-        (run.estimates, "estimate", {"color": ACCENT, "width": 1.6}),
+    for line, name, style in (
+        (digest.true_range_m, "truth", {"color": QUIET, "width": 4}),
+        (digest.range_m, "estimate", {"color": ACCENT, "width": 1.6}),
     ):
-        order = np.argsort(track.stamp_ns, kind="stable")
-        distance_m = np.linalg.norm(track.poses.translation[order], axis=1)
-        x, y = _thinned(run.seconds(track.stamp_ns)[order], distance_m)
-        figure.add_trace(
-            go.Scatter(
-                x=x,
-                y=y,
-                mode="lines",
-                name=name,
-                line=line,
-                hovertemplate="%{x:.2f} s: %{y:.3f} m<extra></extra>",
-            ),
-            row=2,
-            col=1,
-        )
-    figure.update_yaxes(visible=False, range=[0, 1], fixedrange=True, row=1, col=1)
-    figure.update_yaxes(title_text="distance [m]", row=2, col=1)
-    figure.update_xaxes(title_text="time [s]", row=2, col=1)
-    figure.update_layout(legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0})
-    return styled(figure, height=320, top=44, legend=True)
-
-
-def histogram_figure(run: Run) -> go.Figure:
-    """Distributions of latency, processing time, and NEES beside what it should be; of what is known."""
-    nees = run.errors.nees[run.tracked]
-    panels = [
-        ("latency, stamp to estimate", "latency [ms]", 1e3 * run.latency_s),
-        ("processing", "processing [ms]", 1e3 * run.statuses.processing_s),
-        (_NEES, "NEES [-]", nees),
-    ]
-    known = [(title, axis, values[np.isfinite(values)]) for title, axis, values in panels]
-    known = [panel for panel in known if panel[2].size]
-    titles = [title for title, _, _ in known] or [""]
-    figure = make_subplots(rows=1, cols=len(titles), subplot_titles=titles, horizontal_spacing=0.07)
-    for column, (title, axis, values) in enumerate(known, start=1):
-        end = 3.0 * (NEES_95 if title == _NEES else float(np.percentile(values, 90)))
-        note = ", larger ones in the last bar" * bool((values > end).any())
-        _histogram(figure, values.clip(None, end), axis + note, col=column, density=title == _NEES)
-        if title == _NEES:
-            _chi_squared(figure, col=column)
-    return styled(figure, height=300)
-
-
-def _chi_squared(figure: go.Figure, *, col: int) -> None:
-    x = np.linspace(0.0, 3.0 * NEES_95, 200)
-    density = x**2 * np.exp(-x / 2) / 16  # six degrees of freedom; scipy.stats takes half a second to import
-    line = {"color": QUIET, "width": 2}
-    figure.add_trace(go.Scatter(x=x, y=density, mode="lines", line=line, hoverinfo="skip"), row=1, col=col)
-    _limit(figure, "x", NEES_95, QUIET, row=1, col=col)
-
-
-def _sigmas(run: Run) -> tuple[FloatArray, FloatArray]:
-    """Return sigma of attitude in target axes, deg, and of position in the sensor's, m, each (N, 3)."""
-    R = run.estimates.poses.rotation.as_matrix()
-    attitude = np.einsum("nji,njk,nki->ni", R, run.covariance[:, 3:, 3:], R)
-    C = run.R_chaser_sensor.as_matrix()
-    position = np.einsum("nji,njk,nki->ni", C, run.covariance[:, :3, :3], C)
-    return np.rad2deg(np.sqrt(attitude.clip(0.0))), np.sqrt(position.clip(0.0))
+        if line.values.size:
+            x, y = with_gaps(digest.seconds(line.stamp_ns), line.values)
+            hover = "%{x:.2f} s: %{y:.3f} m<extra></extra>"
+            figure.add_trace(
+                go.Scatter(x=x, y=y, mode="lines", name=name, line=style, hovertemplate=hover), row=3, col=1
+            )
+    for row, title in ((1, "state"), (2, "source")):
+        axis = {"range": [0, 1], "fixedrange": True, "showgrid": False, "showticklabels": False}
+        figure.update_yaxes(title_text=title, zeroline=False, **axis, row=row, col=1)
+        figure.update_xaxes(showgrid=False, row=row, col=1)
+    figure.update_yaxes(title_text="distance [m]", row=3, col=1)
+    figure.update_xaxes(title_text="time [s]", row=3, col=1)
+    figure.update_layout(
+        barmode="overlay", legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
+    )
+    return styled(figure, height=380, top=44, legend=True)
 
 
 def _reach(error: FloatArray, sigma: FloatArray) -> float:
     """Return how far a panel reaches: all of the errors, and of the band what it mostly is."""
-    return max(1.15 * float(np.nanmax(np.abs(error))), 3.5 * float(np.median(sigma)), 1e-9)
+    usual = float(np.median(sigma)) if sigma.size else 0.0
+    return max(1.15 * float(np.abs(error).max(initial=0.0)), 3.5 * usual, 1e-9)
 
 
-def _limit(figure: go.Figure, axis: str, value: float, colour: str, *, row: int, col: int) -> None:
+def draw_limit(figure: go.Figure, axis: str, value: float, colour: str, *, row: int, col: int) -> None:
     """Draw a dotted line at a value of an axis, across the whole panel."""
     across = "y" if axis == "x" else "x"
     ends = {f"{axis}0": value, f"{axis}1": value, f"{across}0": 0, f"{across}1": 1}
@@ -161,10 +132,8 @@ def _limit(figure: go.Figure, axis: str, value: float, colour: str, *, row: int,
     figure.add_shape(**ends, **reference, type="line", line=line, row=row, col=col)
 
 
-def _line(
-    figure: go.Figure, time_s: FloatArray, values: FloatArray, unit: str, *, row: int, col: int
-) -> None:
-    x, y = _thinned(*_with_gaps(time_s, values))
+def _line(figure: go.Figure, digest: Digest, line: Line, unit: str, *, row: int, col: int) -> None:
+    x, y = with_gaps(digest.seconds(line.stamp_ns), line.values)
     figure.add_trace(
         go.Scatter(
             x=x,
@@ -179,11 +148,10 @@ def _line(
     )
 
 
-def _band(figure: go.Figure, time_s: FloatArray, half: FloatArray, unit: str, *, row: int, col: int) -> None:
-    if not (half > 0.0).any():
+def _band(figure: go.Figure, digest: Digest, sigma: Line, unit: str, *, row: int, col: int) -> None:
+    if not (sigma.values > 0.0).any():
         return
-    step = len(time_s) // (_MOST_POINTS // 2) + 1
-    x, y = time_s[::step], half[::step]
+    x, y = digest.seconds(sigma.stamp_ns), 3.0 * sigma.values
     figure.add_trace(
         go.Scatter(
             x=np.concatenate([x, x[::-1]]),
@@ -200,7 +168,7 @@ def _band(figure: go.Figure, time_s: FloatArray, half: FloatArray, unit: str, *,
     )
 
 
-def _with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Break the line where the estimates pause, so that nothing is drawn where nothing was known."""
     if time_s.size < 3:
         return time_s, values
@@ -209,58 +177,29 @@ def _with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, Floa
     return np.insert(time_s, pauses, time_s[pauses]), np.insert(values, pauses, np.nan)
 
 
-def _thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return at most 5,000 points; of every stretch its lowest and highest, so that no peak is lost."""
-    if x.size <= _MOST_POINTS:
-        return x, y
-    stretches = np.array_split(np.arange(x.size), _MOST_POINTS // 2)
-    low = [part[np.argmin(np.nan_to_num(y[part], nan=np.inf))] for part in stretches]
-    high = [part[np.argmax(np.nan_to_num(y[part], nan=-np.inf))] for part in stretches]
-    keep = np.unique(low + high)
-    return x[keep], y[keep]
-
-
-def _mode_bands(figure: go.Figure, time_s: FloatArray, mode: IntArray) -> None:
-    """One bar a stretch of equal mode; bars of one mode are one trace."""
-    if not mode.size:
-        return
-    starts = np.flatnonzero(np.diff(mode, prepend=-1))
-    ends = np.append(time_s[starts[1:]], time_s[-1])
-    for value, colour in _MODES.items():
-        mine: BoolArray = mode[starts] == value
+def _stretches(
+    figure: go.Figure, digest: Digest, band: Band, colours: Mapping[Any, str], *, row: int
+) -> None:
+    """One bar a stretch of equal value; bars of one value are one trace."""
+    starts_s = digest.seconds(band.start_ns)
+    ends_s = np.append(starts_s[1:], digest.seconds(np.array([band.end_ns])))[: starts_s.size]
+    for value, colour in colours.items():
+        mine = band.values == value
         if mine.any():
             figure.add_trace(
                 go.Bar(
                     orientation="h",
-                    base=time_s[starts][mine],
-                    x=(ends - time_s[starts])[mine],
+                    base=starts_s[mine],
+                    x=(ends_s - starts_s)[mine],
                     y=np.full(mine.sum(), 0.5),
                     width=0.9,
                     marker={"color": colour, "line": {"width": 0}},
                     name=value.name,
                     hovertemplate=f"{value.name}<br>%{{base:.2f}} s for %{{x:.2f}} s<extra></extra>",
                 ),
-                row=1,
+                row=row,
                 col=1,
             )
-    figure.update_layout(barmode="overlay")
-
-
-def _histogram(figure: go.Figure, values: FloatArray, title: str, *, col: int, density: bool) -> None:
-    figure.update_xaxes(title_text=title, row=1, col=col)
-    figure.update_yaxes(title_text="density" if density else "frames", rangemode="tozero", row=1, col=col)
-    counts, edges = np.histogram(values, bins=min(40, max(8, int(np.sqrt(values.size)) * 2)), density=density)
-    figure.add_trace(
-        go.Bar(
-            x=(edges[1:] + edges[:-1]) / 2.0,
-            y=counts,
-            width=np.diff(edges),
-            marker={"color": ACCENT, "line": {"width": 0}},
-            hovertemplate="%{x:.1f}: %{y:.3g}<extra></extra>",
-        ),
-        row=1,
-        col=col,
-    )
 
 
 def styled(figure: go.Figure, *, height: int, top: int = 28, legend: bool = False) -> go.Figure:

@@ -7,7 +7,7 @@ of arrival.
 
 import heapq
 import json
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -25,6 +25,9 @@ from rpod_schemas.logs import CONFIGURATION, COUNTS, TopicCount
 from rpod_schemas.messages import read_odometry, read_status, read_transforms
 from rpod_schemas.topics import ESTIMATE, STATUS, TF_STATIC, TOPICS, Topic
 from rpod_schemas.types import EstimatorStatus, Odometry
+
+_MOST_LATCHED = 64
+"""Latched messages of a topic, one of each publisher, that may come again at the beginning of a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +100,11 @@ class Log:
     def paths(self) -> tuple[Path, ...]:
         """The log's files, in the order of time."""
         return tuple(part.path for part in self._parts)
+
+    @property
+    def files(self) -> tuple[LogFile, ...]:
+        """The files themselves, open, in the order of time."""
+        return tuple(self._parts)
 
     # --- what is there ---
 
@@ -174,14 +182,15 @@ class Log:
             DamagedLogError: the file cannot be read there.
         """
         names = {topic.name if isinstance(topic, Topic) else topic for topic in topics}
-        latched: set[tuple[str, int, int]] = set()  # each file opens with the latched messages again
+        latched: dict[str, deque[tuple[int, int]]] = {}  # each file opens with the latched messages again
         parts = [self._messages_of(part, names, start_ns, end_ns) for part in self._parts]
         for logged in heapq.merge(*parts, key=lambda logged: logged.log_ns):
             if is_latched(logged.topic):
-                identity = logged.topic, logged.sequence, logged.publish_ns
-                if identity in latched:
+                before = latched.setdefault(logged.topic, deque(maxlen=_MOST_LATCHED))
+                identity = logged.sequence, logged.publish_ns
+                if identity in before:
                     continue
-                latched.add(identity)
+                before.append(identity)
             yield logged
 
     def _messages_of(

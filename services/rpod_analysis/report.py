@@ -1,31 +1,29 @@
-"""The report: one HTML file that opens without a network, and ``summary.json`` beside it."""
+"""The report: one HTML file that opens without a network, ``summary.json`` and tables beside it.
 
-import json
+Several logs are reported one by one, and then side by side in one more file.
+"""
+
+import os
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import plotly.io
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from plotly.offline import get_plotlyjs
+from pydantic import TypeAdapter
 
-from rpod_analysis.figures import error_figure, histogram_figure, state_figure
-from rpod_analysis.log import Log, open_log
-from rpod_analysis.run import Run, read_run
-from rpod_analysis.snapshots import take_snapshots
-from rpod_analysis.summarise import summarise
+from rpod_analysis.comparison import ROWS, comparison_figure
+from rpod_analysis.log import open_log
+from rpod_analysis.log_file import RECOVERED
+from rpod_analysis.run import stream_run
+from rpod_analysis.story import Story, figure_html, tell
 from rpod_analysis.tables import write_tables
-from rpod_analysis.verdict import find_checks, verdict
-from rpod_schemas.logs import SOFTWARE
 from rpod_schemas.summary import Summary
-from rpod_target import Target, TargetError, load_target
 
-_PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
-_MOST_REASONS = 8
-_NUMBER = re.compile(r"(?<![A-Za-z])-?\d+(\.\d+)?(e-?\d+)?")
+SUMMARIES = TypeAdapter(list[Summary])
+"""``comparison.json``: the ``summary.json`` of each log, in the order in which they were given."""
+_PART = re.compile(r"_\d{4}$")
 
 
 @dataclass(frozen=True)
@@ -34,6 +32,7 @@ class ReportPaths:
 
     html: Path
     summary: Path
+    """JSON: a ``Summary``, or a list of them where there are several logs."""
 
 
 def write_report(logs: Sequence[Path], out: Path | None = None) -> ReportPaths:
@@ -46,68 +45,73 @@ def write_report(logs: Sequence[Path], out: Path | None = None) -> ReportPaths:
     Raises:
         AnalysisError: a log cannot be read, or no estimator spoke in it.
     """
-    with open_log(*logs) as log:
-        run = read_run(log)
-        directory = out or log.paths[0].parent
-        paths = ReportPaths(directory / "report.html", directory / "summary.json")
-        summary = summarise(log, run, report=paths.html)
-        page = render(log, run, summary)
-    directory.mkdir(parents=True, exist_ok=True)
-    write_tables(directory, run)
-    paths.html.write_text(page, encoding="utf-8")
-    paths.summary.write_text(summary.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    paths, _ = _report_one(logs, out, name="")
     return paths
 
 
-def render(log: Log, run: Run, summary: Summary) -> str:
-    """Return the report as HTML."""
-    software = log.metadata(SOFTWARE)
-    target, target_note = _target(log, software.get("target_digest", "").split())
-    checks = find_checks(summary, len(run.alarms))
-    environment = Environment(
-        loader=PackageLoader("rpod_analysis"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    return environment.get_template("report.html.j2").render(
-        summary=summary,
-        files=[path.name for path in log.paths],
-        verdict=verdict(checks),
-        went_well=all(check.good is not False for check in checks),
-        checks=checks,
-        target=target.name if target else "",
-        target_note=target_note,
-        version=" ".join(software[key] for key in ("name", "version") if key in software),
-        figures={
-            "errors": _html(error_figure(run)) if run.errors.scored.any() else "",
-            "state": _html(state_figure(run)),
-            "histograms": _html(histogram_figure(run)) if summary.processing_s or summary.latency_s else "",
-        },
-        snapshots=take_snapshots(log, run, target),
-        reasons=_reasons(run),
-        alarms=[f"{alarm.name}: {alarm.message}" for alarm in run.alarms[:_MOST_REASONS]],
-        configuration={name: json.dumps(model, indent=2) for name, model in log.configuration.items()},
+def write_comparison(runs: Sequence[Sequence[Path]], out: Path | None = None) -> ReportPaths:
+    """Report several runs, each as ``write_report`` does, and beside each other in ``comparison.html``.
+
+    Args:
+        runs: the log of each, or its parts.
+        out: directory to write to, with a folder of each log; beside the logs, and the comparison into the
+            folder that holds them all, where left out.
+
+    Raises:
+        AnalysisError: a log cannot be read, or no estimator spoke in it.
+    """
+    names = tell_apart([logs[0] for logs in runs])
+    stories = [
+        _report_one(logs, out / name if out else None, name=name)[1]
+        for logs, name in zip(runs, names, strict=True)
+    ]
+    directory = out or Path(os.path.commonpath([logs[0].absolute().parent for logs in runs]))
+    paths = ReportPaths(directory / "comparison.html", directory / "comparison.json")
+    page = _template("comparison.html.j2").render(
+        stories=stories, rows=ROWS, figure=figure_html(comparison_figure(stories), "figure-comparison"),
         plotly=get_plotlyjs(),
+    )  # fmt: skip
+    paths.html.write_text(page, encoding="utf-8")
+    summaries = [story.summary for story in stories]
+    paths.summary.write_bytes(SUMMARIES.dump_json(summaries, indent=2) + b"\n")
+    return paths
+
+
+def group_parts(paths: Sequence[Path]) -> list[list[Path]]:
+    """Return logs by the run that they are of: ``run.mcap`` and ``run_0002.mcap`` of one folder are parts."""
+    runs: dict[tuple[Path, str], list[Path]] = {}
+    for path in paths:
+        stem = path.name if path.is_dir() else path.stem.removesuffix(RECOVERED)
+        runs.setdefault((path.absolute().parent, _PART.sub("", stem)), []).append(path)
+    return list(runs.values())
+
+
+def tell_apart(paths: Sequence[Path]) -> list[str]:
+    """Return a name of each log: its file's, where two are the same its folder's, else with a number."""
+    absolute = [path.absolute() for path in paths]
+    choices = (
+        [path.stem for path in absolute],
+        [path.parent.name for path in absolute],
+        [f"{path.parent.name}-{number}" for number, path in enumerate(absolute, start=1)],
     )
+    return next(names for names in choices if len(set(names)) == len(names))
 
 
-def _target(log: Log, digests: list[str]) -> tuple[Target | None, str]:
-    """Return the target that the services were configured for, and what is to be said of its wireframe."""
-    names = [service["target"] for service in log.configuration.values() if service.get("target")]
-    if not names:
-        return None, "No wireframe: the log does not say which target it is."
-    try:
-        target = load_target(names[0])
-    except TargetError as error:
-        return None, f"No wireframe: {error}"
-    changed = bool(digests) and target.digest not in digests
-    return target, "The target's parameters have changed since the run." * changed
+def _report_one(logs: Sequence[Path], out: Path | None, *, name: str) -> tuple[ReportPaths, Story]:
+    with open_log(*logs) as log:
+        run = stream_run(log)
+        directory = out or log.paths[0].parent
+        paths = ReportPaths(directory / "report.html", directory / "summary.json")
+        story = tell(log, run, name=name, report=paths.html)
+    directory.mkdir(parents=True, exist_ok=True)
+    write_tables(directory, run)
+    page = _template("report.html.j2").render(story=story, plotly=get_plotlyjs())
+    paths.html.write_text(page, encoding="utf-8")
+    paths.summary.write_text(story.summary.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    return paths, story
 
 
-def _reasons(run: Run) -> list[tuple[str, int]]:
-    """Return why frames were rejected, most frequent first, whatever the numbers in the reason."""
-    reasons = run.statuses.reason[~run.statuses.accepted]
-    kinds = Counter(_NUMBER.sub("…", str(reason)) or "no reason given" for reason in reasons)
-    return kinds.most_common(_MOST_REASONS)
-
-
-def _html(figure: Any) -> str:
-    return str(plotly.io.to_html(figure, config=_PLOT, full_html=False, include_plotlyjs=False))
+def _template(name: str) -> Template:
+    return Environment(
+        loader=PackageLoader("rpod_analysis"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    ).get_template(name)

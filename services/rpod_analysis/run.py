@@ -1,10 +1,11 @@
-"""A run as its log tells it: everything that is scored and drawn, read in one pass."""
+"""A run as its log tells it: everything that is scored and drawn, read in one pass.
 
-from array import array
-from collections import defaultdict
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+The pass keeps what it finds by the minute (``StreamedRun``), so that a run of any length is scored minute by
+minute in bounded memory; ``read_run`` gives all of it at once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +13,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_analysis.accounting import Account
 from rpod_analysis.errors import FramesDifferError, NoEstimatesError
-from rpod_analysis.log import Log, Logged
-from rpod_analysis.score import BoolArray, Errors, IntArray, Track, find_errors
+from rpod_analysis.log import Log
+from rpod_analysis.reader import Found, Reader
+from rpod_analysis.score import MAX_TRUTH_GAP_NS, BoolArray, Errors, IntArray, Track, find_errors
 from rpod_analysis.sensors import Sensor, find_sensors
+from rpod_analysis.spool import BLOCK_NS, Row
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.cdr import peek_stamp
-from rpod_schemas.messages import read_diagnostics, read_stamp
-from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE, POINTS, STATUS, TRUTH
-from rpod_schemas.types import Diagnostic, Health, Mode
+from rpod_schemas.topics import STATUS
+from rpod_schemas.types import Mode
 
 DEFAULT_PREFIX = STATUS.name.split("/")[0]
 
@@ -30,7 +31,10 @@ class Statuses:
 
     stamp_ns: IntArray
     mode: IntArray
+    source: IntArray
     accepted: BoolArray
+    nis: FloatArray
+    """Normalised innovation squared, six degrees of freedom; NaN where nothing was compared."""
     processing_s: FloatArray
     sensor: NDArray[np.str_]
     reason: NDArray[np.str_]
@@ -49,8 +53,12 @@ class SensorFrames:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run, read from its log."""
+    """A run, or a minute of it, in the order of the stamps."""
 
+    start_ns: int
+    """First stamp of truth and estimator, of the whole run."""
+    end_ns: int
+    """Last stamp of truth and estimator, of the whole run."""
     truth: Track
     estimates: Track
     covariance: FloatArray
@@ -63,34 +71,114 @@ class Run:
     """The sensor behind each estimate, shape (N,); empty where unknown."""
     R_chaser_sensor: Rotation
     """Attitude of that sensor, N of them."""
+    T_truth: RigidTransform
+    """The truth at the estimates' stamps, N poses; without meaning where they are not scored."""
     errors: Errors
     statuses: Statuses
     sensors: dict[str, Sensor]
     frames: dict[str, SensorFrames]
     """By sensor."""
     account: Account
-    alarms: tuple[Diagnostic, ...]
-    """Diagnostics of level ERROR."""
-    status_topic: str
-
-    @property
-    def start_ns(self) -> int:
-        """First stamp of truth and estimator."""
-        return min(int(stamps.min()) for stamps in self._stamps)
+    """Of the whole run."""
 
     @property
     def duration_s(self) -> float:
         """From the first to the last stamp of truth and estimator."""
-        return (max(int(stamps.max()) for stamps in self._stamps) - self.start_ns) * 1e-9
-
-    @property
-    def _stamps(self) -> list[IntArray]:
-        stamps = (self.truth.stamp_ns, self.estimates.stamp_ns, self.statuses.stamp_ns)
-        return [stamp_ns for stamp_ns in stamps if stamp_ns.size]
+        return (self.end_ns - self.start_ns) * 1e-9
 
     def seconds(self, stamp_ns: IntArray) -> FloatArray:
         """Return stamps as seconds from the start of the run."""
         return (stamp_ns - self.start_ns) * np.float64(1e-9)
+
+
+class StreamedRun:
+    """A run of any length, minute by minute; on disk as far as it is long."""
+
+    def __init__(self, found: Found) -> None:
+        self._found = found
+        spools = (found.truth, found.estimates, found.statuses)
+        self.minutes: list[int] = sorted(
+            {minute for spool in (*spools, found.frames) for minute in spool.minutes}
+        )
+        """Minutes of UTC in which anything happened."""
+        self.start_ns = min(spool.first_ns for spool in spools if spool.first_ns is not None)
+        """First stamp of truth and estimator."""
+        self.end_ns = max(spool.last_ns for spool in spools if spool.last_ns is not None)
+        """Last stamp of truth and estimator."""
+        self.sensors, self.account = found.sensors, found.account
+        self.status_topic = found.status_topic
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last stamp of truth and estimator."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+    def __iter__(self) -> Iterator[Run]:
+        """Iterate over the minutes, in the order of time."""
+        return (self.minute(minute) for minute in self.minutes)
+
+    def at(self, stamp_ns: int) -> Run:
+        """Return the minute that holds a stamp."""
+        return self.minute(stamp_ns // BLOCK_NS)
+
+    def minute(self, minute: int) -> Run:
+        """Return a minute, scored as it would be within the whole."""
+        return self._build([minute], self._truth_around(minute), self._status_before(minute))
+
+    def whole(self) -> Run:
+        """Return all minutes as one."""
+        return self._build(self.minutes, [], [])
+
+    def _truth_around(self, minute: int) -> list[Row]:
+        """Truth is interpolated between neighbours that are this near, wherever a minute ends."""
+        start_ns = minute * BLOCK_NS
+        before = [row for row in self._found.truth.rows(minute - 1) if row[0] >= start_ns - MAX_TRUTH_GAP_NS]
+        end_ns = start_ns + BLOCK_NS + MAX_TRUTH_GAP_NS
+        return before + [row for row in self._found.truth.rows(minute + 1) if row[0] < end_ns]
+
+    def _status_before(self, minute: int) -> list[Row]:
+        earlier = [other for other in self._found.statuses.minutes if other < minute]
+        return self._found.statuses.rows(earlier[-1])[-1:] if earlier else []
+
+    def _build(self, minutes: list[int], truth_around: list[Row], status_before: list[Row]) -> Run:
+        found = self._found
+        truth_rows, estimate_rows, status_rows, frame_rows = (
+            [row for minute in minutes for row in spool.rows(minute)]
+            for spool in (found.truth, found.estimates, found.statuses, found.frames)
+        )
+        truth, estimates, statuses = _track(truth_rows), _track(estimate_rows), _statuses(status_rows)
+        known = _statuses(status_before + status_rows)
+        behind = np.searchsorted(known.stamp_ns, estimates.stamp_ns, side="right") - 1
+        tracked, sensor_of = behind < 0, np.full(len(estimates), "", np.str_)
+        if len(known):
+            tracked |= known.mode[behind] == Mode.TRACKING
+            sensor_of = np.where(behind >= 0, known.sensor[behind], "")
+        covariance = np.frombuffer(b"".join(row[2] for row in estimate_rows)).reshape(-1, 6, 6)
+        R_chaser_sensor = _sensor_axes(sensor_of, self.sensors)
+        errors, T_truth = find_errors(
+            estimates,
+            _track(sorted(truth_rows + truth_around, key=lambda row: row[0])) if truth_around else truth,
+            covariance=covariance,
+            R_chaser_sensor=R_chaser_sensor,
+        )
+        delay_ns = np.array([row[3] for row in estimate_rows], np.int64) - estimates.stamp_ns
+        return Run(
+            start_ns=self.start_ns,
+            end_ns=self.end_ns,
+            truth=truth,
+            estimates=estimates,
+            covariance=covariance,
+            latency_s=np.full(len(estimates), np.nan) if found.clock else delay_ns * np.float64(1e-9),
+            tracked=tracked,
+            sensor_of=sensor_of,
+            R_chaser_sensor=R_chaser_sensor,
+            T_truth=T_truth,
+            errors=errors,
+            statuses=statuses,
+            sensors=self.sensors,
+            frames={name: _sensor_frames(name, frame_rows) for name in self.sensors},
+            account=self.account,
+        )
 
 
 def read_run(
@@ -101,7 +189,19 @@ def read_run(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> Run:
-    """Read a log and score its estimates against its truth.
+    """Read a log and score its estimates against its truth, all at once; as ``stream_run``."""
+    return stream_run(log, prefix=prefix, sensors=sensors, start_ns=start_ns, end_ns=end_ns).whole()
+
+
+def stream_run(
+    log: Log,
+    *,
+    prefix: str | None = None,
+    sensors: dict[str, Sensor] | None = None,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> StreamedRun:
+    """Read a log, in memory that does not grow with its length.
 
     Args:
         log: with estimates.
@@ -115,15 +215,15 @@ def read_run(
         FramesDifferError: truth and estimates are of different frames.
     """
     prefix = prefix or estimate_prefix(log)
-    sensors = find_sensors(log) if sensors is None else sensors
-    reader = _Reader(prefix, sensors)
+    reader = Reader(prefix, find_sensors(log) if sensors is None else sensors)
     for logged in log.messages(start_ns=start_ns, end_ns=end_ns):
         reader.take(logged)
-    if not reader.estimates.rows and not reader.statuses:
+    found = reader.found
+    if not found.estimates.count and not found.statuses.count:
         raise NoEstimatesError(log.paths[0], prefix)
-    if len(reader.truth.parents | reader.estimates.parents) > 1:
-        raise FramesDifferError(log.paths[0], *sorted(reader.truth.parents | reader.estimates.parents)[:2])
-    return reader.run()
+    if len(found.parents) > 1:
+        raise FramesDifferError(log.paths[0], *sorted(found.parents)[:2])
+    return StreamedRun(found)
 
 
 def estimate_prefix(log: Log) -> str:
@@ -133,142 +233,31 @@ def estimate_prefix(log: Log) -> str:
     return found[0].removesuffix(suffix) if len(found) == 1 else DEFAULT_PREFIX
 
 
-@dataclass
-class _Poses:
-    """Odometry messages as bare numbers: the domain type costs ten times as much as the decoding."""
-
-    with_covariance: bool = False
-    rows: "array[float]" = field(default_factory=lambda: array("d"))
-    stamps: "array[int]" = field(default_factory=lambda: array("q"))
-    published: "array[int]" = field(default_factory=lambda: array("q"))
-    covariances: "array[float]" = field(default_factory=lambda: array("d"))
-    parents: set[str] = field(default_factory=set)
-
-    def take(self, logged: Logged) -> None:
-        message = logged.decode()
-        p, q = message.pose.pose.position, message.pose.pose.orientation
-        self.rows.extend((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
-        self.stamps.append(read_stamp(message.header))
-        self.published.append(logged.publish_ns)
-        if self.with_covariance:
-            self.covariances.frombytes(message.pose.covariance.tobytes())
-        self.parents.add(message.header.frame_id)
-
-    def track(self) -> Track:
-        rows = np.array(self.rows, np.float64).reshape(-1, 7)
-        poses = RigidTransform.from_components(rows[:, :3], Rotation.from_quat(rows[:, 3:]))
-        return Track(np.array(self.stamps, np.int64), poses)
-
-    def covariance(self) -> FloatArray:
-        return np.array(self.covariances, np.float64).reshape(-1, 6, 6)
+def _track(rows: list[Row]) -> Track:
+    poses = np.array([row[1] for row in rows], np.float64).reshape(-1, 7)
+    return Track(
+        np.array([row[0] for row in rows], np.int64),
+        RigidTransform.from_components(poses[:, :3], Rotation.from_quat(poses[:, 3:])),
+    )
 
 
-class _Reader:
-    """Sorts the messages of one pass by what they are for."""
-
-    def __init__(self, prefix: str, sensors: dict[str, Sensor]) -> None:
-        self.truth, self.estimates = _Poses(), _Poses(with_covariance=True)
-        self.statuses: list[tuple[Any, ...]] = []
-        self._sensors = sensors
-        self._frames: dict[str, list[tuple[int, int]]] = defaultdict(list)
-        self._account = Account()
-        self._alarms: list[Diagnostic] = []
-        self._clock = False
-        self._status_topic = STATUS.under(prefix).name
-        self._takers: dict[str, Callable[[Logged], None]] = {
-            TRUTH.name: self.truth.take,
-            ESTIMATE.under(prefix).name: self.estimates.take,
-            self._status_topic: self._take_status,
-            DIAGNOSTICS.name: self._take_diagnostics,
-            CLOCK.name: self._take_clock,
-        }
-        for sensor in sensors.values():
-            topic = (DEPTH if sensor.kind == "pmd" else POINTS).of(sensor.name)
-            self._takers[topic.name] = self._frame_taker(sensor.name)
-
-    def take(self, logged: Logged) -> None:
-        self._account.take(logged)
-        if taker := self._takers.get(logged.topic):
-            taker(logged)
-
-    def _take_status(self, logged: Logged) -> None:
-        status = logged.decode()
-        self.statuses.append(
-            (
-                read_stamp(status.header), status.mode, status.accepted,
-                status.processing_s, status.sensor, status.reason,
-            )
-        )  # fmt: skip
-
-    def _take_diagnostics(self, logged: Logged) -> None:
-        for diagnostic in read_diagnostics(logged.decode()):
-            self._account.hear(diagnostic)
-            if diagnostic.level == Health.ERROR:
-                self._alarms.append(diagnostic)
-
-    def _take_clock(self, _: Logged) -> None:
-        self._clock = True
-
-    def _frame_taker(self, sensor: str) -> Callable[[Logged], None]:
-        def take(logged: Logged) -> None:
-            self._frames[sensor].append((peek_stamp(logged.payload), logged.log_ns))
-
-        return take
-
-    def run(self) -> Run:
-        truth, estimates, statuses = self.truth.track(), self.estimates.track(), self._statuses()
-        covariance = self.estimates.covariance()
-        delay_ns = np.array(self.estimates.published, np.int64) - estimates.stamp_ns
-        latency_s = np.full(len(estimates), np.nan) if self._clock else delay_ns * np.float64(1e-9)
-        behind = _status_behind(estimates.stamp_ns, statuses)
-        sensor_of = (
-            np.where(behind >= 0, statuses.sensor[behind], "") if len(statuses) else _no_names(estimates)
-        )
-        tracked = (behind < 0) | (statuses.mode[behind] == Mode.TRACKING) if len(statuses) else behind < 0
-        R_chaser_sensor = _sensor_axes(sensor_of, self._sensors)
-        return Run(
-            truth=truth,
-            estimates=estimates,
-            covariance=covariance,
-            latency_s=latency_s,
-            tracked=tracked,
-            sensor_of=sensor_of,
-            R_chaser_sensor=R_chaser_sensor,
-            errors=find_errors(estimates, truth, covariance=covariance, R_chaser_sensor=R_chaser_sensor),
-            statuses=statuses,
-            sensors=self._sensors,
-            frames={name: _sensor_frames(self._frames[name]) for name in self._sensors},
-            account=self._account,
-            alarms=tuple(self._alarms),
-            status_topic=self._status_topic,
-        )
-
-    def _statuses(self) -> Statuses:
-        rows = sorted(self.statuses, key=lambda row: row[0])
-        stamp_ns, mode, accepted, processing_s, sensor, reason = (
-            zip(*rows, strict=True) if rows else ((),) * 6
-        )
-        return Statuses(
-            stamp_ns=np.array(stamp_ns, np.int64),
-            mode=np.array(mode, np.int64),
-            accepted=np.array(accepted, bool),
-            processing_s=np.array(processing_s, np.float64),
-            sensor=np.array(sensor, np.str_),
-            reason=np.array(reason, np.str_),
-        )
+def _statuses(rows: list[Row]) -> Statuses:
+    columns = list(zip(*rows, strict=True)) if rows else [()] * 8
+    stamp_ns, mode, source, accepted, nis, processing_s, sensor, reason = columns
+    return Statuses(
+        stamp_ns=np.array(stamp_ns, np.int64),
+        mode=np.array(mode, np.int64),
+        source=np.array(source, np.int64),
+        accepted=np.array(accepted, bool),
+        nis=np.array(nis, np.float64),
+        processing_s=np.array(processing_s, np.float64),
+        sensor=np.array(sensor, np.str_),
+        reason=np.array(reason, np.str_),
+    )
 
 
-def _status_behind(stamp_ns: IntArray, statuses: Statuses) -> IntArray:
-    """Return the last status at or before each stamp, -1 where there is none."""
-    return np.searchsorted(statuses.stamp_ns, stamp_ns, side="right") - 1
-
-
-def _no_names(estimates: Track) -> NDArray[np.str_]:
-    return np.full(len(estimates), "", np.str_)
-
-
-def _sensor_frames(rows: list[tuple[int, int]]) -> SensorFrames:
-    table = np.array(rows, np.int64).reshape(-1, 2)
+def _sensor_frames(sensor: str, rows: list[Row]) -> SensorFrames:
+    table = np.array([(row[0], row[2]) for row in rows if row[1] == sensor], np.int64).reshape(-1, 2)
     return SensorFrames(table[:, 0], table[:, 1])
 
 

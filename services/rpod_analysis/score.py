@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.summary import Consistency, Durations, ErrorSize, ErrorSummary
-from rpod_schemas.types import Mode
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -102,8 +100,8 @@ def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolA
 
 def find_errors(
     estimates: Track, truth: Track, *, covariance: FloatArray, R_chaser_sensor: Rotation
-) -> Errors:
-    """Return the errors of N estimates.
+) -> tuple[Errors, RigidTransform]:
+    """Return the errors of N estimates, and the truth at their stamps.
 
     Args:
         estimates: T_chaser_target as estimated.
@@ -122,7 +120,7 @@ def find_errors(
     in_sensor_m = R_chaser_sensor.inv().apply(position_m)
     in_sensor_m[unknown] = np.nan
     error[unknown] = np.nan
-    return Errors(attitude_rad, in_sensor_m, find_nees(error, covariance))
+    return Errors(attitude_rad, in_sensor_m, find_nees(error, covariance)), T_truth
 
 
 def find_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -140,60 +138,6 @@ def find_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
     definite = values[:, 0] > 1e-12
     nees[np.flatnonzero(usable)[definite]] = (parts[definite] / values[definite]).sum(axis=1)
     return nees
-
-
-def find_lost_s(stamp_ns: IntArray, mode: IntArray) -> float:
-    """Return the time in LOST or ACQUIRING after the first TRACKING; a mode holds until the next status."""
-    order = np.argsort(stamp_ns, kind="stable")
-    stamp_ns, mode = stamp_ns[order], mode[order]
-    tracking = np.flatnonzero(mode == Mode.TRACKING)
-    if tracking.size == 0:
-        return 0.0
-    held_ns = np.diff(stamp_ns)
-    lost = np.isin(mode[:-1], (Mode.LOST, Mode.ACQUIRING))
-    lost[: tracking[0]] = False
-    return float(held_ns[lost].sum()) * 1e-9
-
-
-def summarise_errors(errors: Errors) -> ErrorSummary | None:
-    """Return the sizes of the errors; None where there are none."""
-    known = errors.at(errors.scored)
-    if not known.scored.any():
-        return None
-    roll, pitch, yaw = np.rad2deg(np.sqrt((known.attitude_rad**2).mean(axis=0)))
-    x, y, z = np.sqrt((known.position_m**2).mean(axis=0))
-    return ErrorSummary(
-        attitude_deg=summarise_size(np.rad2deg(known.angle_rad)),
-        position_m=summarise_size(known.distance_m),
-        roll_deg_rms=roll,
-        pitch_deg_rms=pitch,
-        yaw_deg_rms=yaw,
-        x_m_rms=x,
-        y_m_rms=y,
-        z_m_rms=z,
-    )
-
-
-def summarise_size(values: FloatArray) -> ErrorSize:
-    """Return how large errors are, shape (N,), N > 0."""
-    return ErrorSize(rms=np.sqrt((values**2).mean()), p95=np.percentile(values, 95), max=values.max())
-
-
-def summarise_durations(seconds: FloatArray) -> Durations | None:
-    """Return median, 99th percentile and maximum of the finite durations; None where there are none."""
-    finite = seconds[np.isfinite(seconds)]
-    if finite.size == 0:
-        return None
-    p50, p99 = np.percentile(finite, (50, 99))
-    return Durations(p50=p50, p99=p99, max=finite.max())
-
-
-def summarise_consistency(nees: FloatArray) -> Consistency | None:
-    """Return mean and share below the 95 % quantile of the known NEES; None where none is known."""
-    known = nees[np.isfinite(nees)]
-    if known.size == 0:
-        return None
-    return Consistency(nees_mean=known.mean(), nees_share_in_95=(known <= NEES_95).mean())
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from rpod_analysis.digest import Digest
 from rpod_analysis.log import Log
-from rpod_analysis.run import Run
-from rpod_analysis.score import IntArray, Track, interpolate
+from rpod_analysis.run import Run, StreamedRun
+from rpod_analysis.score import Track, interpolate
 from rpod_analysis.sensors import Sensor, lidar_scans, pmd_frames
 from rpod_analysis.wireframe import svg_path
 from rpod_schemas.arrays import Array, FloatArray
@@ -62,35 +63,42 @@ class Snapshot:
     truth_path: str
 
 
-def take_snapshots(log: Log, run: Run, target: Target | None) -> list[Snapshot]:
+def take_snapshots(log: Log, run: StreamedRun, digest: Digest, target: Target | None) -> list[Snapshot]:
     """Return about four frames of each sensor, evenly over the run, estimated ones first of all."""
     return [
         snapshot
         for sensor in run.sensors.values()
-        for frame in _sample_frames(log, run, sensor)
-        if (snapshot := _snapshot(run, sensor, frame, target))
+        for stamp_ns in _sample_stamps(digest, sensor)
+        for frame in _read_frame(log, run.at(stamp_ns), sensor, stamp_ns)
+        if (snapshot := _snapshot(run.at(stamp_ns), sensor, frame, target))
     ]
 
 
-def _sample_frames(log: Log, run: Run, sensor: Sensor) -> Iterator[PmdFrame | LidarScan]:
+def _sample_stamps(digest: Digest, sensor: Sensor) -> list[int]:
+    estimated = digest.frames[sensor.name].stamp_ns
+    choice = estimated if estimated.size else digest.any_frames[sensor.name].stamp_ns
+    if not choice.size:
+        return []
+    places = np.quantile(np.arange(choice.size), np.linspace(0.02, 0.98, _SAMPLES), method="nearest")
+    return [int(stamp_ns) for stamp_ns in choice[np.unique(places)]]
+
+
+def _read_frame(log: Log, run: Run, sensor: Sensor, stamp_ns: int) -> Iterator[PmdFrame | LidarScan]:
     frames = run.frames[sensor.name]
-    estimated = np.flatnonzero(np.isin(frames.stamp_ns, run.estimates.stamp_ns))
-    choice = estimated if estimated.size else np.arange(frames.stamp_ns.size)
-    for index in np.unique(np.quantile(choice, np.linspace(0.02, 0.98, _SAMPLES), method="nearest")):
-        stamp_ns, log_ns = frames.stamp_ns[index], int(frames.log_ns[index])
-        read = pmd_frames if sensor.kind == "pmd" else lidar_scans
-        near = read(log, sensor.name, start_ns=log_ns - _SLICE_NS, end_ns=log_ns + _SLICE_NS)
-        yield from (frame for frame in near if frame.stamp_ns == stamp_ns)
+    log_ns = int(frames.log_ns[np.argmax(frames.stamp_ns == stamp_ns)])
+    read = pmd_frames if sensor.kind == "pmd" else lidar_scans
+    near = read(log, sensor.name, start_ns=log_ns - _SLICE_NS, end_ns=log_ns + _SLICE_NS)
+    yield from (frame for frame in near if frame.stamp_ns == stamp_ns)
 
 
 def _snapshot(
     run: Run, sensor: Sensor, frame: PmdFrame | LidarScan, target: Target | None
 ) -> Snapshot | None:
     camera = frame.camera if isinstance(frame, PmdFrame) else None
-    stamp_ns = np.array([frame.stamp_ns])
+    index = _index_of(run.estimates, frame.stamp_ns)
     drawn = [
         _outline(sensor, target, camera, pose)
-        for pose in (_estimate_at(run.estimates, stamp_ns), _truth_at(run.truth, stamp_ns))
+        for pose in (None if index is None else run.estimates.poses[index], _truth_at(run, frame.stamp_ns))
     ]
     outline = np.concatenate([segments.reshape(-1, 2) for segments in drawn])
     if isinstance(frame, PmdFrame):
@@ -99,21 +107,21 @@ def _snapshot(
         pictures = _lidar_pictures(frame, outline)
     return Snapshot(
         sensor=sensor.name,
-        time_s=float(run.seconds(stamp_ns)[0]),
-        note=_note(run, frame.stamp_ns),
+        time_s=float(run.seconds(np.array([frame.stamp_ns]))[0]),
+        note=_note(run, index),
         pictures=pictures,
         estimate_path=svg_path(drawn[0]),
         truth_path=svg_path(drawn[1]),
     )
 
 
-def _estimate_at(track: Track, stamp_ns: IntArray) -> RigidTransform | None:
+def _index_of(track: Track, stamp_ns: int) -> int | None:
     found = np.flatnonzero(track.stamp_ns == stamp_ns)
-    return track.poses[int(found[-1])] if found.size else None
+    return int(found[-1]) if found.size else None
 
 
-def _truth_at(track: Track, stamp_ns: IntArray) -> RigidTransform | None:
-    poses, known = interpolate(track, stamp_ns)
+def _truth_at(run: Run, stamp_ns: int) -> RigidTransform | None:
+    poses, known = interpolate(run.truth, np.array([stamp_ns]))
     return poses[0] if known[0] else None
 
 
@@ -126,11 +134,9 @@ def _outline(
     return project(pieces, camera)
 
 
-def _note(run: Run, stamp_ns: int) -> str:
-    found = np.flatnonzero(run.estimates.stamp_ns == stamp_ns)
-    if not found.size:
+def _note(run: Run, index: int | None) -> str:
+    if index is None:
         return "no estimate"
-    index = int(found[-1])
     if not run.errors.scored[index]:
         return "no truth"
     return f"{np.rad2deg(run.errors.angle_rad[index]):.2f}°, {100 * run.errors.distance_m[index]:.1f} cm"

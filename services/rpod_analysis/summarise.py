@@ -2,24 +2,19 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from rpod_analysis.log import Log
-from rpod_analysis.run import Run
-from rpod_analysis.score import (
-    find_lost_s,
-    summarise_consistency,
-    summarise_durations,
-    summarise_errors,
-)
+from rpod_analysis.run import StreamedRun
+from rpod_analysis.statement import find_statement
+from rpod_analysis.tally import Tally, summarise_durations
 from rpod_schemas.config.logger import LoggerConfig
-from rpod_schemas.summary import EstimateCount, Summary, Tracking
-from rpod_schemas.types import Mode
+from rpod_schemas.summary import EstimateCount, Summary
 
 
-def summarise(log: Log, run: Run, *, report: Path | None = None) -> Summary:
-    """Return the summary of a run, read from its log."""
-    tracked = run.errors.at(run.tracked)
+def summarise(
+    log: Log, run: StreamedRun, tally: Tally | None = None, *, report: Path | None = None
+) -> Summary:
+    """Return the summary of a run, read from its log; ``tally`` where the run was gone through before."""
+    tally = tally or Tally.of(*run)
     return Summary(
         scenario=_scenario(log),
         seed=_seed(log),
@@ -29,30 +24,20 @@ def summarise(log: Log, run: Run, *, report: Path | None = None) -> Summary:
         report=str(report) if report else None,
         frames=run.account.frames(),
         estimates=EstimateCount(
-            count=len(run.estimates),
-            accepted=int(run.statuses.accepted.sum()),
-            rejected=int((~run.statuses.accepted).sum()),
+            count=tally.estimates,
+            accepted=tally.accepted,
+            rejected=tally.rejected,
             dropped=run.account.dropped(run.status_topic),
-            unscored=int((~run.errors.scored).sum()),
-            lost_s=find_lost_s(run.statuses.stamp_ns, run.statuses.mode),
+            unscored=tally.unscored,
+            lost_s=tally.lost_ns * 1e-9,
         ),
-        modes=find_tracking(run),
-        error=summarise_errors(tracked),
-        latency_s=summarise_durations(run.latency_s),
-        processing_s=summarise_durations(run.statuses.processing_s),
-        consistency=summarise_consistency(tracked.nees),
-    )
-
-
-def find_tracking(run: Run) -> Tracking:
-    """Return how well a run held the target."""
-    held = run.statuses.mode == Mode.TRACKING
-    first = int(np.argmax(held)) if held.any() else None
-    scored = run.tracked & run.errors.scored
-    return Tracking(
-        first_tracking_s=None if first is None else run.seconds(run.statuses.stamp_ns)[first],
-        tracking_share=None if first is None else held[first:].mean(),
-        worse_than_10deg_or_0_3m_share=run.errors.off_target[scored].mean() if scored.any() else None,
+        modes=tally.modes(),
+        error=tally.error(),
+        latency_s=summarise_durations(tally.latency_s),
+        processing_s=summarise_durations(tally.processing_s),
+        consistency=tally.consistency(),
+        innovation=tally.innovation(),
+        completeness=find_statement(log).summary(),
     )
 
 

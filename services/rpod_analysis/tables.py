@@ -4,17 +4,20 @@ A polars frame hands its columns to pyarrow, pandas or DuckDB without copying (`
 carry their units in their names; stamps are nanoseconds of UTC.
 """
 
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 import polars as pl
+from polars.io.plugins import register_io_source
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.run import Run
-from rpod_analysis.score import Track, interpolate
+from rpod_analysis.score import Track
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import Mode
+from rpod_schemas.types import Mode, Source
 
+_ROW_GROUP = 1 << 15
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
@@ -30,18 +33,20 @@ def estimate_table(run: Run) -> pl.DataFrame:
 
 
 def status_table(run: Run) -> pl.DataFrame:
-    """Return what the estimator said of each frame: mode, accepted, reason, sensor, processing_s."""
+    """Return of each frame: sensor, mode, source, accepted, reason, nis, processing_s."""
     said = run.statuses
     return pl.DataFrame(
         {
             "stamp_ns": said.stamp_ns,
             "sensor": said.sensor.tolist(),
             "mode": [Mode(mode).name for mode in said.mode],
+            "source": [Source(source).name for source in said.source],
             "accepted": said.accepted,
             "reason": said.reason.tolist(),
+            "nis": said.nis,
             "processing_s": said.processing_s,
         },
-        schema_overrides={"sensor": pl.String, "mode": pl.String, "reason": pl.String},
+        schema_overrides=dict.fromkeys(("sensor", "mode", "source", "reason"), pl.String),
     )
 
 
@@ -52,7 +57,7 @@ def joined_table(run: Run) -> pl.DataFrame:
     are those of the ICD: attitude in target axes, position in the sensor's.
     """
     known = run.errors.scored
-    truth = _pose_columns(interpolate(run.truth, run.estimates.stamp_ns)[0], prefix="truth_")
+    truth = _pose_columns(run.T_truth, prefix="truth_")
     roll, pitch, yaw = np.rad2deg(run.errors.attitude_rad).T
     x_m, y_m, z_m = run.errors.position_m.T
     scored = truth | {
@@ -71,23 +76,37 @@ def joined_table(run: Run) -> pl.DataFrame:
     return status_table(run).join(estimates, on="stamp_ns", how="full", coalesce=True).sort("stamp_ns")
 
 
-def write_tables(directory: Path, run: Run) -> None:
-    """Write ``truth.parquet``, ``frames.parquet`` and, for evo, ``truth.tum`` and ``estimate.tum``."""
-    truth_table(run).write_parquet(directory / "truth.parquet")
-    joined_table(run).write_parquet(directory / "frames.parquet")
-    write_tum(directory / "truth.tum", run.truth)
-    write_tum(directory / "estimate.tum", run.estimates)
+def write_tables(directory: Path, run: Iterable[Run]) -> None:
+    """Write ``truth.parquet``, ``frames.parquet`` and, for evo, ``truth.tum`` and ``estimate.tum``.
+
+    Args:
+        directory: where to.
+        run: minutes of a run in their order, gone through once for each table; rows are written as they come.
+    """
+    _write_parquet(directory / "truth.parquet", run, truth_table)
+    _write_parquet(directory / "frames.parquet", run, joined_table)
+    write_tum(directory / "truth.tum", (minute.truth for minute in run))
+    write_tum(directory / "estimate.tum", (minute.estimates for minute in run))
 
 
-def write_tum(path: Path, track: Track) -> None:
+def _write_parquet(path: Path, run: Iterable[Run], table: Callable[[Run], pl.DataFrame]) -> None:
+    """Write a table in row groups, as the minutes come."""
+
+    def rows(*_: object) -> Iterator[pl.DataFrame]:
+        return (table(minute) for minute in run)
+
+    register_io_source(rows, schema=next(rows()).schema).sink_parquet(path, row_group_size=_ROW_GROUP)
+
+
+def write_tum(path: Path, tracks: Iterable[Track]) -> None:
     """Write poses as evo reads them: a line of seconds, x, y, z, qx, qy, qz, qw each (TUM RGB-D format)."""
-    stamps = [f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in track.stamp_ns.tolist()]
-    rows = np.column_stack(list(_pose_columns(track.poses).values())) if stamps else np.empty((0, 7))
-    lines = (
-        f"{stamp} {' '.join(f'{value:.9g}' for value in row)}\n"
-        for stamp, row in zip(stamps, rows.tolist(), strict=True)
-    )
-    path.write_text("".join(lines), encoding="utf-8")
+    with path.open("w", encoding="utf-8") as file:
+        for track in tracks:
+            rows = np.column_stack(list(_pose_columns(track.poses).values()))
+            file.writelines(
+                f"{stamp // 10**9}.{stamp % 10**9:09d} {' '.join(f'{value:.9g}' for value in row)}\n"
+                for stamp, row in zip(track.stamp_ns.tolist(), rows.tolist(), strict=True)
+            )
 
 
 def _track_table(track: Track) -> pl.DataFrame:

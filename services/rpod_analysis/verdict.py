@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from rpod_analysis.tally import Tally
 from rpod_schemas.summary import Summary
 
 MIN_TRACKING_SHARE = 0.99
@@ -13,6 +14,12 @@ MIN_NEES_SHARE = 0.80
 """Of the tracked frames within the 95 % bound: below it the covariance is too small to be used."""
 MAX_DROPPED_SHARE = 0.05
 """Of the frames that reached the estimator."""
+
+_COMPLETE = {
+    True: "the log is complete",
+    False: "the log is not complete",
+    None: "the log does not say whether it is complete",
+}
 
 
 @dataclass(frozen=True)
@@ -35,12 +42,33 @@ def verdict(checks: list[Check]) -> str:
     return f"The run has findings: {', '.join(failed)}."
 
 
+def headline(summary: Summary, tally: Tally) -> str:
+    """Return what is to be known first, in one line: acquired, lost, worst errors, log complete."""
+    told = []
+    if summary.modes.first_tracking_s is None:
+        told.append("Never acquired")
+    else:
+        lost_s = summary.estimates.lost_s
+        told.append(f"Acquired after {summary.modes.first_tracking_s:.2f} s")
+        told.append(f"lost for {lost_s:.2f} s" if lost_s else "never lost")
+    if tally.worst_deg and tally.worst_m:
+        told.append(
+            f"worst errors {tally.worst_deg.value:.2f}° (at {tally.worst_deg.time_s:.1f} s) "
+            f"and {100.0 * tally.worst_m.value:.1f} cm (at {tally.worst_m.time_s:.1f} s)"
+        )
+    else:
+        told.append("errors not known")
+    complete = summary.completeness.complete if summary.completeness else None
+    told.append(_COMPLETE[complete])
+    return ", ".join(told) + "."
+
+
 def find_checks(summary: Summary, alarms: int) -> list[Check]:
     """Return the checks of a run; ``alarms`` is the number of errors that services reported."""
     return [
         *_estimation(summary),
         _kept_up(summary),
-        _recorded(summary),
+        *_recorded(summary),
         Check("Services", f"{_count(alarms, 'error')} reported", "no error reported", alarms == 0),
     ]
 
@@ -91,9 +119,18 @@ def _kept_up(summary: Summary) -> Check:
     )
 
 
-def _recorded(summary: Summary) -> Check:
-    missed = sum(count.missed for count in summary.frames.values())
-    return Check("Log", f"{_count(missed, 'message')} missed", "no message missed", missed == 0)
+def _recorded(summary: Summary) -> Iterator[Check]:
+    missed = summary.missed
+    yield Check("Log", f"{_count(missed, 'message')} missed", "no message missed", missed == 0)
+    said = summary.completeness
+    if said is None or said.complete is None:
+        answer = "the log does not say"
+    else:
+        first = f"no: {said.reasons[0]}" if said.reasons else "no"
+        more = f" and {_count(len(said.reasons) - 1, 'other reason')}" if len(said.reasons) > 1 else ""
+        answer = "complete, by its own account" if said.complete else first + more
+    complete = said.complete if said else None
+    yield Check("Completeness", answer, "the log's own statement, checked against its content", complete)
 
 
 def _count(number: int, noun: str) -> str:

@@ -78,13 +78,31 @@ def test_the_page_is_small_enough_to_be_mailed(written):
 def test_the_page_says_what_was_run_and_how_it_went(body):
     for text in ("synthetic-approach", "mockup", "rpod 0.1.0", "run.mcap"):
         assert text in body
-    assert "The run has findings: log." in body
+    assert "The run has findings: log, completeness." in body
     assert re.search(r"<td>pmd/depth/image_raw</td><td[^>]*>21</td><td[^>]*>20</td><td[^>]*>1</td>", body)
     assert "not believed: cost … m2" in body
 
 
-def test_the_page_holds_three_figures(page):
-    assert page.count("Plotly.newPlot(") == 3 + get_own_mentions(page)
+def test_every_section_and_every_figure_has_an_id_of_its_own(page, body):
+    figures = ("state", "errors", "consistency", "timing", "path")
+    assert page.count("Plotly.newPlot(") == len(figures) + get_own_mentions(page)
+    for name in figures:
+        assert body.count(f'id="figure-{name}"') == 1
+    for name in ("verdict", *figures, "snapshots", "frames", "completeness", "configuration"):
+        assert body.count(f'id="{name}"') == 1
+
+
+def test_every_frame_of_a_sensor_is_accounted_for(body):
+    row = re.search(r"<tr><td>pmd</td>(.*?)</tr>", body).group(1)
+    published, accepted, rejected, passed_over, incomplete, rest = map(int, re.findall(r">(\d+)<", row))
+    assert (published, accepted, rejected) == (21, 19, 2)
+    assert published == accepted + rejected + passed_over + incomplete + rest
+
+
+def test_the_page_tells_what_the_log_says_of_its_completeness(body):
+    section = body[body.index('id="completeness"') :]
+    assert "No." in section
+    assert "<li>/pmd/depth/image_raw: 1 missed on the bus</li>" in section
 
 
 def get_own_mentions(page):

@@ -8,9 +8,10 @@ from rpod_analysis.errors import NoEstimatesError
 from rpod_analysis.log import Log, open_log
 from rpod_analysis.replay.navigate import Replayed
 from rpod_analysis.run import Run, read_run
-from rpod_analysis.score import Track, find_lost_s, summarise_consistency, summarise_errors, summarise_size
+from rpod_analysis.score import Track
 from rpod_analysis.sensors import Sensor, find_sensors
-from rpod_analysis.summarise import find_tracking
+from rpod_analysis.spool import Column
+from rpod_analysis.tally import Tally, summarise_size
 from rpod_schemas.logs import REPLAY
 from rpod_schemas.replay import Difference, Side
 
@@ -48,8 +49,8 @@ def find_difference(old: Track, new: Track) -> Difference | None:
     return Difference(
         common=mine.size,
         identical=int(same.sum()),
-        attitude_deg=summarise_size(np.rad2deg(np.where(same, 0.0, turn_rad))),
-        position_m=summarise_size(distance_m),
+        attitude_deg=summarise_size(Column(np.rad2deg(np.where(same, 0.0, turn_rad)))),
+        position_m=summarise_size(Column(distance_m)),
     )
 
 
@@ -63,13 +64,13 @@ def _run(log: Log, prefix: str, sensors: dict[str, Sensor]) -> Run | None:
 def _side(run: Run | None) -> Side | None:
     if run is None:
         return None
-    tracked = run.errors.at(run.tracked)
+    tally = Tally.of(run)
     return Side(
         frames=len(run.statuses),
         estimates=len(run.estimates),
-        accepted=int(run.statuses.accepted.sum()),
-        lost_s=find_lost_s(run.statuses.stamp_ns, run.statuses.mode),
-        modes=find_tracking(run),
-        error=summarise_errors(tracked),
-        consistency=summarise_consistency(tracked.nees),
+        accepted=tally.accepted,
+        lost_s=tally.lost_ns * 1e-9,
+        modes=tally.modes(),
+        error=tally.error(),
+        consistency=tally.consistency(),
     )

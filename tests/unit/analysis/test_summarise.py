@@ -7,20 +7,20 @@ import pytest
 from synthetic_log import Frame, SyntheticRun
 
 import rpod_schemas
-from rpod_analysis import open_log, read_run
+from rpod_analysis import open_log, stream_run
 from rpod_analysis.accounting import Account
 from rpod_analysis.errors import FramesDifferError
 from rpod_analysis.log import Logged
 from rpod_analysis.summarise import summarise
 from rpod_analysis.verdict import find_checks, verdict
-from rpod_schemas.summary import Summary
+from rpod_schemas.summary import LogCompleteness, Summary
 from rpod_schemas.types import Diagnostic, Health, Mode
 
 
 def summary_of(tmp_path, **options):
     path = SyntheticRun(**options).write(tmp_path / "run.mcap")
     with open_log(path) as log:
-        return summarise(log, read_run(log), report=tmp_path / "report.html")
+        return summarise(log, stream_run(log), report=tmp_path / "report.html")
 
 
 def failing(summary, alarms=0):
@@ -114,7 +114,23 @@ def test_a_good_run_is_called_so_and_a_bad_one_by_its_findings(tmp_path):
     assert failing(good) == set()
     assert verdict(find_checks(good, 0)) == "The run went well."
     assert verdict(find_checks(good, 2)) == "The run has findings: services."
-    assert failing(summary_of(tmp_path, unlogged=1, dropped=9)) == {"Log", "Pace"}
+    assert failing(summary_of(tmp_path, unlogged=1, dropped=9)) == {"Log", "Completeness", "Pace"}
+
+
+def test_the_mean_and_the_share_of_nis_are_of_all_frames_that_have_one(tmp_path):
+    nis = {3: 20.0, 4: 1.0, 5: 12.59}
+    summary = summary_of(tmp_path, frame=lambda k, _: Frame(nis=nis.get(k, float("nan"))))
+    assert summary.innovation is not None
+    assert summary.innovation.nis_mean == pytest.approx(33.59 / 3)
+    assert summary.innovation.nis_share_in_95 == pytest.approx(2 / 3)
+    assert summary_of(tmp_path).innovation is None
+
+
+def test_what_the_log_says_of_itself_stands_in_the_summary(tmp_path):
+    assert summary_of(tmp_path).completeness == LogCompleteness(complete=True, reasons=())
+    said = summary_of(tmp_path, unlogged=3).completeness
+    assert said == LogCompleteness(complete=False, reasons=("/pmd/depth/image_raw: 3 missed on the bus",))
+    assert summary_of(tmp_path, states_completeness=False).completeness.complete is None
 
 
 def test_scenario_and_seed_come_from_the_services_configuration(tmp_path):
@@ -129,7 +145,7 @@ def test_an_estimate_in_another_frame_than_the_truth_is_an_error(tmp_path, monke
     monkeypatch.undo()
     other = SyntheticRun(with_estimates=False).write(tmp_path / "truth.mcap")
     with open_log(path, other) as log, pytest.raises(FramesDifferError, match=r"'chaser'.*'servicer'"):
-        read_run(log)
+        stream_run(log)
 
 
 def icd_fields():

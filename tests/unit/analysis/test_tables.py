@@ -65,13 +65,13 @@ def test_a_table_is_arrow_for_whoever_asks(run):
 
 
 def test_parquet_tables_come_back_as_they_were(run, tmp_path):
-    write_tables(tmp_path, run)
+    write_tables(tmp_path, [run])
     assert pl.read_parquet(tmp_path / "frames.parquet").equals(joined_table(run))
     assert pl.read_parquet(tmp_path / "truth.parquet").equals(truth_table(run))
 
 
 def test_trajectories_are_lines_of_the_tum_format(run, tmp_path):
-    write_tables(tmp_path, run)
+    write_tables(tmp_path, [run])
     lines = (tmp_path / "truth.tum").read_text("utf-8").splitlines()
     assert len(lines) == len(run.truth)
     index = int(np.flatnonzero(run.truth.stamp_ns == EPOCH_NS)[0])
@@ -87,6 +87,6 @@ def test_a_run_without_truth_or_estimates_has_tables_too(tmp_path):
     silent = SyntheticRun(with_truth=False, frame=lambda *_: Frame(mode=Mode.ACQUIRING, reason="nothing"))
     with open_log(silent.write(tmp_path / "run.mcap")) as log:
         run = read_run(log)
-    write_tables(tmp_path, run)
+    write_tables(tmp_path, [run])
     assert len(joined_table(run)) == 21
     assert (tmp_path / "estimate.tum").read_text("utf-8") == ""
