@@ -67,7 +67,8 @@ class Drawing:
         if isinstance(frame.data, PmdFrame):
             self._images(frame, frame.data, T_chaser_target)
         else:
-            self._cloud(frame.sensor, frame.data.returns_m)
+            returns_m = frame.data.returns_m
+            self._cloud(frame.sensor, returns_m, depth_span_m(returns_m[:, 2]))
 
     def _images(self, frame: Frame, data: PmdFrame, T_chaser_target: RigidTransform | None) -> None:
         span_m = depth_span_m(data.depth_m)
@@ -77,17 +78,17 @@ class Drawing:
             colormap="viridis",
             depth_range=(MILLIMETRES * span_m[1], MILLIMETRES * span_m[0]),
         )
-        outline = self._outline(frame, data.camera, T_chaser_target)
-        self._image(f"{IMAGES}/{frame.sensor}/depth", depth, outline)
+        outline = self._outline(frame, data.camera, T_chaser_target).astype(np.float32)
+        lines = rr.LineStrips2D(outline, colors=palette.ESTIMATE, radii=_LINE)
+        self._image(f"{IMAGES}/{frame.sensor}/depth", depth, lines)
         if data.amplitude is not None:
-            self._image(f"{IMAGES}/{frame.sensor}/amplitude", rr.Image(grey(data.amplitude)), outline)
+            self._image(f"{IMAGES}/{frame.sensor}/amplitude", rr.Image(grey(data.amplitude)), lines)
         rays = self._rays_of(frame.sensor, data.camera)
         if rays is not None:
             seen = np.isfinite(data.depth_m)
-            self._cloud(frame.sensor, rays[seen] * data.depth_m[seen][:, None])
+            self._cloud(frame.sensor, rays[seen] * data.depth_m[seen][:, None], span_m)
 
-    def _image(self, path: str, image: rr.DepthImage | rr.Image, outline: FloatArray) -> None:
-        lines = rr.LineStrips2D(outline.astype(np.float32), colors=palette.ESTIMATE, radii=_LINE)
+    def _image(self, path: str, image: rr.DepthImage | rr.Image, lines: rr.LineStrips2D) -> None:
         self._recording.log(path, image)
         self._recording.log(f"{path}/wireframe", lines)
 
@@ -116,9 +117,9 @@ class Drawing:
             )
         return rays
 
-    def _cloud(self, sensor: str, points_m: NDArray[np.floating]) -> None:
+    def _cloud(self, sensor: str, points_m: NDArray[np.floating], span_m: tuple[float, float]) -> None:
         points_m = points_m[:: len(points_m) // _MOST_POINTS + 1]
-        colours = depth_colours(points_m[:, 2], depth_span_m(points_m[:, 2]))
+        colours = depth_colours(points_m[:, 2], span_m)
         cloud = rr.Points3D(points_m.astype(np.float32), colors=colours, radii=_POINT)
         self._recording.log(f"{CHASER}/{sensor}/points", cloud)
 

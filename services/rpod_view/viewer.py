@@ -92,15 +92,21 @@ def _flushed(recording: rr.RecordingStream) -> Iterator[None]:
 
 
 def _with_ports(config: ViewConfig) -> ViewConfig:
-    """Return the configuration with free ports where it leaves them open."""
+    """Return the configuration with free ports where it leaves them open; raise where one is taken."""
     family = socket.AF_INET if config.bind.version == 4 else socket.AF_INET6
+    ports = {}
     with ExitStack() as stack:
-        ports = {}
         for name in ("port", "web_port"):
-            if not getattr(config, name):
-                probe = stack.enter_context(socket.socket(family))
-                probe.bind((str(config.bind), 0))
-                ports[name] = probe.getsockname()[1]
+            probe = stack.enter_context(socket.socket(family))
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            address = str(config.bind), getattr(config, name)
+            try:
+                probe.bind(address)
+            except OSError as error:
+                raise ViewerFailedError(
+                    f"cannot listen on {address[0]}:{address[1]} ({error.strerror})"
+                ) from error
+            ports[name] = probe.getsockname()[1]
     return config.model_copy(update=ports)
 
 
@@ -110,31 +116,24 @@ def _process(config: ViewConfig, *, web: bool) -> Iterator[subprocess.Popen[byte
     page = ("--serve-web", "--web-viewer-port", str(config.web_port)) if web else ("--hide-welcome-screen",)
     memory = f"{config.memory_bytes // 1_000_000}MB"
     limits = ("--memory-limit", memory, "--server-memory-limit", memory)
+    where = ("--bind", str(config.bind), "--port", str(config.port))
     process = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "rerun_cli",
-            "--bind",
-            str(config.bind),
-            "--port",
-            str(config.port),
-            *page,
-            *limits,
-        ],
-        stdin=subprocess.DEVNULL,
+        [sys.executable, "-m", "rpod_view.guarded", *where, *page, *limits],
+        stdin=subprocess.PIPE,
         stdout=sys.stderr.fileno(),
         start_new_session=True,
         env=os.environ | {"RUST_LOG": "warn"},
     )
-    try:
-        yield process
-    finally:
-        for number in (signal.SIGTERM, signal.SIGKILL):
+    with process:  # closes the pipe
+        try:
+            yield process
+        finally:
             with suppress(ProcessLookupError):
-                os.killpg(process.pid, number)
+                os.killpg(process.pid, signal.SIGTERM)
             with suppress(subprocess.TimeoutExpired):
                 process.wait(_END_TIMEOUT_S)
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
 
 
 def _await_listening(process: subprocess.Popen[bytes], config: ViewConfig, stop: Event) -> None:

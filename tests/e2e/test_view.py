@@ -1,0 +1,84 @@
+"""``rpod view`` and ``rpod run --view`` as processes."""
+
+import signal
+import subprocess
+import sys
+
+import psutil
+import pytest
+from recordings import read_recording
+from synthetic_log import SyntheticRun
+
+WITHOUT_RERUN = "import sys; sys.modules['rerun'] = None; from rpod.__main__ import main; main()"
+
+
+def rpod(*arguments, without_rerun=False):
+    start = ["-c", WITHOUT_RERUN] if without_rerun else ["-m", "rpod"]
+    return subprocess.run(
+        [sys.executable, *start, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120.0,
+        check=False,
+    )
+
+
+@pytest.fixture
+def log(tmp_path):
+    return SyntheticRun(duration_s=1.0, truth_rate_hz=50.0, target="mockup").write(tmp_path / "run.mcap")
+
+
+def test_a_log_is_written_as_a_recording(log, tmp_path):
+    ended = rpod("view", log, "--save", tmp_path / "run.rrd", "--from", 0.2)
+    assert ended.returncode == 0, ended.stderr
+    drawn = read_recording(tmp_path / "run.rrd")
+    assert 7 <= len(drawn["image/pmd/depth"].stamps_ns) <= 9
+    assert "chaser/truth/mesh" in drawn
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "reason"),
+    [
+        (["nowhere.mcap"], 1, "nowhere.mcap"),
+        (["--from", 2, "--to", 1], 2, "--to: needs to lie behind --from"),
+        (["--bind", "everywhere"], 2, "bind"),
+        (["--target", "moon", "--save", "never.rrd"], 2, "moon"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_in_one_line(log, arguments, code, reason):
+    paths = [] if "nowhere.mcap" in arguments else [log]
+    ended = rpod("view", *paths, *arguments)
+    assert ended.returncode == code, ended.stderr
+    assert reason in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_without_rerun_one_line_says_how_to_get_it(log):
+    ended = rpod("view", log, without_rerun=True)
+    assert ended.returncode == 1
+    assert ended.stderr == "rpod: this verb needs rerun: pip install 'rpod[all]'\n"
+
+
+def test_a_run_whose_view_is_killed_goes_on_and_leaves_nothing_of_it(start, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    facility = start("mockup-tumbling", "--duration", "4", "--view")
+    facility.stderr.wait_for("view: to be seen in http://127.0.0.1:")
+    facility.await_services()
+    (view,) = [
+        child for verb, child in facility.services.items() if child.cmdline()[1:4] == ["-m", "rpod", "view"]
+    ]
+    viewers = view.children(recursive=True)
+    assert viewers
+    view.send_signal(signal.SIGKILL)
+    ended = facility.finish()
+    assert ended.code == 0, ended.stderr
+    assert "the run goes on without view: service view was killed by signal 9" in ended.stderr
+    assert ended.summary.estimates.count > 0
+    assert psutil.wait_procs(viewers, timeout=10.0)[1] == []
+
+
+def test_a_run_without_rerun_goes_on_without_a_view(tmp_path):
+    ended = rpod("run", "--view", "--duration", "2", "--out", tmp_path, without_rerun=True)
+    assert ended.returncode == 0, ended.stderr
+    assert "rpod run: no view, it needs rerun-sdk: pip install 'rpod[view]'" in ended.stderr
