@@ -9,18 +9,29 @@ from readers import HERE, Read, read_ours
 
 from rpod_schemas.summary import Summary
 
+RAN = pytest.StashKey[set[str]]()
+
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "needs(*tools): leave the test out where one of TOOLS is not there")
+    config.stash[RAN] = set()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in (item for item in items if HERE in item.path.parents):
         item.add_marker(pytest.mark.timeout(RUN_TIMEOUT_S))
-        names = [name for marker in item.iter_markers("needs") for name in marker.args]
-        missing = [tool(name).missing for name in names if tool(name).missing]
+        missing = [tool(name).missing for name in needed(item) if tool(name).missing]
         if missing:
             item.add_marker(pytest.mark.skip(reason="; ".join(dict.fromkeys(missing))))
+
+
+def needed(item: pytest.Item) -> list[str]:
+    return [name for marker in item.iter_markers("needs") for name in marker.args]
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Remember what is not left out."""
+    item.config.stash[RAN].update(needed(item))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -28,7 +39,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     terminalreporter.section("readers and viewers")
     for name in TOOLS:
         found = tool(name)
-        said = f"left out, since {found.missing}" if found.missing else "checked"
+        said = "checked" if name in terminalreporter.config.stash[RAN] else "not asked for"
+        if found.missing:
+            said = f"left out, since {found.missing}"
         terminalreporter.write_line(f"{found.name}: {said}")
 
 
