@@ -9,7 +9,7 @@ packages=tests/viewers
 
 lacking() { printf 'viewers: %s is missing here, and the checks that need it are left out: %s\n' "$1" "$2"; }
 
-quietly() { timeout 300 "$@" >/dev/null 2>&1; }
+quietly() { timeout 240 "$@" >/dev/null 2>&1; }
 
 as_root() { if [[ $(id -u) == 0 ]]; then quietly "$@"; else quietly sudo --non-interactive "$@"; fi; }
 
@@ -19,9 +19,11 @@ if ! quietly "$venv/bin/python" -c 'import rerun'; then
     || lacking rerun-sdk "pip cannot install it"
 fi
 
+updated=
 install_debian() {
   echo "viewers: Debian's $1"
-  as_root apt-get update || true  # an old list of packages may do
+  [[ $updated ]] || as_root apt-get update || true  # an old list of packages may do
+  updated=yes
   as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "$1" \
     || lacking "$1" "as root, try: apt-get install $1"
 }
