@@ -3,7 +3,13 @@
 from pathlib import Path
 
 import pytest
-from facility_logs import RUN_TIMEOUT_S, play_a_run, play_every_sensor, record_what_is_no_ros_message
+from facility_logs import (
+    RUN_TIMEOUT_S,
+    cut_and_recover,
+    play_a_run,
+    play_every_sensor,
+    record_what_is_no_ros_message,
+)
 from machine import TOOLS, tool
 from readers import HERE, Read, read_ours
 
@@ -58,17 +64,23 @@ def every_sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def opaque(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log in which there are bytes that are no ROS message."""
-    return record_what_is_no_ros_message(tmp_path_factory.mktemp("opaque"))
+def recovered(every_sensor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log that was cut, and recovered."""
+    return cut_and_recover(every_sensor, tmp_path_factory.mktemp("recovered"))
 
 
-@pytest.fixture(scope="session", params=["run", "every sensor"])
+@pytest.fixture(scope="session", params=["lz4", "zstd", "none"])
+def opaque(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log, in each compression, in which there are bytes that are no ROS message."""
+    return record_what_is_no_ros_message(tmp_path_factory.mktemp("opaque"), request.param)
+
+
+@pytest.fixture(scope="session", params=["run", "every_sensor", "recovered"])
 def log(request: pytest.FixtureRequest) -> Path:
-    """Either of the facility's logs."""
+    """Each of the facility's logs."""
     if request.param == "run":
         return Path(request.getfixturevalue("summary").log)
-    return request.getfixturevalue("every_sensor")
+    return request.getfixturevalue(request.param)
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ from rpod import run
 from rpod.facility import Facility, configure
 from rpod.progress import Progress
 from rpod.scenarios import find
+from rpod_analysis.recovery import recover
 from rpod_runtime import Received
 from rpod_schemas.cdr import encode
 from rpod_schemas.messages import NANOSECONDS, write_clock
@@ -57,9 +58,16 @@ def play_every_sensor(out: Path) -> Path:
     return folder.log
 
 
-def record_what_is_no_ros_message(out: Path) -> Path:
-    """Record JSON of a robot, which the logger keeps as opaque bytes, between two clocks; return the log."""
-    desk = Desk(out)
+def cut_and_recover(log: Path, out: Path) -> Path:
+    """Cut a log at two thirds of its bytes, as a loss of power does; return what can be had of it."""
+    whole, cut = log.read_bytes(), out / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) * 2 // 3])
+    return Path(recover(cut).out)
+
+
+def record_what_is_no_ros_message(out: Path, compression: str) -> Path:
+    """Record JSON of a robot, which the logger keeps as opaque bytes, between clocks; return the log."""
+    desk = Desk(out, compression=compression)
     with desk.recorder:
         desk.recorder.start()
         for number in (1, 2):

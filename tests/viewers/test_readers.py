@@ -11,7 +11,7 @@ import pytest
 from facility_logs import OPAQUE
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from readers import READERS, Read, read_node
+from readers import READERS, Read, read_node, read_rerun
 from rosbags.highlevel import AnyReader
 
 from rpod_schemas.topics import CLOCK, COMMAND, IMU, TOPICS
@@ -70,6 +70,11 @@ def test_mcap_ros2_reads_the_messages_beside_opaque_bytes(opaque):
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         rows = list(reader.iter_decoded_messages(topics=[f"/{CLOCK.name}"]))
     assert [message.clock.nanosec for *_, message in rows] == [1, 2]
+
+
+@pytest.mark.needs("rerun")
+def test_rerun_reads_the_messages_beside_opaque_bytes(opaque):
+    assert [read.message["clock"]["nanosec"] for read in read_rerun(opaque)] == [1, 2]
 
 
 @pytest.mark.needs("node")
