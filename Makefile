@@ -26,7 +26,7 @@ run: $(READY) ## Play a scenario: make run SCENARIO=mockup-oblique
 test: $(READY) ## The tests
 	$(BIN)/python -m pytest $(ARGS)
 
-check: format lint types layers test ## All that CI checks
+check: format lint types layers test ## All that CI checks, but the viewers
 
 format: $(READY) ## Formatting, checked
 	$(BIN)/ruff format --check
@@ -62,4 +62,4 @@ $(PEERS)/.ready: pyproject.toml constraints.txt deploy/setup.sh deploy/peers.sh
 	@touch $@
 
 clean: ## Remove the virtual environments and caches
-	rm -rf $(VENV) $(PEERS) .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) tests/viewers/node_modules .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
