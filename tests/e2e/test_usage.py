@@ -58,6 +58,12 @@ def test_every_scenario_that_ships_configures_all_services(name, speed, tmp_path
     assert set(facility.services) == {"motion", "emulator", "estimator", "logger"}
 
 
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_scenario_may_ask_for_the_raw_samples(asked, tmp_path):
+    scenario = find("mockup-approach").model_copy(update={"publish_samples": asked})
+    assert configure(scenario, directory=tmp_path, speed="1").services["emulator"].publish_samples is asked
+
+
 def test_an_unknown_scenario_is_refused_with_the_known_ones(tmp_path):
     line = the_line(rpod("run", "mockup-tumblin", "--out", tmp_path), 2)
     assert "'mockup-tumblin'" in line or "mockup-tumblin:" in line

@@ -3,16 +3,12 @@
 import json
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import pytest
 from logger_desk import Desk
 
-from rpod import run
-from rpod.facility import Facility, configure
 from rpod.progress import Progress
+from rpod.run import RunFolder, play
 from rpod.scenarios import find
 from rpod_analysis.recovery import recover
 from rpod_runtime import Received
@@ -44,17 +40,10 @@ def play_a_run(out: Path) -> Summary:
 
 def play_every_sensor(out: Path) -> Path:
     """Play a camera with its raw samples beside a LIDAR; return the log."""
-
-    def with_samples(*arguments: Any, **settings: Any) -> Facility:
-        facility = configure(*arguments, **settings)
-        emulator = facility.services["emulator"].model_copy(update={"publish_samples": True})
-        return replace(facility, services=facility.services | {"emulator": emulator})
-
     scenario = find(str(HERE / "every-sensor.yaml"))
-    folder = run.RunFolder.make(out, scenario)
-    with pytest.MonkeyPatch.context() as patch, Progress(quiet=True) as progress:
-        patch.setattr(run, "configure", with_samples)
-        run.play(scenario, folder, speed="max", progress=progress)
+    folder = RunFolder.make(out, scenario)
+    with Progress(quiet=True) as progress:
+        play(scenario, folder, speed="max", progress=progress)
     return folder.log
 
 
