@@ -13,7 +13,7 @@ class PmdCheckConfig(Config):
     tolerance_m: Positive = 0.06
     """A range is off by more than this where it contradicts, and by more than three times its noise."""
     most_noise_m: Positive = 0.1
-    """Noise, as neighbouring pixels tell it, is never taken for more."""
+    """A range that is noisier, as its neighbours tell, says nothing: it is of the dark, not of a surface."""
     most_contrary_share: Share = 0.04
     """Of the pixels that say something. Right poses had up to 0.024, the sun behind a camera 7 m off."""
     patch_px: Annotated[int, Field(gt=0)] = 5

@@ -62,11 +62,11 @@ class JointEdgeConfig(Config):
 class JointVerdictConfig(Config):
     """When the tracker believes its own result: ``check``, and what the edges say."""
 
-    min_edge_share: Share = 0.6
+    min_edge_share: Share = 0.5
     """Found in their place, of the edges to expect there by the noise of the frame, less one over the root of
     their number. What is expected are places that show a change, where it is."""
-    min_changed_share: Share = 0.9
-    """Of all places of edges those that should show a change, where there is no depth to judge by."""
+    min_changed_share: Share = 0.5
+    """Of all places of edges those that should show a change at least; without depth, all."""
     min_points: Annotated[int, Field(ge=6)] = 40
     """Fewer matched points say nothing."""
     min_edges: Annotated[int, Field(ge=6)] = 40

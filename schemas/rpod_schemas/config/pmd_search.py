@@ -46,7 +46,7 @@ class PmdModelConfig(Config):
     mirror_log_amplitude: NonNegative = 3.0
     """The same for what its lobe reflects, on top and times the lobe's share of the amplitude: where crinkled
     foil glints is anyone's guess."""
-    foil_share: Share = 0.2
+    foil_share: Share = 0.05
     """Least share of the lobe, times the specular reflectance, wherever the lobe points."""
     amplitude_outlier_loss: Positive = 2.3
     """Most loss of an amplitude: of glints the model of reflection knows nothing."""
@@ -71,6 +71,10 @@ class PmdVerdictConfig(Config):
     """Side of a square patch of the pixels that are looked at, about a tenth of a metre wide."""
     max_patch_loss: Positive = 2.0
     """Most mean loss a pixel of the worst patch: a detail that is missing or out of place is small."""
+    face_px: Count = 13
+    """Side of a larger patch, about as wide as a face: of one material."""
+    max_face_loss: Positive = 1.0
+    """Most mean loss a pixel of the worst such patch: another material is a little wrong all over a face."""
     ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1)] = 0.95
     """Below this weight of the best hypothesis the result is ambiguous."""
 

@@ -99,6 +99,11 @@ class ViewSearch:
         if patch > verdict.max_patch_loss:
             most = verdict.max_patch_loss
             return f"a detail contradicts the pose: mean loss {patch:.2f} above {most:.2f} there"
+        face = search.fitter.worst_patch(pose.R, pose.t, verdict.face_px)
+        if face > verdict.max_face_loss:
+            return (
+                f"a face contradicts the pose: mean loss {face:.2f} above {verdict.max_face_loss:.2f} there"
+            )
         return ""
 
     def _registration(self, scene: PmdScene, pose: Pose, reason: str) -> Registration:

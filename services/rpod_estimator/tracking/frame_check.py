@@ -83,19 +83,20 @@ def contradictions(
         bias_m: by which all ranges are too long.
     """
     bright, glinting = (share * typical for share in BRIGHT)
-    shades = _sky_amplitude(seen, rendered, bright), bright, glinting
-    tolerated = limits.tolerance_m, limits.most_noise_m, bias_m
+    sky = _sky_amplitude(seen, rendered, typical)
+    shades = sky if sky < bright else 0.0, max(bright, sky), glinting
+    tolerated = limits.tolerance_m, bias_m
     return Contradictions(*count_contrary(seen, rendered, shades, tolerated, limits.patch_px))
 
 
 def _sky_amplitude(
     seen: tuple[FloatArray | Float32Array, ...],
     rendered: tuple[NDArray[np.float32], NDArray[np.int32]],
-    bright: float,
+    typical: float,
 ) -> float:
-    """Return the amplitude that the sky does not exceed: where nothing is measured, rendered, nor bright."""
+    """Return the amplitude that the sky does not exceed: where nothing is measured nor rendered."""
     range_m, _, amplitude = seen
-    sky = amplitude[(rendered[1] < 0) & ~(range_m > 0.0) & (amplitude > 0.0) & (amplitude < bright)]
+    sky = amplitude[(rendered[1] < 0) & ~(range_m > 0.0) & (amplitude > 0.0) & (amplitude < typical)]
     if not sky.size:
         return 0.0
     sky = sky[:: max(1, sky.size // SKY_SAMPLES)]
@@ -111,7 +112,7 @@ def count_contrary(seen, rendered, shades, tolerated, patch):  # type: ignore[no
         seen: as for ``contradictions``.
         rendered: as for ``contradictions``.
         shades: amplitude up to which a pixel is dark, and two between which it is bright.
-        tolerated: error of a range besides its noise, m; most noise, m; bias of all ranges, m.
+        tolerated: error of a range besides its noise, m; bias of all ranges, m.
         patch: side of a patch.
     """
     amplitude, owner = seen[2], rendered[1]
@@ -144,13 +145,13 @@ def _is_off(seen, rendered, tolerated, i, j):  # type: ignore[no-untyped-def]
     """Return whether a pixel's range lies off all that is rendered within a pixel around it."""
     range_m, sigma, _ = seen
     nearest, owner = rendered
-    tolerance, most_noise, bias = tolerated
+    tolerance, bias = tolerated
     low, high = np.inf, 0.0
     for v in range(max(i - 1, 0), min(i + 2, owner.shape[0])):
         for u in range(max(j - 1, 0), min(j + 2, owner.shape[1])):
             if owner[v, u] >= 0:
                 low, high = min(low, nearest[v, u]), max(high, nearest[v, u])
-    slack = max(tolerance, SIGMAS * min(sigma[i, j], most_noise))
+    slack = max(tolerance, SIGMAS * sigma[i, j])
     return not low - slack <= range_m[i, j] - bias <= high + slack
 
 

@@ -197,13 +197,13 @@ class JointTracker:
     def _doubt(self, points: int, edges: int, expected: float, asked: int) -> str:
         """Return why the edges do not bear out a pose, empty if they do.
 
-        Where there is depth, only those are asked that show a change: between two faces there may be none.
+        Between two faces there may be no change to see: where there is depth, so much is granted.
         """
         limits = self._config.verdict
         if asked < limits.min_edges:
             return ""
-        if points < limits.min_points:
-            expected = max(expected, asked * limits.min_changed_share)
+        changed_share = limits.min_changed_share if points >= limits.min_points else 1.0
+        expected = max(expected, changed_share * asked)
         least = limits.min_edge_share - 1.0 / np.sqrt(max(expected, 1.0))
         if edges < least * expected:
             return f"{edges} edges are in their place, of {expected:.0f} expected, {least:.0%} needed"
@@ -230,6 +230,7 @@ class JointTracker:
         range_m, sigma_m, strengths, shade = coarse_ranges(
             frame.depth_m, amplitude, least, view.coarse.components[2], view.stride, view.offset
         )
+        range_m[sigma_m > config.check.most_noise_m] = np.nan
         measured = np.flatnonzero(np.isfinite(range_m))
         if len(measured) > config.depth.points:
             measured = measured[np.linspace(0, len(measured) - 1, config.depth.points).astype(np.intp)]
