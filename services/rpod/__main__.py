@@ -272,7 +272,8 @@ def campaign(
         str | None, typer.Option("--depth", help="Of the camera: raw, calibrated or both.")
     ] = None,
     case: Annotated[
-        str | None, typer.Option("--case", help="Of pmd-robustness, -sun, -acquisition, with commas.")
+        str | None,
+        typer.Option("--case", help="Of pmd-robustness, -sun, -acquisition, -verdict, with commas."),
     ] = None,
     out: Annotated[Path, typer.Option("--out", help="Where the campaign's folder is made.")] = Path(
         "campaigns"

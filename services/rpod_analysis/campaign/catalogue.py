@@ -11,6 +11,7 @@ from rpod_analysis.campaign import (
     pmd_robustness,
     pmd_sun,
     pmd_tracking,
+    pmd_verdict,
 )
 from rpod_analysis.campaign.campaign import AnyCampaign
 
@@ -27,5 +28,6 @@ CAMPAIGNS: dict[str, AnyCampaign] = {
         pmd_sun.CAMPAIGN,
         pmd_robustness.CAMPAIGN,
         pmd_acquisition.CAMPAIGN,
+        pmd_verdict.CAMPAIGN,
     )
 }

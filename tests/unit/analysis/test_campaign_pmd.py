@@ -6,7 +6,14 @@ import polars as pl
 import pytest
 
 from rpod.scenarios import find, shipped
-from rpod_analysis.campaign import Options, pmd_acquisition, pmd_robustness, pmd_sun, pmd_tracking
+from rpod_analysis.campaign import (
+    Options,
+    pmd_acquisition,
+    pmd_robustness,
+    pmd_sun,
+    pmd_tracking,
+    pmd_verdict,
+)
 from rpod_analysis.campaign import paper_2018 as paper
 from rpod_analysis.campaign.campaign import CellResult
 from rpod_analysis.campaign.folder import CampaignFolder
@@ -14,6 +21,7 @@ from rpod_analysis.campaign.pmd_cells import AXES, CALIBRATED_WIGGLING, summaris
 from rpod_analysis.campaign.pmd_pictures import picture
 from rpod_analysis.campaign.trials import pmd_acquisition as acquisition
 from rpod_analysis.campaign.trials import pmd_sequence as sequence
+from rpod_analysis.campaign.trials import pmd_verdict as verdict
 from rpod_analysis.campaign.trials.pmd_scene import Stage, off, scenario_of, times_s
 from rpod_analysis.campaign.trials.pmd_sequence import SequenceCell
 from rpod_analysis.campaign.trials.pmd_world import World, built, disturbed, glints
@@ -339,3 +347,24 @@ def test_pictures_show_depth_and_amplitude_under_the_wireframe(followed):
     assert {trace.name.split(":")[0] for trace in figure.data} == {"truth", "signed-distance"}
     drawn = figure.data[0]
     assert np.isfinite(np.asarray(drawn.x, float)).sum() > 20
+
+
+def test_a_verdict_campaign_counts_right_frames_and_frames_of_something_else():
+    chosen = cells(pmd_verdict, case=("right", "upside-down", "size-1.1"))
+    assert [cell.spoiled for cell in chosen] == [False, True, True]
+    results = []
+    for cell in chosen:
+        rows = pl.DataFrame([verdict.run(cell, 3, 0)], schema_overrides=verdict.SCHEMA)
+        results.append(CellResult(cell, rows, pmd_verdict.summarise(cell, rows)))
+    right, _, larger = (result.summary for result in results)
+    assert (right["acquisition_accepted"], right["tracker_accepted"]) == (1, 1)
+    assert (right["acquisition_right"], right["tracker_right"]) == (1, 1)
+    assert (larger["acquisition_accepted"], larger["tracker_accepted"]) == (0, 0)
+    assert results[0].rows["tracker_alike"].to_list() == [True]
+    titles = [section.title for section in pmd_verdict.sections(results)]
+    assert titles == ["Right frames", "Frames of something else"]
+
+
+def test_a_verdict_campaign_names_an_unknown_case():
+    with pytest.raises(ConfigurationError, match="--case"):
+        cells(pmd_verdict, case=("sideways",))

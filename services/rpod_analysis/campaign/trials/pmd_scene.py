@@ -57,8 +57,8 @@ class Stage:
             inertia_kg_m2=self.target.inertia_kg_m2,
             duration_s=scenario.duration_s,
         )
-        self._looked_at = built(self.target, world, stream(seed, trial, _CAD))
-        self._emulator = PmdEmulator(self.camera, self._looked_at, seed=_NOISE_SEEDS * seed + trial)
+        self.looked_at = built(self.target, world, stream(seed, trial, _CAD))
+        self._emulator = PmdEmulator(self.camera, self.looked_at, seed=_NOISE_SEEDS * seed + trial)
         self._rays = RayGrid.pinhole(self.camera.camera)
         self._hits = Hits.of(self._rays)
 
@@ -94,7 +94,7 @@ class Stage:
             camera=self.camera.camera,
             info=self.camera.info(exposure.integration_time_s),
         )
-        cast(self._rays, self._looked_at.triangles_m, T_sensor_target, out=self._hits)
+        cast(self._rays, self.looked_at.triangles_m, T_sensor_target, out=self._hits)
         seen = self._hits.triangle >= 0
         generator = np.random.default_rng((self._seed, self._trial, _LOSS, number))
         return Shot(time_s, T_sensor_target, disturbed(frame, self._world, generator, seen=seen), seen)

@@ -26,6 +26,8 @@ class World:
     """Standard deviation of the parts' places and of their sizes along each axis."""
     coat: str | None = None
     """Material that everything is covered with; None for the target file's own."""
+    scale: float = 1.0
+    """Size over what is drawn."""
     depth_lost_share: float = 0.0
     """Of the image, in patches; the amplitude lives on."""
     glint_share: float = 0.0
@@ -42,6 +44,8 @@ def built(target: Target, world: World, generator: Generator) -> Target:
     """
     if world.coat is not None:
         target = _coated(target, world.coat)
+    if world.scale != 1.0:
+        target = replace(target, triangles_m=world.scale * target.triangles_m)
     if not world.cad_error_m:
         return target
     triangles_m = target.triangles_m.copy()
