@@ -88,9 +88,11 @@ SCHEMA: dict[str, Any] = {
             ("alike", pl.Boolean),
         )
     },
+    "tracked_after": pl.Boolean,
 }
-"""alike: the target at the found pose gives the same ranges and outline, but for 3 cm, as what is really
-there: by its shape it cannot be told from it. Null where no pose was found."""
+"""alike: the target at the pose found, refined by the tracker, gives the same ranges and outline, but for
+3 cm, as what is really there: by its shape it cannot be told from it. Null where no pose was found.
+tracked_after: the acquisition's pose is accepted, and then the tracker's from there in the same frame."""
 
 
 def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
@@ -110,24 +112,33 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
         "range_m": float(np.linalg.norm(truth.translation)),
         "depth_share": shot.depth_share,
     }
-    judged = (
-        ("acquisition", found.pose, found.trackable, found.reason),
-        ("tracker", tracked.T_sensor_target, not tracked.reason, tracked.reason),
+    row |= _judged("acquisition", found.trackable, found.reason, errors(truth, found.pose, looked_for))
+    row |= _judged(
+        "tracker", not tracked.reason, tracked.reason, errors(truth, tracked.T_sensor_target, looked_for)
     )
-    for name, pose, accepted, reason in judged:
-        attitude_deg, position_m = errors(truth, pose, looked_for)
-        close = attitude_deg is not None and attitude_deg < SUCCESS_DEG
-        row |= {
-            f"{name}_accepted": accepted,
-            f"{name}_right": close and position_m is not None and position_m < SUCCESS_M,
-            f"{name}_reason": reason,
-            f"{name}_attitude_deg": attitude_deg,
-            f"{name}_position_m": position_m,
-            f"{name}_alike": None
-            if pose is None
-            else _alike(seen_m, _ranges(frame.camera, looked_for, pose)),
-        }
+    refined = None
+    row["tracked_after"] = False
+    if found.pose is not None:
+        then = methods.tracker.track(frame, found.pose)
+        refined = then.T_sensor_target
+        row["tracked_after"] = found.trackable and not then.reason
+    for name, pose in (("acquisition", refined), ("tracker", tracked.T_sensor_target)):
+        expected = None if pose is None else _ranges(frame.camera, looked_for, pose)
+        row[f"{name}_alike"] = None if expected is None else _alike(seen_m, expected)
     return row
+
+
+def _judged(name: str, accepted: bool, reason: str, off: tuple[float | None, float | None]) -> dict[str, Any]:
+    """Return a judge's columns."""
+    attitude_deg, position_m = off
+    near = attitude_deg is not None and attitude_deg < SUCCESS_DEG
+    return {
+        f"{name}_accepted": accepted,
+        f"{name}_right": near and position_m is not None and position_m < SUCCESS_M,
+        f"{name}_reason": reason,
+        f"{name}_attitude_deg": attitude_deg,
+        f"{name}_position_m": position_m,
+    }
 
 
 def _lit(scenario: Scenario, sun: str, generator: Generator) -> Scenario:
