@@ -160,7 +160,7 @@ def _await_logger(node: Node) -> None:
 
 
 def _counters(node: Node) -> dict[str, int]:
-    return node.ask("logger", "status", StatusReply).counters
+    return node.ask("logger", "status", StatusReply, timeout_s=_READY_TIMEOUT_S).counters
 
 
 def _send(node: Node, load: Load, each_second: Callable[[float], None]) -> tuple[int, int]:

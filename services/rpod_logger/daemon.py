@@ -1,5 +1,6 @@
 """The logger daemon: subscriptions in, files out; all work is the recorder's."""
 
+import os
 from functools import partial
 from threading import Event
 
@@ -13,11 +14,14 @@ from rpod_schemas.control import LogReply, LogRequest, StatusReply
 from rpod_schemas.topics import DIAGNOSTICS
 
 _TICK_S = 0.25
+_ZENOH_THREADS = ("ZENOH_RUNTIME", "(rx:(worker_threads:1))")
+"""Zenoh's own setting, for a process: one thread reads. By default two wake each other for every message."""
 
 
 def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
     """Record until stopped, then drain and finish the log."""
     keep_freed_memory()
+    os.environ.setdefault(*_ZENOH_THREADS)
     extras = Extras(config.bus.keys, config.record_extra)
     with (
         Node(config, version=version, stop=stop) as node,

@@ -5,7 +5,6 @@ Shared memory is off because each restart of a publisher locks another block in 
 
 import json
 import logging
-import os
 import socket
 import time
 from threading import Event
@@ -19,9 +18,6 @@ from rpod_schemas.topics import TRUTH_TOPICS
 
 log = logging.getLogger(__name__)
 
-_THREADS = ("ZENOH_RUNTIME", "(rx:(handover:app))")
-"""Zenoh's own setting of its threads, for a process: the one that waits for the socket also reads from it.
-By default it wakes another, and that a third, for each of some hundred messages a second."""
 _QUEUED_BATCHES = 16
 """Of 64 KiB each, the most that Zenoh takes, for bulky and for small messages each. By default they are two,
 and an image, or what a process that was held up sends at once, is dropped where the next one is slow."""
@@ -47,7 +43,6 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
         NoRouterError: nobody answered in time, or ``stop`` was set while waiting. A router that refuses
             an identity, since another client holds it, cannot be told from none.
     """
-    os.environ.setdefault(*_THREADS)
     identity = {"id": zenoh_id} if zenoh_id else {}
     config = _zenoh_config(
         mode="client",
