@@ -3,13 +3,12 @@
 import logging
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import Any
 
 from rpod_analysis import AnalysisError, Log, open_log
-from rpod_analysis.log_view import show_log
+from rpod_analysis.log_view import Part, show_log
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_runtime.lifecycle import run as run_service
 from rpod_schemas.cdr import NANOSECONDS
@@ -22,18 +21,8 @@ from rpod_view.viewer import Viewer, open_viewer
 
 log = logging.getLogger(__name__)
 
-_MOST_MOMENTS = 1200
-"""Drawn of a log, so that a long one does not fill the viewer's memory."""
 _LOG_MEMORY_BYTES = 4_000_000_000
 _POLL_S = 0.2
-
-
-@dataclass(frozen=True)
-class _Slice:
-    """Part of a log, by arrival."""
-
-    start_ns: int
-    end_ns: int
 
 
 def view_log(
@@ -53,9 +42,9 @@ def view_log(
 
     def serve(stop: Event) -> None:
         nonlocal outcome
-        part = _Slice(
+        part = Part(
             opened.start_ns + round(start_s * NANOSECONDS),
-            opened.end_ns + 1 if end_s is None else opened.start_ns + round(end_s * NANOSECONDS),
+            None if end_s is None else opened.start_ns + round(end_s * NANOSECONDS),
         )
         try:
             _show(opened, checked, part, stop)
@@ -67,18 +56,16 @@ def view_log(
         return run_service("view", serve) or outcome
 
 
-def _show(opened: Log, config: ViewConfig, part: _Slice, stop: Event) -> None:
+def _show(opened: Log, config: ViewConfig, part: Part, stop: Event) -> None:
     target = _target(opened, config.target)
-    moments_hz = _MOST_MOMENTS * NANOSECONDS / max(part.end_ns - part.start_ns, 1)
     with open_viewer(config, stop) as viewer:
         log.info("to be seen in %s", viewer.where)
         refused = show_log(
             opened,
             View(viewer.recording, target=target, prefix=config.prefix),
             prefix=config.prefix,
-            rate_hz=min(config.rate_hz, moments_hz),
-            start_ns=part.start_ns,
-            end_ns=part.end_ns,
+            rate_hz=config.rate_hz,
+            part=part,
             drawn=lambda: _await_taken(viewer, stop),
         )
         for topic, count in refused.items():

@@ -3,14 +3,46 @@
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
+from itertools import chain, islice
 
 from rpod_analysis.log import Log
 from rpod_analysis.replay.frames import as_received
-from rpod_schemas.cdr import NANOSECONDS
+from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.topics import TF, TRUTH, Topic
+from rpod_schemas.topics import TF, TF_STATIC, TRUTH, Topic
 from rpod_view.scene import SENSOR_TOPICS, pose_topics
 from rpod_view.view import View
+
+_MOST_MOMENTS = 1200
+"""Drawn of a log, so that a long one does not fill the viewer's memory."""
+_AGAIN_NS = NANOSECONDS
+"""A stamp so much before the last ones is of a clock that began again."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What of a log is shown; by arrival, ns, the end excluded."""
+
+    start_ns: int | None = None
+    end_ns: int | None = None
+
+
+class _Pace:
+    """Moments at even distances in the time of the stamps, which need not be that of the arrival."""
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._next_ns: int | None = None
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Return whether a moment lies before this stamp."""
+        if self._next_ns is None or self._next_ns - stamp_ns > self._period_ns + _AGAIN_NS:
+            self._next_ns = stamp_ns + self._period_ns
+        if stamp_ns < self._next_ns:
+            return False
+        self._next_ns += self._period_ns * (1 + (stamp_ns - self._next_ns) // self._period_ns)
+        return True
 
 
 def show_log(
@@ -19,19 +51,17 @@ def show_log(
     *,
     prefix: str,
     rate_hz: float,
-    start_ns: int | None = None,
-    end_ns: int | None = None,
+    part: Part = Part(),
     drawn: Callable[[], bool] = lambda: True,
 ) -> Counter[str]:
-    """Draw a log, in the order of arrival, at so many moments in each second of it.
+    """Draw a log in the order of arrival.
 
     Args:
         log: an open log.
         view: where it is drawn.
         prefix: first part of the topics of the estimates.
-        rate_hz: moments at which the newest is drawn, in the time of the log.
-        start_ns: arrival of the first message.
-        end_ns: all messages arrived before this.
+        rate_hz: in each second of the stamps the newest is drawn so often, in a long log less often.
+        part: what of the log.
         drawn: called after each moment, waits until the viewer has it; false ends the drawing.
 
     Returns:
@@ -41,26 +71,36 @@ def show_log(
         AnalysisError: the log cannot be read there.
     """
     refused: Counter[str] = Counter()
-    period_ns = round(NANOSECONDS / rate_hz)
-    next_ns: int | None = None
+    topics = _topics(log, prefix)
+    pace = _Pace(round(max(NANOSECONDS / rate_hz, _span_ns(log, topics, part) / _MOST_MOMENTS)))
 
     def draw() -> bool:
         with suppress(MessageRejectedError):
             view.draw()
         return drawn()
 
-    for logged in log.messages(*_topics(log, prefix), start_ns=start_ns, end_ns=end_ns):
-        next_ns = logged.log_ns + period_ns if next_ns is None else next_ns
-        if logged.log_ns >= next_ns:
-            next_ns += period_ns * (1 + (logged.log_ns - next_ns) // period_ns)
-            if not draw():
-                return refused
+    mounts = log.messages(TF_STATIC, end_ns=part.start_ns) if part.start_ns else ()
+    for logged in chain(mounts, log.messages(*topics, start_ns=part.start_ns, end_ns=part.end_ns)):
         try:
+            if logged.type != TF.type and pace.is_due(peek_stamp(logged.payload)) and not draw():
+                return refused
             view.take(as_received(logged))
         except MessageRejectedError:
             refused[logged.topic] += 1
     draw()
     return refused
+
+
+def _span_ns(log: Log, topics: list[str], part: Part) -> int:
+    """Return from which stamp to which the part reaches, to the last second of its arrival."""
+    stamped = [name for name in topics if log.topics[name].type != TF.type]
+    end_ns = log.end_ns + 1 if part.end_ns is None else part.end_ns
+    stamps_ns: list[int] = []
+    for start_ns, most in ((part.start_ns, 1), (end_ns - NANOSECONDS, None)):
+        for logged in islice(log.messages(*stamped, start_ns=start_ns, end_ns=part.end_ns), most):
+            with suppress(MessageRejectedError):
+                stamps_ns.append(peek_stamp(logged.payload))
+    return max(stamps_ns, default=0) - min(stamps_ns, default=0)
 
 
 def _topics(log: Log, prefix: str) -> list[str]:

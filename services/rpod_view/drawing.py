@@ -3,7 +3,7 @@
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Camera, Odometry, PmdFrame
@@ -17,10 +17,12 @@ from rpod_view.shading import MILLIMETRES, depth_colours, depth_mm, depth_span_m
 
 _ELLIPSOID = f"{CHASER}/uncertainty"
 _MOST_POINTS = 20_000
+_FEW_POINTS = 5_000
+"""Of which each is drawn larger."""
 _VANISHING = 1e-6
 """Scale of what is hidden: what is static cannot be cleared."""
 _LINE = rr.Radius.ui_points(1.0)
-_POINT = rr.Radius.ui_points(1.2)
+_POINT, _LARGE_POINT = rr.Radius.ui_points(1.2), rr.Radius.ui_points(2.2)
 
 
 class Drawing:
@@ -50,7 +52,7 @@ class Drawing:
         estimate = rr.Mesh3D(
             vertex_positions=target.triangles_m.reshape(-1, 3),
             vertex_normals=np.repeat(target.normals, 3, axis=0),
-            albedo_factor=(*palette.ESTIMATE, 60),
+            albedo_factor=(*palette.ESTIMATE, 36),
         )
         lines = rr.LineStrips3D(target.edges_m.astype(np.float32), colors=palette.ESTIMATE, radii=_LINE)
         self._recording.log(f"{TRUTH}/mesh", truth, static=True)
@@ -120,7 +122,8 @@ class Drawing:
     def _cloud(self, sensor: str, points_m: NDArray[np.floating], span_m: tuple[float, float]) -> None:
         points_m = points_m[:: len(points_m) // _MOST_POINTS + 1]
         colours = depth_colours(points_m[:, 2], span_m)
-        cloud = rr.Points3D(points_m.astype(np.float32), colors=colours, radii=_POINT)
+        size = _POINT if len(points_m) > _FEW_POINTS else _LARGE_POINT
+        cloud = rr.Points3D(points_m.astype(np.float32), colors=colours, radii=size)
         self._recording.log(f"{CHASER}/{sensor}/points", cloud)
 
     # --- poses ---
@@ -147,15 +150,22 @@ class Drawing:
         if known is not None:
             self._recording.log(FOCUS, rr.Transform3D(translation=known.translation))
         if estimate is None or newest is None:
-            for path in (_ELLIPSOID, f"{UNCERTAINTY}/ellipsoid", f"{UNCERTAINTY}/truth"):
+            for path in (_ELLIPSOID, *(f"{UNCERTAINTY}/{name}" for name in ("ellipsoid", "end", "truth"))):
                 self._recording.log(path, rr.Clear(recursive=False))
             return
         half_m, quaternion = ellipsoid(newest.pose_covariance[:3, :3])
-        self._recording.log(_ELLIPSOID, _drawn(half_m, quaternion, centre=estimate.translation))
-        largest_m = max(float(half_m.max()), 1e-6)
-        label = f"{MILLIMETRES * largest_m:.0f} mm"
-        shape = _drawn(half_m / largest_m, quaternion, centre=np.zeros(3), label=label)
-        self._recording.log(f"{UNCERTAINTY}/ellipsoid", shape)
+        self._recording.log(_ELLIPSOID, _ellipsoid(half_m, quaternion, estimate.translation))
+        largest_m = max(float(half_m[-1]), 1e-6)
+        self._recording.log(
+            f"{UNCERTAINTY}/ellipsoid", _ellipsoid(half_m / largest_m, quaternion, np.zeros(3))
+        )
+        end = rr.Points3D(
+            Rotation.from_quat(quaternion).apply([0.0, 0.0, 1.0]),
+            labels=f"{MILLIMETRES * largest_m:.0f} mm",
+            colors=palette.ELLIPSOID,
+            radii=_POINT,
+        )
+        self._recording.log(f"{UNCERTAINTY}/end", end)
         if truth is not None:
             error = (truth.translation - estimate.translation) / largest_m
             point = rr.Points3D([error], colors=palette.TRUTH, radii=rr.Radius.ui_points(5.0))
@@ -175,17 +185,14 @@ class Drawing:
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
 
 
-def _drawn(
-    half: FloatArray, quaternion: FloatArray, *, centre: FloatArray, label: str | None = None
-) -> rr.Ellipsoids3D:
+def _ellipsoid(half_m: FloatArray, quaternion: FloatArray, centre_m: FloatArray) -> rr.Ellipsoids3D:
     return rr.Ellipsoids3D(
-        half_sizes=[half],
+        half_sizes=[half_m],
         quaternions=[rr.Quaternion(xyzw=quaternion)],
-        centers=[centre],
+        centers=[centre_m],
         colors=palette.ELLIPSOID,
         line_radii=_LINE,
         fill_mode="majorwireframe",
-        labels=label,
     )
 
 

@@ -10,6 +10,7 @@ from rpod_view import palette
 from rpod_view.layout import ATTITUDE, EVENTS, POSITION, PROCESSING, RANGE, STATE, TIMELINE
 from rpod_view.scene import Scored
 from rpod_view.shading import MILLIMETRES, band
+from rpod_view.summary import SOURCES
 
 _ERROR, _BAND = "error", "band"
 _NAMES = {
@@ -38,6 +39,11 @@ class Plots:
         for path, (name, colour) in _NAMES.items():
             recording.log(path, rr.SeriesLines(names=name, colors=colour, widths=1.5), static=True)
         recording.log(f"{STATE}/mode", _lane({mode.name: palette.MODES[mode] for mode in Mode}), static=True)
+        recording.log(
+            f"{STATE}/source",
+            _lane({SOURCES[source]: colour for source, colour in palette.SOURCES.items()}),
+            static=True,
+        )
         recording.log(
             f"{STATE}/verdict",
             _lane({"accepted": palette.MODES[Mode.TRACKING], "rejected": palette.MODES[Mode.LOST]}),
@@ -84,7 +90,7 @@ class Plots:
         if self._change("mode", status.mode.name):
             self._event(f"{status.mode.name}", _LEVELS[status.mode])
         if status.sensor:
-            self._change("source", status.source.name.lower())
+            self._change("source", SOURCES[status.source])
             self._change("verdict", "accepted" if status.accepted else "rejected")
             if not status.accepted and self._is_new("reason", status.reason.partition(":")[0]):
                 self._event(f"{status.sensor} rejected: {status.reason}", rr.TextLogLevel.WARN)

@@ -60,7 +60,7 @@ def depth_colours(depth_m: Array, span_m: tuple[float, float]) -> NDArray[np.uin
 
 
 def ellipsoid(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return half axes, shape (3,), and quaternion x, y, z, w of a covariance's ellipsoid of three sigma."""
+    """Return the rising half axes, shape (3,), and x, y, z, w of a covariance's ellipsoid of three sigma."""
     variances, axes = np.linalg.eigh(covariance)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     return SIGMAS * np.sqrt(variances.clip(0.0)), Rotation.from_matrix(axes).as_quat()

@@ -2,17 +2,18 @@
 
 import numpy as np
 
-from rpod_schemas.types import EstimatorStatus, Mode
+from rpod_schemas.types import EstimatorStatus, Mode, Source
 from rpod_view.scene import Scored
 from rpod_view.shading import MILLIMETRES, band
 
-_SOURCES = {
-    "LIDAR": "LIDAR",
-    "PMD_DEPTH": "PMD depth",
-    "PMD_AMPLITUDE": "PMD amplitude",
-    "PMD_JOINT": "PMD depth and amplitude",
-    "NONE": "none",
+SOURCES = {
+    Source.NONE: "none",
+    Source.LIDAR: "LIDAR",
+    Source.PMD_DEPTH: "PMD depth",
+    Source.PMD_AMPLITUDE: "PMD amplitude",
+    Source.PMD_JOINT: "PMD depth and amplitude",
 }
+"""What measured the pose, in words."""
 
 
 def summary(status: EstimatorStatus | None, scored: Scored | None) -> str:
@@ -20,7 +21,7 @@ def summary(status: EstimatorStatus | None, scored: Scored | None) -> str:
     if status is None:
         return "# no estimator\n\nWaiting for its first status."
     rows = [
-        ("source", _SOURCES[status.source.name]),
+        ("source", SOURCES[status.source]),
         ("measurement", "accepted" if status.accepted else f"rejected: {status.reason or '-'}"),
         ("processing", _value(1e3 * status.processing_s, "ms")),
     ]

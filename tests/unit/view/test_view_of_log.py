@@ -16,7 +16,7 @@ from synthetic_log import (
 )
 
 from rpod_analysis import open_log
-from rpod_analysis.log_view import show_log
+from rpod_analysis.log_view import Part, show_log
 from rpod_schemas.types import Camera, Mode
 from rpod_sim_sensor.wireframe import project, visible_pieces
 from rpod_target import load_target
@@ -158,10 +158,11 @@ def test_the_screen_is_divided_once_more_when_the_camera_is_known(drawn):
 def test_a_slice_of_a_log_at_a_lower_rate(tmp_path, target):
     log = SyntheticRun(duration_s=2.2, truth_rate_hz=50.0, rate_hz=20.0).write(tmp_path / "run.mcap")
     start_ns, end_ns = EPOCH_NS + 10**9, EPOCH_NS + 2 * 10**9
-    drawn = draw(log, tmp_path / "run.rrd", target, rate_hz=4.0, start_ns=start_ns, end_ns=end_ns)
+    drawn = draw(log, tmp_path / "run.rrd", target, rate_hz=4.0, part=Part(start_ns, end_ns))
     stamps_s = time_s(drawn["image/pmd/depth"])
     assert 4 <= len(stamps_s) <= 5
     assert 0.9 < stamps_s.min() < stamps_s.max() < 2.0
+    assert drawn["chaser/pmd"].stamps_ns, "the mount was told before"
 
 
 def test_drawing_ends_when_nobody_looks_any_more(tmp_path):
