@@ -2,6 +2,7 @@
 
 import logging
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from threading import Event
@@ -60,9 +61,16 @@ def _show(opened: Log, config: ViewConfig, part: Part, stop: Event) -> None:
     target = _target(opened, config.target)
     with open_viewer(config, stop) as viewer:
         log.info("to be seen in %s", viewer.where)
-        refused = show_log(
+        refused: Counter[str] = Counter()
+        view = View(
+            viewer.recording,
+            target=target,
+            prefix=config.prefix,
+            reject=lambda topic, _: refused.update([topic]),
+        )
+        show_log(
             opened,
-            View(viewer.recording, target=target, prefix=config.prefix),
+            view,
             prefix=config.prefix,
             rate_hz=config.rate_hz,
             part=part,

@@ -72,7 +72,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
         supervisor=ServiceConfig(
             instance="supervisor", bus=BusConfig(connect=endpoint, connect_timeout_s=_ROUTER_POLL_S)
         ),
-        view=ViewConfig(bus=bus, target=scenario.target),
+        view=ViewConfig(bus=bus, target=scenario.target, truth="tf"),
     )
 
 

@@ -1,12 +1,11 @@
 """A log through the live view: the same drawing, as fast as it goes."""
 
-from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 
-from rpod_analysis.log import Log
+from rpod_analysis.log import Log, Logged
 from rpod_analysis.replay.frames import as_received
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
@@ -53,7 +52,7 @@ def show_log(
     rate_hz: float,
     part: Part = Part(),
     drawn: Callable[[], bool] = lambda: True,
-) -> Counter[str]:
+) -> None:
     """Draw a log in the order of arrival.
 
     Args:
@@ -64,31 +63,30 @@ def show_log(
         part: what of the log.
         drawn: called after each moment, waits until the viewer has it; false ends the drawing.
 
-    Returns:
-        Messages that could not be used, by topic.
-
     Raises:
         AnalysisError: the log cannot be read there.
     """
-    refused: Counter[str] = Counter()
     topics = _topics(log, prefix)
     pace = _Pace(round(max(NANOSECONDS / rate_hz, _span_ns(log, topics, part) / _MOST_MOMENTS)))
 
-    def draw() -> bool:
-        with suppress(MessageRejectedError):
-            view.draw()
-        return drawn()
-
     mounts = log.messages(TF_STATIC, end_ns=part.start_ns) if part.start_ns else ()
     for logged in chain(mounts, log.messages(*topics, start_ns=part.start_ns, end_ns=part.end_ns)):
-        try:
-            if logged.type != TF.type and pace.is_due(peek_stamp(logged.payload)) and not draw():
-                return refused
-            view.take(as_received(logged))
-        except MessageRejectedError:
-            refused[logged.topic] += 1
-    draw()
-    return refused
+        if _is_due(pace, logged):
+            view.draw()
+            if not drawn():
+                return
+        view.take(as_received(logged))
+    view.draw()
+    drawn()
+
+
+def _is_due(pace: _Pace, logged: Logged) -> bool:
+    """Return whether a moment lies before a message; transforms carry their stamps elsewhere."""
+    if logged.type == TF.type:
+        return False
+    with suppress(MessageRejectedError):
+        return pace.is_due(peek_stamp(logged.payload))
+    return False
 
 
 def _span_ns(log: Log, topics: list[str], part: Part) -> int:

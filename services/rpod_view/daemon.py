@@ -11,12 +11,11 @@ from threading import Event
 from rpod_runtime import Inbox, Node
 from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.control import StatusReply
-from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import TF, TRUTH
-from rpod_target import Target, load_target
+from rpod_target import Target, TargetError, load_target
 from rpod_view.scene import SENSOR_TOPICS, pose_topics
 from rpod_view.view import View
-from rpod_view.viewer import Viewer, open_viewer
+from rpod_view.viewer import open_viewer
 
 log = logging.getLogger(__name__)
 
@@ -30,7 +29,8 @@ _PATIENCE_S = 0.05
 def run(config: ViewConfig, *, version: str, stop: Event) -> None:
     """Show what is on the bus until stopped, or until the viewer is closed."""
     with Node(config, version=version, stop=stop) as node, open_viewer(config, stop) as viewer:
-        view = View(viewer.recording, target=_target(node, config.target), prefix=config.prefix)
+        target = _target(node, config.target)
+        view = View(viewer.recording, target=target, prefix=config.prefix, reject=node.reject)
         ears = _Ears(node, config)
         node.ready(f"to be seen in {viewer.where}")
         next_s = time.monotonic()
@@ -40,27 +40,27 @@ def run(config: ViewConfig, *, version: str, stop: Event) -> None:
                 log.info("the viewer was closed")
                 return
             ears.hand_over(view)
-            _draw(node, view, viewer)
+            if viewer.has_taken(_PATIENCE_S):
+                node.health.count("drawn", view.draw())
+            else:
+                node.health.count("skipped")
 
 
 def _target(node: Node, name: str | None) -> Target | None:
-    """Return the target that is configured, else the one that a service on the bus says it has."""
-    if name is None:
-        replies = node.ask_all("status", StatusReply)
-        name = next(
-            (reply.configuration["target"] for reply in replies if reply.configuration.get("target")), None
-        )
-    return load_target(name) if name else None
+    """Return the target that is configured, else the one that a service on the bus says it has.
 
-
-def _draw(node: Node, view: View, viewer: Viewer) -> None:
-    if not viewer.has_taken(_PATIENCE_S):
-        node.health.count("skipped")
-        return
+    Raises:
+        TargetError: there is no such target as is configured.
+    """
+    if name is not None:
+        return load_target(name)
+    targets = (reply.configuration.get("target") for reply in node.ask_all("status", StatusReply))
+    found = next(filter(None, targets), None)
     try:
-        node.health.count("drawn", view.draw())
-    except MessageRejectedError as error:
-        node.reject("frames", error)
+        return load_target(found) if found else None
+    except TargetError as error:
+        log.warning("no mesh: %s", error)
+        return None
 
 
 class _Ears:
@@ -77,8 +77,5 @@ class _Ears:
     def hand_over(self, view: View) -> None:
         """Give the view everything that has come."""
         for received in self._others.wait(0.0) + self._parts.wait(0.0):
-            try:
-                view.take(received)
-            except MessageRejectedError as error:
-                self._node.reject(received.topic.name, error)
+            view.take(received)
         self._node.health.put("overflowed/inbox", self._parts.overflowed + self._others.overflowed)

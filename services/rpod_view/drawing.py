@@ -35,6 +35,7 @@ class Drawing:
 
     def __init__(self, recording: rr.RecordingStream, target: Target | None) -> None:
         self._recording, self._target = recording, target
+        self._knows_focus = False
         self._rays: dict[str, tuple[Camera, FloatArray | None]] = {}
         recording.log(CHASER, rr.TransformAxes3D(axis_length=0.3), static=True)
         recording.log(UNCERTAINTY, rr.TransformAxes3D(axis_length=0.25), static=True)
@@ -70,12 +71,12 @@ class Drawing:
             self._images(frame, frame.data, T_chaser_target)
         else:
             returns_m = frame.data.returns_m
-            self._cloud(frame.sensor, returns_m, depth_span_m(returns_m[:, 2]))
+            self._cloud(frame, returns_m, depth_span_m(returns_m[:, 2]))
 
     def _images(self, frame: Frame, data: PmdFrame, T_chaser_target: RigidTransform | None) -> None:
         span_m = depth_span_m(data.depth_m)
         depth = rr.DepthImage(
-            depth_mm(data.depth_m),
+            depth_mm(data.depth_m, span_m),
             meter=MILLIMETRES,
             colormap="viridis",
             depth_range=(MILLIMETRES * span_m[1], MILLIMETRES * span_m[0]),
@@ -88,7 +89,7 @@ class Drawing:
         rays = self._rays_of(frame.sensor, data.camera)
         if rays is not None:
             seen = np.isfinite(data.depth_m)
-            self._cloud(frame.sensor, rays[seen] * data.depth_m[seen][:, None], span_m)
+            self._cloud(frame, rays[seen] * data.depth_m[seen][:, None], span_m)
 
     def _image(self, path: str, image: rr.DepthImage | rr.Image, lines: rr.LineStrips2D) -> None:
         self._recording.log(path, image)
@@ -119,12 +120,14 @@ class Drawing:
             )
         return rays
 
-    def _cloud(self, sensor: str, points_m: NDArray[np.floating], span_m: tuple[float, float]) -> None:
+    def _cloud(self, frame: Frame, points_m: NDArray[np.floating], span_m: tuple[float, float]) -> None:
         points_m = points_m[:: len(points_m) // _MOST_POINTS + 1]
         colours = depth_colours(points_m[:, 2], span_m)
         size = _POINT if len(points_m) > _FEW_POINTS else _LARGE_POINT
         cloud = rr.Points3D(points_m.astype(np.float32), colors=colours, radii=size)
-        self._recording.log(f"{CHASER}/{sensor}/points", cloud)
+        self._recording.log(f"{CHASER}/{frame.sensor}/points", cloud)
+        if not self._knows_focus and frame.T_chaser_sensor is not None and len(points_m):
+            self._focus(frame.T_chaser_sensor.apply(np.median(points_m, axis=0)))
 
     # --- poses ---
 
@@ -148,7 +151,8 @@ class Drawing:
         self._show(ESTIMATE, estimate)
         known = estimate if truth is None else truth
         if known is not None:
-            self._recording.log(FOCUS, rr.Transform3D(translation=known.translation))
+            self._knows_focus = True
+            self._focus(known.translation)
         if estimate is None or newest is None:
             for path in (_ELLIPSOID, *(f"{UNCERTAINTY}/{name}" for name in ("ellipsoid", "end", "truth"))):
                 self._recording.log(path, rr.Clear(recursive=False))
@@ -170,6 +174,9 @@ class Drawing:
             error = (truth.translation - estimate.translation) / largest_m
             point = rr.Points3D([error], colors=palette.TRUTH, radii=rr.Radius.ui_points(5.0))
             self._recording.log(f"{UNCERTAINTY}/truth", point)
+
+    def _focus(self, position_m: FloatArray) -> None:
+        self._recording.log(FOCUS, rr.Transform3D(translation=position_m))
 
     def _show(self, path: str, pose: RigidTransform | None) -> None:
         if pose is None:

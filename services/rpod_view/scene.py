@@ -5,7 +5,7 @@ the newest complete frame of each sensor is decoded, and only when it is drawn.
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from scipy.spatial.transform import RigidTransform
@@ -14,9 +14,17 @@ from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler, NewestFrames
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.extrinsics import Extrinsics
-from rpod_runtime.frames import CAMERA_PARTS, LIDAR_PARTS, assembler_of, read_frame, read_scan
+from rpod_runtime.frames import (
+    CAMERA_PARTS,
+    LIDAR_PARTS,
+    PartRejectedError,
+    assembler_of,
+    read_frame,
+    read_scan,
+)
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
+from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_odometry, read_status, read_transforms
 from rpod_schemas.poses import pose_error
 from rpod_schemas.topics import ESTIMATE, STATUS, TARGET, TF, TF_STATIC, TRUTH, Topic
@@ -26,8 +34,12 @@ from rpod_view.track import Track
 _SENSORS = {"camera": CAMERA_PARTS, "lidar": LIDAR_PARTS}
 SENSOR_TOPICS = tuple(topic.of("*") for parts in _SENSORS.values() for topic in parts.values())
 """What is drawn of any sensor; patterns."""
+Reject = Callable[[str, MessageRejectedError], None]
+"""Is told of the messages that cannot be used, with the name of their topic."""
 _PATIENCE_NS = NANOSECONDS
 """How long an estimate waits for its truth."""
+_ENOUGH_NS = 16_000_000
+"""No more of the truth than so often is decoded."""
 _MOST_WAITING = 512
 
 
@@ -85,8 +97,7 @@ class Scene:
             self.status = read_status(received.decode())
             self._statuses.append(self.status)
         elif name == TRUTH.name:
-            odometry = read_odometry(received.decode())
-            self.truth.add(odometry.stamp_ns, odometry.pose)
+            self._take_truth(received)
         elif name in (TF.name, TF_STATIC.name):
             self._take_transforms(received)
         else:
@@ -96,6 +107,13 @@ class Scene:
         self.newest = odometry
         self.estimates.add(odometry.stamp_ns, odometry.pose)
         self._unscored.append(odometry)
+
+    def _take_truth(self, received: Received) -> None:
+        since_ns = peek_stamp(received.payload) - self.truth.newest_ns
+        if 0 <= since_ns < _ENOUGH_NS:
+            return
+        odometry = read_odometry(received.decode())
+        self.truth.add(odometry.stamp_ns, odometry.pose)
 
     def _take_transforms(self, received: Received) -> None:
         for stamp_ns, parent, child, pose in read_transforms(received.decode()):
@@ -116,10 +134,15 @@ class Scene:
 
     # --- what is drawn ---
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield the newest complete frame of each sensor with a new one. Raises ``MessageRejectedError``."""
+    def frames(self, reject: Reject) -> Iterator[Frame]:
+        """Yield the newest complete frame of each sensor with a new one, unless it is unusable."""
         while (chosen := self._frames.take()) is not None:
-            yield self._frame(*chosen)
+            try:
+                frame = self._frame(*chosen)
+            except PartRejectedError as error:
+                reject(error.topic, error)
+            else:
+                yield frame
 
     def _frame(self, sensor: str, frame: Assembled[Received]) -> Frame:
         data = read_frame(frame) if "depth" in frame.parts else read_scan(frame)

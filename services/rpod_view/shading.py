@@ -21,7 +21,8 @@ _COLOURS = np.column_stack(
     [np.interp(np.linspace(0.0, 5.0, 256), np.arange(6.0), band) for band in _VIRIDIS.T]
 ).astype(np.uint8)
 _GAMMA = 0.6
-_FAR_MM = 65_535.0
+_FAR_M = 65.0
+"""The largest depth that fits."""
 
 
 def depth_span_m(depth_m: Array) -> tuple[float, float]:
@@ -35,10 +36,14 @@ def depth_span_m(depth_m: Array) -> tuple[float, float]:
     return float(near_m), float(max(far_m, near_m + _STEP_M))
 
 
-def depth_mm(depth_m: Float32Array) -> NDArray[np.uint16]:
-    """Return depths in millimetres: half the bytes. The largest, which is dark, where there is none."""
+def depth_mm(depth_m: Float32Array, span_m: tuple[float, float]) -> NDArray[np.uint16]:
+    """Return depths within a span in millimetres, the far end, which is dark, where there is none.
+
+    Outside the ends of a colour scale a viewer's native and web versions differ.
+    """
+    near, far = span_m
     millimetres: NDArray[np.uint16] = (
-        np.nan_to_num(MILLIMETRES * depth_m, nan=_FAR_MM).clip(0.0, _FAR_MM).astype(np.uint16)
+        (MILLIMETRES * np.nan_to_num(depth_m, nan=far).clip(near, min(far, _FAR_M))).round().astype(np.uint16)
     )
     return millimetres
 

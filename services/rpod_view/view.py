@@ -7,12 +7,13 @@ import numpy as np
 import rerun as rr
 
 from rpod_runtime import Received
+from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.types import PmdFrame
 from rpod_target import Target
 from rpod_view.drawing import Drawing
 from rpod_view.layout import SUMMARY, TIMELINE, Eye, layout, over_shoulder
 from rpod_view.plots import Plots
-from rpod_view.scene import Frame, Scene, Scored
+from rpod_view.scene import Frame, Reject, Scene, Scored
 from rpod_view.summary import summary
 
 _RADIUS_M = 1.0
@@ -26,10 +27,13 @@ class View:
         recording: where it is drawn.
         target: whose mesh and wireframe are drawn; None where it is not known.
         prefix: first part of the topics of the estimates.
+        reject: is told of the messages that cannot be used.
     """
 
-    def __init__(self, recording: rr.RecordingStream, *, target: Target | None, prefix: str) -> None:
-        self._recording = recording
+    def __init__(
+        self, recording: rr.RecordingStream, *, target: Target | None, prefix: str, reject: Reject
+    ) -> None:
+        self._recording, self._reject = recording, reject
         self._scene = Scene(prefix)
         self._drawing, self._plots = Drawing(recording, target), Plots(recording)
         self._scored: Scored | None = None
@@ -39,11 +43,14 @@ class View:
         recording.send_blueprint(layout({}, None, self._radius_m))
 
     def take(self, received: Received) -> None:
-        """Take a message. Raises ``MessageRejectedError``."""
-        self._scene.take(received)
+        """Take a message."""
+        try:
+            self._scene.take(received)
+        except MessageRejectedError as error:
+            self._reject(received.topic.name, error)
 
     def draw(self) -> int:
-        """Draw what is new, and return how many frames there were. Raises ``MessageRejectedError``."""
+        """Draw what is new, and return how many frames there were."""
         statuses, scored = self._scene.statuses(), self._scene.estimated()
         self._plots.statuses(statuses)
         self._plots.estimates(scored)
@@ -56,7 +63,7 @@ class View:
 
     def _draw_frames(self) -> list[Frame]:
         frames = []
-        for frame in self._scene.frames():
+        for frame in self._scene.frames(self._reject):
             self._arrange(frame)
             self._drawing.frame(frame, self._scene.estimate_at(frame.data.stamp_ns))
             frames.append(frame)

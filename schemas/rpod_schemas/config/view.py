@@ -23,8 +23,8 @@ class ViewConfig(ServiceConfig):
     """Name or file of the target; left out, neither its mesh nor its wireframe is drawn."""
     prefix: Name = "estimate"
     """First part of the topics of the estimates that are shown."""
-    truth: Literal["tf", "odometry"] = "tf"
-    """Where the truth is read: the transforms at 25 Hz, or each of ``truth/odometry``."""
+    truth: Literal["odometry", "tf"] = "odometry"
+    """Where the truth is read: its own topic, or the transforms, which are fewer."""
     rate_hz: float = Field(default=MAX_RATE_HZ, gt=0, le=MAX_RATE_HZ)
     """Most frames of each sensor that are drawn in a second."""
     viewer: Literal["native", "web"] | None = None

@@ -6,9 +6,10 @@ from scipy.spatial.transform import Rotation
 from rpod_view.shading import band, depth_colours, depth_mm, depth_span_m, ellipsoid, grey
 
 
-def test_depths_are_millimetres_and_what_is_none_is_farthest():
-    depth_m = np.array([[1.0, np.nan], [2.5004, 100.0]], np.float32)
-    np.testing.assert_array_equal(depth_mm(depth_m), [[1000, 65535], [2500, 65535]])
+def test_depths_are_millimetres_within_their_span_and_what_is_none_is_farthest():
+    depth_m = np.array([[1.5, np.nan, 0.1], [2.5004, 100.0, 3.9996]], np.float32)
+    np.testing.assert_array_equal(depth_mm(depth_m, (1.0, 4.0)), [[1500, 4000, 1000], [2500, 4000, 4000]])
+    assert depth_mm(depth_m, (1.0, 100.0)).max() == 65_000
 
 
 def test_the_span_of_depths_holds_them_and_moves_in_steps():

@@ -49,10 +49,12 @@ def draw(log_path, out, target, **options):
     recording = rr.RecordingStream("rpod")
     recording.save(out)
     options = {"prefix": "estimate", "rate_hz": 10.0} | options
+    refused = []
+    view = View(recording, target=target, prefix="estimate", reject=lambda *told: refused.append(told))
     with open_log(log_path) as log:
-        refused = show_log(log, View(recording, target=target, prefix="estimate"), **options)
+        show_log(log, view, **options)
     recording.disconnect()
-    assert not refused
+    assert refused == []
     return read_recording(out)
 
 
@@ -183,3 +185,18 @@ def test_a_lidar_without_truth_and_target_shows_its_points(tmp_path, target):
     }
     assert "chaser/truth/mesh" not in drawn
     assert "3 sigma" in drawn["summary"].columns["TextDocument:text"][-1][0]
+
+
+def test_without_any_pose_the_scene_is_seen_where_the_points_are(tmp_path, target):
+    run = SyntheticRun(
+        kind="lidar",
+        name="lidar",
+        render=see_points(target),
+        duration_s=0.5,
+        with_truth=False,
+        with_estimates=False,
+    )
+    drawn = draw(run.write(tmp_path / "run.mcap"), tmp_path / "run.rrd", target)
+    focus_m = drawn["chaser/focus"].values("Transform3D:translation")[0]
+    expected_m = (T_CHASER_SENSOR * approach(0.0)).translation
+    assert np.linalg.norm(focus_m - expected_m) < target.radius_m
