@@ -24,8 +24,8 @@ SIGMAS = 3.0
 """Standard deviations of its noise that a range may be off: one in 370 normal errors is larger."""
 SKY_SPREADS = 9.0
 """Median absolute deviations of the sky, six standard ones, up to which a pixel is as dark."""
-SKY_SAMPLES = 500
-"""Pixels that tell the sky."""
+SKY_SAMPLES = 600
+"""Of the pixels, those that are asked for the sky."""
 BRIGHT = 0.25, 4.0
 """Times the target's median amplitude: between them a pixel without a range is bright, above it glints or is
 beside a glint."""
@@ -83,25 +83,35 @@ def contradictions(
         bias_m: by which all ranges are too long.
     """
     bright, glinting = (share * typical for share in BRIGHT)
-    sky = _sky_amplitude(seen, rendered, typical)
+    sky = sky_amplitude(seen[0], seen[2], rendered[1], typical)
     shades = sky if sky < bright else 0.0, max(bright, sky), glinting
-    tolerated = limits.tolerance_m, bias_m
-    return Contradictions(*count_contrary(seen, rendered, shades, tolerated, limits.patch_px))
+    return Contradictions(
+        *count_contrary(seen, rendered, shades, (limits.tolerance_m, bias_m), limits.patch_px)
+    )
 
 
-def _sky_amplitude(
-    seen: tuple[FloatArray | Float32Array, ...],
-    rendered: tuple[NDArray[np.float32], NDArray[np.int32]],
-    typical: float,
-) -> float:
-    """Return the amplitude that the sky does not exceed: where nothing is measured nor rendered."""
-    range_m, _, amplitude = seen
-    sky = amplitude[(rendered[1] < 0) & ~(range_m > 0.0) & (amplitude > 0.0) & (amplitude < typical)]
-    if not sky.size:
+@njit(cache=True, nogil=True)
+def sky_amplitude(range_m, amplitude, owner, typical):  # type: ignore[no-untyped-def]
+    """Return the amplitude that the sky does not exceed, told by where nothing is measured nor rendered.
+
+    Args:
+        range_m: as for ``contradictions``.
+        amplitude: as for ``contradictions``.
+        owner: rendered triangles, -1 for none, same shape.
+        typical: median amplitude of the target, which the sky is darker than.
+    """
+    rows, columns = owner.shape
+    step = rows * columns // SKY_SAMPLES + 1
+    dark, count = np.empty(rows * columns // step + 1), 0
+    for pixel in range(0, rows * columns, step):
+        i, j = pixel // columns, pixel % columns
+        if owner[i, j] < 0 and not range_m[i, j] > 0.0 and 0.0 < amplitude[i, j] < typical:
+            dark[count] = amplitude[i, j]
+            count += 1
+    if count == 0:
         return 0.0
-    sky = sky[:: max(1, sky.size // SKY_SAMPLES)]
-    middle = float(np.median(sky))
-    return middle + SKY_SPREADS * float(np.median(np.abs(sky - middle)))
+    middle = np.median(dark[:count])
+    return middle + SKY_SPREADS * np.median(np.abs(dark[:count] - middle))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
