@@ -13,8 +13,21 @@ _DROPPED = "dropped"
 _INCOMPLETE = "incomplete"
 _PASSED_OVER = (f"{_DROPPED}/", f"{_INCOMPLETE}/")
 """By sensor: complete but not the newest, and never complete before a newer one was."""
+_COMMANDS = "commands/"
+_MOST_COMMANDS = 12
 _MOST_ALARMS = 100
 """Kinds of alarms that are told apart."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A service was asked for something, and accepted."""
+
+    stamp_ns: int
+    service: str
+    verb: str
+    request: str
+    """JSON."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +63,9 @@ class Account:
     """Last value of every counter, by service; the lives of a service that was restarted add up."""
     alarms: Counter[str] = field(default_factory=Counter)
     """Diagnostics of level ERROR, by service and what it said; of many kinds the first."""
+    commands: list[Command] = field(default_factory=list)
+    """What services were asked and accepted; of many the first."""
+    command_count: int = 0
     _lives: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
 
     def take(self, logged: Logged) -> None:
@@ -71,7 +87,15 @@ class Account:
                 value = int(text)
                 if value + ended[name] < now[name]:
                     ended[name] = now[name]
+                if name.startswith(_COMMANDS) and value + ended[name] > now[name]:
+                    self._take_command(diagnostic, name.removeprefix(_COMMANDS))
                 now[name] = value + ended[name]
+
+    def _take_command(self, diagnostic: Diagnostic, verb: str) -> None:
+        self.command_count += 1
+        if len(self.commands) < _MOST_COMMANDS:
+            request = diagnostic.values.get(f"command/{verb}", "")
+            self.commands.append(Command(diagnostic.stamp_ns, diagnostic.name, verb, request))
 
     def frames(self) -> dict[str, FrameCount]:
         """Return the counts of every topic in the log.

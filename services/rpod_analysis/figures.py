@@ -221,5 +221,6 @@ def styled(figure: go.Figure, *, height: int, top: int = 28, legend: bool = Fals
         paper_bgcolor="rgba(0,0,0,0)",
         plot_bgcolor="rgba(0,0,0,0)",
         font={"family": "system-ui, sans-serif", "size": 12, "color": QUIET},
+        modebar={"bgcolor": "rgba(0,0,0,0)", "orientation": "v"},
         hoverlabel={"font": {"family": "system-ui, sans-serif"}},
     )

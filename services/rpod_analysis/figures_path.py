@@ -7,10 +7,12 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from rpod_analysis.digest import Digest
-from rpod_analysis.figures import ACCENT, QUIET, styled
+from rpod_analysis.figures import ACCENT, QUIET, styled, with_gaps
+from rpod_analysis.thinning import Samples
 from rpod_schemas.arrays import FloatArray
 
 _AXES = "xyz"
+_CAMERA = {"eye": {"x": 1.5, "y": 1.5, "z": 1.0}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}}
 
 
 def path_figure(digest: Digest) -> go.Figure | None:
@@ -18,11 +20,11 @@ def path_figure(digest: Digest) -> go.Figure | None:
 
     The plane projections need no WebGL, which a browser may not have.
     """
-    paths: list[tuple[str, FloatArray, dict[str, Any]]] = [
-        ("truth", digest.true_path.rows, {"color": QUIET, "width": 4}),
-        ("estimate", digest.path.rows, {"color": ACCENT, "width": 2}),
+    paths: list[tuple[str, Samples, dict[str, Any]]] = [
+        ("truth", digest.true_path, {"color": QUIET, "width": 4}),
+        ("estimate", digest.path, {"color": ACCENT, "width": 1.4}),
     ]
-    known = [path for path in paths if len(path[1])]
+    known = [(name, _with_gaps(digest, path), line) for name, path, line in paths if len(path.rows)]
     if not known:
         return None
     figure = make_subplots(
@@ -40,7 +42,7 @@ def path_figure(digest: Digest) -> go.Figure | None:
         x, y, z = rows.T
         figure.add_trace(
             go.Scatter3d(
-                x=x, y=y, z=z, mode="lines", name=name, line=line | {"width": 2 * line["width"]},
+                x=x, y=y, z=z, mode="lines", name=name, line=line | {"width": 1.6 * line["width"]},
                 hovertemplate="x %{x:.3f}, y %{y:.3f}, z %{z:.3f} m<extra>" + name + "</extra>",
             ),
             row=1, col=1,
@@ -52,9 +54,18 @@ def path_figure(digest: Digest) -> go.Figure | None:
         f"{axis}axis": {"title": {"text": f"{axis} [m]"}, "range": ranges[index]}
         for index, axis in enumerate(_AXES)
     }
-    grid = {"gridcolor": "rgba(139,148,158,0.35)", "showbackground": False, "zeroline": False}
+    grid = {
+        "gridcolor": "#c5ccd3",
+        "showbackground": False,
+        "zeroline": False,
+        "showline": True,
+        "linecolor": QUIET,
+    }
     figure.update_scenes(
-        **{name: axis | grid for name, axis in title.items()}, aspectmode="cube", dragmode="turntable"
+        **{name: axis | grid for name, axis in title.items()},
+        aspectmode="cube",
+        dragmode="turntable",
+        camera=_CAMERA,
     )
     for row, across in ((1, second), (2, third)):
         figure.update_xaxes(title_text=f"{_AXES[first]} [m]", range=ranges[first], row=row, col=2)
@@ -63,15 +74,20 @@ def path_figure(digest: Digest) -> go.Figure | None:
     return styled(figure, height=520, top=34, legend=True)
 
 
+def _with_gaps(digest: Digest, path: Samples) -> FloatArray:
+    time_s = digest.seconds(path.stamp_ns)
+    return np.column_stack([with_gaps(time_s, column)[1] for column in path.rows.T])
+
+
 def _by_extent(rows: FloatArray) -> tuple[int, int, int]:
     """Return the axes by how far the path goes along them, the longest first."""
-    first, second, third = np.argsort(-np.ptp(rows, axis=0), kind="stable")
+    first, second, third = np.argsort(np.nanmin(rows, axis=0) - np.nanmax(rows, axis=0), kind="stable")
     return int(first), int(second), int(third)
 
 
 def _ranges(rows: FloatArray) -> list[list[float]]:
     """Return from where to where each axis goes: a short way is not blown up to look like a long one."""
-    low, high = rows.min(axis=0), rows.max(axis=0)
+    low, high = np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)
     half = np.maximum(0.55 * (high - low), 0.1 * (high - low).max())
     half = np.maximum(half, 1e-3)
     middle = (low + high) / 2.0

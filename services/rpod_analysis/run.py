@@ -107,6 +107,8 @@ class StreamedRun:
         """Last stamp of truth and estimator."""
         self.sensors, self.account = found.sensors, found.account
         self.status_topic = found.status_topic
+        self.clock = found.clock
+        """Whether time comes from the topic ``clock``."""
 
     @property
     def duration_s(self) -> float:

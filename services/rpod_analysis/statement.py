@@ -1,13 +1,27 @@
 """What a log says of its own completeness, held against what is in it (ICD section 5)."""
 
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
+from pydantic import TypeAdapter
+
 from rpod_analysis.log import Log
 from rpod_analysis.log_file import LogFile
-from rpod_schemas.logs import COMPLETENESS, COUNTS, RECOVERY, Recovery, check_completeness
+from rpod_schemas.logs import (
+    COMPLETENESS,
+    COUNTS,
+    PUBLISHERS,
+    RECOVERY,
+    Numbers,
+    Recovery,
+    TopicCount,
+    check_completeness,
+)
 from rpod_schemas.summary import LogCompleteness
+
+_NUMBERS = TypeAdapter(list[Numbers])
 
 
 @dataclass(frozen=True)
@@ -75,7 +89,9 @@ def _of_file(file: LogFile) -> FileStatement:
     if not statement:
         return FileStatement(name, messages, None, ())
     try:
-        said = check_completeness(statement, file.metadata(COUNTS), _counted(file))
+        counts = file.metadata(COUNTS)
+        said = check_completeness(statement, counts, _counted(file))
+        said = said.with_reasons(tuple(_count_again(file.metadata(PUBLISHERS), counts)))
     except ValueError:
         return FileStatement(name, messages, False, ("its statement cannot be read",))
     return FileStatement(
@@ -95,6 +111,19 @@ def _of_recovery(recovery: Recovery) -> tuple[str, ...]:
         reasons.append(f"{recovery.without_definition} messages left out for want of their definition")
     reasons += [f"{name}: about {topic.lost} lost" for name, topic in recovery.topics.items() if topic.lost]
     return tuple(reasons)
+
+
+def _count_again(publishers: Mapping[str, str], counts: Mapping[str, str]) -> Iterator[str]:
+    """Tell where the publishers' sequence numbers contradict the account. Raises ``ValueError``."""
+    for topic, text in publishers.items():
+        runs, count = _NUMBERS.validate_json(text), TopicCount.model_validate_json(counts.get(topic, "{}"))
+        held = sum(run.messages for run in runs)
+        gaps = sum(run.last - run.first + 1 - run.messages for run in runs)
+        told = count.missed + count.lost + count.rejected
+        if held != count.written:
+            yield f"{topic}: {held} written by its publishers' numbers, {count.written} by its account"
+        if gaps > told:
+            yield f"{topic}: {gaps} missing in its publishers' numbers, {told} by its account"
 
 
 def _counted(file: LogFile) -> Counter[str]:

@@ -9,7 +9,7 @@ from typing import Any
 import plotly.graph_objects as go
 import plotly.io
 
-from rpod_analysis.accounting import SensorFlow
+from rpod_analysis.accounting import Command, SensorFlow
 from rpod_analysis.digest import Digest
 from rpod_analysis.figures import error_figure, state_figure
 from rpod_analysis.figures_path import path_figure
@@ -44,6 +44,12 @@ class Story:
     counts: dict[str, TopicCount]
     """The logger's own account by topic; empty where it left none."""
     flows: tuple[SensorFlow, ...]
+    commands: tuple[tuple[float | None, Command], ...]
+    """What services were asked, and when, s from the start of the run; of many the first.
+
+    None where the clock is not the wall's, by which services stamp their diagnostics.
+    """
+    command_count: int
     alarms: tuple[tuple[str, int], ...]
     """Errors that services reported, the most frequent first."""
     checks: tuple[Check, ...]
@@ -106,6 +112,11 @@ def tell(log: Log, run: StreamedRun, *, name: str, report: Path | None = None) -
         digest=digest,
         statement=find_statement(log),
         counts=log.counts,
+        commands=tuple(
+            (None if run.clock else (command.stamp_ns - run.start_ns) * 1e-9, command)
+            for command in run.account.commands
+        ),
+        command_count=run.account.command_count,
         flows=tuple(_flows(run, tally, summary)),
         alarms=tuple(alarms.most_common(_MOST_REASONS)),
         checks=tuple(find_checks(summary, alarms.total())),

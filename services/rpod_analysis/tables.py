@@ -85,8 +85,10 @@ def write_tables(directory: Path, run: Iterable[Run]) -> None:
     """
     _write_parquet(directory / "truth.parquet", run, truth_table)
     _write_parquet(directory / "frames.parquet", run, joined_table)
-    write_tum(directory / "truth.tum", (minute.truth for minute in run))
-    write_tum(directory / "estimate.tum", (minute.estimates for minute in run))
+    with (directory / "truth.tum").open("w") as truth, (directory / "estimate.tum").open("w") as estimate:
+        for minute in run:
+            truth.writelines(tum_lines(minute.truth))
+            estimate.writelines(tum_lines(minute.estimates))
 
 
 def _write_parquet(path: Path, run: Iterable[Run], table: Callable[[Run], pl.DataFrame]) -> None:
@@ -98,15 +100,11 @@ def _write_parquet(path: Path, run: Iterable[Run], table: Callable[[Run], pl.Dat
     register_io_source(rows, schema=next(rows()).schema).sink_parquet(path, row_group_size=_ROW_GROUP)
 
 
-def write_tum(path: Path, tracks: Iterable[Track]) -> None:
-    """Write poses as evo reads them: a line of seconds, x, y, z, qx, qy, qz, qw each (TUM RGB-D format)."""
-    with path.open("w", encoding="utf-8") as file:
-        for track in tracks:
-            rows = np.column_stack(list(_pose_columns(track.poses).values()))
-            file.writelines(
-                f"{stamp // 10**9}.{stamp % 10**9:09d} {' '.join(f'{value:.9g}' for value in row)}\n"
-                for stamp, row in zip(track.stamp_ns.tolist(), rows.tolist(), strict=True)
-            )
+def tum_lines(track: Track) -> Iterator[str]:
+    """Return poses as evo reads them: a line of seconds, x, y, z, qx, qy, qz, qw each (TUM RGB-D format)."""
+    rows = np.column_stack(list(_pose_columns(track.poses).values()))
+    for stamp, row in zip(track.stamp_ns.tolist(), rows.tolist(), strict=True):
+        yield f"{stamp // 10**9}.{stamp % 10**9:09d} {' '.join(f'{value:.9g}' for value in row)}\n"
 
 
 def _track_table(track: Track) -> pl.DataFrame:

@@ -2,12 +2,13 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from synthetic_log import Frame, SyntheticRun, see_depth, see_points
 
-from rpod_analysis.report import write_report
+from rpod_analysis.report import SUMMARIES, group_parts, tell_apart, write_comparison, write_report
 from rpod_schemas.summary import Summary
 from rpod_schemas.types import Camera, Mode
 from rpod_target import load_target
@@ -159,3 +160,40 @@ def test_text_from_the_log_is_escaped(tmp_path):
     run = SyntheticRun(frame=lambda *_: Frame(reason="<img src=x onerror=alert(1)>"))
     page = write_report([run.write(tmp_path / "run.mcap")]).html.read_text("utf-8")
     assert "<img src=x" not in page
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compared")
+    good, poor = folder / "good" / "run.mcap", folder / "poor" / "run.mcap"
+    for path, shift_m in ((good, 0.01), (poor, 0.05)):
+        path.parent.mkdir()
+        SyntheticRun(frame=lambda *_, shift_m=shift_m: Frame(position_m=(0.0, shift_m, 0.0))).write(path)
+    return write_comparison([[good], [poor]])
+
+
+def test_several_runs_stand_side_by_side_in_one_page_and_have_reports_of_their_own(compared):
+    folder = compared.html.parent
+    for name in ("good", "poor"):
+        assert (folder / name / "report.html").exists()
+        assert (folder / name / "frames.parquet").exists()
+    page = compared.html.read_text("utf-8")
+    row = re.search(r"<td>position error, rms</td>(.*?)</tr>", page).group(1)
+    assert re.findall(r"[\d.]+(?=</)|(?<=<b>)[\d.]+", row) == ["10", "50"]
+    assert "<b>10</b>" in row
+    for identity in ("figure-comparison", "log-1", "log-2", "log-1-figure-errors", "log-2-completeness"):
+        assert page.count(f'id="{identity}"') == 1
+    assert len(set(re.findall(r'\bid="([^"]+)"', page))) == len(re.findall(r'\bid="([^"]+)"', page))
+
+
+def test_the_comparisons_json_is_the_summaries_in_the_given_order(compared):
+    summaries = SUMMARIES.validate_json(compared.summary.read_bytes())
+    assert [round(summary.error.position_m.rms, 6) for summary in summaries] == [0.01, 0.05]
+
+
+def test_parts_of_a_run_are_one_and_other_names_and_folders_are_other_runs():
+    paths = [Path(name) for name in ("a/x.mcap", "a/x_0002.mcap", "b/x.mcap", "a/y.recovered.mcap", "folder")]
+    assert group_parts(paths) == [paths[:2], [paths[2]], [paths[3]], [paths[4]]]
+    assert tell_apart([paths[0], paths[3]]) == ["x", "y.recovered"]
+    assert tell_apart([paths[0], paths[2]]) == ["a", "b"]
+    assert tell_apart([paths[0], paths[0]]) == ["a-1", "a-2"]

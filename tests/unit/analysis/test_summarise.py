@@ -8,7 +8,7 @@ from synthetic_log import Frame, SyntheticRun
 
 import rpod_schemas
 from rpod_analysis import open_log, stream_run
-from rpod_analysis.accounting import Account
+from rpod_analysis.accounting import Account, SensorFlow
 from rpod_analysis.errors import FramesDifferError
 from rpod_analysis.log import Logged
 from rpod_analysis.summarise import summarise
@@ -234,3 +234,25 @@ def test_a_frame_that_never_became_complete_is_dropped_too():
     account = Account()
     account.hear(heartbeat("a", published__estimate__status=9, dropped__pmd=3, incomplete__pmd=2))
     assert account.dropped("estimate/status") == 5
+
+
+def test_a_command_that_a_service_accepted_is_told_once_with_its_request():
+    account = Account()
+    for count in (0, 1, 1, 2):
+        values = {"commands/reset": str(count), "command/reset": f'{{"pose": {count}}}'} if count else {}
+        account.hear(Diagnostic(stamp_ns=count, name="estimator", level=Health.OK, message="", values=values))
+    assert [(c.stamp_ns, c.service, c.verb, c.request) for c in account.commands] == [
+        (1, "estimator", "reset", '{"pose": 1}'), (2, "estimator", "reset", '{"pose": 2}'),
+    ]  # fmt: skip
+
+
+def test_alarms_are_counted_by_what_they_say():
+    account = Account()
+    for level, message in ((Health.ERROR, "disk full"), (Health.ERROR, "disk full"), (Health.WARN, "slow")):
+        account.hear(Diagnostic(stamp_ns=0, name="logger", level=level, message=message, values={}))
+    assert account.alarms == {"logger: disk full": 2}
+
+
+def test_every_frame_of_a_sensor_is_told_of_once():
+    flow = SensorFlow("pmd", published=20, accepted=10, rejected=3, dropped=4, incomplete=1)
+    assert flow.rest == 2
