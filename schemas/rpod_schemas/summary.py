@@ -170,3 +170,12 @@ class Summary(Config):
     def missed(self) -> int:
         """Messages of all topics that were published and are not in the log."""
         return sum(count.missed for count in self.frames.values())
+
+
+class Comparison(Config):
+    """``comparison.json``: several runs side by side."""
+
+    report: str
+    """The page that compares them."""
+    runs: tuple[Summary, ...]
+    """In the order in which they were given."""

@@ -8,9 +8,9 @@ from rich.console import Console
 
 from rpod.summary_table import print_summary
 from rpod_analysis import AnalysisError
-from rpod_analysis.report import SUMMARIES, group_parts, write_comparison, write_report
+from rpod_analysis.report import group_parts, write_comparison, write_report
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK
-from rpod_schemas.summary import Summary
+from rpod_schemas.summary import Comparison, Summary
 
 
 def report_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> int:
@@ -26,8 +26,8 @@ def report_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> 
         print(text, end="")
         return EXIT_OK
     console = Console()
-    summaries = [Summary.model_validate_json(text)] if len(runs) == 1 else SUMMARIES.validate_json(text)
-    for summary in summaries:
+    one = len(runs) == 1
+    for summary in [Summary.model_validate_json(text)] if one else Comparison.model_validate_json(text).runs:
         print_summary(summary, console)
     console.print(f"report   {paths.html}", soft_wrap=True, highlight=False)
     return EXIT_OK

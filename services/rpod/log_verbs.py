@@ -18,7 +18,8 @@ def report(
         Path | None, typer.Option("--out", help="Folder to write to; beside the log where left out.")
     ] = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print JSON only: the summary, of several runs a list of them.")
+        bool,
+        typer.Option("--json", help="Print the summary, or that of several runs, as one JSON object only."),
     ] = False,
 ) -> None:
     """Score a log, or several side by side: HTML and summary.json beside it."""

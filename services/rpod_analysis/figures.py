@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from rpod_analysis.digest import Digest
+from rpod_analysis.score import BoolArray
 from rpod_analysis.thinning import Band, Line
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Mode, Source
@@ -138,9 +139,9 @@ def _line(figure: go.Figure, digest: Digest, line: Line, unit: str, *, row: int,
         go.Scatter(
             x=x,
             y=y,
-            mode="lines" if x.size > 100 else "lines+markers",
+            mode="lines+markers",
             line={"color": ACCENT, "width": 1.4},
-            marker={"size": 5},
+            marker={"size": 5 if x.size <= 100 else np.where(_alone(y), 5, 0), "line": {"width": 0}},
             hovertemplate=f"%{{x:.2f}} s: %{{y:.4g}} {unit}<extra></extra>",
         ),
         row=row,
@@ -148,14 +149,23 @@ def _line(figure: go.Figure, digest: Digest, line: Line, unit: str, *, row: int,
     )
 
 
+def _alone(values: FloatArray) -> BoolArray:
+    """Return which points have no neighbour, so that no line shows them."""
+    known = np.pad(np.isfinite(values), 1)
+    alone: BoolArray = known[1:-1] & ~known[:-2] & ~known[2:]
+    return alone
+
+
 def _band(figure: go.Figure, digest: Digest, sigma: Line, unit: str, *, row: int, col: int) -> None:
     if not (sigma.values > 0.0).any():
         return
-    x, y = digest.seconds(sigma.stamp_ns), 3.0 * sigma.values
+    x, y = with_gaps(digest.seconds(sigma.stamp_ns), 3.0 * sigma.values)
+    breaks = np.flatnonzero(np.isnan(y))
+    pieces = [part[np.isfinite(y[part])] for part in np.split(np.arange(y.size), breaks)]
     figure.add_trace(
         go.Scatter(
-            x=np.concatenate([x, x[::-1]]),
-            y=np.concatenate([y, -y[::-1]]),
+            x=np.concatenate([part for piece in pieces for part in (x[piece], x[piece][::-1], [np.nan])]),
+            y=np.concatenate([part for piece in pieces for part in (y[piece], -y[piece][::-1], [np.nan])]),
             fill="toself",
             fillcolor=_BAND,
             line={"width": 0},

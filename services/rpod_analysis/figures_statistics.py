@@ -61,7 +61,7 @@ def consistency_figure(digest: Digest, tally: Tally) -> go.Figure | None:
         cols=2,
         column_widths=[0.76, 0.24],
         shared_yaxes=True,
-        shared_xaxes="columns",
+        shared_xaxes=True,
         subplot_titles=[text for title, *_ in known for text in (title, "distribution")],
         horizontal_spacing=0.02,
         vertical_spacing=0.1,

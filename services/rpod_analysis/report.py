@@ -11,7 +11,6 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from plotly.offline import get_plotlyjs
-from pydantic import TypeAdapter
 
 from rpod_analysis.comparison import ROWS, comparison_figure
 from rpod_analysis.log import open_log
@@ -19,10 +18,8 @@ from rpod_analysis.log_file import RECOVERED
 from rpod_analysis.run import stream_run
 from rpod_analysis.story import Story, figure_html, tell
 from rpod_analysis.tables import write_tables
-from rpod_schemas.summary import Summary
+from rpod_schemas.summary import Comparison
 
-SUMMARIES = TypeAdapter(list[Summary])
-"""``comparison.json``: the ``summary.json`` of each log, in the order in which they were given."""
 _PART = re.compile(r"_\d{4}$")
 
 
@@ -32,7 +29,7 @@ class ReportPaths:
 
     html: Path
     summary: Path
-    """JSON: a ``Summary``, or a list of them where there are several logs."""
+    """JSON: a ``Summary``; of several runs a ``Comparison``."""
 
 
 def write_report(logs: Sequence[Path], out: Path | None = None) -> ReportPaths:
@@ -72,8 +69,8 @@ def write_comparison(runs: Sequence[Sequence[Path]], out: Path | None = None) ->
         plotly=get_plotlyjs(),
     )  # fmt: skip
     paths.html.write_text(page, encoding="utf-8")
-    summaries = [story.summary for story in stories]
-    paths.summary.write_bytes(SUMMARIES.dump_json(summaries, indent=2) + b"\n")
+    comparison = Comparison(report=str(paths.html), runs=tuple(story.summary for story in stories))
+    paths.summary.write_text(comparison.model_dump_json(indent=2) + "\n", encoding="utf-8")
     return paths
 
 

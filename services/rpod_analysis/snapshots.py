@@ -80,7 +80,7 @@ def _sample_stamps(digest: Digest, sensor: Sensor) -> list[int]:
     if not choice.size:
         return []
     places = np.quantile(np.arange(choice.size), np.linspace(0.02, 0.98, _SAMPLES), method="nearest")
-    return [int(stamp_ns) for stamp_ns in choice[np.unique(places)]]
+    return [int(stamp_ns) for stamp_ns in choice[np.unique(places).astype(np.int64)]]
 
 
 def _read_frame(log: Log, run: Run, sensor: Sensor, stamp_ns: int) -> Iterator[PmdFrame | LidarScan]:

@@ -50,7 +50,7 @@ def headline(summary: Summary, tally: Tally) -> str:
     else:
         lost_s = summary.estimates.lost_s
         told.append(f"Acquired after {summary.modes.first_tracking_s:.2f} s")
-        told.append(f"lost for {lost_s:.2f} s" if lost_s else "never lost")
+        told.append(f"lost for {lost_s:.3g} s" if lost_s else "never lost")
     if tally.worst_deg and tally.worst_m:
         told.append(
             f"worst errors {tally.worst_deg.value:.2f}° (at {tally.worst_deg.time_s:.1f} s) "

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from synthetic_log import Frame, SyntheticRun, see_depth, see_points
 
-from rpod_analysis.report import SUMMARIES, group_parts, tell_apart, write_comparison, write_report
-from rpod_schemas.summary import Summary
+from rpod_analysis.report import group_parts, tell_apart, write_comparison, write_report
+from rpod_schemas.summary import Comparison, Summary
 from rpod_schemas.types import Camera, Mode
 from rpod_target import load_target
 
@@ -187,8 +187,9 @@ def test_several_runs_stand_side_by_side_in_one_page_and_have_reports_of_their_o
 
 
 def test_the_comparisons_json_is_the_summaries_in_the_given_order(compared):
-    summaries = SUMMARIES.validate_json(compared.summary.read_bytes())
-    assert [round(summary.error.position_m.rms, 6) for summary in summaries] == [0.01, 0.05]
+    comparison = Comparison.model_validate_json(compared.summary.read_bytes())
+    assert [round(run.error.position_m.rms, 6) for run in comparison.runs] == [0.01, 0.05]
+    assert comparison.report == str(compared.html)
 
 
 def test_parts_of_a_run_are_one_and_other_names_and_folders_are_other_runs():
