@@ -9,7 +9,7 @@ PEERS := .venv-peers
 SCENARIO ?= mockup-tumbling
 ARGS ?=
 
-.PHONY: help run test check format lint types layers bench recording reading peers check-viewers setup clean
+.PHONY: help run test check format lint types layers bench recording busy reading peers check-viewers setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -53,6 +53,9 @@ reading: $(READY) ## A log of 10 GB: time to open and slice it, memory to summar
 
 recording: $(READY) ## The logger at a camera's full rate: loss, processor time, memory
 	@PYTHONPATH=benchmarks $(BIN)/python -m recording $(ARGS)
+
+busy: $(READY) ## A run beside two busy processes: what its log misses
+	@PYTHONPATH=benchmarks $(BIN)/python -m busy $(ARGS)
 
 peers: $(PEERS)/.ready ## Registration packages beside our methods, on the same scans
 	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 PYTHONPATH=benchmarks $(PEERS)/bin/python -m peers $(ARGS)
