@@ -121,10 +121,12 @@ def test_a_mirrored_frame_is_refused():
 
 def test_a_body_of_another_material_is_refused_where_its_sides_show():
     T = make_pose(
-        rotation=Rotation.from_euler("yx", (55.0, 10.0), degrees=True) * FACING, translation_m=(0.0, 0.0, 4.5)
+        rotation=Rotation.from_euler("yx", (160.0, 25.0), degrees=True) * FACING,
+        translation_m=(0.0, 0.0, 4.5),
     )
     result = searching("mockup").acquire(seen("hexagonal-body", T))
-    assert result.verdict is not Verdict.ACCEPTED
+    assert result.verdict is Verdict.FAILED
+    assert "a face contradicts" in result.reason
 
 
 @pytest.mark.parametrize("share", [0.5, 0.7, 0.8, 1.2, 1.3, 1.5])
