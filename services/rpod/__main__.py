@@ -1,6 +1,5 @@
 """The command line: parses, loads configurations, runs, and turns errors into exit codes."""
 
-import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,9 +17,6 @@ from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 
 ConfigT = TypeVar("ConfigT", bound=BaseModel)
-
-_LOWER_PRIORITY = 10
-"""Of what only looks on."""
 
 app = typer.Typer(
     name="rpod",
@@ -188,8 +184,9 @@ def view(
     if logs:
         raise typer.Exit(view_log(logs, config=config, changes=given, start_s=start, end_s=end))
     from rpod_view import daemon
+    from rpod_view.priority import give_way
 
-    os.nice(_LOWER_PRIORITY)
+    give_way()
     _serve("view", ViewConfig, daemon.run, config=config, changes=given, connect=connect, wait=wait)
 
 

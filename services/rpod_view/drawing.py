@@ -22,7 +22,7 @@ _FEW_POINTS = 5_000
 _VANISHING = 1e-6
 """Scale of what is hidden: what is static cannot be cleared."""
 _LINE = rr.Radius.ui_points(1.0)
-_POINT, _LARGE_POINT = rr.Radius.ui_points(1.2), rr.Radius.ui_points(2.2)
+_POINT, _LARGE_POINT, _LARGEST_POINT = (rr.Radius.ui_points(size) for size in (1.2, 2.2, 5.0))
 
 
 class Drawing:
@@ -156,23 +156,28 @@ class Drawing:
         if estimate is None or newest is None:
             for path in (_ELLIPSOID, *(f"{UNCERTAINTY}/{name}" for name in ("ellipsoid", "end", "truth"))):
                 self._recording.log(path, rr.Clear(recursive=False))
-            return
-        half_m, quaternion = ellipsoid(newest.pose_covariance[:3, :3])
-        self._recording.log(_ELLIPSOID, _ellipsoid(half_m, quaternion, estimate.translation))
-        largest_m = max(float(half_m[-1]), 1e-6)
-        self._recording.log(
-            f"{UNCERTAINTY}/ellipsoid", _ellipsoid(half_m / largest_m, quaternion, np.zeros(3))
-        )
+        else:
+            self._uncertainty(truth, estimate, newest.pose_covariance[:3, :3])
+
+    def _uncertainty(
+        self, truth: RigidTransform | None, estimate: RigidTransform, covariance_m2: FloatArray
+    ) -> None:
+        """Draw the ellipsoid at its place, and large, its longest half axis one, with the truth in it."""
+        half_m, quaternion = ellipsoid(covariance_m2)
+        longest_m = max(float(half_m[-1]), 1e-6)
         end = rr.Points3D(
             Rotation.from_quat(quaternion).apply([0.0, 0.0, 1.0]),
-            labels=f"{MILLIMETRES * largest_m:.0f} mm",
+            labels=f"{MILLIMETRES * longest_m:.0f} mm",
             colors=palette.ELLIPSOID,
             radii=_POINT,
         )
+        large = _ellipsoid(half_m / longest_m, quaternion, np.zeros(3))
+        self._recording.log(_ELLIPSOID, _ellipsoid(half_m, quaternion, estimate.translation))
+        self._recording.log(f"{UNCERTAINTY}/ellipsoid", large)
         self._recording.log(f"{UNCERTAINTY}/end", end)
         if truth is not None:
-            error = (truth.translation - estimate.translation) / largest_m
-            point = rr.Points3D([error], colors=palette.TRUTH, radii=rr.Radius.ui_points(5.0))
+            error = (truth.translation - estimate.translation) / longest_m
+            point = rr.Points3D([error], colors=palette.TRUTH, radii=_LARGEST_POINT)
             self._recording.log(f"{UNCERTAINTY}/truth", point)
 
     def _focus(self, position_m: FloatArray) -> None:
@@ -192,11 +197,11 @@ class Drawing:
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
 
 
-def _ellipsoid(half_m: FloatArray, quaternion: FloatArray, centre_m: FloatArray) -> rr.Ellipsoids3D:
+def _ellipsoid(half: FloatArray, quaternion: FloatArray, centre: FloatArray) -> rr.Ellipsoids3D:
     return rr.Ellipsoids3D(
-        half_sizes=[half_m],
+        half_sizes=[half],
         quaternions=[rr.Quaternion(xyzw=quaternion)],
-        centers=[centre_m],
+        centers=[centre],
         colors=palette.ELLIPSOID,
         line_radii=_LINE,
         fill_mode="majorwireframe",

@@ -11,6 +11,8 @@ from threading import Thread
 
 from rerun_cli.__main__ import main
 
+from rpod_view.priority import give_way
+
 
 def _end_with_view() -> None:
     while os.read(sys.stdin.fileno(), 4096):
@@ -19,5 +21,6 @@ def _end_with_view() -> None:
 
 
 if __name__ == "__main__":
+    give_way()
     Thread(target=_end_with_view, daemon=True).start()
     sys.exit(main())

@@ -59,6 +59,8 @@ class View:
         self._draw_poses(frames)
         if statuses:
             self._summarise(statuses[-1].stamp_ns)
+        elif frames and self._scene.status is None:
+            self._summarise(frames[-1].data.stamp_ns)
         return len(frames)
 
     def _draw_frames(self) -> list[Frame]:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Event
 
 import rerun as rr
@@ -60,18 +61,27 @@ def open_viewer(config: ViewConfig, stop: Event) -> Iterator[Viewer]:
     recording = rr.RecordingStream(APPLICATION)
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
-    if config.save is not None:
-        recording.save(config.save)
-        with _flushed(recording):
+    with ExitStack() as stack:
+        stack.callback(recording.disconnect)  # last, since it waits for a viewer that stands still
+        if config.save is not None:
+            _save(recording, config.save)
             yield Viewer(recording, str(config.save))
-        return
-    config = _with_ports(config)
-    is_web = config.viewer == "web" or (config.viewer is None and not has_display())
-    with _process(config, web=is_web) as process:
+            return
+        config = _with_ports(config)
+        is_web = config.viewer == "web" or (config.viewer is None and not has_display())
+        process = stack.enter_context(_process(config, web=is_web))
         _await_listening(process, config, stop)
         recording.connect_grpc(config.data_url)
-        with _flushed(recording):
-            yield Viewer(recording, config.page_url if is_web else "a window", process)
+        viewer = Viewer(recording, config.page_url if is_web else "a window", process)
+        stack.callback(viewer.has_taken, _LAST_FLUSH_S)
+        yield viewer
+
+
+def _save(recording: rr.RecordingStream, path: Path) -> None:
+    try:
+        recording.save(path)
+    except RuntimeError as error:
+        raise ViewerFailedError(f"cannot write {path} ({error})") from error
 
 
 def has_display() -> bool:
@@ -79,16 +89,6 @@ def has_display() -> bool:
     return not sys.platform.startswith("linux") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
     )
-
-
-@contextmanager
-def _flushed(recording: rr.RecordingStream) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        with suppress(RuntimeError):  # nobody takes it any more
-            recording.flush(timeout_sec=_LAST_FLUSH_S)
-        recording.disconnect()
 
 
 def _with_ports(config: ViewConfig) -> ViewConfig:

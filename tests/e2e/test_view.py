@@ -42,6 +42,7 @@ def test_a_log_is_written_as_a_recording(log, tmp_path):
         (["nowhere.mcap"], 1, "nowhere.mcap"),
         (["--from", 2, "--to", 1], 2, "--to: needs to lie behind --from"),
         (["--bind", "everywhere"], 2, "bind"),
+        (["--save", "nowhere/run.rrd"], 1, "cannot write nowhere/run.rrd"),
         (["--target", "moon", "--save", "never.rrd"], 2, "moon"),
     ],
 )

@@ -200,3 +200,4 @@ def test_without_any_pose_the_scene_is_seen_where_the_points_are(tmp_path, targe
     focus_m = drawn["chaser/focus"].values("Transform3D:translation")[0]
     expected_m = (T_CHASER_SENSOR * approach(0.0)).translation
     assert np.linalg.norm(focus_m - expected_m) < target.radius_m
+    assert drawn["summary"].columns["TextDocument:text"][-1][0].startswith("# no estimator")
