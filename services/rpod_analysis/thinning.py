@@ -39,7 +39,7 @@ class Line:
         keep = self._extremes(stamp_ns[known], values[known])
         self.stamp_ns = np.concatenate([self.stamp_ns, stamp_ns[known][keep]])
         self.values = np.concatenate([self.values, values[known][keep]])
-        if self.stamp_ns.size > 2 * self._most:
+        if self.stamp_ns.size > self._most:
             keep = self._extremes(self.stamp_ns, self.values)
             self.stamp_ns, self.values = self.stamp_ns[keep], self.values[keep]
 
