@@ -149,12 +149,7 @@ class StreamedRun:
             for spool in (found.truth, found.estimates, found.statuses, found.frames)
         )
         truth, estimates, statuses = _track(truth_rows), _track(estimate_rows), _statuses(status_rows)
-        known = _statuses(status_before + status_rows)
-        behind = np.searchsorted(known.stamp_ns, estimates.stamp_ns, side="right") - 1
-        tracked, sensor_of = behind < 0, np.full(len(estimates), "", np.str_)
-        if len(known):
-            tracked |= known.mode[behind] == Mode.TRACKING
-            sensor_of = np.where(behind >= 0, known.sensor[behind], "")
+        tracked, sensor_of = _behind(estimates, _statuses(status_before + status_rows))
         covariance = np.frombuffer(b"".join(row[2] for row in estimate_rows)).reshape(-1, 6, 6)
         R_chaser_sensor = _sensor_axes(sensor_of, self.sensors)
         errors, T_truth = find_errors(
@@ -255,6 +250,20 @@ def _statuses(rows: list[Row]) -> Statuses:
         processing_s=np.array(processing_s, np.float64),
         sensor=np.array(sensor, np.str_),
         reason=np.array(reason, np.str_),
+    )
+
+
+def _behind(estimates: Track, statuses: Statuses) -> tuple[BoolArray, NDArray[np.str_]]:
+    """Return whether estimates are of tracked frames, and their sensors: by the last status up to each.
+
+    One before which there is none counts as tracked; its sensor is not known.
+    """
+    last = np.searchsorted(statuses.stamp_ns, estimates.stamp_ns, side="right") - 1
+    if not len(statuses):
+        return last < 0, np.full(len(estimates), "", np.str_)
+    return (
+        (last < 0) | (statuses.mode[last] == Mode.TRACKING),
+        np.where(last >= 0, statuses.sensor[last], ""),
     )
 
 
