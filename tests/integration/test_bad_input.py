@@ -62,8 +62,8 @@ class Lab:
         camera.publisher(TF_STATIC).publish(write_transforms(0, [("chaser", "pmd_optical", MOUNT)]))
         self.parts = {topic: camera.publisher(topic.of("pmd")) for topic in (CAMERA_INFO, DEPTH, AMPLITUDE)}
         target = load_target("mockup")
-        self.amplitude = np.full((CAMERA.height, CAMERA.width), 800, np.uint16)
         self.frame = depth_frame(target, MOUNT.inv() * T_CHASER_TARGET, noise_m=0.005, camera=CAMERA)
+        self.amplitude = np.where(np.isnan(self.frame.depth_m), 5, 800).astype(np.uint16)
 
     def messages(self, stamp_ns: int, frame_id: str = "pmd_optical") -> dict:
         return {
@@ -145,7 +145,7 @@ def still_at_work(lab):
 
 def test_a_good_frame_is_tracked_and_timed(lab):
     status = lab.status(lab.expose())
-    assert (status.source, status.sensor, status.frame_id) == (Source.PMD_DEPTH, "pmd", "chaser")
+    assert (status.source, status.sensor, status.frame_id) == (Source.PMD_JOINT, "pmd", "chaser")
     assert status.processing_s > 0.0
     assert status.inliers > 100
 
