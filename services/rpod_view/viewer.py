@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Event
 
 import rerun as rr
@@ -117,14 +118,16 @@ def _process(config: ViewConfig, *, web: bool) -> Iterator[subprocess.Popen[byte
     memory = f"{config.memory_bytes // 1_000_000}MB"
     limits = ("--memory-limit", memory, "--server-memory-limit", memory)
     where = ("--bind", str(config.bind), "--port", str(config.port))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "rpod_view.guarded", *where, *page, *limits],
-        stdin=subprocess.PIPE,
-        stdout=sys.stderr.fileno(),
-        start_new_session=True,
-        env=os.environ | {"RUST_LOG": "warn"},
-    )
-    with process:  # closes the pipe
+    with (
+        _private_environment() as environment,
+        subprocess.Popen(
+            [sys.executable, "-m", "rpod_view.guarded", *where, *page, *limits],
+            stdin=subprocess.PIPE,  # closed at the end
+            stdout=sys.stderr.fileno(),
+            start_new_session=True,
+            env=environment,
+        ) as process,
+    ):
         try:
             yield process
         finally:
@@ -134,6 +137,20 @@ def _process(config: ViewConfig, *, web: bool) -> Iterator[subprocess.Popen[byte
                 process.wait(_END_TIMEOUT_S)
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
+
+
+@contextmanager
+def _private_environment() -> Iterator[dict[str, str]]:
+    """Yield an environment in which Rerun reports its use to nobody, whatever the user's own settings."""
+    with TemporaryDirectory(prefix="rpod-view-") as settings:
+        environment = os.environ | {"RUST_LOG": "warn", "XDG_CONFIG_HOME": settings}
+        subprocess.run(
+            [sys.executable, "-m", "rerun_cli", "analytics", "disable"],
+            env=environment,
+            capture_output=True,
+            check=False,
+        )
+        yield environment
 
 
 def _await_listening(process: subprocess.Popen[bytes], config: ViewConfig, stop: Event) -> None:

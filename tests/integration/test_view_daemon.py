@@ -1,10 +1,12 @@
 """The view on a real bus: how much it draws, and that nobody waits for it, whatever the viewer does."""
 
+import json
 import os
 import signal
 import time
 from collections import Counter
 from contextlib import contextmanager
+from pathlib import Path
 from threading import Event
 
 import numpy as np
@@ -166,6 +168,16 @@ def test_a_viewer_listens_on_loopback_alone(facility):
         ]
     assert len(listening) >= 2
     assert set(listening) == {"127.0.0.1"}
+
+
+def test_a_viewer_reports_its_use_to_nobody(facility):
+    before = set(psutil.Process().children())
+    with shown(facility, viewer="web"):
+        (viewer,) = set(psutil.Process().children()) - before
+        settings = Path(viewer.environ()["XDG_CONFIG_HOME"])
+        analytics = json.loads((settings / "rerun" / "analytics.json").read_text("utf-8"))
+        assert analytics["analytics_enabled"] is False
+    assert not settings.exists()
 
 
 def test_a_port_that_is_taken_is_one_line(facility):
