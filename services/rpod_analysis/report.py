@@ -51,18 +51,18 @@ def write_comparison(runs: Sequence[Sequence[Path]], out: Path | None = None) ->
 
     Args:
         runs: the log of each, or its parts.
-        out: directory to write to, with a folder of each log; beside the logs, and the comparison into the
-            folder that holds them all, where left out.
+        out: directory to write to, with a folder of each log; where left out beside the logs, in a folder of
+            each where several are in one, and the comparison into the folder that holds them all.
 
     Raises:
         AnalysisError: a log cannot be read, or no estimator spoke in it.
     """
-    names = tell_apart([logs[0] for logs in runs])
-    stories = [
-        _report_one(logs, out / name if out else None, name=name)[1]
-        for logs, name in zip(runs, names, strict=True)
-    ]
-    directory = out or Path(os.path.commonpath([logs[0].absolute().parent for logs in runs]))
+    names, stories = tell_apart([logs[0] for logs in runs]), []
+    folders = [logs[0].absolute().parent for logs in runs]
+    for logs, name, folder in zip(runs, names, folders, strict=True):
+        alone = out is None and folders.count(folder) == 1
+        stories.append(_report_one(logs, None if alone else (out or folder) / name, name=name)[1])
+    directory = out or Path(os.path.commonpath(folders))
     paths = ReportPaths(directory / "comparison.html", directory / "comparison.json")
     page = _template("comparison.html.j2").render(
         stories=stories, rows=ROWS, figure=figure_html(comparison_figure(stories), "figure-comparison"),

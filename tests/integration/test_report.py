@@ -172,6 +172,16 @@ def compared(tmp_path_factory):
     return write_comparison([[good], [poor]])
 
 
+def test_several_runs_of_one_folder_have_folders_of_their_own(tmp_path):
+    runs = [[SyntheticRun(frame=frame).write(tmp_path / f"{name}.mcap")] for name in ("first", "second")]
+    compared = write_comparison(runs)
+    assert compared.html.parent == tmp_path
+    for name in ("first", "second"):
+        summary = Summary.model_validate_json((tmp_path / name / "summary.json").read_text("utf-8"))
+        assert Path(summary.log).stem == name
+    assert not (tmp_path / "report.html").exists()
+
+
 def test_several_runs_stand_side_by_side_in_one_page_and_have_reports_of_their_own(compared):
     folder = compared.html.parent
     for name in ("good", "poor"):
