@@ -60,6 +60,12 @@ def run(cell: DistantCell, seed: int, trial: int) -> dict[str, Any]:
 @lru_cache(maxsize=2)
 def _bench(cell: DistantCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
     lidar = lidar_of(cell)
-    sensor = lidar_input(cell.method, step_deg=cell.step_deg, centroid="offset", matcher="nearest-neighbour")
+    sensor = lidar_input(
+        cell.method,
+        step_deg=cell.step_deg,
+        centroid="offset",
+        matcher="nearest-neighbour",
+        sees_all=cell.detection == "off",
+    )
     acquiring = Acquiring(sensor, cached_target(cell.target), pattern_of(lidar))
     return emulator_of(cell.target, lidar, seed), acquiring

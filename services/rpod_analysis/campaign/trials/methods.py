@@ -46,6 +46,8 @@ TRACKERS: dict[str, dict[str, Any]] = {
 }
 """All trackers of scans by name."""
 
+SEES_ALL = {"snr_m2": 1e9, "surest_detection": 0.999}
+"""Of ``ScanModelConfig`` where the detection model is off."""
 PRINTED_SURE_RANGE_M = 150.0
 """Of ``ScanComparisonConfig.sure_range_m`` where Eq. 4 is read as printed."""
 
@@ -85,15 +87,16 @@ def lidar_input(
     centroid: str | None = None,
     matcher: str | None = None,
     eq4: str = "usual",
+    sees_all: bool = False,
 ) -> LidarInput:
-    """Return the configuration of a method.
+    """Return the configuration of a method that knows its sensor: Eq. 4, or that it detects everything.
 
     Raises:
         ConfigurationError: the method or the matcher is not known.
     """
     if method in GLOBAL:
-        model = {"tracking": {"model": {"threshold": eq4}}} if eq4 == "printed" else {}
-        acquisition = {"kind": "global", **GLOBAL[method], **model}
+        model = {"threshold": eq4, **(SEES_ALL if sees_all else {})}
+        acquisition = {"kind": "global", **GLOBAL[method], "tracking": {"model": model}}
         return check(LidarInput, {"acquisition": acquisition}, source=f"--method {method}")
     if method not in TEMPLATE_MATCHING:
         raise ConfigurationError("--method", "", f"needs {', '.join(METHODS)}, not {method!r}")
