@@ -1,12 +1,18 @@
-"""The noise of an amplitude image, told by the image itself."""
+"""The brightness of a target in an amplitude image, and the noise, told by the image itself."""
 
 import numpy as np
 from numba import njit
+
+from rpod_schemas.types import Float32Array
 
 SAMPLES = 3000
 """Pixels that are asked."""
 SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
 """Median of the absolute second difference of normal noise over the noise's standard deviation."""
+LIT = 0.25, 4.0
+"""Times the median amplitude: darker pixels are the sky's, brighter ones glint."""
+ROUNDS = 4
+"""In which that median settles."""
 
 
 @njit(cache=True, nogil=True)
@@ -34,3 +40,21 @@ def noise_of_change(blur_px: float) -> float:
     """
     correlation = np.exp(-(blur_px**-2.0))
     return float(np.sqrt((1.0 - correlation) / (2.0 * np.pi)) / blur_px)
+
+
+def typical_of(image: Float32Array, start: float) -> float:
+    """Return the median amplitude of the pixels that are neither much darker nor much brighter than it.
+
+    Args:
+        image: shape (H, W).
+        start: a guess, right within a few times; 0 stays.
+    """
+    step = int(np.sqrt(image.size / SAMPLES)) + 1
+    few = np.sort(image[::step, ::step], axis=None)
+    middle = start
+    for _ in range(ROUNDS):
+        first, last = np.searchsorted(few, (LIT[0] * middle, LIT[1] * middle))
+        if first == last:
+            break
+        middle = float(few[(first + last) // 2])
+    return middle

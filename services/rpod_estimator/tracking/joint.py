@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_estimator.ports import Registration
-from rpod_estimator.tracking.amplitude_noise import noise_of, noise_of_change
+from rpod_estimator.tracking.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_estimator.tracking.depth_view import PLUMB_BOB, DepthView
 from rpod_estimator.tracking.edge_model import EdgeModel
 from rpod_estimator.tracking.frame_check import Contradictions, contradictions
@@ -34,8 +34,8 @@ from rpod_target import Target
 
 MARGIN_PX = 16
 """Around the target's sphere."""
-DARK_SHARE = 0.5
-"""Of the median amplitude: such a point counts half."""
+HALF_SHARE = 1.0
+"""Of the median amplitude: such a point counts half, for noise goes by one over the amplitude."""
 FILLED = 0.4
 """Share of the square around its sphere that a target typically fills."""
 STRIDES_PX = 3, 8
@@ -238,7 +238,7 @@ class JointTracker:
         points_m = np.ascontiguousarray((rays * range_m.ravel()[measured]).T)
         strength = strengths.ravel()[measured]
         typical = float(np.median(strength)) if len(measured) else 1.0
-        trust = 1.0 / (1.0 + (DARK_SHARE * typical / np.maximum(strength, 1e-9)) ** 2)
+        trust = 1.0 / (1.0 + (HALF_SHARE * typical / np.maximum(strength, 1e-9)) ** 2)
         typical = typical if len(measured) >= config.verdict.min_points else 0.0
         patch = _NO_PATCH
         if frame.amplitude is None:
@@ -254,7 +254,10 @@ class JointTracker:
         return int(np.clip(np.sqrt(pixels / self._config.depth.points), *STRIDES_PX))
 
     def _patch(self, frame: PmdFrame, t: FloatArray, typical: float) -> _Patch:
-        """Return the smoothed amplitude around the target, its first pixel, a change's least and noise."""
+        """Return the smoothed amplitude around the target, its first pixel, a change's least and noise.
+
+        What is typical where depth is left is a start only: that may be on the dark parts alone.
+        """
         config, camera = self._config.edges, frame.camera
         assert frame.amplitude is not None  # noqa: S101 - told by the caller
         top, bottom, left, right = 0, camera.height, 0, camera.width
@@ -268,7 +271,7 @@ class JointTracker:
         if bottom - top < 3 or right - left < 3:
             return _NO_PATCH
         part = np.nan_to_num(frame.amplitude[top:bottom, left:right].astype(np.float32))
-        typical = typical or float(np.median(part[part >= part.mean()]))
+        typical = typical_of(part, typical or float(np.median(part[part >= part.mean()])))
         if typical <= 0.0:
             return _NO_PATCH
         noise = noise_of_change(config.blur_px) * noise_of(part, LIT_SHARE * typical)

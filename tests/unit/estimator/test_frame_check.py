@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_estimator.tracking.amplitude_noise import noise_of, noise_of_change
+from rpod_estimator.tracking.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_estimator.tracking.frame_check import Contradictions, contradictions
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd_check import PmdCheckConfig
@@ -95,3 +95,13 @@ def test_a_blur_leaves_of_noise_what_is_expected(blur_px):
     smooth = cv2.GaussianBlur(noise, (0, 0), blur_px)
     change = smooth[:, 2:] - smooth[:, :-2]
     assert noise_of_change(blur_px) == pytest.approx(float(change.std()), rel=0.05)
+
+
+@pytest.mark.parametrize("start", [120.0, 300.0, 700.0])
+def test_what_is_typical_is_neither_the_sky_nor_a_glint_wherever_one_starts(start: float) -> None:
+    generator = np.random.default_rng(5)
+    image = generator.uniform(0.0, 20.0, (120, 160)).astype(np.float32)
+    image[20:100, 20:140] = generator.uniform(200.0, 400.0, (80, 120))
+    image[30:60, 30:70], image[70:90, 30:70] = 0.0, 60000.0
+    assert typical_of(image, start) == pytest.approx(300.0, rel=0.05)
+    assert typical_of(np.zeros_like(image), 0.0) == 0.0
