@@ -45,7 +45,7 @@ class JointEdgeConfig(Config):
     """Distance of two samples of an edge, as a share of the target's radius."""
     blur_px: Positive = 0.8
     """Standard deviation of the smoothing before gradients are taken."""
-    clip: Positive = 2.0
+    clip: Positive = 4.0
     """The amplitude is clipped at so many times its median over the target: glints would outshine edges."""
     search_px: Positive = 12.0
     """Reach of the search both ways in the first iteration from afar."""
