@@ -84,46 +84,29 @@ class ScanModel:
         self._view, self._faces, self._verdict = view, surface.faces, verdict
         self.detection = detection_table(config)
         self._chances, self._noise = _chances(config), _noise(config)
-        self._pessimistic = _chances(verdict.pessimistic), _noise(verdict.pessimistic)
-        self._buffers = view.hits.range_m, view.hits.triangle
+        buffers = view.hits.range_m, view.hits.triangle
+        self._asked = view.grid.arrays, surface.faces, self._chances, self._noise, buffers
+        pessimistic = verdict.pessimistic
+        self._asked_of_less = (*self._asked[:2], _chances(pessimistic), _noise(pessimistic), buffers)
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
-        return self._fit(seen, R, t, self._chances, self._noise)
+        return _fit(*judged(seen.range_m, (R, t), *self._asked))
 
     def agreement(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Agreement:
         """Return that part of ``fit`` alone, which takes half its time."""
-        return Agreement.of(
-            *agreed(
-                seen.range_m,
-                (R, t),
-                self._view.grid.arrays,
-                self._faces,
-                self._chances,
-                self._noise,
-                self._buffers,
-            )
-        )
+        return Agreement.of(*agreed(seen.range_m, (R, t), *self._asked))
 
     def log_likelihood(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> float:
         """Return that part of ``fit`` alone."""
-        return float(
-            told(
-                seen.range_m,
-                (R, t),
-                self._view.grid.arrays,
-                self._faces,
-                self._chances,
-                self._noise,
-                self._buffers,
-            )
-        )
+        return float(told(seen.range_m, (R, t), *self._asked))
 
     def doubt(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> str:
         """Return why a pose does not explain a scan, whose fit is known; empty if it does."""
-        if self._content(fit, seen.returns) or self._content(
-            self._fit(seen, R, t, *self._pessimistic), seen.returns
-        ):
+        if self._content(fit, seen.returns):
+            return ""
+        less = _fit(*judged(seen.range_m, (R, t), *self._asked_of_less))
+        if self._content(less, seen.returns):
             return ""
         rays = fit.agreement
         return (
@@ -139,19 +122,6 @@ class ScanModel:
             fit.deficit <= most + verdict.max_deficit_per_return * returns
             and fit.agreement.share >= 1.0 - contrary
         )
-
-    def _fit(
-        self,
-        seen: SeenScan,
-        R: FloatArray,
-        t: FloatArray,
-        chances: tuple[float, FloatArray],
-        noise: tuple[float, ...],
-    ) -> ScanFit:
-        actual, (expected, variance), counts = judged(
-            seen.range_m, (R, t), self._view.grid.arrays, self._faces, chances, noise, self._buffers
-        )
-        return ScanFit(actual, expected - actual, sqrt(variance), Agreement.of(*counts))
 
     def sharpen(
         self, seen: SeenScan, R: FloatArray, t: FloatArray, covariance: FloatArray
@@ -185,6 +155,12 @@ class ScanModel:
             _ELITE,
         )
         return sharper
+
+
+def _fit(actual: float, moments: tuple[float, float], counts: tuple[int, int, float, float]) -> ScanFit:
+    """Return the fit of what ``judged`` returns."""
+    expected, variance = moments
+    return ScanFit(actual, expected - actual, sqrt(variance), Agreement.of(*counts))
 
 
 def _around(rays: NDArray[np.bool_]) -> tuple[slice, slice]:
