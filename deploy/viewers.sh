@@ -35,9 +35,9 @@ command -v node >/dev/null && command -v npm >/dev/null || { install_debian node
 
 if command -v npm >/dev/null && ! cmp -s "$packages/package-lock.json" "$packages/node_modules/.installed"; then
   echo "viewers: packages of Node.js, as pinned in $packages/package-lock.json"
-  if quietly npm ci --prefix "$packages" --ignore-scripts --no-audit --no-fund; then
+  if said=$(timeout 240 npm ci --prefix "$packages" --ignore-scripts --no-audit --no-fund 2>&1); then
     cp "$packages/package-lock.json" "$packages/node_modules/.installed"
   else
-    lacking "a set of packages of Node.js" "npm cannot install it"
+    lacking "a set of packages of Node.js" "$(grep --max-count=1 'npm error' <<<"$said" || echo 'npm takes too long')"
   fi
 fi
