@@ -15,6 +15,7 @@ from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.poses import rotation_of
 from rpod_schemas.schedule import DueFrame
 from rpod_schemas.topics import optical_frame
 from rpod_schemas.types import LidarScan, PmdFrame
@@ -60,7 +61,7 @@ class PmdChannel:
         self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
     ) -> Callable[[], None]:
         """Expose, and lose what the fault takes: the depth, or the amplitude as well."""
-        sun = self.sensor.T_chaser_sensor.rotation.inv().apply(sun_W_m2)
+        sun = rotation_of(self.sensor.T_chaser_sensor).inv().apply(sun_W_m2)
         buffers = self._spare.pop() if self._spare else None
         exposure = self._emulator.expose(poses, sun_W_m2=sun, frame=frame.number, out=buffers)
         lost = lost_cells(fault, exposure.depth_m.shape, seed=self._seed, number=frame.number)

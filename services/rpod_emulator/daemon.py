@@ -21,6 +21,7 @@ from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.control import Accepted, FaultRequest, StartRequest
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_vector_stamped
+from rpod_schemas.poses import chained
 from rpod_schemas.schedule import DueFrame, frame_at, last_number
 from rpod_schemas.topics import SUN, TRUTH
 from rpod_schemas.types import Health
@@ -161,10 +162,10 @@ class Emulator:
         T_sensor_chaser = channel.sensor.T_chaser_sensor.inv()
         try:
             poses = [
-                T_sensor_chaser * self._truth.pose(frame.stamp_ns + round(offset_s * NANOSECONDS))
+                chained(T_sensor_chaser, self._truth.pose(frame.stamp_ns + round(offset_s * NANOSECONDS)))
                 for offset_s in channel.sensor.pose_times_s()
             ]
-        except (TruthGapError, MessageRejectedError) as error:
+        except TruthGapError as error:
             self._node.health.count(f"truth_gap/{frame.sensor}")
             self._node.health.report(Health.WARN, "frames are left out where the truth has gaps")
             if not self._in_gap:

@@ -21,11 +21,11 @@ _MAX_AHEAD_NS = NANOSECONDS
 
 @dataclass
 class TruthBuffer:
-    """Truth messages in order of their stamps, decoded only where a pose is asked for."""
+    """Truth in order of its stamps, decoded as it comes: a frame finds its poses ready."""
 
     keep_s: float = 3.0
     _stamps_ns: deque[int] = field(default_factory=deque)
-    _messages: deque[Received] = field(default_factory=deque)
+    _poses: deque[RigidTransform] = field(default_factory=deque)
 
     @property
     def first_ns(self) -> int | None:
@@ -42,7 +42,7 @@ class TruthBuffer:
 
         Raises:
             MessageRejectedError: its stamp is not newer than the last one's, or beyond the latest by more
-                than a second: such a stamp would make all that follow it old.
+                than a second: such a stamp would make all that follow it old. Or it cannot be decoded.
         """
         stamp_ns = peek_stamp(received.payload)
         if stamp_ns <= self.last_ns:
@@ -50,30 +50,25 @@ class TruthBuffer:
         if latest_ns is not None and stamp_ns > latest_ns + _MAX_AHEAD_NS:
             ahead_s = (stamp_ns - latest_ns) / NANOSECONDS
             raise MessageRejectedError(Reason.FUTURE, f"truth {ahead_s:.3f} s ahead of its arrival")
+        self._poses.append(read_pose(received.decode().pose.pose))
         self._stamps_ns.append(stamp_ns)
-        self._messages.append(received)
         while stamp_ns - self._stamps_ns[0] > self.keep_s * NANOSECONDS:
             self._stamps_ns.popleft()
-            self._messages.popleft()
+            self._poses.popleft()
 
     def pose(self, stamp_ns: int) -> RigidTransform:
         """Return T_chaser_target at a stamp: linear in position, spherical in attitude.
 
         Raises:
             TruthGapError: the samples around the stamp are too far apart, or missing.
-            MessageRejectedError: a sample cannot be decoded.
         """
         after = bisect_left(self._stamps_ns, stamp_ns)
         if after < len(self._stamps_ns) and self._stamps_ns[after] == stamp_ns:
-            return self._decoded(after)
+            return self._poses[after]
         if not 0 < after < len(self._stamps_ns):
             raise TruthGapError(stamp_ns, MAX_GAP_S)
         before_ns, after_ns = self._stamps_ns[after - 1], self._stamps_ns[after]
         if after_ns - before_ns > MAX_GAP_S * NANOSECONDS:
             raise TruthGapError(stamp_ns, (after_ns - before_ns) / NANOSECONDS)
-        return between(
-            self._decoded(after - 1), self._decoded(after), (stamp_ns - before_ns) / (after_ns - before_ns)
-        )
-
-    def _decoded(self, index: int) -> RigidTransform:
-        return read_pose(self._messages[index].decode().pose.pose)
+        share = (stamp_ns - before_ns) / (after_ns - before_ns)
+        return between(self._poses[after - 1], self._poses[after], share)

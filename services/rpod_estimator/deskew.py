@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_estimator.filter import FilterState
 from rpod_estimator.measurement import Measurement
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.poses import chained, rotation_matrix
 from rpod_schemas.types import LidarScan, PmdFrame
 
 
@@ -28,11 +29,12 @@ def as_of_stamp(measurement: Measurement, predicted: FilterState) -> LidarScan |
     if not isinstance(measurement.data, LidarScan):
         return measurement.data
     T_sensor_chaser = measurement.T_chaser_sensor.inv()
+    R_sensor_chaser = rotation_matrix(T_sensor_chaser)
     return deskewed(
         measurement.data,
-        T_sensor_chaser * predicted.T_chaser_target,
-        velocity_m_s=T_sensor_chaser.rotation.apply(predicted.velocity_m_s),
-        rate_rad_s=T_sensor_chaser.rotation.apply(predicted.rate_rad_s),
+        chained(T_sensor_chaser, predicted.T_chaser_target),
+        velocity_m_s=R_sensor_chaser @ predicted.velocity_m_s,
+        rate_rad_s=R_sensor_chaser @ predicted.rate_rad_s,
     )
 
 

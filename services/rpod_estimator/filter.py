@@ -23,11 +23,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_estimator.errors import EstimatorError
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.filter import FilterConfig
-from rpod_schemas.poses import make_pose
+from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_schemas.types import Odometry
 
 POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
-POSE = slice(0, 6)
+POSE, TWIST = slice(0, 6), slice(6, 12)
 
 
 class StampOrderError(EstimatorError):
@@ -82,7 +82,7 @@ def start(
     """
     centre_m = np.zeros(3) if centre_of_mass_m is None else centre_of_mass_m
     from_centre = np.eye(12)
-    from_centre[VELOCITY, RATE] = _cross_matrix(T_chaser_target.rotation.apply(centre_m))
+    from_centre[VELOCITY, RATE] = _cross_matrix(rotation_matrix(T_chaser_target) @ centre_m)
     covariance = block_diag(
         _measurement_noise(covariance, config),
         config.initial_velocity_sigma_m_s**2 * np.eye(3),
@@ -109,28 +109,27 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     if stamp_ns == state.stamp_ns:
         return state
     step_s = (stamp_ns - state.stamp_ns) * 1e-9
-    rate_rad_s, rotation = state.rate_rad_s, state.T_chaser_target.rotation
-    phi = rate_rad_s * step_s
-    turn = Rotation.from_rotvec(phi)
-    arm_m = rotation.apply(state.centre_of_mass_m)
-    arm_after_m = turn.apply(arm_m)
-    centre_m_s = state.velocity_m_s + np.cross(rate_rad_s, arm_m)
+    spin, R = _cross_matrix(state.rate_rad_s), rotation_matrix(state.T_chaser_target)
+    phi = state.rate_rad_s * step_s
+    turn = exponential(phi)
+    arm_m = R @ state.centre_of_mass_m
+    arm_after_m = turn @ arm_m
+    centre_m_s = state.velocity_m_s + spin @ arm_m
 
     F = np.eye(12)
     F[POSITION, VELOCITY] = step_s * np.eye(3)
-    F[ATTITUDE, ATTITUDE] = turn.as_matrix()
+    F[ATTITUDE, ATTITUDE] = turn
     F[ATTITUDE, RATE] = step_s * left_jacobian(phi)
-    from_centre = np.eye(12) - _swing(arm_after_m, rate_rad_s)
-    F = F @ (np.eye(12) + _swing(arm_m, rate_rad_s))
+    from_centre = np.eye(12) - _swing(arm_after_m, spin)
+    F = F @ (np.eye(12) + _swing(arm_m, spin))
     covariance = from_centre @ (F @ state.covariance @ F.T + _process_noise(step_s, config)) @ from_centre.T
     return replace(
         state,
         stamp_ns=stamp_ns,
-        T_chaser_target=make_pose(
-            rotation=turn * rotation,
-            translation_m=state.T_chaser_target.translation + arm_m + centre_m_s * step_s - arm_after_m,
+        T_chaser_target=pose_of(
+            turn @ R, state.T_chaser_target.translation + arm_m + centre_m_s * step_s - arm_after_m
         ),
-        velocity_m_s=centre_m_s - np.cross(rate_rad_s, arm_after_m),
+        velocity_m_s=centre_m_s - spin @ arm_after_m,
         covariance=_symmetric(covariance),
     )
 
@@ -176,7 +175,7 @@ def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Od
     With v_child = R^T v the error is R^T (dv + v x dtheta) to first order, and likewise for the rate, so
     the twist's covariance takes in its correlation with the attitude error.
     """
-    R_target_chaser = state.T_chaser_target.rotation.inv().as_matrix()
+    R_target_chaser = rotation_matrix(state.T_chaser_target).T
     jacobian = np.zeros((6, 12))
     jacobian[0:3, ATTITUDE] = R_target_chaser @ _cross_matrix(state.velocity_m_s)
     jacobian[3:6, ATTITUDE] = R_target_chaser @ _cross_matrix(state.rate_rad_s)
@@ -205,20 +204,29 @@ def left_jacobian(phi: FloatArray) -> FloatArray:
     return np.eye(3) + first * cross + second * cross @ cross
 
 
+def exponential(phi: FloatArray) -> FloatArray:
+    """Return Exp(phi) of SO(3), shape (3, 3), as 1 + [phi]x J_l(phi)."""
+    return np.eye(3) + _cross_matrix(phi) @ left_jacobian(phi)
+
+
+def _orthonormal(R: FloatArray) -> FloatArray:
+    """Return a rotation matrix without the rounding that products of many gather: a Newton step."""
+    return R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)
+
+
 def _pose_difference(T_measured: RigidTransform, T_estimated: RigidTransform) -> FloatArray:
     """Return (dp, dtheta) of the measured pose from the estimated one, shape (6,)."""
-    turn = T_measured.rotation * T_estimated.rotation.inv()
-    return np.concatenate([T_measured.translation - T_estimated.translation, turn.as_rotvec()])
+    turn = rotation_matrix(T_measured) @ rotation_matrix(T_estimated).T
+    turn_rad = Rotation.from_matrix(turn, assume_valid=True).as_rotvec()
+    return np.concatenate([T_measured.translation - T_estimated.translation, turn_rad])
 
 
 def _corrected(state: FilterState, correction: FloatArray) -> FilterState:
     pose = state.T_chaser_target
+    R = exponential(correction[ATTITUDE]) @ rotation_matrix(pose)
     return replace(
         state,
-        T_chaser_target=make_pose(
-            rotation=Rotation.from_rotvec(correction[ATTITUDE]) * pose.rotation,
-            translation_m=pose.translation + correction[POSITION],
-        ),
+        T_chaser_target=pose_of(_orthonormal(R), pose.translation + correction[POSITION]),
         velocity_m_s=state.velocity_m_s + correction[VELOCITY],
         rate_rad_s=state.rate_rad_s + correction[RATE],
     )
@@ -229,23 +237,27 @@ def _measurement_noise(covariance: FloatArray, config: FilterConfig) -> FloatArr
     return config.correlation_inflation * (covariance + np.diag(floor))
 
 
-def _swing(arm_m: FloatArray, rate_rad_s: FloatArray) -> FloatArray:
+def _swing(arm_m: FloatArray, spin: FloatArray) -> FloatArray:
     """Return N, shape (12, 12): at the end of an arm on the target errors are 1 + N times those here.
 
-    From p + a and v + w x a with da = dtheta x a. N N = 0, so the way back is 1 - N.
+    From p + a and v + w x a with da = dtheta x a, where ``spin`` is [w]x. N N = 0, so the way back is 1 - N.
     """
     cross = _cross_matrix(arm_m)
     N = np.zeros((12, 12))
     N[POSITION, ATTITUDE] = N[VELOCITY, RATE] = -cross
-    N[VELOCITY, ATTITUDE] = -_cross_matrix(rate_rad_s) @ cross
+    N[VELOCITY, ATTITUDE] = -spin @ cross
     return N
 
 
 def _process_noise(step_s: float, config: FilterConfig) -> FloatArray:
     """Return the noise that white accelerations gather in a step, shape (12, 12)."""
     densities = (config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3)
-    Q = np.diag(np.repeat(densities, 3))
-    return np.block([[step_s**3 / 3.0 * Q, step_s**2 / 2.0 * Q], [step_s**2 / 2.0 * Q, step_s * Q]])
+    density = np.diag(np.repeat(densities, 3))
+    Q = np.empty((12, 12))
+    Q[POSE, POSE] = step_s**3 / 3.0 * density
+    Q[POSE, TWIST] = Q[TWIST, POSE] = step_s**2 / 2.0 * density
+    Q[TWIST, TWIST] = step_s * density
+    return Q
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

@@ -27,6 +27,7 @@ from rpod_estimator.verification import doubt
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.poses import chained, rotation_matrix
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
 from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, Odometry, Source
 
@@ -207,7 +208,7 @@ class Navigator:
         known, or after a gap, the prediction may be far off.
         """
         methods = self._methods[event.sensor]
-        T_sensor_target = event.T_chaser_sensor.inv() * predicted.T_chaser_target
+        T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
         data = as_of_stamp(event, predicted)
         registration = methods.tracker.track(data, T_sensor_target)
         limits = methods.verification
@@ -327,7 +328,7 @@ def in_chaser(
 ) -> tuple[RigidTransform, FloatArray]:
     """Return pose and covariance of a registration in the chaser's axes (ICD section 1)."""
     assert registration.T_sensor_target is not None  # noqa: S101 - told by the caller
-    R = T_chaser_sensor.rotation.as_matrix()
+    R = rotation_matrix(T_chaser_sensor)
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = R
-    return T_chaser_sensor * registration.T_sensor_target, turn @ registration.covariance @ turn.T
+    return chained(T_chaser_sensor, registration.T_sensor_target), turn @ registration.covariance @ turn.T

@@ -21,6 +21,7 @@ from rpod_schemas.config.motion import (
     SunConfig,
     TrajectoryConfig,
 )
+from rpod_schemas.poses import pose_of
 
 MARGIN_S = 1.0
 """How far beyond epoch and end the motion is defined: exposures and scans reach there."""
@@ -63,7 +64,7 @@ class Motion:
         R_chaser_target, angular_rad_s = self.attitude.relative(time_s, chaser)
         anchor_m = self.trajectory.anchor_m
         return MotionState(
-            T_chaser_target=_pose(R_chaser_target, chaser.position_m - R_chaser_target @ anchor_m),
+            T_chaser_target=pose_of(R_chaser_target, chaser.position_m - R_chaser_target @ anchor_m),
             linear_m_s=R_chaser_target.T @ chaser.velocity_m_s - cross(angular_rad_s, anchor_m),
             angular_rad_s=angular_rad_s,
             chaser_angular_rad_s=chaser.chaser_angular_rad_s,
@@ -138,9 +139,3 @@ def _sun(config: SunConfig | None) -> FloatArray:
 
 def _unit(vector: FloatArray) -> FloatArray:
     return vector / np.linalg.norm(vector)
-
-
-def _pose(R: FloatArray, translation_m: FloatArray) -> RigidTransform:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = R, translation_m
-    return RigidTransform.from_matrix(matrix)

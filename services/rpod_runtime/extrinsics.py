@@ -3,6 +3,7 @@
 from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime.errors import ExtrinsicsError
+from rpod_schemas.poses import chained, rotation_of
 from rpod_schemas.topics import CHASER
 
 _AGREE_M = 1e-4
@@ -47,12 +48,10 @@ class Extrinsics:
             if frame not in self._parents:
                 return None
             frame, T_parent_child = self._parents[frame]
-            T_frame_sensor = T_parent_child * T_frame_sensor
+            T_frame_sensor = chained(T_parent_child, T_frame_sensor)
         return None  # a loop
 
 
 def _differ(first: RigidTransform, second: RigidTransform) -> bool:
-    step = first.inv() * second
-    return bool(
-        abs(step.translation).max() > _AGREE_M or step.rotation.magnitude() > _AGREE_RAD,
-    )
+    step = chained(first.inv(), second)
+    return bool(abs(step.translation).max() > _AGREE_M or rotation_of(step).magnitude() > _AGREE_RAD)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.header import build, read_stamp, write_header, write_stamp
+from rpod_schemas.poses import make_pose, rotation_of
 from rpod_schemas.types import Odometry
 
 
@@ -49,14 +50,14 @@ def write_pose(pose: RigidTransform) -> Any:
     x, y, z = pose.translation
     point = message_class("geometry_msgs/msg/Point")(x=float(x), y=float(y), z=float(z))
     return message_class("geometry_msgs/msg/Pose")(
-        position=point, orientation=_write_quaternion(pose.rotation)
+        position=point, orientation=_write_quaternion(rotation_of(pose))
     )
 
 
 def read_pose(message: Any) -> RigidTransform:
     """Read a geometry_msgs/Pose."""
-    return RigidTransform.from_components(
-        _read_translation(message.position), _read_rotation(message.orientation)
+    return make_pose(
+        rotation=_read_rotation(message.orientation), translation_m=_read_translation(message.position)
     )
 
 
@@ -85,7 +86,7 @@ def write_transforms(stamp_ns: int, transforms: Iterable[tuple[str, str, RigidTr
                 header=write_header(stamp_ns, parent),
                 child_frame_id=child,
                 transform=message_class("geometry_msgs/msg/Transform")(
-                    translation=_vector(pose.translation), rotation=_write_quaternion(pose.rotation)
+                    translation=_vector(pose.translation), rotation=_write_quaternion(rotation_of(pose))
                 ),
             )
             for parent, child, pose in transforms
@@ -100,8 +101,9 @@ def read_transforms(message: Any) -> list[tuple[int, str, str, RigidTransform]]:
             read_stamp(item.header),
             item.header.frame_id,
             item.child_frame_id,
-            RigidTransform.from_components(
-                _read_translation(item.transform.translation), _read_rotation(item.transform.rotation)
+            make_pose(
+                rotation=_read_rotation(item.transform.rotation),
+                translation_m=_read_translation(item.transform.translation),
             ),
         )
         for item in message.transforms

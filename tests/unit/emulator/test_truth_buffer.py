@@ -118,10 +118,10 @@ def test_only_the_last_seconds_are_kept():
     assert made.first_ns == made.last_ns - 20_000_000
 
 
-def test_a_sample_that_cannot_be_read_is_found_out_where_it_is_asked_for():
-    made = TruthBuffer()
-    made.add(received(START_NS))
-    made.add(received(START_NS + STEP_NS, damage=lambda payload: payload[:40]))
-    made.pose(START_NS)
+def test_a_sample_that_cannot_be_read_is_refused_and_leaves_the_rest_as_it_was():
+    made = buffer(0)
     with pytest.raises(MessageRejectedError):
-        made.pose(START_NS + STEP_NS // 2)
+        made.add(received(START_NS + STEP_NS, damage=lambda payload: payload[:40]))
+    assert made.last_ns == START_NS
+    made.add(received(START_NS + 2 * STEP_NS))
+    made.pose(START_NS + STEP_NS)

@@ -1,6 +1,6 @@
 """The filter against its own model: consistency, convergence, gate, twist."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_estimator.filter import (
     FilterState,
     StampOrderError,
+    exponential,
     left_jacobian,
     predict,
     start,
@@ -357,3 +358,20 @@ def test_the_left_jacobian_moves_a_small_turn_out_of_the_exponential(phi: list[f
         small = 1e-6 * axis
         moved_turn = Rotation.from_rotvec(vector + small) * Rotation.from_rotvec(vector).inv()
         np.testing.assert_allclose(moved_turn.as_rotvec() / 1e-6, left_jacobian(vector) @ axis, atol=1e-5)
+
+
+@given(
+    phi=st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3), scale=st.sampled_from([1.0, 1e-3, 1e-5, 0.0])
+)
+def test_the_exponential_is_scipys(phi: list[float], scale: float) -> None:
+    vector = scale * np.array(phi)
+    np.testing.assert_allclose(exponential(vector), Rotation.from_rotvec(vector).as_matrix(), atol=1e-14)
+
+
+def test_over_thousands_of_frames_the_attitude_stays_a_rotation() -> None:
+    state = replace(tracked_state(), rate_rad_s=np.array([0.3, -0.2, 0.4]))
+    for _ in range(3000):
+        state = predict(state, state.stamp_ns + SECOND_NS // 45, PLAIN)
+        state = update(state, state.T_chaser_target, COVARIANCE, config=PLAIN).state
+    R = state.T_chaser_target.as_matrix()[:3, :3]
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
