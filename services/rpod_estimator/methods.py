@@ -1,5 +1,6 @@
 """From configuration to methods: what each sensor is acquired and tracked with."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,9 +26,17 @@ from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
 from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Camera, LidarInfo, LidarScan, PmdFrame
+from rpod_schemas.types import Camera, LidarInfo, LidarScan, PmdFrame, PmdInfo
 from rpod_sim_sensor.geometry import RayGrid, cast
 from rpod_target import Target
+
+_WRAPPING = PmdInfo(
+    modulation_frequency_hz=np.array([20e6]),
+    integration_time_s=0.016,
+    electrons_per_count=1.0,
+    saturation_count=4096.0,
+)
+"""Of a camera whose distances are to be unwrapped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +109,17 @@ def configured_pattern(sensor: SensorInput) -> ScanPattern | None:
 
 
 def warm_up(methods: Methods, target: Target, pattern: ScanPattern | None) -> None:
-    """Run the methods once on an ideal view, so that compiled code is loaded before the first frame."""
+    """Run the methods on an ideal view, so that compiled code is loaded before the first frame."""
     away_m = 3.0 * target.radius_m + 1.0
     T_sensor_target = make_pose(translation_m=[0.0, 0.0, away_m])
-    data = _ideal_scan(target, T_sensor_target, pattern) if pattern else _ideal_frame(target, T_sensor_target)
-    methods.acquirer.acquire(data)
-    methods.tracker.track(data, T_sensor_target)
+    views: Sequence[LidarScan | PmdFrame]
+    if pattern:
+        views = (_ideal_scan(target, T_sensor_target, pattern),)
+    else:
+        views = _ideal_frames(target, T_sensor_target)
+    methods.acquirer.acquire(views[0])
+    for data in views:
+        methods.tracker.track(data, T_sensor_target)
 
 
 def _ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> LidarScan:
@@ -116,10 +130,15 @@ def _ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPat
     return LidarScan(stamp_ns=0, frame_id="", points_m=points_m)
 
 
-def _ideal_frame(target: Target, T_optical_target: RigidTransform) -> PmdFrame:
+def _ideal_frames(target: Target, T_optical_target: RigidTransform) -> tuple[PmdFrame, PmdFrame]:
+    """Return a frame without and with what tells how to unwrap its distances."""
     camera = Camera(width=352, height=287, fx=682.75, fy=691.42, cx=175.5, cy=143.0)
     grid = RayGrid.pinhole(camera)
     hits = cast(grid, target.triangles_m, T_optical_target)
     range_m = np.where(np.isfinite(hits.range_m), hits.range_m, np.nan)
     depth_m = (range_m * grid.directions[..., 2]).astype(np.float32)
-    return PmdFrame(stamp_ns=0, frame_id="", depth_m=depth_m, amplitude=None, camera=camera)
+    amplitude = np.where(depth_m > 0.0, 1000, 0).astype(np.uint16)
+    for image in (depth_m, amplitude):
+        image.setflags(write=False)  # as off the bus: compiled code is another for what may be written to
+    frame = PmdFrame(stamp_ns=0, frame_id="", depth_m=depth_m, amplitude=amplitude, camera=camera)
+    return frame, frame.model_copy(update={"info": _WRAPPING})
