@@ -43,6 +43,8 @@ class PmdModelConfig(Config):
     """Most loss of a depth: mixed pixels and multiple reflections are wrong altogether."""
     sigma_log_amplitude: Positive = 0.2
     """Standard deviation of the amplitude's logarithm on a diffuse surface."""
+    strange_log_amplitude: Positive = 1.0
+    """The same where the materials may be others than the file's."""
     mirror_log_amplitude: NonNegative = 3.0
     """The same for what its lobe reflects, on top and times the lobe's share of the amplitude: where crinkled
     foil glints is anyone's guess."""
@@ -56,25 +58,39 @@ class PmdModelConfig(Config):
     """Loss of a dark pixel where the pose predicts surface."""
     beyond_loss: NonNegative = 4.0
     """Loss of a pixel with depth, or lit, where the pose predicts none."""
-    pixels_per_fact: Positive = 12.0
-    """Pixels whose errors are as one: neighbours share the errors of camera and model."""
+
+
+class PmdLimitsConfig(Config):
+    """What a pose that explains a frame is granted."""
+
+    max_loss: Positive
+    """Most mean loss a pixel."""
+    min_explained_share: Share
+    """Least share of pixels on which pose and frame agree."""
+    max_patch_loss: Positive
+    """Most mean loss a pixel of the worst patch: a detail that is missing or out of place is small."""
+    max_face_loss: Positive
+    """Most mean loss a pixel of the worst face-wide patch: another surface is a little wrong all over."""
+    facts: Positive
+    """How many independent errors a frame has: neighbours share those of camera and model. The fewer, the
+    more a rival has to be worse."""
 
 
 class PmdVerdictConfig(Config):
     """When a pose explains a frame."""
 
-    max_loss: Positive = 0.6
-    """Most mean loss a pixel."""
-    min_explained_share: Share = 0.87
-    """Least share of pixels on which pose and frame agree."""
     patch_px: Count = 5
     """Side of a square patch of the pixels that are looked at, about a tenth of a metre wide."""
-    max_patch_loss: Positive = 2.0
-    """Most mean loss a pixel of the worst patch: a detail that is missing or out of place is small."""
     face_px: Count = 13
     """Side of a larger patch, about as wide as a face: of one material."""
-    max_face_loss: Positive = 1.0
-    """Most mean loss a pixel of the worst such patch: another material is a little wrong all over a face."""
+    as_filed: PmdLimitsConfig = PmdLimitsConfig(
+        max_loss=0.6, min_explained_share=0.87, max_patch_loss=2.0, max_face_loss=1.0, facts=100.0
+    )
+    """Of depth, outline and amplitude, where the materials are those of the target's file."""
+    shape: PmdLimitsConfig = PmdLimitsConfig(
+        max_loss=0.45, min_explained_share=0.96, max_patch_loss=1.4, max_face_loss=0.65, facts=45.0
+    )
+    """Of depth and outline, which are asked whatever the materials are, and alone where these are others."""
     ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1)] = 0.95
     """Below this weight of the best hypothesis the result is ambiguous."""
 

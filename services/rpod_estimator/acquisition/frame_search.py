@@ -77,11 +77,12 @@ class Model:
 class FrameSearch:
     """Searches one frame."""
 
-    def __init__(self, config: PmdAcquisitionConfig, model: Model, scene: PmdScene) -> None:
-        self._config, self._model, self.scene = config, model, scene
-        self.fitter = PmdFitter(config.model, model.target, scene)
+    def __init__(
+        self, config: PmdAcquisitionConfig, model: Model, scene: PmdScene, fitter: PmdFitter
+    ) -> None:
+        self._config, self._model, self._scene, self._fitter = config, model, scene, fitter
         self._image = scene.distances()
-        self._centroid_m = scene.points_m.mean(axis=0)
+        self._centroid_m = scene.middle_m()
         self._few_m = scene.thinned(config.draw_in_points)
         self._fine_m = scene.thinned(config.fine_points)
 
@@ -142,7 +143,7 @@ class FrameSearch:
         return energies(
             attitudes,
             places_m,
-            seen=self.scene,
+            seen=self._scene,
             points=views.few_points if roughly else views.points,
             squares=views.squares,
             image=self._image,
@@ -153,7 +154,7 @@ class FrameSearch:
         )
 
     def _there(self, R: FloatArray, t: FloatArray) -> Pose:
-        return Pose(R, t, self.fitter.fit(R, t))
+        return Pose(R, t, self._fitter.fit(R, t))
 
     def _drawn_in(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a rough pose drawn to some of the points."""
@@ -166,7 +167,7 @@ class FrameSearch:
 
     def _sharpened(self, pose: Pose) -> Pose:
         """Return a pose moved to where the outline and the amplitude are explained best too."""
-        return self._there(*self.fitter.sharpened(pose.R, pose.t, SHARPENED, _DRAWS))
+        return self._there(*self._fitter.sharpened(pose.R, pose.t, SHARPENED, _DRAWS))
 
     def _turned(self, pose: Pose, around: FloatArray | None) -> list[Pose]:
         """Return a pose's turns by near-symmetries, and the best of the others, laid anew."""

@@ -9,10 +9,10 @@ What is asked are the pixels where pose or frame show the target.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from rpod_estimator.acquisition.pmd_scene import PmdScene
 from rpod_estimator.tracking.signed_distance import turned
@@ -40,6 +40,8 @@ class PmdFit:
 
     loss: float
     """Summed over the pixels where pose or frame show the target."""
+    amplitude_loss: float
+    """What of it the amplitude makes."""
     pixels: int
     """Their number."""
     agreeing: int
@@ -59,22 +61,24 @@ class PmdFit:
 class PmdFitter:
     """Compares one frame with a target at any pose."""
 
-    def __init__(self, config: PmdModelConfig, target: Target, scene: PmdScene) -> None:
+    def __init__(
+        self, config: PmdModelConfig, target: Target, scene: PmdScene, *, as_filed: bool = True
+    ) -> None:
         materials = np.array([(m.diffuse, m.f0, _lobe(m)) for m in target.materials])
         optics = materials[target.triangle_material]
         self._surface = np.ascontiguousarray(target.triangles_m), np.ascontiguousarray(target.normals), optics
-        block = _around(scene.lit)
+        block = _around(scene.lit | scene.blind)
         noise_m = np.minimum(scene.sigma_m, config.most_noise_m)
         amplitude = np.log(np.maximum(scene.amplitude, np.float32(0.1)))
-        images = scene.range_m, noise_m, amplitude, scene.lit
+        images = scene.range_m, noise_m, amplitude, scene.lit, scene.blind
         self._seen = tuple(np.ascontiguousarray(image[block]) for image in images)
         self._grid = scene.view.coarse.block(*block)
         self._noise = (
             config.sigma_m,
             config.slack_m,
             config.outlier_loss,
-            config.amplitude_outlier_loss,
-            config.sigma_log_amplitude,
+            config.amplitude_outlier_loss if as_filed else 0.0,
+            config.sigma_log_amplitude if as_filed else config.strange_log_amplitude,
             config.mirror_log_amplitude,
             config.foil_share,
             float(np.log(scene.least_amplitude)) if scene.outlined else DARK,
@@ -95,10 +99,11 @@ class PmdFitter:
             *compare(self._surface, R, t, self._grid, self._seen, self._noise, self._losses, self._buffers)
         )
 
-    def worst_patch(self, R: FloatArray, t: FloatArray, size: int) -> float:
-        """Return the mean loss a pixel of the ``size`` x ``size`` patch that a pose explains worst."""
+    def worst_patches(self, R: FloatArray, t: FloatArray, *sizes: int) -> list[float]:
+        """Return for each size the mean loss a pixel of the size x size patch that a pose explains worst."""
         self.fit(R, t)
-        return float(uniform_filter(self._buffers[2], size, mode="constant").max())
+        loss = self._buffers[2]
+        return [float(cv2.blur(loss, (px, px), borderType=cv2.BORDER_CONSTANT).max()) for px in sizes]
 
     def sharpened(
         self, R: FloatArray, t: FloatArray, deviations: FloatArray, draws: FloatArray
@@ -146,7 +151,9 @@ def _widened(lines: NDArray[np.intp]) -> slice:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return the summed loss, and the numbers of pixels asked and agreeing; fill their losses.
+    """Return the summed loss, the amplitude's part, and the numbers of pixels asked and agreeing.
+
+    The buffer of losses is filled.
 
     Args:
         surface: triangles (T, 3, 3), normals (T, 3), and of each triangle diffuse albedo, specular
@@ -154,7 +161,8 @@ def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[
         R: of the target in the sensor, shape (3, 3).
         t: of the target in the sensor, shape (3,), m.
         grid: ``RayGrid.arrays``.
-        seen: ranges, their noise, logarithms of amplitudes and what is lit, shape (rows, columns) each.
+        seen: ranges, their noise, logarithms of amplitudes, what is lit, and what glints hide, shape
+            (rows, columns) each.
         noise: sigma and slack of a depth, m; losses of outliers of depth and amplitude; sigma of the
             amplitude's logarithm, what a lobe adds, and the least share of a mirror's lobe; logarithm of the
             least amplitude that is lit.
@@ -169,11 +177,14 @@ def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[
     sigma, slack, outliers, strange, _, _, _, least = noise
     lost, dark, beyond = losses
     gain = _predict(surface, R, grid, seen, noise, buffers)
-    measured, spread, amplitude, lit = seen
-    total, pixels, agreeing = 0.0, 0, 0
+    measured, spread, amplitude, lit, blind = seen
+    total, shades, pixels, agreeing = 0.0, 0.0, 0, 0
     for i in range(rows):
         for j in range(columns):
             k = owner[i, j]
+            if blind[i, j]:
+                loss[i, j] = 0.0
+                continue
             if k < 0:
                 loss[i, j] = beyond if lit[i, j] else 0.0
                 if lit[i, j]:
@@ -191,15 +202,17 @@ def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[
                 worse = outliers * e2 / (2.0 * outliers + e2)
             elif lit[i, j]:
                 worse = lost
-            if lit[i, j] and amplitude[i, j] > DARK:
+            if strange > 0.0 and lit[i, j] and amplitude[i, j] > DARK:
                 e = amplitude[i, j] - loss[i, j] - gain
                 e2 = e * e / vague[i, j] ** 2
-                worse += strange * e2 / (2.0 * strange + e2)
+                shade = strange * e2 / (2.0 * strange + e2)
+                worse += shade
+                shades += shade
             loss[i, j] = worse
             total += worse
             if worse < AGREES:
                 agreeing += 1
-    return total, pixels, agreeing
+    return total, shades, pixels, agreeing
 
 
 @njit(cache=True, nogil=True)
@@ -219,7 +232,7 @@ def _predict(surface, R, grid, seen, noise, buffers):  # type: ignore[no-untyped
     """
     _, normals, optics = surface
     range_m, owner, predicted, vague = buffers
-    rays, (_, _, amplitude, lit) = grid[0], seen
+    rays, (_, _, amplitude, lit, _) = grid[0], seen
     rows, columns = owner.shape
     ratios, weights = np.empty(owner.size // GAIN_STRIDE + 1), np.empty(owner.size // GAIN_STRIDE + 1)
     count = 0

@@ -27,8 +27,10 @@ REACH = 1.5
 """Radii of the target within which all of it that is seen lies around the middle of what is seen."""
 SKY_SPREADS, LEAST_AMPLITUDE = 9.0, 1.0
 """Median absolute deviations of the sky, six standard ones, above which a pixel is lit; counts."""
-MOST_GLINTS = 0.5
+MOST_GLINTS = 0.9
 """Zeros that are a larger share of the dark pixels are the sky's, of an amplitude that has no noise left."""
+WIPED, TOUCHED = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
+"""A glint is no smaller than the one, and changes medians as far as the other reaches."""
 MEDIAN_OVER_MEAN = 1.25
 """Standard deviation of a median of normal errors over that of their mean."""
 
@@ -43,9 +45,11 @@ class PmdScene:
     sigma_m: Float32Array
     """Standard deviation of the noise of a range, told by the neighbours, shape (rows, columns)."""
     amplitude: Float32Array
-    """Median of each pixel and its neighbours; 0 where there is none, or a glint wiped it out."""
+    """Median of each pixel and its neighbours; 0 where there is none, or a glint touches it."""
     lit: NDArray[np.bool_]
     """Where depth or amplitude show something."""
+    blind: NDArray[np.bool_]
+    """Where a glint wiped out both: there may be surface or not."""
     least_amplitude: float
     """From which on a pixel is lit; infinite where there is no amplitude to tell."""
     points_m: FloatArray
@@ -61,11 +65,18 @@ class PmdScene:
         chosen = np.linspace(0, len(self.points_m) - 1, min(count, len(self.points_m))).astype(np.intp)
         return self.points_m[chosen]
 
+    def middle_m(self) -> FloatArray:
+        """Return the centroid of what is seen, where depth is lost at the nearest depth, shape (3,)."""
+        nearest = distance_transform_edt(self.range_m == 0.0, return_distances=False, return_indices=True)
+        shown = self.lit | self.blind
+        middle: FloatArray = (self.view.coarse.components * self.range_m[*nearest])[:, shown].mean(axis=1)
+        return middle
+
     def distances(self) -> Image:
         """Return ``energy.Image`` of the squared angles from what is lit."""
         view = self.view
         rad_per_px = view.stride / view.camera.fx, view.stride / view.camera.fy
-        distance_rad = distance_transform_edt(~self.lit, sampling=rad_per_px[::-1])
+        distance_rad = distance_transform_edt(~(self.lit | self.blind), sampling=rad_per_px[::-1])
         pixel, low, step = _cells(view)
         squares = (distance_rad**2).astype(np.float32).ravel()[pixel]
         return squares, low[0], step[0], low[1], step[1]
@@ -98,7 +109,11 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     if strange:
         return strange
     shown = _measured(frame, config)
-    pixels = np.count_nonzero(shown)
+    dim = np.inf
+    if frame.amplitude is not None and shown.any():
+        dim = config.lit_share * float(np.percentile(frame.amplitude[shown], DARKEST_PERCENT))
+    bright = shown if frame.amplitude is None else shown | (frame.amplitude > dim)
+    pixels = np.count_nonzero(bright)
     stride = int(np.clip(round(np.sqrt(pixels / config.pixels)), 1, config.most_stride_px))
     try:
         view = DepthView.of(frame.camera, stride)
@@ -109,23 +124,22 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     rays = view.coarse.components
     range_m = np.nan_to_num(depth_m / rays[2], nan=0.0).astype(np.float32)
     nearby = _around(rays, range_m, REACH * radius_m)
-    lit, least = nearby.copy(), np.inf
+    lit, blind, least = nearby.copy(), np.zeros(depth_m.shape, bool), np.inf
     amplitude: Float32Array = np.zeros(depth_m.shape, np.float32)
     if frame.amplitude is not None and shown.any():
         every = (slice(view.offset, None, stride),) * 2
-        amplitude = np.asarray(cv2.medianBlur(frame.amplitude, 3)[every], np.float32, order="C")
-        wiped = cv2.dilate(frame.amplitude, np.ones((3, 3), np.uint8))[every] == 0
-        darkest = float(np.percentile(frame.amplitude[shown], DARKEST_PERCENT))
+        touched = _touched(frame.amplitude, dim)[every]
         smooth = uniform_filter(frame.amplitude.astype(np.float32), 3)
-        sky = smooth[every][range_m == 0.0]
-        least = _least_amplitude(sky, config.lit_share * darkest)
-        lit |= (range_m == 0.0) & _shows(amplitude > least, wiped)
+        least = _least_amplitude(smooth[every][(range_m == 0.0) & ~touched], dim)
+        amplitude = np.where(touched, 0, cv2.medianBlur(frame.amplitude, 3)[every]).astype(np.float32)
+        lit |= (range_m == 0.0) & (amplitude > least)
+        blind = touched & ~lit
     range_m = np.where(nearby, range_m, np.float32(0.0))
     points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
     if len(points_m) < config.min_points:
         return f"{len(points_m)} points on {stride} px strides, {config.min_points} needed"
     sigma_m = spread(shown_m, stride, view.offset, depth_m.shape)
-    return PmdScene(view, range_m, sigma_m, amplitude, lit, least, points_m)
+    return PmdScene(view, range_m, sigma_m, amplitude, lit, blind, least, points_m)
 
 
 def _strange_camera(camera: Camera, config: PmdSceneConfig) -> str:
@@ -163,15 +177,16 @@ def _least_amplitude(dark: Float32Array, most: float) -> float:
     return float(np.clip(middle + SKY_SPREADS * spread, LEAST_AMPLITUDE, most))
 
 
-def _shows(bright: NDArray[np.bool_], wiped: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which pixels show a surface, bright or wiped out by a glint, shape (rows, columns).
+def _touched(amplitude: NDArray[np.uint16], dim: float) -> NDArray[np.bool_]:
+    """Return which pixels a glint wipes out or is beside, shape (H, W).
 
     A glint fills both taps of a pixel and leaves no difference: exactly zero, all around, which a sky with
     noise never is.
     """
-    if np.count_nonzero(wiped) > MOST_GLINTS * np.count_nonzero(~bright):
-        return bright
-    return bright | wiped
+    wiped = (cv2.dilate(amplitude, WIPED) == 0).astype(np.uint8)
+    if np.count_nonzero(wiped) > MOST_GLINTS * np.count_nonzero(amplitude <= dim):
+        return np.zeros(amplitude.shape, bool)
+    return cv2.dilate(wiped, TOUCHED) > 0
 
 
 def _around(rays: FloatArray, range_m: Float32Array, radius_m: float) -> NDArray[np.bool_]:

@@ -8,9 +8,15 @@
    small details and materials alone tell them apart.
 4. The best distinct poses are finished, on more points and on the frame's outline.
 
-The verdict asks how much of the frame the best pose explains; the weights of the hypotheses follow from their
-losses.
+The verdict asks how much of the frame the best pose explains, and how much of its shape: depth and outline.
+The weights of the hypotheses follow from their losses.
+
+What is really there may be made of other materials than the target's file says. Where no pose explains the
+frame by these, the search is done again and asks for the shape alone. Then nothing else tells two poses
+apart, so that the best is believed only where all others are worse by far; else the result is ambiguous.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -19,14 +25,18 @@ from scipy.special import softmax
 from rpod_estimator.acquisition.attitude_grid import attitudes_of, within
 from rpod_estimator.acquisition.frame_search import FrameSearch, Model, Pose
 from rpod_estimator.acquisition.hypotheses import hypotheses
+from rpod_estimator.acquisition.pmd_fit import PmdFitter
 from rpod_estimator.acquisition.pmd_scene import PmdScene, scene_of
 from rpod_estimator.ports import Acquisition, Registration, Verdict
 from rpod_estimator.tracking.signed_distance import measured_equations
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.config.pmd_search import PmdAcquisitionConfig, PmdLimitsConfig
 from rpod_schemas.poses import pose_of
-from rpod_schemas.types import PmdFrame, Source
+from rpod_schemas.types import Float32Array, PmdFrame, Source
 from rpod_target import Target
+
+Judge = tuple[PmdFitter, PmdLimitsConfig]
+"""What it takes for the loss, and how much of it it grants."""
 
 
 class ViewSearch:
@@ -57,20 +67,29 @@ class ViewSearch:
         else:
             attitudes = attitudes_of(config.near_attitudes)
             attitudes = attitudes[within(attitudes, around, config.near_deg)]
-        search = FrameSearch(config, self._model, scene)
-        return self._judged(search, search.search(attitudes, around), len(attitudes))
+        shape = PmdFitter(config.model, self._model.target, scene, as_filed=False), config.verdict.shape
+        filed = PmdFitter(config.model, self._model.target, scene), config.verdict.as_filed
+        found = self._judged(scene, attitudes, around, (filed, shape))
+        if found.verdict is not Verdict.FAILED:
+            return found
+        by_shape = self._judged(scene, attitudes, around, (shape,))
+        return found if by_shape.verdict is Verdict.FAILED else by_shape
 
-    def _judged(self, search: FrameSearch, poses: list[Pose], templates: int) -> Acquisition:
-        """Return the verdict on distinct poses, best first."""
+    def _judged(
+        self, scene: PmdScene, attitudes: Float32Array, around: FloatArray | None, judges: Sequence[Judge]
+    ) -> Acquisition:
+        """Return the verdict on the distinct poses that are best in the eyes of the first judge."""
+        fitter, limits = judges[0]
+        poses = FrameSearch(self._config, self._model, scene, fitter).search(attitudes, around)
         if not poses:
             reason = "no attitude shows the target to the camera"
-            return Acquisition(Verdict.FAILED, Registration(Source.NONE), reason, templates=templates)
-        registration = self._registration(search.scene, poses[0], self._doubt(search, poses[0]))
+            return Acquisition(Verdict.FAILED, Registration(Source.NONE), reason, templates=len(attitudes))
+        doubts = (self._doubt(poses[0], *judge) for judge in judges)
+        registration = self._registration(scene, poses[0], next(filter(None, doubts), ""))
         reason = registration.reason
         if reason or registration.T_sensor_target is None:
-            return Acquisition(Verdict.FAILED, registration, reason, templates=templates)
-        per_fact = self._config.model.pixels_per_fact
-        weights = softmax([-pose.fit.loss / per_fact for pose in poses])
+            return Acquisition(Verdict.FAILED, registration, reason, templates=len(attitudes))
+        weights = softmax([-pose.fit.loss * limits.facts / poses[0].fit.pixels for pose in poses])
         listed = hypotheses(poses, weights, self._model.turns.exact)
         alike, best = len(self._model.turns.exact), weights[0]
         sure = best >= self._config.verdict.ambiguous_weight
@@ -83,27 +102,24 @@ class ViewSearch:
             registration,
             reason,
             listed,
-            templates=templates,
+            templates=len(attitudes),
             by_symmetry=alike > 1 and sure,
         )
 
-    def _doubt(self, search: FrameSearch, pose: Pose) -> str:
+    def _doubt(self, pose: Pose, fitter: PmdFitter, limits: PmdLimitsConfig) -> str:
         """Return why a pose does not explain the frame; empty if it does."""
-        verdict, fit = self._config.verdict, pose.fit
-        if fit.explained_share < verdict.min_explained_share:
+        verdict, fit = self._config.verdict, fitter.fit(pose.R, pose.t)
+        if fit.explained_share < limits.min_explained_share:
             share = 1.0 - fit.explained_share
             return f"does not explain the frame: {share:.0%} of {fit.pixels} pixels contradict the pose"
-        if fit.mean_loss > verdict.max_loss:
-            return f"does not explain the frame: mean loss {fit.mean_loss:.2f} above {verdict.max_loss:.2f}"
-        patch = search.fitter.worst_patch(pose.R, pose.t, verdict.patch_px)
-        if patch > verdict.max_patch_loss:
-            most = verdict.max_patch_loss
+        if fit.mean_loss > limits.max_loss:
+            return f"does not explain the frame: mean loss {fit.mean_loss:.2f} above {limits.max_loss:.2f}"
+        patch, face = fitter.worst_patches(pose.R, pose.t, verdict.patch_px, verdict.face_px)
+        if patch > limits.max_patch_loss:
+            most = limits.max_patch_loss
             return f"a detail contradicts the pose: mean loss {patch:.2f} above {most:.2f} there"
-        face = search.fitter.worst_patch(pose.R, pose.t, verdict.face_px)
-        if face > verdict.max_face_loss:
-            return (
-                f"a face contradicts the pose: mean loss {face:.2f} above {verdict.max_face_loss:.2f} there"
-            )
+        if face > limits.max_face_loss:
+            return f"a face contradicts the pose: mean loss {face:.2f} above {limits.max_face_loss:.2f} there"
         return ""
 
     def _registration(self, scene: PmdScene, pose: Pose, reason: str) -> Registration:

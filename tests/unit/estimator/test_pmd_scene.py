@@ -40,9 +40,13 @@ def without_middle():
     return np.where(lost, np.nan, ideal().depth_m), lost
 
 
-def lit_where(result: PmdScene, pixels):
+def coarsely(result: PmdScene, pixels):
     view = result.view
-    return result.lit[pixels[view.offset :: view.stride, view.offset :: view.stride]]
+    return pixels[view.offset :: view.stride, view.offset :: view.stride]
+
+
+def lit_where(result: PmdScene, pixels):
+    return result.lit[coarsely(result, pixels)]
 
 
 def test_a_dark_part_without_depth_is_told_from_the_sky():
@@ -51,9 +55,46 @@ def test_a_dark_part_without_depth_is_told_from_the_sky():
     assert lit_where(scene(depth_m, np.where(lost, SKY, shade(200)).astype(np.uint16)), lost).mean() < 0.01
 
 
-def test_a_glint_that_wiped_depth_and_amplitude_hides_a_surface():
-    depth_m, lost = without_middle()
-    assert lit_where(scene(depth_m, np.where(lost, 0, shade(200)).astype(np.uint16)), lost).mean() > 0.8
+def glinting():
+    """Return a frame with a glint on the target's edge, and where it is."""
+    glint = np.zeros(ideal().depth_m.shape, bool)
+    glint[60:140, 120:200] = True
+    depth_m = np.where(glint, np.nan, ideal().depth_m)
+    return scene(depth_m, np.where(glint, 0, shade(200)).astype(np.uint16)), glint
+
+
+def test_what_a_glint_wiped_out_is_neither_lit_nor_dark():
+    result, glint = glinting()
+    assert coarsely(result, glint)[result.blind].mean() > 0.8
+    assert result.blind[coarsely(result, glint)].mean() > 0.95
+    assert lit_where(result, glint).mean() < 0.05
+
+
+def test_a_glint_speaks_for_no_pose_and_against_none():
+    whole = scene(ideal().depth_m, shade(200))
+    R, t = POSE.rotation.as_matrix(), POSE.translation
+    fits = [
+        PmdFitter(PmdModelConfig(), mockup(), one, as_filed=False).fit(R, t) for one in (glinting()[0], whole)
+    ]
+    assert fits[0].mean_loss == pytest.approx(fits[1].mean_loss, abs=0.05)
+    assert fits[0].explained_share > 0.99
+
+
+def test_lost_depth_hardly_moves_the_middle_of_what_is_seen():
+    middle_m = scene(ideal().depth_m, shade(200)).middle_m()
+    lost = ideal().depth_m.copy()
+    lost[:, :175] = np.nan
+    result = scene(lost, shade(200))
+    assert np.linalg.norm(result.points_m.mean(axis=0) - middle_m) > 0.15
+    assert np.linalg.norm(result.middle_m() - middle_m) < 0.1
+
+
+def test_other_materials_change_the_loss_of_the_amplitude_alone():
+    R, t = POSE.rotation.as_matrix(), POSE.translation
+    even = scene(ideal().depth_m, shade(200))
+    fits = [PmdFitter(PmdModelConfig(), mockup(), even, as_filed=filed).fit(R, t) for filed in (True, False)]
+    assert fits[0].loss > 2.0 * fits[1].loss
+    assert fits[1].mean_loss < 0.2
 
 
 def test_the_zeros_of_a_sky_without_noise_are_no_glint():
@@ -104,6 +145,7 @@ def test_sharpening_never_makes_a_pose_worse():
 def test_a_missing_detail_shows_in_the_worst_patch():
     R, t = POSE.rotation.as_matrix(), POSE.translation
     depth_m = ideal().depth_m.copy()
-    whole = PmdFitter(PmdModelConfig(), mockup(), scene(depth_m)).worst_patch(R, t, 5)
+    (whole,) = PmdFitter(PmdModelConfig(), mockup(), scene(depth_m)).worst_patches(R, t, 5)
     depth_m[140:165, 170:195] += 0.3
-    assert PmdFitter(PmdModelConfig(), mockup(), scene(depth_m)).worst_patch(R, t, 5) > whole + 1.0
+    (missing,) = PmdFitter(PmdModelConfig(), mockup(), scene(depth_m)).worst_patches(R, t, 5)
+    assert missing > whole + 1.0

@@ -1,5 +1,7 @@
+from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from pmd_frames import depth_frame, frame_of, strange_frames
@@ -119,14 +121,60 @@ def test_a_mirrored_frame_is_refused():
     assert "contradict" in result.reason or "explain" in result.reason
 
 
-def test_a_body_of_another_material_is_refused_where_its_sides_show():
+def test_a_body_that_is_told_by_its_material_alone_is_ambiguous():
     T = make_pose(
         rotation=Rotation.from_euler("yx", (160.0, 25.0), degrees=True) * FACING,
         translation_m=(0.0, 0.0, 4.5),
     )
     result = searching("mockup").acquire(seen("hexagonal-body", T))
-    assert result.verdict is Verdict.FAILED
-    assert "a face contradicts" in result.reason
+    assert result.verdict is Verdict.AMBIGUOUS
+    assert not result.trackable
+    assert len(result.hypotheses) > 1
+
+
+@pytest.mark.parametrize("material", ["panel", "nose", "silver-mli"])
+def test_the_target_in_other_materials_is_found_by_its_shape(material):
+    mockup = target("mockup")
+    index = [known.name for known in mockup.materials].index(material)
+    coated = replace(mockup, triangle_material=np.full_like(mockup.triangle_material, index))
+    exposure = PmdEmulator(PmdConfig(), coated, seed=4).expose([OBLIQUE] * 4, sun_W_m2=SUN_W_M2, frame=0)
+    result = searching("mockup").acquire(frame_of(exposure.depth_m, amplitude=exposure.amplitude))
+    assert result.verdict is Verdict.ACCEPTED
+    assert_right(OBLIQUE, result.pose)
+
+
+def spotted(seed: int, *, share: float, size_px: int):
+    """Return which pixels lie in squares that cover a share of the image."""
+    shape = seen("mockup", OBLIQUE).depth_m.shape
+    squares = np.random.default_rng(seed).random((30, 30)) < share
+    row, column = (np.arange(size) // size_px % 30 for size in shape)
+    return squares[np.ix_(row, column)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_depth_that_is_lost_in_patches_is_missed_little(seed):
+    frame = seen("mockup", OBLIQUE)
+    lost = spotted(seed, share=0.4, size_px=25)
+    result = searching("mockup").acquire(
+        frame_of(np.where(lost, np.nan, frame.depth_m), amplitude=frame.amplitude)
+    )
+    assert result.verdict is Verdict.ACCEPTED
+    assert_right(OBLIQUE, result.pose)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_glints_that_wipe_out_both_images_contradict_nothing(seed):
+    frame = seen("mockup", OBLIQUE)
+    near = cv2.dilate(np.isfinite(frame.depth_m).astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
+    wiped = spotted(seed, share=0.4, size_px=15) & near
+    result = searching("mockup").acquire(
+        frame_of(
+            np.where(wiped, np.nan, frame.depth_m),
+            amplitude=np.where(wiped, 0, frame.amplitude).astype(np.uint16),
+        )
+    )
+    assert result.verdict is Verdict.ACCEPTED
+    assert_right(OBLIQUE, result.pose)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.7, 0.8, 1.2, 1.3, 1.5])
