@@ -14,6 +14,9 @@ from rpod_schemas.types import Odometry
 
 _TF_HZ = 25.0
 _SUN_HZ = 1.0
+_AHEAD_S = 0.032
+"""For how long truth is made at once: a tick that is made alone, by a processor that comes from other work,
+takes three times as long."""
 
 
 class TruthPublisher:
@@ -24,8 +27,10 @@ class TruthPublisher:
         self._epoch_ns, self._rate_hz = epoch_ns, rate_hz
         self._tf_every = max(1, round(rate_hz / _TF_HZ))
         self._sun_every = max(1, round(rate_hz / _SUN_HZ))
+        self._ahead = int(_AHEAD_S * rate_hz)
         self._truth, self._reference = node.publisher(TRUTH), node.publisher(REFERENCE)
         self._tf, self._sun = node.publisher(TF), node.publisher(SUN)
+        self._made: dict[int, tuple[bytearray, bytearray | None]] = {}
 
     def tick(self, time_s: float) -> int:
         """Return the last tick at or before a time from the epoch."""
@@ -37,11 +42,21 @@ class TruthPublisher:
 
     def publish(self, tick: int) -> None:
         """Publish the truth of a tick; the ideal robots are where they are told to be."""
-        stamp_ns = self.stamp_ns(tick)
-        state = self._motion.state(tick / self._rate_hz)
         if tick % self._sun_every == 0 or not self._sun.published:  # latched: known before any truth
             sun = self._motion.sun_W_m2(tick / self._rate_hz)
-            self._sun.publish(write_vector_stamped(stamp_ns, CHASER, sun))
+            self._sun.publish(write_vector_stamped(self.stamp_ns(tick), CHASER, sun))
+        truth, transform = self._made.pop(tick) if tick in self._made else self._make(tick)
+        self._truth.put(truth)
+        self._reference.put(truth)
+        if transform:
+            self._tf.put(transform)
+        if not self._made:
+            self._made = {later: self._make(later) for later in range(tick + 1, tick + 1 + self._ahead)}
+
+    def _make(self, tick: int) -> tuple[bytearray, bytearray | None]:
+        """Return a tick's truth, and its transform where one is due."""
+        stamp_ns = self.stamp_ns(tick)
+        state = self._motion.state(tick / self._rate_hz)
         odometry = Odometry(
             stamp_ns=stamp_ns,
             frame_id=CHASER,
@@ -50,8 +65,7 @@ class TruthPublisher:
             linear_m_s=state.linear_m_s,
             angular_rad_s=state.angular_rad_s,
         )
-        payload = encode(write_odometry(odometry))
-        self._truth.put(payload)
-        self._reference.put(payload)
+        transform = None
         if tick % self._tf_every == 0:
-            self._tf.publish(write_transforms(stamp_ns, [(CHASER, TARGET, state.T_chaser_target)]))
+            transform = encode(write_transforms(stamp_ns, [(CHASER, TARGET, state.T_chaser_target)]))
+        return encode(write_odometry(odometry)), transform

@@ -1,0 +1,71 @@
+"""The truth's messages, with publishers that only keep them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rpod_motion.motion import Motion, build_motion
+from rpod_motion.truth import TruthPublisher
+from rpod_schemas.cdr import decode, encode
+from rpod_schemas.config.motion import MotionConfig
+from rpod_schemas.messages import read_odometry, read_transforms
+from rpod_schemas.topics import SUN, TF, TRUTH
+
+EPOCH_NS = 1_767_225_600_000_000_000
+STEP_NS = 4_000_000
+
+
+class KeptMessages:
+    """A node's publishers."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[str, object]] = []
+
+    def publisher(self, topic):
+        def put(payload) -> None:
+            kept.published += 1
+            self.sent.append((topic.name, decode(memoryview(payload), topic.type)))
+
+        kept = SimpleNamespace(published=0, put=put, publish=lambda message: put(encode(message)))
+        return kept
+
+    def of(self, topic):
+        return [message for name, message in self.sent if name == topic.name]
+
+
+@pytest.fixture
+def motion() -> Motion:
+    config = MotionConfig.model_validate(
+        {
+            "trajectory": {"kind": "approach", "start_m": [0, 0, 7], "end_m": [0, 0, 2]},
+            "attitude": {"kind": "spin", "axis": [1, 0, 0], "rate_deg_s": 5},
+        }
+    )
+    return build_motion(config, centre_of_mass_m=np.zeros(3), inertia_kg_m2=np.eye(3), duration_s=1.0)
+
+
+def test_every_tick_has_its_own_truth_in_order(motion):
+    node = KeptMessages()
+    truth = TruthPublisher(node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0)
+    for tick in range(-3, 30):
+        truth.publish(tick)
+    sent = [read_odometry(message) for message in node.of(TRUTH)]
+    assert [odometry.stamp_ns for odometry in sent] == [EPOCH_NS + tick * STEP_NS for tick in range(-3, 30)]
+    for tick, odometry in zip(range(-3, 30), sent, strict=True):
+        expected = motion.state(tick / 250.0).T_chaser_target.as_matrix()
+        np.testing.assert_allclose(odometry.pose.as_matrix(), expected, atol=1e-14)
+    stamps_ns = [stamp_ns for message in node.of(TF) for stamp_ns, *_ in read_transforms(message)]
+    assert stamps_ns == [EPOCH_NS + tick * STEP_NS for tick in (0, 10, 20)]
+
+
+def test_the_sun_is_known_before_any_truth(motion):
+    node = KeptMessages()
+    TruthPublisher(node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0).publish(-25)
+    assert [name for name, _ in node.sent][:2] == [SUN.name, TRUTH.name]
+
+
+def test_a_slow_truth_is_never_made_beyond_the_motion(motion):
+    truth = TruthPublisher(KeptMessages(), motion, epoch_ns=EPOCH_NS, rate_hz=2.0)
+    for tick in range(3):
+        truth.publish(tick)
