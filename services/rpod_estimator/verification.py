@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from rpod_estimator.ports import Registration
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.verification import VerificationConfig
 
 
@@ -16,12 +17,12 @@ def doubt(registration: Registration, limits: VerificationConfig) -> str:
     """Return why a registration is not believed, in words for the operator; empty if it is.
 
     What a method does not know, inlier share and explained share, is not asked; nor is anything of a method
-    that judges its results by itself.
+    that judges its results by itself, but for what the measurement leaves open.
     """
     if registration.reason or registration.T_sensor_target is None:
         return registration.reason or "no pose"
-    if registration.judged:
-        return ""
+    if (left_open := _left_open(registration.covariance, limits)) or registration.judged:
+        return left_open
     cost, inliers = registration.cost_m2, registration.inliers
     share, explained = registration.inlier_share, registration.explained_share
     demands = (
@@ -38,3 +39,21 @@ def doubt(registration: Registration, limits: VerificationConfig) -> str:
         (np.isfinite(registration.covariance).all(), "no covariance"),
     )
     return next((reason for met, reason in demands if not met), "")
+
+
+def _left_open(covariance: FloatArray, limits: VerificationConfig) -> str:
+    """Return what of the pose the measurement does not determine; empty where that is not asked."""
+    for name, block, most, unit in (
+        ("position", covariance[:3, :3], limits.max_sigma_m, "m"),
+        ("attitude", np.rad2deg(np.rad2deg(covariance[3:, 3:])), limits.max_sigma_deg, "deg"),
+    ):
+        if most is not None and not (sigma := _worst_sigma(block)) <= most:
+            return f"the {name} is left open: sigma {sigma:.2g} {unit}, {most:g} at most"
+    return ""
+
+
+def _worst_sigma(covariance: FloatArray) -> float:
+    """Return the standard deviation in the worst direction; NaN where it is unknown."""
+    if not np.isfinite(covariance).all():
+        return math.nan
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))

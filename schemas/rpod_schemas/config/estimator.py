@@ -91,7 +91,11 @@ class PmdInput(Config):
     tracking: PmdTrackingConfig = Field(default_factory=JointConfig)
     """From a predicted pose."""
     verification: VerificationConfig = VerificationConfig(
-        max_cost_m2=0.003, min_explained_share=0.6, min_inlier_share=0.45
+        max_cost_m2=0.003,
+        min_explained_share=0.6,
+        min_inlier_share=0.45,
+        max_sigma_m=0.2,
+        max_sigma_deg=10.0,
     )
     """When a registration is believed."""
 

@@ -24,13 +24,19 @@ class VerificationConfig(Config):
     """Of the believed candidates: the first in the search's own order, or the one that explains most."""
     min_inliers: Annotated[int, Field(ge=6)] = 12
     """Least number of inliers."""
+    max_sigma_m: Positive | None = None
+    """Greatest standard deviation of the position in its worst direction: what shows less of the target fits
+    much else. Left out, and of a track that goes on, it is not asked."""
+    max_sigma_deg: Positive | None = None
+    """The same of the attitude."""
 
     @property
     def while_tracking(self) -> Self:
         """The limits for a track that goes on."""
-        if self.min_tracked_share is None:
-            return self
-        return self.model_copy(update={"min_explained_share": self.min_tracked_share})
+        least = self.min_explained_share if self.min_tracked_share is None else self.min_tracked_share
+        return self.model_copy(
+            update={"min_explained_share": least, "max_sigma_m": None, "max_sigma_deg": None}
+        )
 
     @model_validator(mode="after")
     def _tracking_asks_no_more(self) -> Self:

@@ -1,36 +1,41 @@
 """Whether a pose explains a PMD frame, whatever the target is made of: the pixels that contradict it.
 
 The target is rendered at the pose and every coarse pixel is asked. A range contradicts the pose where it lies
-off everything that is rendered within a pixel around it by more than three of its own standard deviations,
-as its neighbours tell them, and what is tolerated besides. Without a range, a pixel as dark as the sky does
-where surface is rendered all around it, and a bright one where there is none.
+off everything that is rendered in it and as far around it as places may be off, by more than three of its own
+standard deviations, as its neighbours tell them, and what is tolerated besides. Without a range, a bright
+pixel contradicts where there is no surface around it; and one as dark as the sky where there is, unless that
+is seen so obliquely that foil would look as dark.
 
 Under the right pose contradictions are rare and scattered, whatever the noise: the tails of its distribution,
 mixed pixels, multiple reflections. A wrong pose, another body or a mirrored image makes them lie together
-where a detail is missing or out of place. So their share is asked, and how many lie in one small patch.
+where a detail is missing or out of place. So their share is asked, and how many lie in one small patch. That
+a surface is lacking is hardly ever seen under the right pose: fewer such pixels do.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from rpod_estimator.tracking.rendering import Rendering, around, facing
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_check import PmdCheckConfig
 from rpod_schemas.types import Float32Array
 
 SIGMAS = 3.0
 """Standard deviations of its noise that a range may be off: one in 370 normal errors is larger."""
-SKY_SPREADS = 9.0
-"""Median absolute deviations of the sky, six standard ones, up to which a pixel is as dark."""
+SKY_SPREADS = 4.5
+"""Median absolute deviations of the sky, three standard ones, up to which a pixel is as dark."""
 SKY_SAMPLES = 600
 """Of the pixels, those that are asked for the sky."""
 BRIGHT = 0.25, 4.0
 """Times the target's median amplitude: between them a pixel without a range is bright, above it glints or is
 beside a glint."""
-NINE = 9
-"""A pixel and its neighbours."""
+INSIDE = 6
+"""Of nine rays in and around a pixel, those that must meet surface for one to be lacking: some may miss the
+facets of a thin part."""
+GRAZING = 0.2
+"""Cosine of incidence below which foil reflects as little as the sky."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,8 @@ class Contradictions:
     """Those of them that contradict the pose."""
     fullest: int
     """Most of those in one patch."""
+    lacking: int
+    """Most pixels in one patch that lack a surface: as dark as the sky where one is rendered."""
 
     @property
     def explained_share(self) -> float:
@@ -55,18 +62,23 @@ class Contradictions:
         if self.contrary > most * self.pixels:
             share = self.contrary / self.pixels
             return f"{share:.1%} of {self.pixels} pixels contradict the pose, {most:.0%} at most"
+        area = limits.patch_px**2
         if self.fullest > limits.most_in_patch:
-            area = limits.patch_px**2
             return (
                 f"a detail contradicts the pose: {self.fullest} of {area} pixels there, "
                 f"{limits.most_in_patch} at most"
+            )
+        if self.lacking > limits.most_lacking:
+            return (
+                f"a detail is lacking: {self.lacking} of {area} pixels there are dark, "
+                f"{limits.most_lacking} at most"
             )
         return ""
 
 
 def contradictions(
     seen: tuple[FloatArray | Float32Array, ...],
-    rendered: tuple[NDArray[np.float32], NDArray[np.int32]],
+    rendered: Rendering,
     limits: PmdCheckConfig,
     *,
     typical: float,
@@ -77,17 +89,17 @@ def contradictions(
     Args:
         seen: ranges, m, their standard deviations, m, and amplitudes, shape (rows, columns) each; what is
             not above 0, or NaN, is not known.
-        rendered: ranges, m, inf where there is none, and triangles, -1 there, at the pose; same shape.
+        rendered: the target at the pose, on the same pixels.
         limits: what is tolerated.
         typical: median amplitude of the target; 0 where none is known.
         bias_m: by which all ranges are too long.
     """
     bright, glinting = (share * typical for share in BRIGHT)
-    sky = sky_amplitude(seen[0], seen[2], rendered[1], typical)
+    sky = sky_amplitude(seen[0], seen[2], rendered.triangle, typical)
     shades = sky if sky < bright else 0.0, max(bright, sky), glinting
-    return Contradictions(
-        *count_contrary(seen, rendered, shades, (limits.tolerance_m, bias_m), limits.patch_px)
-    )
+    reach_px = limits.reach_px + limits.place_m * rendered.px_per_m
+    tolerated = limits.tolerance_m, bias_m, reach_px
+    return Contradictions(*count_contrary(seen, rendered.arrays, shades, tolerated, limits.patch_px))
 
 
 @njit(cache=True, nogil=True)
@@ -116,60 +128,56 @@ def sky_amplitude(range_m, amplitude, owner, typical):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def count_contrary(seen, rendered, shades, tolerated, patch):  # type: ignore[no-untyped-def]
-    """Return the numbers of pixels that say something, of contrary ones, and of the latter in one patch.
+    """Return the numbers of pixels that say something, of contrary ones, and two of the fullest patches.
+
+    They are the most contrary pixels in one patch, and the most that lack a surface.
 
     Args:
         seen: as for ``contradictions``.
-        rendered: as for ``contradictions``.
+        rendered: ``Rendering.arrays``.
         shades: amplitude up to which a pixel is dark, and two between which it is bright.
-        tolerated: error of a range besides its noise, m; bias of all ranges, m.
+        tolerated: error of a range besides its noise, m; bias of all ranges, m; error of a place, px.
         patch: side of a patch.
     """
-    amplitude, owner = seen[2], rendered[1]
+    (range_m, sigma_m, amplitude), (nearest_m, owner) = seen, rendered[:2]
     dark, bright, glinting = shades
+    tolerance, bias, reach = tolerated
     rows, columns = owner.shape
-    full = np.zeros((rows + patch, columns + patch), np.int32)
-    pixels, contrary, fullest = 0, 0, 0
+    full = np.zeros((2, rows + patch, columns + patch), np.int32)
+    pixels, contrary = 0, 0
     for i in range(rows):
         for j in range(columns):
-            shade = amplitude[i, j]
-            if seen[0][i, j] > 0.0:
-                contradicts = _is_off(seen, rendered, tolerated, i, j)
+            shade, lacks = amplitude[i, j], False
+            if range_m[i, j] > 0.0:
+                measured, slack = range_m[i, j] - bias, max(tolerance, SIGMAS * sigma_m[i, j])
+                pixels += 1
+                if abs(measured - nearest_m[i, j]) <= slack or _is_near(
+                    rendered, i, j, reach, measured, slack
+                ):
+                    continue
             elif bright < shade < glinting:
-                contradicts = _rendered_around(owner, i, j) == 0
-            elif 0.0 < shade <= dark and _rendered_around(owner, i, j) == NINE:
-                contradicts = True
+                pixels += 1
+                if owner[i, j] >= 0 or around(rendered, i, j, reach)[2] > 0:
+                    continue
+            elif 0.0 < shade <= dark and owner[i, j] >= 0 and _should_show(rendered, i, j, reach):
+                pixels += 1
+                lacks = True
             else:
                 continue
-            pixels += 1
-            contrary += contradicts
-            for v in range(i, i + patch if contradicts else i):
-                for u in range(j, j + patch):
-                    full[v, u] += 1
-                    fullest = max(fullest, full[v, u])
-    return pixels, contrary, fullest
+            contrary += 1
+            full[0, i : i + patch, j : j + patch] += 1
+            full[1, i : i + patch, j : j + patch] += lacks
+    return pixels, contrary, full[0].max(), full[1].max()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _is_off(seen, rendered, tolerated, i, j):  # type: ignore[no-untyped-def]
-    """Return whether a pixel's range lies off all that is rendered within a pixel around it."""
-    range_m, sigma, _ = seen
-    nearest, owner = rendered
-    tolerance, bias = tolerated
-    low, high = np.inf, 0.0
-    for v in range(max(i - 1, 0), min(i + 2, owner.shape[0])):
-        for u in range(max(j - 1, 0), min(j + 2, owner.shape[1])):
-            if owner[v, u] >= 0:
-                low, high = min(low, nearest[v, u]), max(high, nearest[v, u])
-    slack = max(tolerance, SIGMAS * sigma[i, j])
-    return not low - slack <= range_m[i, j] - bias <= high + slack
+def _is_near(rendered, i, j, reach, range_m, slack):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return whether a range lies on what is rendered in and around a pixel, or between."""
+    low, high, _ = around(rendered, i, j, reach)
+    return low - slack <= range_m <= high + slack
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rendered_around(owner, i, j):  # type: ignore[no-untyped-def]
-    """Return on how many of a pixel and its neighbours there is surface."""
-    count = 0
-    for v in range(max(i - 1, 0), min(i + 2, owner.shape[0])):
-        for u in range(max(j - 1, 0), min(j + 2, owner.shape[1])):
-            count += owner[v, u] >= 0
-    return count
+def _should_show(rendered, i, j, reach):  # type: ignore[no-untyped-def]
+    """Return whether a pixel lies well on surface that would show whatever it is made of."""
+    return facing(rendered, i, j) >= GRAZING and around(rendered, i, j, reach)[2] >= INSIDE

@@ -22,6 +22,7 @@ from rpod_estimator.tracking.depth_view import PLUMB_BOB, DepthView
 from rpod_estimator.tracking.edge_model import EdgeModel
 from rpod_estimator.tracking.frame_check import Contradictions, contradictions
 from rpod_estimator.tracking.joint_fit import agreement, align, coarse_ranges
+from rpod_estimator.tracking.rendering import Rendering
 from rpod_estimator.tracking.scan_alignment import draw_in
 from rpod_estimator.tracking.signed_distance import field_arrays
 from rpod_estimator.tracking.surface_model import SurfaceModel
@@ -184,8 +185,9 @@ class JointTracker:
         return agreeing / asked if asked else 0.0
 
     def _contradictions(self, seen: _Seen, R: FloatArray, t: FloatArray, bias_m: float) -> Contradictions:
-        rendered = self._buffers_of(seen.view)
-        cast_pose(seen.view.coarse.arrays, self._model[0], R, t, True, *rendered)
+        view, buffers = seen.view, self._buffers_of(seen.view)
+        cast_pose(view.coarse.arrays, self._model[0], R, t, True, *buffers)
+        rendered = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._model[0], R, t)
         images = seen.range_m, seen.sigma_m, seen.shade
         return contradictions(images, rendered, self._config.check, typical=seen.typical, bias_m=bias_m)
 

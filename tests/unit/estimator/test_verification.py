@@ -73,3 +73,22 @@ def test_what_a_method_doubts_by_itself_is_not_believed():
     reason = "does not explain the scan"
     assert doubt(replace(GOOD, judged=True, reason=reason), LIMITS) == reason
     assert doubt(replace(GOOD, judged=True, T_sensor_target=None), LIMITS) == "no pose"
+
+
+@pytest.mark.parametrize(
+    ("wide", "judged", "words"),
+    [
+        (0, False, "the position is left open: sigma 0.3 m, 0.2 at most"),
+        (0, True, "the position is left open: sigma 0.3 m, 0.2 at most"),
+        (5, True, "the attitude is left open: sigma 17 deg, 10 at most"),
+        (None, True, ""),
+    ],
+)
+def test_a_frame_that_leaves_the_pose_open_does_not_start_a_track_but_may_go_on_with_one(wide, judged, words):
+    limits = LIMITS.model_copy(update={"max_sigma_m": 0.2, "max_sigma_deg": 10.0})
+    covariance = np.eye(6) * 1e-4
+    if wide is not None:
+        covariance[wide, wide] = 0.09
+    registration = replace(GOOD, covariance=covariance, judged=judged)
+    assert doubt(registration, limits) == words
+    assert doubt(registration, limits.while_tracking) == doubt(registration, LIMITS) == ""

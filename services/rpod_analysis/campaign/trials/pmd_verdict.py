@@ -24,12 +24,14 @@ from rpod_analysis.campaign.trials.scores import POSE, errors, numbers
 from rpod_estimator.methods import pmd_methods, warm_up
 from rpod_estimator.ports import Methods
 from rpod_estimator.tracking.frame_check import contradictions
+from rpod_estimator.tracking.rendering import Rendering
+from rpod_estimator.verification import doubt
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import SunConfig
 from rpod_schemas.config.pmd_check import PmdCheckConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.types import Camera, PmdFrame
-from rpod_sim_sensor.geometry import Hits, RayGrid, cast
+from rpod_sim_sensor.geometry import RayGrid, cast
 from rpod_target import Target
 
 OFF_DEG, OFF_M = 1.0, 0.01
@@ -106,25 +108,24 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
     frame = _spoiled(shot.frame, cell)
     start = off(truth, stream(seed, trial, _START), angle_deg=OFF_DEG, distance_m=OFF_M)
     found, tracked = methods.acquirer.acquire(frame), methods.tracker.track(frame, start)
-    seen_m = FLIPS[cell.flip](_ranges(stage.camera.camera, stage.looked_at, truth).range_m)
+    why = doubt(tracked, methods.verification)
+    rays = RayGrid.pinhole(stage.camera.camera)
+    seen_m = FLIPS[cell.flip](cast(rays, stage.looked_at.triangles_m, truth).range_m)
     row: dict[str, Any] = {
         "truth": numbers(truth),
         "range_m": float(np.linalg.norm(truth.translation)),
         "depth_share": shot.depth_share,
     }
     row |= _judged("acquisition", found.trackable, found.reason, errors(truth, found.pose, looked_for))
-    row |= _judged(
-        "tracker", not tracked.reason, tracked.reason, errors(truth, tracked.T_sensor_target, looked_for)
-    )
+    row |= _judged("tracker", not why, why, errors(truth, tracked.T_sensor_target, looked_for))
     refined = None
     row["tracked_after"] = False
     if found.pose is not None:
         then = methods.tracker.track(frame, found.pose)
         refined = then.T_sensor_target
-        row["tracked_after"] = found.trackable and not then.reason
+        row["tracked_after"] = found.trackable and not doubt(then, methods.verification)
     for name, pose in (("acquisition", refined), ("tracker", tracked.T_sensor_target)):
-        expected = None if pose is None else _ranges(frame.camera, looked_for, pose)
-        row[f"{name}_alike"] = None if expected is None else _alike(seen_m, expected)
+        row[f"{name}_alike"] = None if pose is None else _alike(seen_m, frame.camera, looked_for, pose)
     return row
 
 
@@ -157,20 +158,16 @@ def _spoiled(frame: PmdFrame, cell: VerdictCell) -> PmdFrame:
     return frame.model_copy(update={**images, "camera": camera.model_copy(update=focal)})
 
 
-def _ranges(camera: Camera, target: Target, pose: RigidTransform) -> Hits:
-    """Return what a camera without noise sees."""
-    return cast(RayGrid.pinhole(camera), target.triangles_m, pose)
-
-
-def _alike(seen_m: FloatArray, expected: Hits) -> bool:
+def _alike(seen_m: FloatArray, camera: Camera, target: Target, pose: RigidTransform) -> bool:
     """Return whether what is seen, inf for the sky, is what is expected: ranges, and both outlines."""
-    coarse = (slice(None, None, _EVERY),) * 2
-    seen_m, expected_m, triangle = seen_m[coarse], expected.range_m[coarse], expected.triangle[coarse]
-    shade = np.where(np.isfinite(seen_m), 1.0, 0.1)
+    grid = RayGrid(np.ascontiguousarray(RayGrid.pinhole(camera).components[:, ::_EVERY, ::_EVERY]))
+    hits, matrix = cast(grid, target.triangles_m, pose, cull_back_faces=True), pose.as_matrix()
+    R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()
+    expected = Rendering(hits.range_m, hits.triangle, grid, _EVERY, camera.fx, target.triangles_m, R, t)
+    seen_m = seen_m[::_EVERY, ::_EVERY]
     measured_m = np.where(np.isfinite(seen_m), seen_m, np.nan)
-    there = contradictions(
-        (measured_m, np.zeros(seen_m.shape), shade), (expected_m, triangle), _EXACT, typical=1.0
-    )
+    shade = np.where(np.isfinite(seen_m), 1.0, 0.1)
+    there = contradictions((measured_m, np.zeros(seen_m.shape), shade), expected, _EXACT, typical=1.0)
     return not there.doubt(_EXACT)
 
 
