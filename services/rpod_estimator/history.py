@@ -83,19 +83,26 @@ class History:
         return self.state.stamp_ns - round(config.max_delay_s * 1e9)
 
 
-def apply(history: History, measurement: PoseMeasurement, config: FilterConfig) -> Applied:
+def apply(
+    history: History, measurement: PoseMeasurement, config: FilterConfig, predicted: FilterState | None = None
+) -> Applied:
     """Return the history with a measurement at its place, and those after it judged and applied anew.
 
-    A measurement that is too old is not accepted, and nothing changes.
+    A measurement that is too old is not accepted, and nothing changes. ``predicted`` is what the history
+    predicts ``at`` its stamp, where that is known already.
     """
-    state = history.before(measurement.stamp_ns, config)
-    if state is None:
+    predicted = predicted or history.at(measurement.stamp_ns, config)
+    if predicted is None:
         return Applied(history, float("nan"), accepted=False)
     place = history.place(measurement.stamp_ns)
-    steps = list(history.steps[:place])
-    for each in (measurement, *(step.measurement for step in history.steps[place:])):
-        predicted = predict(state, each.stamp_ns, config)
-        steps.append(_Step(each, update(predicted, each.T_chaser_target, each.covariance, config=config)))
-        state = steps[-1].outcome.state
+    steps = [*history.steps[:place], _judged(measurement, predicted, config)]
+    for later in history.steps[place:]:
+        predicted = predict(steps[-1].outcome.state, later.measurement.stamp_ns, config)
+        steps.append(_judged(later.measurement, predicted, config))
     own = steps[place].outcome
     return Applied(History(history.origin, tuple(steps)).pruned(config), own.nis, own.accepted)
+
+
+def _judged(measurement: PoseMeasurement, predicted: FilterState, config: FilterConfig) -> _Step:
+    outcome = update(predicted, measurement.T_chaser_target, measurement.covariance, config=config)
+    return _Step(measurement, outcome)

@@ -183,7 +183,7 @@ class Navigator:
             return self._reject(state, event, registration, reason=reason)
         pose, covariance = in_chaser(registration, event.T_chaser_sensor)
         measured = PoseMeasurement(event.stamp_ns, pose, covariance)
-        grown, nis, accepted = apply(history, measured, self._settings.filter)
+        grown, nis, accepted = apply(history, measured, self._settings.filter, predicted)
         if not accepted:
             state = replace(state, history=grown)  # a late measurement may yet speak for this one
             return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
