@@ -54,7 +54,7 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         if config.speed == "max":
             Lockstep(node, config, truth).play(first, last)
         else:
-            _play_by_the_wall(node, truth, range(first, last + 1))
+            _play_by_the_wall(node, truth, range(first, last + 1), lead_s=config.lead_s)
         node.state = "finished"
         node.health.report(Health.OK, "finished")
         log.info("finished after %g s of scenario time", config.duration_s)
@@ -85,15 +85,16 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
     return requests[0].epoch_ns
 
 
-def _play_by_the_wall(node: Node, truth: TruthPublisher, ticks: range) -> None:
-    """Publish each tick when its time has come; ticks that are overdue follow without a pause."""
-    for tick in _paced(node.stop, truth, ticks):
+def _play_by_the_wall(node: Node, truth: TruthPublisher, ticks: range, *, lead_s: float) -> None:
+    """Publish each tick so long before its time; ticks that are overdue follow without a pause."""
+    for tick in _paced(node.stop, truth, ticks, lead_s=lead_s):
         truth.publish(tick)
+    node.stop.wait(lead_s)
 
 
-def _paced(stop: Event, truth: TruthPublisher, ticks: range) -> Iterator[int]:
+def _paced(stop: Event, truth: TruthPublisher, ticks: range, *, lead_s: float) -> Iterator[int]:
     for tick in ticks:
-        wait_s = (truth.stamp_ns(tick) - time.time_ns()) / NANOSECONDS
+        wait_s = (truth.stamp_ns(tick) - time.time_ns()) / NANOSECONDS - lead_s
         if wait_s > 0 and stop.wait(wait_s):
             return
         if stop.is_set():

@@ -69,3 +69,6 @@ class MotionServiceConfig(ServiceConfig):
     """Whom lockstep waits for."""
     preroll_s: NonNegative = 0.1
     """Truth before the epoch, so that exposures around it are covered."""
+    lead_s: NonNegative = 0.02
+    """By the wall clock, truth is published so long before its stamp: so emulated sensors are ready when real
+    ones would be. Not in lockstep."""
