@@ -63,7 +63,10 @@ class ScanPattern:
 def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
     """Return the methods for a PMD camera."""
     tracker = _pmd_tracker(sensor, target)
-    acquirer = ViewSearch(sensor.acquisition, target)
+    finisher = tracker
+    if not isinstance(tracker, JointTracker):
+        finisher = JointTracker(JointConfig(), target, calibrated=sensor.calibration is not None)
+    acquirer = ViewSearch(sensor.acquisition, target, finisher)
     preparation = DepthPreparation(sensor, target)
     return Methods(
         PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation), sensor.verification

@@ -108,38 +108,50 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     strange = _strange_camera(frame.camera, config)
     if strange:
         return strange
-    shown = _measured(frame, config)
-    dim = np.inf
+    shown, dim = _measured(frame, config), np.inf
     if frame.amplitude is not None and shown.any():
         dim = config.lit_share * float(np.percentile(frame.amplitude[shown], DARKEST_PERCENT))
     bright = shown if frame.amplitude is None else shown | (frame.amplitude > dim)
-    pixels = np.count_nonzero(bright)
-    stride = int(np.clip(round(np.sqrt(pixels / config.pixels)), 1, config.most_stride_px))
+    stride = round(np.sqrt(np.count_nonzero(bright) / config.pixels))
     try:
-        view = DepthView.of(frame.camera, stride)
+        view = DepthView.of(frame.camera, int(np.clip(stride, 1, config.most_stride_px)))
     except DistortionError as error:
         return str(error)
     shown_m = np.where(shown, frame.depth_m, np.float32(np.nan))
-    depth_m = thinned(shown_m, stride, view.offset)
+    depth_m = thinned(shown_m, view.stride, view.offset)
     rays = view.coarse.components
     range_m = np.nan_to_num(depth_m / rays[2], nan=0.0).astype(np.float32)
     nearby = _around(rays, range_m, REACH * radius_m)
-    lit, blind, least = nearby.copy(), np.zeros(depth_m.shape, bool), np.inf
-    amplitude: Float32Array = np.zeros(depth_m.shape, np.float32)
-    if frame.amplitude is not None and shown.any():
-        every = (slice(view.offset, None, stride),) * 2
-        touched = _touched(frame.amplitude, dim)[every]
-        smooth = uniform_filter(frame.amplitude.astype(np.float32), 3)
-        least = _least_amplitude(smooth[every][(range_m == 0.0) & ~touched], dim)
-        amplitude = np.where(touched, 0, cv2.medianBlur(frame.amplitude, 3)[every]).astype(np.float32)
-        lit |= (range_m == 0.0) & (amplitude > least)
-        blind = touched & ~lit
+    amplitude, lit, blind, least = _amplitudes(frame.amplitude, view, range_m == 0.0, dim)
     range_m = np.where(nearby, range_m, np.float32(0.0))
     points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
     if len(points_m) < config.min_points:
-        return f"{len(points_m)} points on {stride} px strides, {config.min_points} needed"
-    sigma_m = spread(shown_m, stride, view.offset, depth_m.shape)
-    return PmdScene(view, range_m, sigma_m, amplitude, lit, blind, least, points_m)
+        return f"{len(points_m)} points on {view.stride} px strides, {config.min_points} needed"
+    sigma_m = spread(shown_m, view.stride, view.offset, depth_m.shape)
+    return PmdScene(view, range_m, sigma_m, amplitude, lit | nearby, blind & ~nearby, least, points_m)
+
+
+def _amplitudes(
+    amplitude: NDArray[np.uint16] | None, view: DepthView, unmeasured: NDArray[np.bool_], dim: float
+) -> tuple[Float32Array, NDArray[np.bool_], NDArray[np.bool_], float]:
+    """Return PmdScene's amplitudes, what without depth is lit and what blind, and the least that is lit.
+
+    Args:
+        amplitude: of all pixels, shape (H, W).
+        view: the coarse pixels.
+        unmeasured: those without depth, shape (rows, columns).
+        dim: amplitude that is lit in any case; infinite where nothing is known.
+    """
+    if amplitude is None or not np.isfinite(dim):
+        none = np.zeros(unmeasured.shape, bool)
+        return np.zeros(unmeasured.shape, np.float32), none, none, np.inf
+    every = (slice(view.offset, None, view.stride),) * 2
+    touched = _touched(amplitude, dim)[every]
+    smooth = uniform_filter(amplitude.astype(np.float32), 3)
+    least = _least_amplitude(smooth[every][unmeasured & ~touched], dim)
+    median = np.where(touched, 0, cv2.medianBlur(amplitude, 3)[every]).astype(np.float32)
+    lit = unmeasured & (median > least)
+    return median, lit, touched & ~lit, least
 
 
 def _strange_camera(camera: Camera, config: PmdSceneConfig) -> str:

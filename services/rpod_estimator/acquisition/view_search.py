@@ -14,9 +14,12 @@ The weights of the hypotheses follow from their losses.
 What is really there may be made of other materials than the target's file says. Where no pose explains the
 frame by these, the search is done again and asks for the shape alone. Then nothing else tells two poses
 apart, so that the best is believed only where all others are worse by far; else the result is ambiguous.
+
+A pose that is believed is handed to the tracker, which has to believe it too and lays it on depth and edges.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -27,7 +30,7 @@ from rpod_estimator.acquisition.frame_search import FrameSearch, Model, Pose
 from rpod_estimator.acquisition.hypotheses import hypotheses
 from rpod_estimator.acquisition.pmd_fit import PmdFitter
 from rpod_estimator.acquisition.pmd_scene import PmdScene, scene_of
-from rpod_estimator.ports import Acquisition, Registration, Verdict
+from rpod_estimator.ports import Acquisition, Registration, Tracker, Verdict
 from rpod_estimator.tracking.signed_distance import measured_equations
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig, PmdLimitsConfig
@@ -39,15 +42,37 @@ Judge = tuple[PmdFitter, PmdLimitsConfig]
 """What it takes for the loss, and how much of it it grants."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """A frame, and among which attitudes the target is looked for in it."""
+
+    frame: PmdFrame
+    scene: PmdScene
+    attitudes: Float32Array
+    """To begin with, shape (M, 3, 3)."""
+    around: FloatArray | None
+    """From which none may be far, shape (3, 3); None for any."""
+
+    def failed(self, registration: Registration) -> Acquisition:
+        """Return a search that found nothing to believe."""
+        nothing = replace(registration, T_sensor_target=None, covariance=np.full((6, 6), np.nan))
+        return Acquisition(Verdict.FAILED, nothing, registration.reason, templates=len(self.attitudes))
+
+
 class ViewSearch:
     """Finds the target in a frame: ports.Acquirer[PmdFrame].
+
+    Args:
+        config: its parameters.
+        target: what to look for.
+        tracker: of both images, for the pose that is found.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
     """
 
-    def __init__(self, config: PmdAcquisitionConfig, target: Target) -> None:
-        self._config, self._model = config, Model.of(target, config)
+    def __init__(self, config: PmdAcquisitionConfig, target: Target, tracker: Tracker[PmdFrame]) -> None:
+        self._config, self._model, self._tracker = config, Model.of(target, config), tracker
 
     def acquire(self, measurement: PmdFrame) -> Acquisition:
         """Return the pose that explains the frame best, the others that do, and the verdict."""
@@ -67,32 +92,35 @@ class ViewSearch:
         else:
             attitudes = attitudes_of(config.near_attitudes)
             attitudes = attitudes[within(attitudes, around, config.near_deg)]
+        task = _Task(measurement, scene, attitudes, around)
         shape = PmdFitter(config.model, self._model.target, scene, as_filed=False), config.verdict.shape
         filed = PmdFitter(config.model, self._model.target, scene), config.verdict.as_filed
-        found = self._judged(scene, attitudes, around, (filed, shape))
+        found = self._judged(task, (filed, shape))
         if found.verdict is not Verdict.FAILED:
             return found
-        by_shape = self._judged(scene, attitudes, around, (shape,))
+        by_shape = self._judged(task, (shape,))
         return found if by_shape.verdict is Verdict.FAILED else by_shape
 
-    def _judged(
-        self, scene: PmdScene, attitudes: Float32Array, around: FloatArray | None, judges: Sequence[Judge]
-    ) -> Acquisition:
+    def _judged(self, task: _Task, judges: Sequence[Judge]) -> Acquisition:
         """Return the verdict on the distinct poses that are best in the eyes of the first judge."""
         fitter, limits = judges[0]
-        poses = FrameSearch(self._config, self._model, scene, fitter).search(attitudes, around)
+        poses = FrameSearch(self._config, self._model, task.scene, fitter).search(task.attitudes, task.around)
         if not poses:
             reason = "no attitude shows the target to the camera"
-            return Acquisition(Verdict.FAILED, Registration(Source.NONE), reason, templates=len(attitudes))
+            return task.failed(Registration(Source.NONE, reason=reason))
         doubts = (self._doubt(poses[0], *judge) for judge in judges)
-        registration = self._registration(scene, poses[0], next(filter(None, doubts), ""))
-        reason = registration.reason
-        if reason or registration.T_sensor_target is None:
-            return Acquisition(Verdict.FAILED, registration, reason, templates=len(attitudes))
+        registration = self._registration(task.scene, poses[0], next(filter(None, doubts), ""))
         weights = softmax([-pose.fit.loss * limits.facts / poses[0].fit.pixels for pose in poses])
-        listed = hypotheses(poses, weights, self._model.turns.exact)
         alike, best = len(self._model.turns.exact), weights[0]
         sure = best >= self._config.verdict.ambiguous_weight
+        if sure and registration.T_sensor_target is not None:
+            registration = self._tracker.track(task.frame, registration.T_sensor_target)
+        if registration.reason or registration.T_sensor_target is None:
+            return task.failed(registration)
+        matrix = registration.T_sensor_target.as_matrix()
+        poses[0] = replace(poses[0], R=matrix[:3, :3], t=matrix[:3, 3])
+        listed = hypotheses(poses, weights, self._model.turns.exact)
+        reason = ""
         if alike > 1 and sure:
             reason = f"{alike} poses look alike by the target's symmetry"
         elif not sure:
@@ -102,7 +130,7 @@ class ViewSearch:
             registration,
             reason,
             listed,
-            templates=len(attitudes),
+            templates=len(task.attitudes),
             by_symmetry=alike > 1 and sure,
         )
 

@@ -9,12 +9,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_estimator.acquisition.attitude_grid import even_directions
 from rpod_estimator.acquisition.view_search import ViewSearch
-from rpod_estimator.ports import Verdict
+from rpod_estimator.ports import Registration, Verdict
+from rpod_estimator.tracking.joint import JointTracker
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.poses import make_pose, pose_error
-from rpod_schemas.types import PmdFrame
+from rpod_schemas.types import PmdFrame, Source
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target
 
@@ -26,7 +28,8 @@ REAR = make_pose(
     rotation=Rotation.from_euler("y", 180.0, degrees=True) * FACING, translation_m=(0.0, 0.0, 4.0)
 )
 target = cache(load_target)
-searching = cache(lambda name: ViewSearch(PmdAcquisitionConfig(), target(name)))
+tracking = cache(lambda name: JointTracker(JointConfig(), target(name)))
+searching = cache(lambda name: ViewSearch(PmdAcquisitionConfig(), target(name), tracking(name)))
 camera = cache(lambda name: PmdEmulator(PmdConfig(), target(name), seed=3))
 
 
@@ -67,6 +70,25 @@ def test_what_explains_the_frame_is_accepted():
     assert found().hypotheses[0].weight > 0.95
     assert np.isfinite(found().covariance).all()
     assert found().reason == ""
+
+
+def test_what_is_accepted_is_laid_on_the_edges_too():
+    result = found()
+    assert result.registration.source is Source.PMD_JOINT
+    assert attitude_error_deg(OBLIQUE, result.pose) < 0.5
+    assert np.linalg.norm(result.pose.translation - OBLIQUE.translation) < 0.015
+    assert np.array_equal(result.hypotheses[0].pose.as_matrix(), result.pose.as_matrix())
+
+
+def test_what_the_tracker_does_not_believe_is_refused():
+    class Doubting:
+        def track(self, _, T_sensor_target):
+            return Registration(Source.PMD_JOINT, T_sensor_target, "edges are elsewhere")
+
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Doubting())
+    result = search.acquire(seen("mockup", OBLIQUE))
+    assert (result.verdict, result.reason) == (Verdict.FAILED, "edges are elsewhere")
+    assert result.pose is None
 
 
 def test_a_frame_without_amplitude_does():
