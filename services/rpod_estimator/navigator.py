@@ -2,7 +2,8 @@
 
 ACQUIRING  --a refined candidate is believed-->             VERIFYING
 VERIFYING  --the next frames agree-->                       TRACKING
-TRACKING   --rejections or silence for too long-->          LOST
+TRACKING   --rejections or silence for too long,
+             or too many frames that contradict-->          LOST
 LOST       --believed near the prediction, or searched-->   VERIFYING
 
 ``step(state, measurement) -> (state, output)`` knows neither bus nor clock: the daemon, a replay
@@ -10,7 +11,7 @@ of a log and a Monte-Carlo campaign run this very function.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import radians
 from typing import overload
@@ -23,7 +24,7 @@ from rpod_estimator.filter import ATTITUDE, FilterState, predict, start, to_odom
 from rpod_estimator.history import History, PoseMeasurement, apply
 from rpod_estimator.measurement import Measurement, Tick
 from rpod_estimator.ports import Acquisition, Methods, Registration
-from rpod_estimator.verification import doubt
+from rpod_estimator.verification import Record, doubt
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
@@ -31,6 +32,8 @@ from rpod_schemas.poses import chained, rotation_matrix
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
 from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, Odometry, Source
 
+BEGINNING = 0.5
+"""Of what may speak against a track, what may do so where one begins: else it would come and go."""
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.05
 """Of a given first pose whose covariance is not given."""
 
@@ -64,6 +67,8 @@ class NavigatorState:
     """In a row."""
     confirmations: int = 0
     """Frames that agreed since the acquisition."""
+    records: Mapping[str, Record] = field(default_factory=dict)
+    """How often frames contradicted what was tracked, by the sensor's name; outlasts what was tracked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,9 +154,10 @@ class Navigator:
         self, state: NavigatorState, event: Measurement, registration: Registration
     ) -> tuple[NavigatorState, Output]:
         pose, covariance = in_chaser(registration, event.T_chaser_sensor)
+        unverified = self._limits.confirmations > 0 or not self._is_credible(state, event)
         state = replace(
             state,
-            mode=Mode.VERIFYING if self._limits.confirmations else Mode.TRACKING,
+            mode=Mode.VERIFYING if unverified else Mode.TRACKING,
             history=History(self._start_filter(pose, covariance, event.stamp_ns)),
             accepted_ns=event.stamp_ns,
             rejections=0,
@@ -179,6 +185,12 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, believe or reject, update the filter."""
         registration, reason = self._register(event, predicted, tracked=state.mode == Mode.TRACKING)
+        record = state.records.get(event.sensor, Record()).after(registration)
+        state = replace(state, records={**state.records, event.sensor: record})
+        if state.mode == Mode.TRACKING and record.share > self._limits.max_contradicted_share:
+            share = f"{record.share:.0%} of the frames of late speak against what is tracked"
+            state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
+            return self._reject(state, event, registration, reason=f"{share}: {reason}" if reason else share)
         if reason:
             return self._reject(state, event, registration, reason=reason)
         pose, covariance = in_chaser(registration, event.T_chaser_sensor)
@@ -188,7 +200,8 @@ class Navigator:
             state = replace(state, history=grown)  # a late measurement may yet speak for this one
             return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
         confirmations = state.confirmations + 1
-        tracking = state.mode == Mode.TRACKING or confirmations >= self._limits.confirmations
+        verified = confirmations >= self._limits.confirmations and self._is_credible(state, event)
+        tracking = state.mode == Mode.TRACKING or verified
         state = replace(
             state,
             mode=Mode.TRACKING if tracking else Mode.VERIFYING,
@@ -239,6 +252,11 @@ class Navigator:
         elif state.mode == Mode.TRACKING and self._lost(state, event.stamp_ns):
             state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
         return state, self._output(state, event, registration, reason=reason, nis=nis)
+
+    def _is_credible(self, state: NavigatorState, event: Measurement) -> bool:
+        """Return whether a track may begin: few of the sensor's frames spoke against what was tracked."""
+        share = state.records.get(event.sensor, Record()).share
+        return share <= BEGINNING * self._limits.max_contradicted_share
 
     def _lost(self, state: NavigatorState, stamp_ns: int) -> bool:
         silent_s = (stamp_ns - state.accepted_ns) / NANOSECONDS

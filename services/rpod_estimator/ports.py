@@ -44,6 +44,8 @@ class Registration:
     """Self-check: of the rays where model or measurement say "surface", the share that agrees."""
     judged: bool = False
     """Whether the method has judged the pose by itself, so that its shares and cost are not asked."""
+    contradicted: bool = False
+    """Whether the frame speaks against the pose, rather than too little for it; it may yet be believed."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     """Of (dp, dtheta) in the sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1); shape (6, 6)."""
     iterations: int = 0

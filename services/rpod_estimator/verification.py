@@ -1,16 +1,48 @@
 """Whether a registration is believed: cost, inliers and self-check against their limits.
 
+A stream of registrations has a record besides: how many of them the frames contradicted.
+
 f_MAX is the 2015 paper's failure detection (section 4.5); alone it accepts wrong poses on sparse
 scans, so the share of rays or pixels on which model and measurement agree is asked as well.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from rpod_estimator.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.verification import VerificationConfig
+
+MEMORY, BENEFIT = 90.0, 20.0
+"""Frames that a record remembers, and that it takes for granted to have agreed before the first."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """How often a sensor's frames contradicted the pose that was tracked, the older ones forgotten by and by.
+
+    A single frame of something else may look like the target by chance, or by the side that it shows; a
+    stream of them does so for a while only.
+    """
+
+    frames: float = 0.0
+    """That say something."""
+    contrary: float = 0.0
+    """Those of them that speak against the pose."""
+
+    @property
+    def share(self) -> float:
+        """Of the frames, those that speak against the pose."""
+        return self.contrary / (self.frames + BENEFIT)
+
+    def after(self, registration: Registration) -> "Record":
+        """Return the record with one more frame; one that shows nothing says nothing."""
+        if registration.T_sensor_target is None:
+            return self
+        kept = 1.0 - 1.0 / MEMORY
+        return Record(kept * self.frames + 1.0, kept * self.contrary + registration.contradicted)
 
 
 def doubt(registration: Registration, limits: VerificationConfig) -> str:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from rpod_schemas.arrays import VectorN
-from rpod_schemas.config.base import Config, Name, NonNegative, Positive
+from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.config.depth_calibration import CalibrationSource
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
@@ -115,6 +115,9 @@ class NavigatorConfig(Config):
     """Measurements rejected for longer than this: LOST."""
     rejected_frames: Annotated[int, Field(ge=1)] = 3
     """Least number of rejections in a row before LOST, for slow sensors."""
+    max_contradicted_share: Share = 0.25
+    """Of a sensor's last 90 frames or so, those that may speak against what is tracked: beyond, it is LOST at
+    once. A hypothesis becomes a track at half of it. The method must tell them; ``joint`` does."""
     silence_timeout_s: Positive = 2.5
     """No measurement for longer than this: LOST."""
     near_search_s: NonNegative = 3.0

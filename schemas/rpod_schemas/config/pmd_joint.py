@@ -62,11 +62,20 @@ class JointEdgeConfig(Config):
 class JointVerdictConfig(Config):
     """When the tracker believes its own result: ``check``, and what the edges say."""
 
-    min_edge_share: Share = 0.5
+    min_edge_share: Share = 0.55
     """Found in their place, of the edges to expect there by the noise of the frame, less one over the root of
-    their number. What is expected are places that show a change, where it is."""
+    their number. What is expected are places that show a change, where it is. Right poses had 0.59
+    and more."""
+    weak_edge_share: Share = 0.62
+    """Below this a frame is believed, but speaks against the pose: a stream of such frames is not. One of 500
+    right poses had less, three of four of a target that is 5 % larger than drawn."""
     min_changed_share: Share = 0.5
     """Of all places of edges those that should show a change at least; without depth, all."""
+    bias_sigmas: Positive = 2.0
+    """Of what the depth's ``bias_m`` is, that ranges may be off from where the edges have the target. Right
+    poses had up to 1.0 beside what ``scale_share`` allows, a target 5 % larger or smaller mostly has more."""
+    scale_share: NonNegative = 0.004
+    """Of the range, that they may be off besides: errors of the target's size and of the focal length."""
     min_points: Annotated[int, Field(ge=6)] = 40
     """Fewer matched points say nothing."""
     min_edges: Annotated[int, Field(ge=6)] = 40
@@ -120,6 +129,10 @@ class JointConfig(Config):
             raise ValueError("depth.final_scale_m must not exceed depth.scale_m: the weights narrow")
         if self.edges.final_search_px > self.edges.search_px:
             raise ValueError("edges.final_search_px must not exceed edges.search_px: the search narrows")
+        if self.verdict.min_edge_share > self.verdict.weak_edge_share:
+            raise ValueError(
+                "verdict.min_edge_share must not exceed verdict.weak_edge_share: weak is believed"
+            )
         if self.near_iterations > self.iterations:
             raise ValueError("near_iterations must not exceed iterations: they are the last of them")
         return self

@@ -22,6 +22,7 @@ from rpod_estimator.tracking.depth_view import PLUMB_BOB, DepthView
 from rpod_estimator.tracking.edge_model import EdgeModel
 from rpod_estimator.tracking.frame_check import Contradictions, contradictions
 from rpod_estimator.tracking.joint_fit import agreement, align, coarse_ranges
+from rpod_estimator.tracking.joint_verdict import edge_doubt, edges_in_place, scale_doubt
 from rpod_estimator.tracking.rendering import Rendering
 from rpod_estimator.tracking.scan_alignment import draw_in
 from rpod_estimator.tracking.signed_distance import field_arrays
@@ -153,13 +154,18 @@ class JointTracker:
             reason = f"nothing to see: {points} points on the target, {asked} places of edges"
             return Registration(Source.PMD_JOINT, reason=reason)
         contrary = self._contradictions(seen, R, t, bias)
+        in_place = edges_in_place(
+            config.verdict, edges=edges, expected=expected, asked=asked, points=len(seen.points_m)
+        )
+        reason = self._verdict(contrary, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
         to_sensor = np.zeros((6, 6))
         to_sensor[:3, :3] = to_sensor[3:, 3:] = R
         covariance = np.linalg.inv(information + self._weak)[:6, :6]
         return Registration(
             self._source(points, asked),
             T_sensor_target=pose_of(R, t),
-            reason=contrary.doubt(config.check) or self._doubt(len(seen.points_m), edges, expected, asked),
+            reason=reason,
+            contradicted=bool(reason) or in_place < config.verdict.weak_edge_share,
             judged=True,
             cost_m2=squares / max(points, 1),
             inliers=points + edges,
@@ -196,20 +202,14 @@ class JointTracker:
             return Source.PMD_DEPTH
         return Source.PMD_JOINT if points >= self._config.verdict.min_points else Source.PMD_AMPLITUDE
 
-    def _doubt(self, points: int, edges: int, expected: float, asked: int) -> str:
-        """Return why the edges do not bear out a pose, empty if they do.
-
-        Between two faces there may be no change to see: where there is depth, so much is granted.
-        """
-        limits = self._config.verdict
-        if asked < limits.min_edges:
-            return ""
-        changed_share = limits.min_changed_share if points >= limits.min_points else 1.0
-        expected = max(expected, changed_share * asked)
-        least = limits.min_edge_share - 1.0 / np.sqrt(max(expected, 1.0))
-        if edges < least * expected:
-            return f"{edges} edges are in their place, of {expected:.0f} expected, {least:.0%} needed"
-        return ""
+    def _verdict(self, contrary: Contradictions, in_place: float, *, bias_m: float, range_m: float) -> str:
+        """Return why a pose is not believed, empty if it is."""
+        limits, sigma_m = self._config.verdict, self._ranges.bias_m
+        return (
+            contrary.doubt(self._config.check)
+            or edge_doubt(limits, in_place)
+            or scale_doubt(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m)
+        )
 
     def _buffers_of(self, view: DepthView) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         shape = view.coarse.shape

@@ -735,3 +735,46 @@ def test_a_failed_acquisition_is_not_tracked_and_says_why():
     assert judging.mode == Mode.ACQUIRING
     assert (status.accepted, status.reason) == (False, "does not explain the scan")
     assert not status.ambiguous
+
+
+# --- a stream that speaks against what is tracked ---
+
+
+def doubtful(time_s: float, *, believed: bool) -> View:
+    """Return a view in which the tracker finds the target, and the frame speaks against it."""
+    reason = "" if believed else "a detail contradicts the pose"
+    seen = registration(in_sensor(time_s), contradicted=True, reason=reason, judged=True)
+    return View(round(time_s * SECOND_NS), tracked=seen, acquired=(registration(in_sensor(time_s)),))
+
+
+@pytest.mark.parametrize("believed", [True, False])
+def test_a_track_that_every_third_frame_speaks_against_is_lost_and_does_not_come_back(believed):
+    made = tracking()
+    modes = []
+    for number in range(1, 200):
+        time_s = START_S + 1.0 + number / 45.0
+        view = good(time_s) if number % 3 else doubtful(time_s, believed=believed)
+        output = made.see(view)
+        modes.append(output.status.mode)
+        if modes[-1] == Mode.LOST and Mode.LOST not in modes[:-1]:
+            assert "of the frames of late speak against what is tracked" in output.status.reason
+    assert Mode.LOST in modes
+    assert Mode.TRACKING not in modes[modes.index(Mode.LOST) :]
+
+
+def test_a_track_that_few_frames_speak_against_goes_on():
+    made = tracking()
+    for number in range(1, 200):
+        time_s = START_S + 1.0 + number / 45.0
+        made.see(good(time_s) if number % 6 else doubtful(time_s, believed=False))
+        assert made.mode == Mode.TRACKING
+
+
+def test_a_stream_that_spoke_against_is_tracked_once_it_has_agreed_for_long_enough():
+    made = tracking()
+    for number in range(1, 60):
+        made.see(doubtful(START_S + 1.0 + number / 45.0, believed=True))
+    assert made.mode != Mode.TRACKING
+    modes = [made.see(good(START_S + 3.0 + number / 45.0)).status.mode for number in range(120)]
+    assert modes[1] == Mode.VERIFYING
+    assert modes[-1] == Mode.TRACKING

@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 
 from rpod_estimator.ports import Registration
-from rpod_estimator.verification import doubt
+from rpod_estimator.verification import Record, doubt
 from rpod_schemas.config.verification import VerificationConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Source
@@ -92,3 +92,22 @@ def test_a_frame_that_leaves_the_pose_open_does_not_start_a_track_but_may_go_on_
     registration = replace(GOOD, covariance=covariance, judged=judged)
     assert doubt(registration, limits) == words
     assert doubt(registration, limits.while_tracking) == doubt(registration, LIMITS) == ""
+
+
+def test_a_record_forgets_and_grants_a_stream_some_frames_at_first():
+    right, wrong, silent = (
+        GOOD,
+        replace(GOOD, contradicted=True),
+        Registration(Source.PMD_DEPTH, reason="dark"),
+    )
+    record = Record()
+    for _ in range(5):
+        record = record.after(wrong)
+    assert 0.15 < record.share < 0.25
+    assert record.after(silent) == record
+    for _ in range(300):
+        record = record.after(wrong)
+    assert record.share > 0.75
+    for _ in range(300):
+        record = record.after(right)
+    assert record.share < 0.05
