@@ -31,6 +31,8 @@ SKY_SAMPLES = 600
 BRIGHT = 0.25, 4.0
 """Times the target's median amplitude: between them a pixel without a range is bright, above it glints or is
 beside a glint."""
+FEW = 3
+"""Contrary pixels are no share: far off, or where most is lost, there are few pixels at all."""
 INSIDE = 6
 """Of nine rays in and around a pixel, those that must meet surface for one to be lacking: some may miss the
 facets of a thin part."""
@@ -59,7 +61,7 @@ class Contradictions:
     def doubt(self, limits: PmdCheckConfig) -> str:
         """Return why the pose does not explain the frame; empty if it does."""
         most = limits.most_contrary_share
-        if self.contrary > most * self.pixels:
+        if self.contrary > max(most * self.pixels, FEW):
             share = self.contrary / self.pixels
             return f"{share:.1%} of {self.pixels} pixels contradict the pose, {most:.0%} at most"
         area = limits.patch_px**2

@@ -125,6 +125,11 @@ def test_an_outline_may_be_off_by_some_pixels_of_the_image_and_not_by_a_coarse_o
     assert bool(judged(seen(T=moved)).doubt(LIMITS)) is contradicts
 
 
+@pytest.mark.parametrize(("contrary", "doubted"), [(3, False), (4, True)])
+def test_of_few_pixels_some_may_contradict(contrary, doubted):
+    assert bool(Contradictions(pixels=21, contrary=contrary, fullest=1, lacking=0).doubt(LIMITS)) is doubted
+
+
 def test_where_nothing_is_seen_nothing_is_explained():
     nothing = np.full(RAYS.shape, np.nan)
     assert judged((nothing, nothing, nothing)) == Contradictions(0, 0, 0, 0)
