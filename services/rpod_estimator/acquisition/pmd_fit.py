@@ -4,7 +4,11 @@ Where pose and frame agree on a surface, the loss is half the squared error in i
 depth and of the amplitude, and saturates at what an outlier costs. Where one of them shows a surface and the
 other does not, it is a constant: little where depth alone is lost, more where even the amplitude says
 otherwise. The amplitude is predicted by the camera's own model of reflection up to one gain for the frame.
-What is asked are the pixels where pose or frame show the target.
+What is asked are the pixels where pose or frame show the target, but for those that a glint wiped out: there
+both may be right.
+
+Where the materials may be others than the target file's, no amplitude is compared, and only roughly is it
+expected whether a surface is bright enough to be told from the sky: what is left is the shape.
 """
 
 from dataclasses import dataclass
@@ -40,8 +44,6 @@ class PmdFit:
 
     loss: float
     """Summed over the pixels where pose or frame show the target."""
-    amplitude_loss: float
-    """What of it the amplitude makes."""
     pixels: int
     """Their number."""
     agreeing: int
@@ -59,7 +61,14 @@ class PmdFit:
 
 
 class PmdFitter:
-    """Compares one frame with a target at any pose."""
+    """Compares one frame with a target at any pose.
+
+    Args:
+        config: what is expected of the frame.
+        target: what is rendered.
+        scene: the frame.
+        as_filed: whether the materials are those of the target's file; else the shape alone is compared.
+    """
 
     def __init__(
         self, config: PmdModelConfig, target: Target, scene: PmdScene, *, as_filed: bool = True
@@ -151,9 +160,7 @@ def _widened(lines: NDArray[np.intp]) -> slice:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return the summed loss, the amplitude's part, and the numbers of pixels asked and agreeing.
-
-    The buffer of losses is filled.
+    """Return the summed loss, and the numbers of pixels asked and agreeing; fill their losses.
 
     Args:
         surface: triangles (T, 3, 3), normals (T, 3), and of each triangle diffuse albedo, specular
@@ -163,9 +170,9 @@ def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[
         grid: ``RayGrid.arrays``.
         seen: ranges, their noise, logarithms of amplitudes, what is lit, and what glints hide, shape
             (rows, columns) each.
-        noise: sigma and slack of a depth, m; losses of outliers of depth and amplitude; sigma of the
-            amplitude's logarithm, what a lobe adds, and the least share of a mirror's lobe; logarithm of the
-            least amplitude that is lit.
+        noise: sigma and slack of a depth, m; losses of outliers of depth and amplitude, 0 where no amplitude
+            is compared; sigma of the amplitude's logarithm, what a lobe adds, and the least share of a
+            mirror's lobe; logarithm of the least amplitude that is lit.
         losses: of depth lost on a lit pixel, of a dark one, of one beyond the outline.
         buffers: ranges, triangles, losses, and sigmas of amplitudes, shape (rows, columns) each.
     """
@@ -178,7 +185,7 @@ def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[
     lost, dark, beyond = losses
     gain = _predict(surface, R, grid, seen, noise, buffers)
     measured, spread, amplitude, lit, blind = seen
-    total, shades, pixels, agreeing = 0.0, 0.0, 0, 0
+    total, pixels, agreeing = 0.0, 0, 0
     for i in range(rows):
         for j in range(columns):
             k = owner[i, j]
@@ -205,14 +212,12 @@ def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[
             if strange > 0.0 and lit[i, j] and amplitude[i, j] > DARK:
                 e = amplitude[i, j] - loss[i, j] - gain
                 e2 = e * e / vague[i, j] ** 2
-                shade = strange * e2 / (2.0 * strange + e2)
-                worse += shade
-                shades += shade
+                worse += strange * e2 / (2.0 * strange + e2)
             loss[i, j] = worse
             total += worse
             if worse < AGREES:
                 agreeing += 1
-    return total, shades, pixels, agreeing
+    return total, pixels, agreeing
 
 
 @njit(cache=True, nogil=True)
