@@ -28,7 +28,7 @@ class JointDepthConfig(Config):
     """Geman-McClure scale in the first iteration from afar."""
     final_scale_m: Positive = 0.03
     """Geman-McClure scale in the last iteration."""
-    noise_m: Positive = 0.01
+    noise_m: Positive = 0.006
     """Least standard deviation of a residual; the inliers' own spread where that is larger."""
     effective_points: Count = 400
     """Most residuals counted as independent: neighbours share their errors."""
@@ -55,7 +55,7 @@ class JointEdgeConfig(Config):
     """Of an edge's gradient over two pixels, as a share of the median amplitude."""
     sigma_px: Positive = 0.3
     """Least standard deviation of an edge's place; the inliers' own spread where that is larger."""
-    effective_edges: Count = 150
+    effective_edges: Count = 300
     """Most samples counted as independent."""
 
 
@@ -95,9 +95,12 @@ class JointConfig(Config):
     iterations: Annotated[int, Field(ge=2)] = 8
     """Gauss-Newton steps from afar, over which scales and reaches narrow geometrically."""
     near_iterations: Annotated[int, Field(ge=2)] = 5
-    """Of them, the last that are done where the prediction explains the depth already."""
-    near_share: Share = 0.8
-    """The prediction does so where this share of pixels agrees within ``near_m``."""
+    """Of them, the last that are done where the prediction has the edges near; and how many follow with the
+    last scale and reach, the only ones where it is sharp."""
+    sharp_share: Share = 0.65
+    """The prediction is sharp where this share of the edges expected in their places is there."""
+    near_share: Share = 0.4
+    """It has the edges near where this share is."""
     fair_share: Share = 0.5
     """Below this share it is drawn in from afar."""
     near_m: Positive = 0.05
@@ -105,8 +108,8 @@ class JointConfig(Config):
     missing_weight: Share = 0.1
     """Weight of a pixel without depth where a prediction has surface, beside a measured one: glints, dark
     parts and close, bright ones lose theirs."""
-    slack_m: NonNegative = 0.0002
-    """Standard deviation of the model's own error: that of a part over the root of their number."""
+    slack_m: NonNegative = 0.00015
+    """Standard deviation of the model's own error, one for depth and edges as a whole."""
     ghost_share: Share = 0.08
     """Depth is dropped where the amplitude is below this share of the image's mean, in which pixels without
     depth count as dark: close to a bright target, stray light gives the background a depth."""

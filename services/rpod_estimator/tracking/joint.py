@@ -1,10 +1,12 @@
 """Tracking in depth and amplitude at once: signed distance of the points, places of the edges.
 
-A prediction that explains the depth needs the last, narrow steps only; one that does so fairly all of them;
-any other is first drawn in on depth alone, which needs no edge to be near its place. Where the result is in
-doubt, for depth may agree before the attitude does, the wider start is tried too. The self-check asks both
-images: with a wrong camera matrix, another target or a mirrored image the depth may agree, the edges do not.
-Where one image says nothing, the other goes on alone, and the source says so.
+A prediction that has the edges in their places needs the last, narrow steps only: a wider search may take one
+for its neighbour, and where there is little depth that draws the pose away first. One that has most of them
+near needs a few wider steps before; one that explains the depth fairly all of them; any other is first drawn
+in on depth alone, which needs no edge to be near its place. Where the result is in doubt, for depth may agree
+before the attitude does, the wider start is tried too. The self-check asks both images: with a wrong camera
+matrix, another target or a mirrored image the depth may agree, the edges do not. Where one image says
+nothing, the other goes on alone, and the source says so.
 """
 
 from collections.abc import Iterator
@@ -21,7 +23,7 @@ from rpod_estimator.tracking.amplitude_noise import noise_of, noise_of_change, t
 from rpod_estimator.tracking.depth_view import PLUMB_BOB, DepthView
 from rpod_estimator.tracking.edge_model import EdgeModel
 from rpod_estimator.tracking.frame_check import Contradictions, contradictions
-from rpod_estimator.tracking.joint_fit import agreement, align, coarse_ranges
+from rpod_estimator.tracking.joint_fit import agreement, align, coarse_ranges, in_place
 from rpod_estimator.tracking.joint_verdict import edge_doubt, edges_in_place, scale_doubt
 from rpod_estimator.tracking.rendering import Rendering
 from rpod_estimator.tracking.scan_alignment import draw_in
@@ -36,14 +38,14 @@ from rpod_target import Target
 
 MARGIN_PX = 16
 """Around the target's sphere."""
-HALF_SHARE = 1.0
-"""Of the median amplitude: such a point counts half, for noise goes by one over the amplitude."""
 FILLED = 0.4
 """Share of the square around its sphere that a target typically fills."""
 STRIDES_PX = 3, 8
 """Least and greatest distance of two points in the image."""
 SPARSE = 4
 """Every how many pixels the image's mean is taken from."""
+WIDER = 2.0
+"""Times the reach of the last search: whether edges are in their places asks so far for others."""
 LIT_SHARE = 0.25
 """Of the median amplitude: darker pixels do not tell the noise."""
 CHANGE_SIGMAS = 3.0
@@ -68,7 +70,7 @@ class _Seen:
     points_m: FloatArray
     """Sensor axes, shape (N, 3)."""
     trust: FloatArray
-    """Weight of each point, 0 to 1: less for a dark one, shape (N,)."""
+    """Weight of each point, 0 to 1: less for one that is dark for the frame's noise, shape (N,)."""
     patch: _Patch
     """Smoothed amplitude around the target, column and row of its first pixel, change that counts, and the
     noise of a change."""
@@ -95,7 +97,10 @@ class JointTracker:
         self._weak = np.diag(np.append(weak**-2, 0.0))
         scales_m = np.geomspace(config.depth.scale_m, config.depth.final_scale_m, config.iterations)
         reaches_px = np.geomspace(config.edges.search_px, config.edges.final_search_px, config.iterations)
-        self._schedule = np.column_stack((scales_m, reaches_px))
+        coarse = np.column_stack((scales_m, reaches_px))
+        self._sharp = np.tile(coarse[-1], (config.near_iterations, 1))
+        self._near = np.vstack((coarse[-config.near_iterations :], self._sharp))
+        self._fair = np.vstack((coarse, self._sharp))
         self._far = np.geomspace(config.far_scale_m, config.depth.scale_m, config.far_iterations)
         self._coarse = SurfaceModel.of(target).coarse_field
         self._buffers: dict[tuple[int, int], Hits] = {}
@@ -119,15 +124,15 @@ class JointTracker:
     ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Yield poses to start from and the steps to do there, the fewest that may do first."""
         config = self._config
-        share = self._explained(seen, R, t)
-        if share >= config.near_share:
-            yield R, t, self._schedule[-config.near_iterations :]
+        share, in_place = self._explained(seen, R, t), self._in_place(seen, R, t)
+        if in_place >= config.near_share:
+            yield R, t, self._sharp if in_place >= config.sharp_share else self._near
         if share >= config.fair_share or len(seen.points_m) < config.verdict.min_points:
-            yield R, t, self._schedule
+            yield R, t, self._fair
         if len(seen.points_m) >= config.verdict.min_points:
             every = max(1, round(len(seen.points_m) / config.far_points))
             few_m = np.ascontiguousarray(seen.points_m[::every])
-            yield *draw_in(few_m, R, t, self._coarse, self._far), self._schedule
+            yield *draw_in(few_m, R, t, self._coarse, self._far), self._fair
 
     def _registered(self, seen: _Seen, R: FloatArray, t: FloatArray, schedule: FloatArray) -> Registration:
         config, view = self._config, seen.view
@@ -190,6 +195,22 @@ class JointTracker:
         )
         return agreeing / asked if asked else 0.0
 
+    def _in_place(self, seen: _Seen, R: FloatArray, t: FloatArray) -> float:
+        """Return the share of the edges that lie where a predicted pose, as rendered, has them."""
+        config, view = self._config, seen.view
+        agreeing, expected, asked = in_place(
+            self._model[2],
+            R,
+            t,
+            _lens(view),
+            (view.stride, view.offset),
+            self._buffers_of(view)[0],
+            seen.patch,
+            WIDER * config.edges.final_search_px,
+            config.edges.sigma_px,
+        )
+        return agreeing / expected if asked >= config.verdict.min_edges else 0.0
+
     def _contradictions(self, seen: _Seen, R: FloatArray, t: FloatArray, bias_m: float) -> Contradictions:
         view, buffers = seen.view, self._buffers_of(seen.view)
         cast_pose(view.coarse.arrays, self._model[0], R, t, True, *buffers)
@@ -240,7 +261,7 @@ class JointTracker:
         points_m = np.ascontiguousarray((rays * range_m.ravel()[measured]).T)
         strength = strengths.ravel()[measured]
         typical = float(np.median(strength)) if len(measured) else 1.0
-        trust = 1.0 / (1.0 + (HALF_SHARE * typical / np.maximum(strength, 1e-9)) ** 2)
+        trust = self._trust(sigma_m.ravel()[measured], strength)
         typical = typical if len(measured) >= config.verdict.min_points else 0.0
         patch = _NO_PATCH
         if frame.amplitude is None:
@@ -248,6 +269,14 @@ class JointTracker:
         else:
             patch = self._patch(frame, t, typical)
         return _Seen(view, range_m, sigma_m, shade, typical, points_m, trust, patch)
+
+    def _trust(self, sigma_m: FloatArray, strength: FloatArray) -> FloatArray:
+        """Return the weight of points: what else is wrong with a range, over that and its noise, squared.
+
+        Noise goes by one over the amplitude; each point's own is told too badly by its few pixels.
+        """
+        scale_m = float(np.median(sigma_m * strength)) if len(strength) else 0.0
+        return 1.0 / (1.0 + (scale_m / (self._config.depth.noise_m * np.maximum(strength, 1e-9))) ** 2)
 
     def _stride(self, camera: Camera, t: FloatArray) -> int:
         """Return every how many pixels the target's share of the image holds the points wanted."""

@@ -17,12 +17,14 @@ from rpod_sim_sensor.geometry import cast_pose
 
 REACH_M, REACH_RAD = 0.5, 0.2
 """Standard deviation of a step that nothing asks for."""
-SCALE = 0.25
+SCALE = 0.2
 """Geman-McClure scale of an edge's place over the reach of its search."""
 BLUNTNESS_PX = 1.4
 """Times the noise of its change over the change itself: standard deviation of an edge's place by noise."""
-MEDIAN_OVER_MEAN = 1.25
-"""Standard deviation of a median of normal errors over that of their mean."""
+OUTER = 4
+"""Of the nine pixels' ranges, in order, this part is left out at each end: the mean of the others stands."""
+MIDDLE_OVER_MEAN = 1.06
+"""Standard deviation of that mean over the one of all, for normal errors."""
 NEAREST_M = 0.3
 """Edges are not weighed for being nearer than this."""
 NEAR_M, FARTHEST_M = 0.05, 1e3
@@ -195,7 +197,7 @@ def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edg
         if found > 0:
             per_m = lens[0] / max(t[2], NEAREST_M)
             variance = max(squares_px / found, noise_px * noise_px) / min(most_edges, found)
-            widened = (reach / schedule[steps - 1, 1]) ** 4
+            widened = (reach / schedule[steps - 1, 1]) ** 3
             total += sums / (found * widened * (variance + (slack * per_m) ** 2))
         total[6, 6] += 1.0 / (bias_sigma * bias_sigma)
         total[6, 7] += bias / (bias_sigma * bias_sigma)
@@ -239,11 +241,32 @@ def agreement(measured, sigma, grid, triangles, R, t, tolerance, missing, buffer
     return agreeing, asked
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def in_place(edges, R, t, lens, coarse, range_m, image, reach, sigma):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return the samples of edges that are where a pose has them, those that should be, and those asked.
+
+    Args:
+        edges: ``EdgeModel.arrays``.
+        R: of the target in the sensor, shape (3, 3).
+        t: of the target in the sensor, shape (3,), m.
+        lens: as for ``imaged``.
+        coarse: stride and offset of the rendered pixels.
+        range_m: what is rendered at the pose, shape (rows, columns).
+        image: part of the amplitude image, its first pixel, change that counts, noise of a change.
+        reach: of the search, px.
+        sigma: standard deviation of an edge's place, px.
+    """
+    patch, corner, least, noise = image
+    seen = showing(edges, R, t, lens, coarse, range_m)
+    found = edge_sums(edges, seen, R, t, lens, patch, corner, reach, least, (sigma, noise))
+    return found[2], found[4], found[3]
+
+
 @njit(cache=True, nogil=True)
 def coarse_ranges(depth, amplitude, least, rays_z, stride, offset):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return what every ``stride``-th pixel and its neighbours show, four arrays of shape (rows, columns).
 
-    They are the median range, m, NaN where fewer than ``FEWEST`` of the nine have depth or the amplitude is
+    They are the middle range, m, NaN where fewer than ``FEWEST`` of the nine have depth or the amplitude is
     too low; its standard deviation, m, told by how the nine differ; the pixel's own amplitude where it has a
     range, else 0; and the nine's mean amplitude.
 
@@ -280,9 +303,10 @@ def coarse_ranges(depth, amplitude, least, rays_z, stride, offset):  # type: ign
                     squares += z * z
             shades[i, j] = light / pixels
             if count >= FEWEST and amplitude[row, column] >= least:
-                middle = 0.5 * (nine[(count - 1) // 2] + nine[count // 2])
+                outer = count // OUTER
+                middle = nine[outer : count - outer].mean()
                 variance = max(squares - total * total / count, 0.0) / (count - 1)
                 ranges[i, j] = middle / rays_z[i, j]
-                sigmas[i, j] = MEDIAN_OVER_MEAN * math.sqrt(variance / count)
+                sigmas[i, j] = MIDDLE_OVER_MEAN * math.sqrt(variance / count)
                 strengths[i, j] = amplitude[row, column]
     return ranges, sigmas, strengths, shades
