@@ -43,7 +43,9 @@ FILLED = 0.4
 STRIDES_PX = 3, 8
 """Least and greatest distance of two points in the image."""
 SPARSE = 4
-"""Every how many pixels the image's mean is taken from."""
+"""Every how many pixels the image's mean is taken from, and depth is counted."""
+MIN_PATCH = 3
+"""Rows and columns of which edges can be told."""
 WIDER = 2.0
 """Times the reach of the last search: whether edges are in their places asks so far for others."""
 LIT_SHARE = 0.25
@@ -243,7 +245,7 @@ class JointTracker:
         if frame.camera.distortion[PLUMB_BOB:].any():
             return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
         try:
-            view = DepthView.of(frame.camera, self._stride(frame.camera, t))
+            view = DepthView.of(frame.camera, self._stride(frame, t))
         except DistortionError as error:
             return str(error)
         amplitude = np.ones_like(frame.depth_m) if frame.amplitude is None else frame.amplitude
@@ -278,30 +280,39 @@ class JointTracker:
         scale_m = float(np.median(sigma_m * strength)) if len(strength) else 0.0
         return 1.0 / (1.0 + (scale_m / (self._config.depth.noise_m * np.maximum(strength, 1e-9))) ** 2)
 
-    def _stride(self, camera: Camera, t: FloatArray) -> int:
-        """Return every how many pixels the target's share of the image holds the points wanted."""
+    def _stride(self, frame: PmdFrame, t: FloatArray) -> int:
+        """Return every how many pixels what depth the target has holds the points wanted."""
+        camera = frame.camera
         radius_px = camera.fx * self._target.radius_m / max(t[2], 1e-3)
         pixels = min(camera.width, 2.0 * radius_px) * min(camera.height, 2.0 * radius_px) * FILLED
+        rows, columns = self._around(camera, t)
+        sparse = frame.depth_m[rows, columns][::SPARSE, ::SPARSE]
+        pixels = min(pixels, SPARSE**2 * np.count_nonzero(sparse > 0.0))
         return int(np.clip(np.sqrt(pixels / self._config.depth.points), *STRIDES_PX))
+
+    def _around(self, camera: Camera, t: FloatArray) -> tuple[slice, slice]:
+        """Return the rows and columns around the target's sphere; all where it is close."""
+        if t[2] <= 2.0 * self._target.radius_m:
+            return slice(0, camera.height), slice(0, camera.width)
+        radius = self._target.radius_m / (t[2] - self._target.radius_m)
+        column, row = camera.fx * t[0] / t[2] + camera.cx, camera.fy * t[1] / t[2] + camera.cy
+        across, down = camera.fx * radius + MARGIN_PX, camera.fy * radius + MARGIN_PX
+        return (
+            slice(max(int(row - down), 0), min(int(row + down), camera.height)),
+            slice(max(int(column - across), 0), min(int(column + across), camera.width)),
+        )
 
     def _patch(self, frame: PmdFrame, t: FloatArray, typical: float) -> _Patch:
         """Return the smoothed amplitude around the target, its first pixel, a change's least and noise.
 
         What is typical where depth is left is a start only: that may be on the dark parts alone.
         """
-        config, camera = self._config.edges, frame.camera
+        config = self._config.edges
         assert frame.amplitude is not None  # noqa: S101 - told by the caller
-        top, bottom, left, right = 0, camera.height, 0, camera.width
-        if t[2] > 2.0 * self._target.radius_m:
-            radius = self._target.radius_m / (t[2] - self._target.radius_m)
-            column, row = camera.fx * t[0] / t[2] + camera.cx, camera.fy * t[1] / t[2] + camera.cy
-            left, right = (int(column + sign * (camera.fx * radius + MARGIN_PX)) for sign in (-1, 1))
-            top, bottom = (int(row + sign * (camera.fy * radius + MARGIN_PX)) for sign in (-1, 1))
-            left, right = max(left, 0), min(right, camera.width)
-            top, bottom = max(top, 0), min(bottom, camera.height)
-        if bottom - top < 3 or right - left < 3:
+        rows, columns = self._around(frame.camera, t)
+        part = np.nan_to_num(frame.amplitude[rows, columns].astype(np.float32))
+        if min(part.shape) < MIN_PATCH:
             return _NO_PATCH
-        part = np.nan_to_num(frame.amplitude[top:bottom, left:right].astype(np.float32))
         typical = typical_of(part, typical or float(np.median(part[part >= part.mean()])))
         if typical <= 0.0:
             return _NO_PATCH
@@ -309,7 +320,7 @@ class JointTracker:
         np.minimum(part, config.clip * typical, out=part)
         smooth: NDArray[np.float32] = cv2.GaussianBlur(part, (0, 0), config.blur_px)  # type: ignore[assignment]
         least = max(config.least_contrast * typical, CHANGE_SIGMAS * noise)
-        return smooth, np.array((left, top), float), least, noise
+        return smooth, np.array((columns.start, rows.start), float), least, noise
 
 
 def _lens(view: DepthView) -> FloatArray:
