@@ -211,7 +211,7 @@ class JointTracker:
             WIDER * config.edges.final_search_px,
             config.edges.sigma_px,
         )
-        return agreeing / expected if asked >= config.verdict.min_edges else 0.0
+        return agreeing / max(expected, 1.0) if asked >= config.verdict.min_edges else 0.0
 
     def _contradictions(self, seen: _Seen, R: FloatArray, t: FloatArray, bias_m: float) -> Contradictions:
         view, buffers = seen.view, self._buffers_of(seen.view)
