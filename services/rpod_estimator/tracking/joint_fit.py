@@ -21,16 +21,8 @@ SCALE = 0.2
 """Geman-McClure scale of an edge's place over the reach of its search."""
 BLUNTNESS_PX = 1.4
 """Times the noise of its change over the change itself: standard deviation of an edge's place by noise."""
-OUTER = 4
-"""Of the nine pixels' ranges, in order, this part is left out at each end: the mean of the others stands."""
-MIDDLE_OVER_MEAN = 1.06
-"""Standard deviation of that mean over the one of all, for normal errors."""
 NEAREST_M = 0.3
 """Edges are not weighed for being nearer than this."""
-NEAR_M, FARTHEST_M = 0.05, 1e3
-"""Depths beyond these are none."""
-FEWEST = 3
-"""Of nine depths: fewer are an outline's or a ghost's."""
 
 
 @njit(cache=True, nogil=True)
@@ -260,53 +252,3 @@ def in_place(edges, R, t, lens, coarse, range_m, image, reach, sigma):  # type: 
     seen = showing(edges, R, t, lens, coarse, range_m)
     found = edge_sums(edges, seen, R, t, lens, patch, corner, reach, least, (sigma, noise))
     return found[2], found[4], found[3]
-
-
-@njit(cache=True, nogil=True)
-def coarse_ranges(depth, amplitude, least, rays_z, stride, offset):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return what every ``stride``-th pixel and its neighbours show, four arrays of shape (rows, columns).
-
-    They are the middle range, m, NaN where fewer than ``FEWEST`` of the nine have depth or the amplitude is
-    too low; its standard deviation, m, told by how the nine differ; the pixel's own amplitude where it has a
-    range, else 0; and the nine's mean amplitude.
-
-    Args:
-        depth: z-depth, shape (height, width), m; NaN or 0 for none.
-        amplitude: shape (height, width).
-        least: amplitude below which depth does not count.
-        rays_z: z of the coarse pixels' unit rays, shape (rows, columns).
-        stride: px.
-        offset: of the first coarse pixel, px.
-    """
-    height, width = depth.shape
-    ranges, sigmas = np.full(rays_z.shape, np.nan), np.zeros(rays_z.shape)
-    strengths, shades = np.zeros(rays_z.shape), np.zeros(rays_z.shape)
-    nine = np.empty(9)
-    for i in range(rays_z.shape[0]):
-        for j in range(rays_z.shape[1]):
-            row, column = offset + i * stride, offset + j * stride
-            count, pixels, light, total, squares = 0, 0, 0.0, 0.0, 0.0
-            for v in range(max(row - 1, 0), min(row + 2, height)):
-                for u in range(max(column - 1, 0), min(column + 2, width)):
-                    pixels += 1
-                    light += amplitude[v, u]
-                    z = np.float64(depth[v, u])
-                    if not NEAR_M < z < FARTHEST_M:
-                        continue
-                    k = count
-                    while k > 0 and nine[k - 1] > z:
-                        nine[k] = nine[k - 1]
-                        k -= 1
-                    nine[k] = z
-                    count += 1
-                    total += z
-                    squares += z * z
-            shades[i, j] = light / pixels
-            if count >= FEWEST and amplitude[row, column] >= least:
-                outer = count // OUTER
-                middle = nine[outer : count - outer].mean()
-                variance = max(squares - total * total / count, 0.0) / (count - 1)
-                ranges[i, j] = middle / rays_z[i, j]
-                sigmas[i, j] = MIDDLE_OVER_MEAN * math.sqrt(variance / count)
-                strengths[i, j] = amplitude[row, column]
-    return ranges, sigmas, strengths, shades
