@@ -97,7 +97,7 @@ class JointConfig(Config):
     near_iterations: Annotated[int, Field(ge=2)] = 5
     """Of them, the last that are done where the prediction has the edges near; and how many follow with the
     last scale and reach, the only ones where it is sharp."""
-    sharp_share: Share = 0.65
+    sharp_share: Share = 0.55
     """The prediction is sharp where this share of the edges expected in their places is there."""
     near_share: Share = 0.4
     """It has the edges near where this share is."""

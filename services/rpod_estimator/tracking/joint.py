@@ -20,7 +20,7 @@ from rpod_estimator.ports import Registration
 from rpod_estimator.tracking.depth_view import DepthView
 from rpod_estimator.tracking.edge_model import EdgeModel
 from rpod_estimator.tracking.frame_check import Contradictions, contradictions
-from rpod_estimator.tracking.joint_fit import agreement, align, in_place
+from rpod_estimator.tracking.joint_fit import NEAREST_M, agreement, align, in_place
 from rpod_estimator.tracking.joint_frame import JointFrame
 from rpod_estimator.tracking.joint_verdict import edge_doubt, edges_in_place, scale_doubt
 from rpod_estimator.tracking.rendering import Rendering
@@ -34,8 +34,8 @@ from rpod_schemas.types import PmdFrame, Source
 from rpod_sim_sensor.geometry import Hits, cast_pose
 from rpod_target import Target
 
-WIDER = 2.0
-"""Times the reach of the last search: whether edges are in their places asks so far for others."""
+MOST_WIDER = 3.0
+"""Close by, edges of a good prediction are farther off: so many times the last search's reach at most."""
 
 
 class JointTracker:
@@ -114,7 +114,7 @@ class JointTracker:
                 float(config.depth.effective_points),
                 self._ranges.bias_m,
                 self._ranges.uneven_m,
-                config.slack_m,
+                config.slack_m * self._magnified(seen, t),
             ),
             (config.edges.sigma_px, float(config.edges.effective_edges)),
             self._buffers_of(view),
@@ -170,7 +170,7 @@ class JointTracker:
             seen.grid,
             self._buffers_of(view)[0],
             seen.patch,
-            WIDER * config.edges.final_search_px,
+            config.edges.final_search_px * min(self._magnified(seen, t), MOST_WIDER),
             config.edges.sigma_px,
         )
         return agreeing / max(expected, 1.0) if asked >= config.verdict.min_edges else 0.0
@@ -183,6 +183,15 @@ class JointTracker:
         rendered = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._model[0], R, t)
         images = seen.range_m, seen.sigma_m, seen.shade
         return contradictions(images, rendered, self._config.check, typical=seen.typical, bias_m=bias_m)
+
+    def _magnified(self, seen: JointFrame, t: FloatArray) -> float:
+        """Return how many times the target is larger than the image, 1 at least.
+
+        The fewer of its parts are seen, the less do their errors cancel out.
+        """
+        camera = seen.view.camera
+        across_px = 2.0 * camera.fx * self._target.radius_m / max(t[2], NEAREST_M)
+        return max(1.0, across_px / min(camera.width, camera.height))
 
     def _source(self, points: int, edges: int) -> Source:
         if edges < self._config.verdict.min_edges:

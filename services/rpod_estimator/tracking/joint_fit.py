@@ -189,7 +189,7 @@ def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edg
         if found > 0:
             per_m = lens[0] / max(t[2], NEAREST_M)
             variance = max(squares_px / found, noise_px * noise_px) / min(most_edges, found)
-            widened = (reach / schedule[steps - 1, 1]) ** 3
+            widened = (reach / schedule[steps - 1, 1]) ** 4
             total += sums / (found * widened * (variance + (slack * per_m) ** 2))
         total[6, 6] += 1.0 / (bias_sigma * bias_sigma)
         total[6, 7] += bias / (bias_sigma * bias_sigma)
