@@ -114,7 +114,7 @@ class JointTracker:
                 float(config.depth.effective_points),
                 self._ranges.bias_m,
                 self._ranges.uneven_m,
-                config.slack_m * self._magnified(seen, t),
+                config.slack_m,
             ),
             (config.edges.sigma_px, float(config.edges.effective_edges)),
             self._buffers_of(view),
@@ -130,6 +130,7 @@ class JointTracker:
         to_sensor = np.zeros((6, 6))
         to_sensor[:3, :3] = to_sensor[3:, 3:] = R
         covariance = np.linalg.inv(information + self._weak)[:6, :6]
+        covariance *= max(1.0, self._fills(seen, t)) ** 2  # errors of fewer parts cancel out less
         return Registration(
             self._source(points, asked),
             T_sensor_target=pose_of(R, t),
@@ -170,7 +171,7 @@ class JointTracker:
             seen.grid,
             self._buffers_of(view)[0],
             seen.patch,
-            config.edges.final_search_px * min(self._magnified(seen, t), MOST_WIDER),
+            config.edges.final_search_px * float(np.clip(2.0 * self._fills(seen, t), 1.0, MOST_WIDER)),
             config.edges.sigma_px,
         )
         return agreeing / max(expected, 1.0) if asked >= config.verdict.min_edges else 0.0
@@ -184,14 +185,11 @@ class JointTracker:
         images = seen.range_m, seen.sigma_m, seen.shade
         return contradictions(images, rendered, self._config.check, typical=seen.typical, bias_m=bias_m)
 
-    def _magnified(self, seen: JointFrame, t: FloatArray) -> float:
-        """Return how many times the target is larger than the image, 1 at least.
-
-        The fewer of its parts are seen, the less do their errors cancel out.
-        """
+    def _fills(self, seen: JointFrame, t: FloatArray) -> float:
+        """Return the target's radius over the image's smaller side: from 1 on few of its parts are seen."""
         camera = seen.view.camera
-        across_px = 2.0 * camera.fx * self._target.radius_m / max(t[2], NEAREST_M)
-        return max(1.0, across_px / min(camera.width, camera.height))
+        radius_px = camera.fx * self._target.radius_m / max(float(t[2]), NEAREST_M)
+        return radius_px / min(camera.width, camera.height)
 
     def _source(self, points: int, edges: int) -> Source:
         if edges < self._config.verdict.min_edges:

@@ -36,6 +36,13 @@ def test_an_edge_is_found_to_sub_pixel_whatever_the_scale_of_the_amplitude(level
     assert np.abs(inner[:, 0] - CORNER[0]).max() < 0.12
 
 
+def test_an_image_may_be_full_of_edges():
+    stripes = np.where(np.arange(CAMERA.width) % 5 < 2, 400.0, 20.0)
+    image = edges(frame_of(4.0, amplitude=np.tile(stripes, (CAMERA.height, 1)).astype(np.float32)))
+    assert len(image.places) > np.iinfo(np.int16).max
+    assert np.isfinite(image.places).all()
+
+
 def test_a_glint_leaves_the_edges_of_the_rest():
     light = square(400.0).amplitude.copy()
     light[100:140, 140:180] = 6_000.0
