@@ -31,6 +31,8 @@ SKY_SAMPLES = 600
 BRIGHT = 0.25, 4.0
 """Times the target's median amplitude: between them a pixel without a range is bright, above it glints or is
 beside a glint."""
+DIM = 0.15
+"""Times the same, what the sky must be darker than: from afar foil that faces elsewhere looks as dark."""
 FEW = 3
 """Contrary pixels are no share: far off, or where most is lost, there are few pixels at all."""
 INSIDE = 6
@@ -98,7 +100,7 @@ def contradictions(
     """
     bright, glinting = (share * typical for share in BRIGHT)
     sky = sky_amplitude(seen[0], seen[2], rendered.triangle, typical)
-    shades = sky if sky < bright else 0.0, max(bright, sky), glinting
+    shades = sky if sky < DIM * typical else 0.0, max(bright, sky), glinting
     reach_px = limits.reach_px + limits.place_m * rendered.px_per_m
     tolerated = limits.tolerance_m, bias_m, reach_px
     return Contradictions(*count_contrary(seen, rendered.arrays, shades, tolerated, limits.patch_px))
