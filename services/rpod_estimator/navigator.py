@@ -11,7 +11,7 @@ of a log and a Monte-Carlo campaign run this very function.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from math import radians
 from typing import overload
@@ -23,6 +23,7 @@ from rpod_estimator.deskew import as_of_stamp
 from rpod_estimator.filter import ATTITUDE, FilterState, predict, start, to_odometry
 from rpod_estimator.history import History, PoseMeasurement, apply
 from rpod_estimator.measurement import Measurement, Tick
+from rpod_estimator.navigator_state import GivenPose, NavigatorState, Output
 from rpod_estimator.ports import Acquisition, Methods, Registration
 from rpod_estimator.verification import Record, doubt
 from rpod_schemas.arrays import FloatArray
@@ -30,53 +31,12 @@ from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import chained, rotation_matrix
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
-from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, Odometry, Source
+from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, Source
 
 BEGINNING = 0.5
 """Of what may speak against a track, what may do so where one begins: else it would come and go."""
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.05
 """Of a given first pose whose covariance is not given."""
-
-
-@dataclass(frozen=True, eq=False)
-class GivenPose:
-    """A pose from outside to start from, taken as of the first frame where it has no stamp."""
-
-    T_chaser_target: RigidTransform
-    covariance: FloatArray
-    stamp_ns: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class NavigatorState:
-    """All that the navigator remembers between two steps."""
-
-    mode: Mode = Mode.ACQUIRING
-    history: History | None = None
-    """The filter's state and its recent past."""
-    given: GivenPose | None = None
-    heard_ns: int = 0
-    """Newest stamp of a measurement, accepted or not."""
-    accepted_ns: int = 0
-    """Newest stamp of an accepted measurement."""
-    lost_ns: int = 0
-    """When the target was lost."""
-    shown_ns: int = 0
-    """Newest stamp of an odometry: the stamps of the output never go back."""
-    rejections: int = 0
-    """In a row."""
-    confirmations: int = 0
-    """Frames that agreed since the acquisition."""
-    records: Mapping[str, Record] = field(default_factory=dict)
-    """How often frames contradicted what was tracked, by the sensor's name; outlasts what was tracked."""
-
-
-@dataclass(frozen=True, eq=False)
-class Output:
-    """What a step has to say."""
-
-    status: EstimatorStatus
-    odometry: Odometry | None
 
 
 class Navigator:
