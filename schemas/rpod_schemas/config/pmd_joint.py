@@ -62,7 +62,7 @@ class JointEdgeConfig(Config):
 class JointVerdictConfig(Config):
     """When the tracker believes its own result: ``check``, and what the edges say."""
 
-    min_edge_share: Share = 0.55
+    min_edge_share: Share = 0.47
     """Found in their place, of the edges to expect there by the noise of the frame, less one over the root of
     their number. What is expected are places that show a change, where it is. Right poses had 0.59
     and more."""
