@@ -22,8 +22,8 @@ class PmdCheckConfig(Config):
     most_contrary_share: Share = 0.04
     """Of the pixels that say something. Right poses had up to 0.024, the sun behind a camera 7 m off."""
     patch_px: Annotated[int, Field(gt=0)] = 5
-    """Side of a square patch of coarse pixels, about a tenth of a metre: a detail that is out of place is
-    small."""
+    """Side of a square patch of coarse pixels, about a tenth of a metre where no depth is lost: a detail
+    that is out of place is small."""
     most_in_patch: Annotated[int, Field(gt=0)] = 6
     """Contrary pixels of the fullest patch. Right poses had up to 6. Of 25 pixels, each contrary in one case
     of 50, more than six are in one of a million."""

@@ -64,11 +64,10 @@ class JointVerdictConfig(Config):
 
     min_edge_share: Share = 0.47
     """Found in their place, of the edges to expect there by the noise of the frame, less one over the root of
-    their number. What is expected are places that show a change, where it is. Right poses had 0.59
-    and more."""
+    their number. What is expected are places that show a change, where it is. Noise leaves half of
+    a right pose's there, 7 m off with the sun behind the camera."""
     weak_edge_share: Share = 0.58
-    """Below this a frame is believed, but speaks against the pose: a stream of such frames is not. A target
-    3 mm off its drawing had 0.62 and more, one 5 % larger than drawn mostly less than this."""
+    """Below this a frame is believed, but speaks against the pose: a stream of such frames is not."""
     min_changed_share: Share = 0.5
     """Of all places of edges those that should show a change at least; without depth, all."""
     bias_sigmas: Positive = 2.0

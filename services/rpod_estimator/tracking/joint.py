@@ -1,7 +1,7 @@
 """Tracking in depth and amplitude at once: signed distance of the points, places of the edges.
 
 A prediction that has the edges in their places needs the last, narrow steps only: a wider search may take one
-for its neighbour, and where there is little depth that draws the pose away first. One that has most of them
+for its neighbour, and where there is little depth that draws the pose away first. One that has many of them
 near needs a few wider steps before; one that explains the depth fairly all of them; any other is first drawn
 in on depth alone, which needs no edge to be near its place. Where the result is in doubt, for depth may agree
 before the attitude does, the wider start is tried too. The self-check asks both images: with a wrong camera
