@@ -4,6 +4,7 @@ What runs is the daemon's estimator; time is the frames' own. Between two frames
 does for the daemon, so that silence is noticed at the same place.
 """
 
+import logging
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -22,8 +23,8 @@ from rpod_estimator.intake import Intake
 from rpod_pose.measurement import Tick
 from rpod_pose.navigation.state import Output
 from rpod_schemas.cdr import NANOSECONDS
-from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.migration import check_logged
 from rpod_schemas.topics import ESTIMATE, ESTIMATE_POSE, STATUS, TF_STATIC, TRUTH
 from rpod_target import load_target
 
@@ -62,7 +63,13 @@ def configured_estimator(log: Log) -> EstimatorConfig:
     if not found:
         raise NoEstimatorError(log.paths[0])
     model = found.get(name) or next(iter(found.values()))
-    return check(EstimatorConfig, model, source=f"{log.paths[0]}: configuration of the estimator")
+    source = f"{log.paths[0]}: configuration of the estimator"
+    config, unknown = check_logged(EstimatorConfig, model, source=source)
+    if unknown:
+        logging.getLogger(__name__).warning(
+            "%s: fields of an earlier version are left out: %s", source, ", ".join(unknown)
+        )
+    return config
 
 
 def replay(
