@@ -35,7 +35,7 @@ from rpod_schemas.types import Camera, EstimatorStatus
 
 EPOCH_NS = 1_767_225_600 * NANOSECONDS
 CAMERA = Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5)
-PMD = PmdConfig(rate_hz=10.0, camera=CAMERA, T_chaser_sensor=make_pose(translation_m=[0.0, -0.05, 0.0]))
+PMD = PmdConfig(rate_hz=15.0, camera=CAMERA, T_chaser_sensor=make_pose(translation_m=[0.0, -0.05, 0.0]))
 SCAN = ScanPatternConfig(azimuth_span_deg=30.0, elevation_span_deg=30.0, step_deg=1.0)
 LIDAR = LidarConfig(pattern=SCAN, rate_hz=2.0)
 SLOW = LidarConfig(pattern=SCAN, rate_hz=2.0, readout_s=0.3)
