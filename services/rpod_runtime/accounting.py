@@ -7,7 +7,6 @@ are taken after a few messages.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Lock
 
@@ -19,8 +18,13 @@ Publication = tuple[str, bytes]
 
 FARTHEST = 1000
 """Numbers between two messages that are a gap: twice the largest cache; more is a jump."""
+LONGEST_GAP = 1_000_000
+"""A confirmed jump up to this many numbers is a gap: over an hour of truth was missed.
+
+After a longer one the publisher counts anew, and nobody knows what was missed.
+"""
 CONFIRMED = 3
-"""Messages in a row, rising after a jump and none of the old sequence between them, that make it the sequence."""
+"""Messages with rising numbers after a jump, none of the old sequence between them, that confirm it."""
 
 
 class DuplicateError(MessageRejectedError):
@@ -41,6 +45,9 @@ class Jump:
     after: int
     """Number of the message that was refused."""
 
+    def __str__(self) -> str:
+        return f"{self.before} to {self.after}, publisher {self.gid.hex()}"
+
 
 class JumpError(MessageRejectedError):
     """A message whose number is too far away from the last one to be of the same sequence."""
@@ -49,8 +56,7 @@ class JumpError(MessageRejectedError):
         self.jump = jump
         super().__init__(
             Reason.JUMP,
-            f"sequence {jump.after} after {jump.before} of publisher {jump.gid.hex()}, limit {FARTHEST} numbers; "
-            "does another publisher use its gid?",
+            f"sequence from {jump}: limit {FARTHEST} numbers; does a second publisher use the same gid?",
         )
 
 
@@ -63,15 +69,12 @@ class Count:
     duplicates: int = 0
     recovered: int = 0
     """Those of the received ones that were lost at first, then fetched from the publisher's cache."""
-    jumps: int = 0
-    """Messages that were refused for a number too far away."""
 
 
 @dataclass
 class _Elsewhere:
-    """Numbers that were seen since the sequence was last heard, far away from it."""
+    """Numbers far away from the sequence that were seen since it was last heard."""
 
-    first: int
     last: int
     messages: int = 1
 
@@ -79,7 +82,7 @@ class _Elsewhere:
 class SequenceAccount:
     """Counts per (key, gid), from the first number seen; an equal or lower number is a duplicate."""
 
-    def __init__(self, on_jump: Callable[[Jump], None] | None = None) -> None:
+    def __init__(self) -> None:
         self._last: dict[Publication, int] = {}
         self._elsewhere: dict[Publication, _Elsewhere] = {}
         self._live: set[Publication] = set()
@@ -111,18 +114,17 @@ class SequenceAccount:
 
     def _judge(self, publication: Publication, sequence: int, *, fetched: bool) -> None:
         """Count a gap; raise where the number is not taken."""
-        last, count = self._last.get(publication), self.counts[publication[0]]
+        last = self._last.get(publication)
         if last is None:
             return
         step = sequence - last
         if step > FARTHEST or (step < -FARTHEST and not fetched):
             if not self._is_confirmed(publication, sequence):
-                count.jumps += 1
                 raise JumpError(Jump(*publication, before=last, after=sequence))
-            # What was refused on the way has arrived; a sequence that went back tells of no gap.
-            step -= self._elsewhere[publication].messages
+            # What was refused on the way did arrive; numbers that went back tell of no gap.
+            step = step - self._elsewhere[publication].messages if step <= LONGEST_GAP else 1
         elif step <= 0:
-            count.duplicates += 1
+            self.counts[publication[0]].duplicates += 1
             raise DuplicateError(sequence)
         if step > 1:
             self._find(publication, self._gaps, step - 1)
@@ -130,8 +132,8 @@ class SequenceAccount:
     def _is_confirmed(self, publication: Publication, sequence: int) -> bool:
         """Return whether enough numbers have risen elsewhere, one after the other."""
         elsewhere = self._elsewhere.get(publication)
-        if elsewhere is None or not 0 < sequence - elsewhere.last:
-            self._elsewhere[publication] = _Elsewhere(sequence, sequence)
+        if elsewhere is None or sequence <= elsewhere.last:
+            self._elsewhere[publication] = _Elsewhere(sequence)
             return False
         if elsewhere.messages + 1 >= CONFIRMED:
             return True
