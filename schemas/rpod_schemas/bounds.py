@@ -72,9 +72,7 @@ DEPTH_M = Bound(
     "no light comes back from farther",
     "send metres, and NaN or infinity where there is no depth",
 )
-AMPLITUDE = Bound(
-    -(2.0**32), 2.0**32, "", "no converter has more than 32 bits", "send NaN where there is none"
-)
+AMPLITUDE = Bound(-(2.0**32), 2.0**32, "", "converters have at most 32 bits", "send NaN where there is none")
 FOCAL_LENGTH_PX = Bound(0.01, 1e6, "px", "a pixel sees more than 1 microradian", "calibrate the camera")
 PRINCIPAL_POINT_PX = Bound(-16_384, 16_384, "px", "it lies on the sensor that the image is cut from")
 DISTORTION = Bound(-1e4, 1e4, "", "fits of narrow lenses reach some hundreds", "calibrate the camera")

@@ -1,5 +1,7 @@
 """The errors of the estimator."""
 
+from rpod_schemas.errors import RpodError
 
-class EstimatorError(Exception):
+
+class EstimatorError(RpodError):
     """Root of the errors that this package raises."""

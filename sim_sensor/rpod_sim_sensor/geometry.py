@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import Array, FloatArray
+from rpod_schemas.errors import RpodError
 from rpod_schemas.types import Camera, Float32Array
 
 NEAR_M = 0.05
@@ -25,7 +26,7 @@ _NEWTON_STEPS = 8
 _NEWTON_TOLERANCE = 1e-9
 
 
-class SimSensorError(Exception):
+class SimSensorError(RpodError):
     """Root of the errors that this package raises."""
 
 

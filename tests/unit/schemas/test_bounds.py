@@ -228,16 +228,10 @@ def test_the_pixels_of_images_are_physical_or_unknown(value):
     known = not np.isfinite(value) or abs(value) <= np.float32(
         BOUNDS["depth image: each pixel, where finite"].high
     )
-    with (
-        nullcontext() if known else pytest.raises(MessageRejectedError, match="a pixel of the depth image is")
-    ):
+    with nullcontext() if known else pytest.raises(MessageRejectedError, match="depth image"):
         depth(value)
     known = np.isnan(value) or abs(value) <= 2.0**32
-    with (
-        nullcontext()
-        if known
-        else pytest.raises(MessageRejectedError, match="a pixel of the amplitude image")
-    ):
+    with nullcontext() if known else pytest.raises(MessageRejectedError, match="amplitude image"):
         amplitude(value)
 
 
