@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from queue import Empty, SimpleQueue
 
-from rpod_estimator.intake import Arrived
+from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.measurement import Tick
 from rpod_estimator.methods import ScanPattern, configured_pattern, lidar_methods, pmd_methods, warm_up
 from rpod_estimator.navigator import Navigator

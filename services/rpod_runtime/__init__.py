@@ -2,9 +2,9 @@
 
 from rpod_runtime.clock import BusClock, Clock, WallClock
 from rpod_runtime.errors import BusError, NoRouterError, QueryFailedError
+from rpod_runtime.inbox import Inbox, Received
 from rpod_runtime.node import Node
 from rpod_runtime.publisher import Publisher
-from rpod_runtime.received import Inbox, Received
 
 __all__ = [
     "BusClock",

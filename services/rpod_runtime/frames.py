@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rpod_runtime.assembler import Assembled, Assembler
-from rpod_runtime.received import Received
+from rpod_runtime.inbox import Received
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import build, read_amplitude, read_camera, read_depth, read_points
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, POINTS

@@ -20,11 +20,11 @@ from pydantic import BaseModel, ValidationError
 
 from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.clock import BusClock, Clock, WallClock
+from rpod_runtime.delivery import Delivery
 from rpod_runtime.errors import QueryFailedError
 from rpod_runtime.health import HealthBook
+from rpod_runtime.inbox import Received
 from rpod_runtime.publisher import Publisher
-from rpod_runtime.received import Received
-from rpod_runtime.reception import Reception
 from rpod_runtime.replies import error_reply, error_text
 from rpod_runtime.session import open_client
 from rpod_schemas.config.service import ServiceConfig
@@ -60,7 +60,7 @@ class Node:
         self.account = SequenceAccount()
         self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
         self._keys = config.bus.keys
-        self._reception = Reception(self._keys, self.health, self.account)
+        self._delivery = Delivery(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
         self._entities = 0
         self._publishers: list[Publisher] = []
@@ -150,7 +150,7 @@ class Node:
         past = SENSOR_CACHE if history else 0
         self._declare(
             self._keys.selector(topic),
-            lambda sample: self._reception.take(topic, sample, sink),
+            lambda sample: self._delivery.take(topic, sample, sink),
             kept=1 if topic.latched else past,
             recover=recover,
         )
@@ -165,7 +165,7 @@ class Node:
 
         def take(sample: zenoh.Sample) -> None:
             if accept(str(sample.key_expr)):
-                self._reception.take_any(sample, sink)
+                self._delivery.take_any(sample, sink)
 
         self._declare(key_expression, take, kept=SENSOR_CACHE, recover=True)
 
@@ -189,11 +189,11 @@ class Node:
         )
         self._stack.callback(subscriber.undeclare)
         if recover:
-            self._stack.callback(subscriber.sample_miss_listener(self._reception.miss).undeclare)
+            self._stack.callback(subscriber.sample_miss_listener(self._delivery.miss).undeclare)
 
     def reject(self, topic: str, error: MessageRejectedError) -> None:
         """Count a rejected message; log the first of its kind."""
-        self._reception.reject(topic, error)
+        self._delivery.reject(topic, error)
 
     def _entity(self) -> int:
         self._entities += 1

@@ -48,7 +48,7 @@ class Arrived:
     reason: str = ""
 
 
-class Intake:
+class FrameReader:
     """What is known of the sensors, their frames in the making, and how a frame becomes a measurement."""
 
     def __init__(self, sensors: Sequence[SensorInput]) -> None:

@@ -6,7 +6,7 @@ Only sensors, ``tf_static`` and the clock are subscribed; nothing here knows a t
 from collections import deque
 from collections.abc import Iterator, Mapping
 
-from rpod_estimator.intake import LEADING, Arrived, Intake
+from rpod_estimator.frame_reader import LEADING, Arrived, FrameReader
 from rpod_estimator.methods import ScanPattern
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
@@ -23,31 +23,31 @@ _CLOCK_LAG_S = 0.2
 """How long a clock message may be behind a frame that was published after it."""
 
 
-class Inputs:
+class Subscriptions:
     """Everything that reaches the estimator."""
 
     def __init__(self, node: Node, config: EstimatorConfig) -> None:
         self._node, self._config = node, config
         self._in_lockstep = config.time_source == "clock"
         self._latched, self._waiting = Inbox(), Inbox(_WAITING_PARTS)
-        self._intake = Intake(config.sensors)
+        self._reader = FrameReader(config.sensors)
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
-        for topic in self._intake.latched:
+        for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
-        for topic in self._intake.streams:
+        for topic in self._reader.streams:
             # Live, what is missed is old by the time it could be had; in lockstep everybody waits for it.
             node.subscribe(topic, self._waiting.put, recover=self._in_lockstep)
 
     @property
     def patterns(self) -> Mapping[str, ScanPattern]:
         """Scan patterns of the LIDARs, from their latched info."""
-        return self._intake.patterns
+        return self._reader.patterns
 
     @property
     def infos(self) -> Mapping[str, PmdInfo]:
         """What the cameras say of themselves."""
-        return self._intake.infos
+        return self._reader.infos
 
     def newest(self, timeout_s: float) -> Arrived | None:
         """Return the newest complete frame of the sensor that waits longest; None after the timeout.
@@ -71,7 +71,7 @@ class Inputs:
             except MessageRejectedError as error:
                 self._node.reject(received.topic.name, error)
         if timeout_s and not parts and not self._in_lockstep:
-            for sensor, assembler in self._intake.assemblers.items():
+            for sensor, assembler in self._reader.assemblers.items():
                 self._put(sensor, assembler.release())
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
 
@@ -82,14 +82,14 @@ class Inputs:
         return self._arrived(*chosen) if chosen else None
 
     def _take(self, received: Received) -> None:
-        if received.topic.name in self._intake.parts:
+        if received.topic.name in self._reader.parts:
             self._take_part(received)
         else:
-            self._intake.learn(received)
+            self._reader.learn(received)
 
     def _take_part(self, received: Received) -> None:
-        sensor, part = self._intake.parts[received.topic.name]
-        assembler = self._intake.assemblers[sensor]
+        sensor, part = self._reader.parts[received.topic.name]
+        assembler = self._reader.assemblers[sensor]
         stamp_ns = peek_stamp(received.payload)
         try:
             self._check_freshness(received, stamp_ns)
@@ -128,7 +128,7 @@ class Inputs:
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
         arrival_s = max(part.arrival_s for part in frame.parts.values())
         try:
-            measurement = self._intake.measurement(sensor, frame)
+            measurement = self._reader.measurement(sensor, frame)
         except PartRejectedError as error:
             self._node.reject(error.topic, error)
             return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error))

@@ -10,7 +10,7 @@ import zenoh.ext
 
 from rpod_runtime.accounting import JumpError, Publication, SequenceAccount
 from rpod_runtime.health import HealthBook
-from rpod_runtime.received import Received
+from rpod_runtime.inbox import Received
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import Namespace, Topic
 from rpod_schemas.wire import UNNUMBERED, Attachment, unpack_attachment
@@ -23,7 +23,7 @@ _REPLAYED = zenoh.CongestionControl.BLOCK
 Sink = Callable[[Received], None]
 
 
-class Reception:
+class Delivery:
     """Runs in the bus's threads: never raises, never waits."""
 
     def __init__(self, keys: Namespace, health: HealthBook, account: SequenceAccount) -> None:
