@@ -1,4 +1,4 @@
-"""The estimator daemon: a thin shell of bus and clock around the estimator."""
+"""The estimator daemon: connects the estimator to the bus and the clock."""
 
 from threading import Event
 

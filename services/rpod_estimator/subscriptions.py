@@ -1,6 +1,6 @@
-"""The estimator's ears: subscriptions, freshness, and the newest complete frame.
+"""Subscriptions of the estimator: they check the age of messages and keep the newest complete frame.
 
-Only sensors, ``tf_static`` and the clock are subscribed; nothing here knows a topic of the truth.
+The estimator subscribes to sensors, ``tf_static`` and the clock only, never to the truth.
 """
 
 from collections import deque
@@ -18,13 +18,13 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import PmdInfo
 
 _WAITING_PARTS = 512
-"""Parts between the bus and the assembler: some 200 MB of images."""
+"""Largest number of parts between the bus and the assembler; about 200 MB of images."""
 _CLOCK_LAG_S = 0.2
-"""How long a clock message may be behind a frame that was published after it."""
+"""Longest time that a clock message may arrive after a frame that was published later."""
 
 
 class Subscriptions:
-    """Everything that reaches the estimator."""
+    """Receives all messages of the estimator and hands out frames."""
 
     def __init__(self, node: Node, config: EstimatorConfig) -> None:
         self._node, self._config = node, config
@@ -46,19 +46,19 @@ class Subscriptions:
 
     @property
     def infos(self) -> Mapping[str, PmdInfo]:
-        """What the cameras say of themselves."""
+        """Latched info of the cameras, by sensor."""
         return self._reader.infos
 
     def newest(self, timeout_s: float) -> Arrived | None:
-        """Return the newest complete frame of the sensor that waits longest; None after the timeout.
+        """Return the newest complete frame with the oldest stamp over all sensors; None after the timeout.
 
-        Frames that are refused on arrival, for their stamps, come before it, each with its reason.
+        Frames that were refused for their stamps come first, each with its reason.
         """
         self._take_in(0.0 if self._newest or self._refused else timeout_s)
         return self._next()
 
     def rest(self) -> Iterator[Arrived]:
-        """Yield what waits at this moment: what was refused, the newest complete frame of each sensor."""
+        """Yield the frames that wait now: refused ones first, then the newest complete one of each sensor."""
         self._take_in(0.0)
         while (arrived := self._next()) is not None:
             yield arrived
@@ -108,7 +108,7 @@ class Subscriptions:
                 self._node.health.count(f"dropped/{sensor}")
 
     def _check_freshness(self, received: Received, stamp_ns: int) -> None:
-        """Judge a stamp by its arrival: what then waits for the methods is not late by its sensor's fault."""
+        """Check a stamp against the time of arrival: the estimator's own delay does not count."""
         now_ns, clock = received.arrival_ns, self._node.clock
         if isinstance(clock, BusClock):
             clock.await_ns(stamp_ns - round(self._config.max_future_s * NANOSECONDS), _CLOCK_LAG_S)

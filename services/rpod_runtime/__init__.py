@@ -1,4 +1,4 @@
-"""What every service stands on: session, publishers, subscriptions, health, clock, life cycle."""
+"""Common base of all services: session, publishers, subscriptions, health, clock and life cycle."""
 
 from rpod_runtime.clock import BusClock, Clock, WallClock
 from rpod_runtime.errors import BusError, NoRouterError, QueryFailedError
