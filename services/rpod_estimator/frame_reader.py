@@ -1,6 +1,7 @@
-"""From messages to measurements, without a bus: the daemon and a replay of a log share this very path.
+"""Reads measurements from messages, without a bus; the daemon and the replay of a log both use it.
 
-Parts are told apart by topic and stamp from their first bytes; only a frame that is chosen is decoded.
+Parts are identified by topic and by the stamp in their first bytes. Only frames that are
+processed are decoded.
 """
 
 from collections.abc import Sequence
@@ -33,23 +34,23 @@ from rpod_schemas.topics import (
 from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo
 
 LEADING = frozenset({"points", "depth"})
-"""The part in whose place a frame is refused that never gets complete."""
+"""The part whose refusal is reported as the refusal of the whole frame."""
 
 
 @dataclass(frozen=True)
 class Arrived:
-    """A frame for the navigator, or why it is none."""
+    """A frame for the navigator, or the reason why it cannot be used."""
 
     sensor: str
     stamp_ns: int
     arrival_s: float
-    """Of its last part, monotonic clock."""
+    """Arrival of the last part, monotonic clock."""
     measurement: Measurement | None
     reason: str = ""
 
 
-class Intake:
-    """What is known of the sensors, their frames in the making, and how a frame becomes a measurement."""
+class FrameReader:
+    """Assembles frames of the configured sensors, and reads measurements from them."""
 
     def __init__(self, sensors: Sequence[SensorInput]) -> None:
         self.latched: tuple[Topic, ...] = (TF_STATIC,)
@@ -57,13 +58,13 @@ class Intake:
         self.streams: tuple[Topic, ...] = ()
         """Topics of the parts of frames, for the ``assemblers``."""
         self.parts: dict[str, tuple[str, str]] = {}
-        """Sensor and part, by such a topic's name."""
+        """Sensor and part, by the name of the stream topic."""
         self.assemblers: dict[str, Assembler[Received]] = {}
-        """By sensor."""
+        """Frame assemblers, by sensor."""
         self.patterns: dict[str, ScanPattern] = {}
-        """Scan patterns of the LIDARs, from their latched info."""
+        """Scan patterns of the LIDARs from their latched info, by sensor."""
         self.infos: dict[str, PmdInfo] = {}
-        """What the cameras say of themselves; every frame carries it."""
+        """Latched info of the cameras, by sensor; every frame carries it."""
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
         self._cameras = CameraWatch()
         for sensor in sensors:
@@ -79,7 +80,7 @@ class Intake:
         self.parts |= {topic.of(sensor.name).name: (sensor.name, part) for part, topic in topics.items()}
 
     def learn(self, received: Received) -> None:
-        """Take a latched message. Raises ``MessageRejectedError``."""
+        """Store the content of a latched message. Raises ``MessageRejectedError``."""
         topic = received.topic
         if topic.name == TF_STATIC.name:
             for _, parent, child, pose in read_transforms(received.decode()):
@@ -94,7 +95,7 @@ class Intake:
             self.patterns[sensor] = ScanPattern.of(info)
 
     def measurement(self, sensor: str, frame: Assembled[Received]) -> Measurement:
-        """Return a frame decoded and checked, with its mount. Raises ``PartRejectedError``."""
+        """Return the decoded and checked frame with its mount. Raises ``PartRejectedError``."""
         leading = next(part for name, part in frame.parts.items() if name in LEADING)
         data: PmdFrame | LidarScan
         if "depth" in frame.parts:
