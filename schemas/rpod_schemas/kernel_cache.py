@@ -28,13 +28,14 @@ _OWN = f"{__name__}."
 
 def watch_callees() -> None:
     """Let Numba's cache know what kernels have from other modules; a choice of the user's own stays."""
-    if not config.CACHE_LOCATOR_CLASSES:
+    if not getattr(config, "CACHE_LOCATOR_CLASSES"):  # noqa: B009 - its stub lacks the name
         own = ("UserProvided", "InTree", "UserWide")
         others = ("IPythonCacheLocator", "ZipCacheLocator")
-        config.CACHE_LOCATOR_CLASSES = ",".join([*(_OWN + name for name in own), *others])
+        chosen = ",".join([*(_OWN + name for name in own), *others])
+        setattr(config, "CACHE_LOCATOR_CLASSES", chosen)  # noqa: B010 - its stub lacks the name
 
 
-class _Watching:
+class _Watching(caching._SourceFileBackedLocatorMixin):  # type: ignore[misc, unused-ignore]
     """A locator whose stamp covers what the kernel's module has from others."""
 
     def __init__(self, py_func: Any, py_file: str) -> None:
@@ -43,19 +44,19 @@ class _Watching:
 
     def get_source_stamp(self) -> str:
         """Return a digest of the kernel's file and of what is compiled in from elsewhere."""
-        own = super().get_source_stamp()  # type: ignore[misc]
+        own = super().get_source_stamp()  # type: ignore[no-untyped-call]
         return hashlib.sha256(repr((own, sorted(_parts(self._globals, set())))).encode()).hexdigest()
 
 
-class UserProvided(_Watching, caching.UserProvidedCacheLocator):  # type: ignore[misc]
+class UserProvided(_Watching, caching.UserProvidedCacheLocator):
     """In ``NUMBA_CACHE_DIR``, where it is set."""
 
 
-class InTree(_Watching, caching.InTreeCacheLocator):  # type: ignore[misc]
+class InTree(_Watching, caching.InTreeCacheLocator):
     """Beside the source, where that can be written."""
 
 
-class UserWide(_Watching, caching.UserWideCacheLocator):  # type: ignore[misc]
+class UserWide(_Watching, caching.UserWideCacheLocator):
     """In the user's cache."""
 
 

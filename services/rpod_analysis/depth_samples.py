@@ -17,10 +17,9 @@ from scipy.spatial.transform import RigidTransform
 from rpod_analysis.errors import CalibrationError
 from rpod_analysis.log import Log
 from rpod_analysis.score import BoolArray, Track, interpolate
-from rpod_analysis.sensors import find_sensors, pmd_frames, pmd_info
+from rpod_analysis.sensors import configured_sensors, find_sensors, pmd_frames, pmd_info
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.depth_calibration import unambiguous_range_m
-from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import CHASER, TRUTH
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_sim_sensor.geometry import DistortionError, Hits, RayGrid, cast
@@ -131,7 +130,7 @@ def _frequencies(log: Log, camera: str) -> tuple[float, ...]:
 
 def _configured_sensors(log: Log, camera: str) -> Iterator[dict[str, Any]]:
     for service in log.configuration.values():
-        yield from (entry for entry in service.get("sensors") or () if entry.get("name") == camera)
+        yield from (entry for entry in configured_sensors(service) if entry.get("name") == camera)
 
 
 def _target(log: Log) -> Target:
@@ -145,10 +144,7 @@ def _target(log: Log) -> Target:
 
 
 def _truth(log: Log) -> Track:
-    try:
-        odometry = list(log.odometry(TRUTH))
-    except MessageRejectedError as error:
-        raise CalibrationError(f"{log.paths[0].name}: {TRUTH.name}: {error}") from error
+    odometry = sorted(log.odometry(TRUTH), key=lambda entry: entry.stamp_ns)
     if not odometry:
         raise CalibrationError(f"{log.paths[0].name}: no truth in the log ({TRUTH.name})")
     if foreign := {entry.frame_id for entry in odometry} - {CHASER}:

@@ -20,7 +20,9 @@ from mcap.records import Statistics
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.log_file import LogFile, files_of, open_file, reading
+from rpod_analysis.unreadable import Unreadable
 from rpod_schemas.cdr import decode
+from rpod_schemas.errors import Reason
 from rpod_schemas.logs import CONFIGURATION, COUNTS, TopicCount
 from rpod_schemas.messages import read_odometry, read_status, read_transforms
 from rpod_schemas.topics import ESTIMATE, STATUS, TF_STATIC, TOPICS, Topic
@@ -80,6 +82,8 @@ class Log:
     """A log that is open; close it by ``with``."""
 
     def __init__(self, *paths: Path | str, namespace: str = "") -> None:
+        self.unreadable = Unreadable()
+        """Messages that could not be read so far, by whoever asked for them."""
         self._given_namespace = namespace.strip("/")
         with ExitStack() as stack:
             files = [file for path in paths for file in files_of(Path(path))]
@@ -138,8 +142,18 @@ class Log:
 
     @cached_property
     def configuration(self) -> dict[str, dict[str, Any]]:
-        """The resolved configuration of every service, by instance."""
-        return {name: json.loads(text) for name, text in self.metadata(CONFIGURATION).items()}
+        """The resolved configuration of every service, by instance; what is no JSON object is left out."""
+        found: dict[str, dict[str, Any]] = {}
+        for name, text in self.metadata(CONFIGURATION).items():
+            try:
+                model = json.loads(text)
+            except ValueError:
+                model = None
+            if isinstance(model, dict):
+                found[name] = model
+            else:
+                self.unreadable.note(CONFIGURATION, Reason.MALFORMED, f"{name}: is no JSON object")
+        return found
 
     def metadata(self, record: str) -> dict[str, str]:
         """Return a metadata record, empty where there is none; what was written later counts."""
@@ -162,8 +176,9 @@ class Log:
         """Parent and T_parent_child of every static transform, by child; the last one counts."""
         transforms: dict[str, tuple[str, RigidTransform]] = {}
         for logged in self.messages(TF_STATIC):
-            for _, parent, child, T_parent_child in read_transforms(logged.decode()):
-                transforms[child] = parent, T_parent_child
+            with self.unreadable.left_out(logged):
+                for _, parent, child, T_parent_child in read_transforms(logged.decode()):
+                    transforms[child] = parent, T_parent_child
         return transforms
 
     # --- messages ---
@@ -218,16 +233,18 @@ class Log:
     def odometry(
         self, topic: Topic | str = ESTIMATE, *, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[Odometry]:
-        """Iterate over a nav_msgs/Odometry topic."""
+        """Iterate over a nav_msgs/Odometry topic; ``unreadable`` counts messages that are left out."""
         for logged in self.messages(topic, start_ns=start_ns, end_ns=end_ns):
-            yield read_odometry(logged.decode())
+            with self.unreadable.left_out(logged):
+                yield read_odometry(logged.decode())
 
     def statuses(
         self, topic: Topic | str = STATUS, *, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[EstimatorStatus]:
-        """Iterate over the estimator's status."""
+        """Iterate over the estimator's status; ``unreadable`` counts messages that are left out."""
         for logged in self.messages(topic, start_ns=start_ns, end_ns=end_ns):
-            yield read_status(logged.decode())
+            with self.unreadable.left_out(logged):
+                yield read_status(logged.decode())
 
     def _name(self, channel_topic: str) -> str:
         """Return a topic's name as the ICD writes it: no leading slash, no namespace."""
@@ -238,7 +255,8 @@ class Log:
         if self._given_namespace:
             return f"{self._given_namespace}/"
         for service in self.configuration.values():
-            if namespace := service.get("bus", {}).get("namespace"):
+            bus = service.get("bus")
+            if isinstance(bus, dict) and (namespace := bus.get("namespace")):
                 return f"{namespace}/"
         return ""
 

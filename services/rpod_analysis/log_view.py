@@ -7,6 +7,7 @@ from itertools import chain, islice
 
 from rpod_analysis.log import Log, Logged
 from rpod_analysis.replay.frames import as_received
+from rpod_analysis.unreadable import StampCheck
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import TF, TF_STATIC, TRUTH, Topic
@@ -70,7 +71,10 @@ def show_log(
     pace = _Pace(round(max(NANOSECONDS / rate_hz, _span_ns(log, topics, part) / _MOST_MOMENTS)))
 
     mounts = log.messages(TF_STATIC, end_ns=part.start_ns) if part.start_ns else ()
+    stamps = StampCheck(log)
     for logged in chain(mounts, log.messages(*topics, start_ns=part.start_ns, end_ns=part.end_ns)):
+        if not _of_this_log(log, stamps, logged):
+            continue
         if _is_due(pace, logged):
             view.draw()
             if not drawn():
@@ -78,6 +82,14 @@ def show_log(
         view.take(as_received(logged))
     view.draw()
     drawn()
+
+
+def _of_this_log(log: Log, stamps: StampCheck, logged: Logged) -> bool:
+    """Return whether a message's stamp can be of the log; others are left out and counted."""
+    with log.unreadable.left_out(logged):
+        stamps.peek(logged)
+        return True
+    return False
 
 
 def _is_due(pace: _Pace, logged: Logged) -> bool:

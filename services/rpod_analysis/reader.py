@@ -7,11 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from rpod_analysis.accounting import Account
-from rpod_analysis.log import Logged
+from rpod_analysis.log import Log, Logged
+from rpod_analysis.message_checks import check_message, pose_numbers
 from rpod_analysis.sensors import Sensor
 from rpod_analysis.spool import Spool
+from rpod_analysis.unreadable import StampCheck
 from rpod_schemas.cdr import peek_stamp
-from rpod_schemas.messages import read_diagnostics, read_stamp
+from rpod_schemas.messages import read_diagnostics, read_odometry, read_stamp, read_status
 from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE, POINTS, STATUS, TRUTH
 
 
@@ -37,9 +39,10 @@ class Found:
 
 
 class Reader:
-    """Takes the messages of a log, in the order of arrival."""
+    """Takes the messages of a log, in the order of arrival; those that cannot be read are left out."""
 
-    def __init__(self, prefix: str, sensors: dict[str, Sensor]) -> None:
+    def __init__(self, log: Log, prefix: str, sensors: dict[str, Sensor]) -> None:
+        self._unreadable, self._stamps = log.unreadable, StampCheck(log)
         status_topic = STATUS.under(prefix).name
         self.found = Found(sensors, status_topic)
         self._takers: dict[str, Callable[[Logged], None]] = {
@@ -56,24 +59,25 @@ class Reader:
     def take(self, logged: Logged) -> None:
         """Take a message, whatever it is."""
         self.found.account.take(logged)
-        if taker := self._takers.get(logged.topic):
-            taker(logged)
+        with self._unreadable.left_out(logged):
+            self._stamps.peek(logged)
+            self._takers.get(logged.topic, check_message)(logged)
 
     def _take_truth(self, logged: Logged) -> None:
         message = logged.decode()
-        p, q = message.pose.pose.position, message.pose.pose.orientation
-        self.found.truth.add((read_stamp(message.header), (p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
+        self.found.truth.add((read_stamp(message.header), pose_numbers(message.pose.pose)))
         self.found.parents.add(message.header.frame_id)
 
     def _take_estimate(self, logged: Logged) -> None:
         message = logged.decode()
-        p, q = message.pose.pose.position, message.pose.pose.orientation
-        pose, covariance = (p.x, p.y, p.z, q.x, q.y, q.z, q.w), message.pose.covariance.tobytes()
+        read_odometry(message)
+        pose, covariance = pose_numbers(message.pose.pose), message.pose.covariance.tobytes()
         self.found.estimates.add((read_stamp(message.header), pose, covariance, logged.publish_ns))
         self.found.parents.add(message.header.frame_id)
 
     def _take_status(self, logged: Logged) -> None:
         status = logged.decode()
+        read_status(status)
         self.found.statuses.add(
             (
                 read_stamp(status.header), status.mode, status.source, status.accepted, status.nis,
@@ -85,11 +89,13 @@ class Reader:
         for diagnostic in read_diagnostics(logged.decode()):
             self.found.account.hear(diagnostic)
 
-    def _take_clock(self, _: Logged) -> None:
+    def _take_clock(self, logged: Logged) -> None:
+        read_stamp(logged.decode())
         self.found.clock = True
 
     def _frame_taker(self, sensor: str) -> Callable[[Logged], None]:
         def take(logged: Logged) -> None:
+            check_message(logged)
             self.found.frames.add((peek_stamp(logged.payload), sensor, logged.log_ns))
 
         return take

@@ -212,7 +212,7 @@ def stream_run(
         FramesDifferError: truth and estimates are of different frames.
     """
     prefix = prefix or estimate_prefix(log)
-    reader = Reader(prefix, find_sensors(log) if sensors is None else sensors)
+    reader = Reader(log, prefix, find_sensors(log) if sensors is None else sensors)
     for logged in log.messages(start_ns=start_ns, end_ns=end_ns):
         reader.take(logged)
     found = reader.found

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_analysis.log import Log, Logged
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import (
+    build,
     read_amplitude,
     read_camera,
     read_depth,
@@ -43,10 +44,17 @@ def find_sensors(log: Log) -> dict[str, Sensor]:
         for name, info in log.topics.items():
             sensor = name.removesuffix(f"/{suffix}")
             if info.type == topic.type and sensor != name and info.count:
-                first = next(log.messages(name)).decode()
-                mount = _mount(log, sensor, first.header.frame_id)
+                mount = _mount(log, sensor, _frame_id(log, name))
                 sensors[sensor] = Sensor(sensor, kind, mount)  # type: ignore[arg-type]
     return sensors
+
+
+def _frame_id(log: Log, topic: str) -> str:
+    """Return the frame of a topic's first message that can be read; empty where none can."""
+    for logged in log.messages(topic):
+        with log.unreadable.left_out(logged):
+            return str(logged.decode().header.frame_id)
+    return ""
 
 
 def _mount(log: Log, sensor: str, frame_id: str) -> RigidTransform | None:
@@ -63,7 +71,7 @@ def _mount(log: Log, sensor: str, frame_id: str) -> RigidTransform | None:
 
 def _configured_mount(configuration: dict[str, dict[str, Any]], sensor: str) -> RigidTransform | None:
     for service in configuration.values():
-        for entry in service.get("sensors") or ():
+        for entry in configured_sensors(service):
             mount = entry.get("T_chaser_sensor")
             if entry.get("name") == sensor and mount is not None:
                 return RigidTransform.from_components(
@@ -72,11 +80,19 @@ def _configured_mount(configuration: dict[str, dict[str, Any]], sensor: str) -> 
     return None
 
 
+def configured_sensors(service: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the sensors of a service's configuration; what has another form is left out."""
+    entries = service.get("sensors")
+    return (
+        [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list | tuple) else []
+    )
+
+
 def pmd_info(log: Log, sensor: str) -> PmdInfo | None:
     """Return what a PMD camera said of itself last; None where it did not, or nothing that can be read."""
     info: PmdInfo | None = None
     for logged in log.messages(PMD_INFO.of(sensor)):
-        with suppress(MessageRejectedError):
+        with log.unreadable.left_out(logged):
             info = read_pmd_info(logged.decode())
     return info
 
@@ -94,8 +110,12 @@ def pmd_frames(
     wanted = {topic.name for topic in topics if topic.name in log.topics}
     pending: dict[int, dict[str, Any]] = {}
     for logged in log.messages(*topics, start_ns=start_ns, end_ns=end_ns):
-        message = logged.decode()
-        stamp_ns = read_stamp(message.header)
+        stamp_ns = -1
+        with log.unreadable.left_out(logged):
+            message = logged.decode()
+            stamp_ns = read_stamp(message.header)
+        if stamp_ns < 0:
+            continue
         parts = pending.setdefault(stamp_ns, {})
         parts[logged.topic] = message
         if parts.keys() == wanted:
@@ -115,7 +135,8 @@ def _complete(
         if depth not in parts or camera not in parts:
             continue
         with suppress(MessageRejectedError):
-            yield PmdFrame(
+            yield build(
+                PmdFrame,
                 stamp_ns=stamp_ns,
                 frame_id=parts[depth].header.frame_id,
                 depth_m=read_depth(parts[depth]),
@@ -130,13 +151,15 @@ def lidar_scans(
 ) -> Iterator[LidarScan]:
     """Iterate over the scans of a LIDAR; arrival within the slice."""
     for logged in log.messages(POINTS.of(sensor), start_ns=start_ns, end_ns=end_ns):
-        yield _read_scan(logged)
+        with log.unreadable.left_out(logged):
+            yield _read_scan(logged)
 
 
 def _read_scan(logged: Logged) -> LidarScan:
     message = logged.decode()
     fields = read_points(message)
-    return LidarScan(
+    return build(
+        LidarScan,
         stamp_ns=read_stamp(message.header),
         frame_id=message.header.frame_id,
         points_m=np.stack([fields[axis] for axis in "xyz"], axis=-1),

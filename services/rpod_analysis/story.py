@@ -20,6 +20,7 @@ from rpod_analysis.snapshots import Snapshot, take_snapshots
 from rpod_analysis.statement import Statement, find_statement
 from rpod_analysis.summarise import summarise
 from rpod_analysis.tally import Tally
+from rpod_analysis.unreadable import UnreadableKind
 from rpod_analysis.verdict import Check, find_checks, headline, verdict
 from rpod_schemas.logs import SOFTWARE, TopicCount
 from rpod_schemas.summary import Summary
@@ -54,6 +55,8 @@ class Story:
     """Errors that services reported, the most frequent first."""
     checks: tuple[Check, ...]
     snapshots: tuple[Snapshot, ...]
+    unreadable: tuple[UnreadableKind, ...]
+    """Messages that cannot be read."""
     target: str
     target_note: str
     software: str
@@ -100,10 +103,11 @@ def tell(log: Log, run: StreamedRun, *, name: str, report: Path | None = None) -
     for minute in run:
         tally.take(minute)
         digest.take(minute)
-    summary = summarise(log, run, tally, report=report)
     software = log.metadata(SOFTWARE)
     target, target_note = _target(log, software.get("target_digest", "").split())
     alarms = run.account.alarms
+    snapshots = tuple(take_snapshots(log, run, digest, target))
+    summary = summarise(log, run, tally, report=report)  # last: it tells what could not be read
     return Story(
         name=name,
         files=tuple(path.name for path in log.paths),
@@ -120,7 +124,8 @@ def tell(log: Log, run: StreamedRun, *, name: str, report: Path | None = None) -
         flows=tuple(_flows(run, tally, summary)),
         alarms=tuple(alarms.most_common(_MOST_REASONS)),
         checks=tuple(find_checks(summary, alarms.total())),
-        snapshots=tuple(take_snapshots(log, run, digest, target)),
+        snapshots=snapshots,
+        unreadable=log.unreadable.kinds,
         target=target.name if target else "",
         target_note=target_note,
         software=" ".join(software[key] for key in ("name", "version") if key in software),

@@ -38,6 +38,7 @@ def summarise(
         consistency=tally.consistency(),
         innovation=tally.innovation(),
         completeness=find_statement(log).summary(),
+        unreadable=log.unreadable.by_topic(),
     )
 
 

@@ -122,6 +122,7 @@ def _kept_up(summary: Summary) -> Check:
 def _recorded(summary: Summary) -> Iterator[Check]:
     missed = summary.missed
     yield Check("Log", f"{_count(missed, 'message')} missed", "no message missed", missed == 0)
+    yield _readable(summary)
     said = summary.completeness
     if said is None or said.complete is None:
         answer = "the log does not say"
@@ -131,6 +132,13 @@ def _recorded(summary: Summary) -> Iterator[Check]:
         answer = "complete, by its own account" if said.complete else first + more
     complete = said.complete if said else None
     yield Check("Completeness", answer, "the log's own statement, checked against its content", complete)
+
+
+def _readable(summary: Summary) -> Check:
+    total = sum(count for reasons in summary.unreadable.values() for count in reasons.values())
+    where = f" ({', '.join(sorted(summary.unreadable))})" if total else ""
+    answer = f"{_count(total, 'message')} cannot be read{where}" if total else "every message can be read"
+    return Check("Messages", answer, "every message readable", total == 0)
 
 
 def _count(number: int, noun: str) -> str:

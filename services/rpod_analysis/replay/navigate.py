@@ -17,6 +17,7 @@ from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
 from rpod_analysis.replay.timeline import Timeline
 from rpod_analysis.run import estimate_prefix
+from rpod_analysis.unreadable import StampCheck
 from rpod_estimator.estimator import TICK_S, Estimator
 from rpod_estimator.intake import Intake
 from rpod_estimator.measurement import Tick
@@ -93,7 +94,12 @@ def replay(
         raise CannotWriteError(target, "is the log itself")
     estimator, intake = Estimator(config, load_target(config.target)), Intake(config.sensors)
     old = estimate_prefix(log)
-    frames = FramesAsLive(intake, status_topic=STATUS.under(old).name) if as_live else Frames(intake)
+    stamps = StampCheck(log)
+    frames = (
+        FramesAsLive(intake, stamps, status_topic=STATUS.under(old).name)
+        if as_live
+        else Frames(intake, stamps)
+    )
     feed = _Feed(estimator, intake, config, as_live=as_live)
     try:
         with EstimateLog(target, log, config) as written:
