@@ -9,7 +9,7 @@ from threading import Event
 from typing import Any
 
 from rpod_analysis import AnalysisError, Log, open_log
-from rpod_analysis.log_view import Part, show_log
+from rpod_analysis.replay.log_view import Part, show_log
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_runtime.lifecycle import run as run_service
 from rpod_schemas.cdr import NANOSECONDS

@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from rpod_analysis.log import Logged
-from rpod_analysis.unreadable import StampCheck
+from rpod_analysis.log.unreadable import StampCheck
 from rpod_estimator.intake import Arrived, Intake
 from rpod_estimator.measurement import Tick
 from rpod_runtime import Received

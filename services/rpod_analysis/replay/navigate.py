@@ -12,12 +12,12 @@ from pathlib import Path
 
 from rpod_analysis.errors import CannotWriteError, NoEstimatorError
 from rpod_analysis.log import Log, Logged
-from rpod_analysis.log_file import REPLAY, beside
+from rpod_analysis.log.log_file import REPLAY, beside
+from rpod_analysis.log.unreadable import StampCheck
 from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
 from rpod_analysis.replay.timeline import Timeline
-from rpod_analysis.run import estimate_prefix
-from rpod_analysis.unreadable import StampCheck
+from rpod_analysis.scoring.run import estimate_prefix
 from rpod_estimator.estimator import TICK_S, Estimator
 from rpod_estimator.intake import Intake
 from rpod_estimator.measurement import Tick

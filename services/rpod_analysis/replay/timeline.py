@@ -3,7 +3,7 @@
 from bisect import bisect_left
 
 from rpod_analysis.log import Log, Logged
-from rpod_analysis.unreadable import StampCheck
+from rpod_analysis.log.unreadable import StampCheck
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.topics import CLOCK
 
