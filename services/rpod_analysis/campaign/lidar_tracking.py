@@ -14,7 +14,7 @@ from rpod_analysis.campaign.trials import tracking as trial
 from rpod_analysis.campaign.trials.methods import tracking_input
 from rpod_analysis.campaign.trials.tracking import FRAMES, OFF_DEG, OFF_M, TrackingCell
 from rpod_analysis.campaign.words import milliseconds, number, word
-from rpod_analysis.score import NEES_95
+from rpod_analysis.scoring.score import NEES_95
 
 Results = Sequence[CellResult[TrackingCell]]
 

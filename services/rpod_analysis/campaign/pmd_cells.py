@@ -10,7 +10,7 @@ from rpod_analysis.campaign.campaign import CellResult, Options
 from rpod_analysis.campaign.statistics import mean, quantile
 from rpod_analysis.campaign.trials.pmd_methods import has_radius, pmd_input
 from rpod_analysis.campaign.trials.pmd_sequence import SequenceCell
-from rpod_analysis.score import NEES_95
+from rpod_analysis.scoring.score import NEES_95
 from rpod_schemas.config.base import check
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.scenario import Scenario

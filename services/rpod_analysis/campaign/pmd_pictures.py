@@ -14,8 +14,8 @@ from rpod_analysis.campaign.charts import COLOURS, with_legend
 from rpod_analysis.campaign.trials.pmd_scene import Shot, Stage, scenario_of
 from rpod_analysis.campaign.trials.pmd_sequence import FRAME, SequenceCell
 from rpod_analysis.campaign.trials.scene import cached_target
-from rpod_analysis.figures import QUIET
-from rpod_analysis.snapshots import Picture, camera_pictures
+from rpod_analysis.report.figures import QUIET
+from rpod_analysis.report.snapshots import Picture, camera_pictures
 from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.arrays import FloatArray
 

@@ -15,7 +15,7 @@ from rpod_analysis.campaign.trials.pmd_scene import Shot, Stage, off, scenario_o
 from rpod_analysis.campaign.trials.pmd_world import NOMINAL, World
 from rpod_analysis.campaign.trials.scene import cached_target, stream
 from rpod_analysis.campaign.trials.scores import POSE, numbers
-from rpod_analysis.score import OFF_TARGET_M, OFF_TARGET_RAD, find_nees
+from rpod_analysis.scoring.score import OFF_TARGET_M, OFF_TARGET_RAD, find_nees
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import pmd_methods, warm_up
 from rpod_pose.navigation.navigator import Navigator
