@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from rpod_analysis.campaign import Campaign, Options, Section
+from rpod_campaign.engine import Campaign, Options, Section
 
 
 @dataclass(frozen=True)

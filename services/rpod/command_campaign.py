@@ -27,10 +27,10 @@ from rpod import __version__
 from rpod.command_run import EXIT_INTERRUPTED
 from rpod.scenarios import find, shipped
 from rpod_analysis import AnalysisError
-from rpod_analysis.campaign import AnyCampaign, Options, Prepared, Section, prepare, run_campaign
-from rpod_analysis.campaign.catalogue import CAMPAIGNS
-from rpod_analysis.campaign.page import write_page
-from rpod_analysis.campaign.pool import cores
+from rpod_campaign.catalogue import CAMPAIGNS
+from rpod_campaign.engine import AnyCampaign, Options, Prepared, Section, prepare, run_campaign
+from rpod_campaign.engine.page import write_page
+from rpod_campaign.engine.pool import cores
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import check
 from rpod_schemas.errors import ConfigurationError

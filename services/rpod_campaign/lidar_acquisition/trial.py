@@ -1,0 +1,76 @@
+"""A trial of acquisition: one scan of the target at a random attitude (2015 paper, section 4.3)."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import polars as pl
+
+from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
+from rpod_campaign.lidar.scene import Drawn, cached_target, emulator_of, random_pose, scan_of
+from rpod_campaign.lidar.scores import ACQUISITION_SCHEMA, POSE, acquisition_row, errors, numbers
+from rpod_sim_sensor.lidar import LidarEmulator
+
+
+@dataclass(frozen=True)
+class AcquisitionCell:
+    """What is scanned, and which method looks for it."""
+
+    target: str
+    method: str
+    eq4: str
+    """Reading of Eq. 4: usual or printed."""
+    sampling: str
+    """Of the attitudes: euler or so3."""
+    centroid: str | None
+    """Position of template matching: plain or offset; None of other methods."""
+    matcher: str | None
+    """ICP after template matching; None of other methods."""
+    range_m: float
+    step_deg: float | None
+    """Of the template grid; None of other methods."""
+
+
+SCHEMA: dict[str, Any] = {
+    **ACQUISITION_SCHEMA,
+    "template": POSE,
+    "template_attitude_error_deg": pl.Float64,
+    "template_position_error_m": pl.Float64,
+    "acquire_s": pl.Float64,
+    "icp_s": pl.Float64,
+    "discarded": pl.Int64,
+}
+
+
+def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
+    """Return the row of one trial."""
+    emulator, acquiring = _bench(cell, seed)
+    drawn = random_pose(cell.target, range_m=cell.range_m, sampling=cell.sampling, seed=seed, trial=trial)
+    return acquired(acquiring, emulator, drawn, trial=trial)
+
+
+def acquired(acquiring: Acquiring, emulator: LidarEmulator, drawn: Drawn, *, trial: int) -> dict[str, Any]:
+    """Return the row of a method that is given the scan of a pose."""
+    scan = scan_of(emulator, drawn.T_sensor_target, trial=trial)
+    timed = acquiring.acquire(scan)
+    truth, target = drawn.T_sensor_target, acquiring.target
+    attitude_deg, position_m = errors(truth, timed.template, target)
+    return {
+        **acquisition_row(truth, timed.acquisition, len(scan.returns_m), target),
+        "template": numbers(timed.template),
+        "template_attitude_error_deg": attitude_deg,
+        "template_position_error_m": position_m,
+        "acquire_s": timed.acquire_s,
+        "icp_s": timed.icp_s,
+        "discarded": drawn.discarded,
+    }
+
+
+@lru_cache(maxsize=4)
+def _bench(cell: AcquisitionCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
+    lidar = lidar_config(eq4=cell.eq4)
+    sensor = lidar_input(
+        cell.method, step_deg=cell.step_deg, centroid=cell.centroid, matcher=cell.matcher, eq4=cell.eq4
+    )
+    acquiring = Acquiring(sensor, cached_target(cell.target), pattern_of(lidar))
+    return emulator_of(cell.target, lidar, seed), acquiring
