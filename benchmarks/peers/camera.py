@@ -7,10 +7,10 @@ import numpy as np
 
 from peers.benchmark import Case, Clouds, Criterion, disturbed
 from rpod.scenarios import find
-from rpod_campaign.lidar.scene import stream
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.pmd.poses import SUCCESS_DEG, SUCCESS_M, drawn
 from rpod_campaign.pmd.scene import Stage, still
 from rpod_campaign.pmd.world import NOMINAL
-from rpod_campaign.pmd_acquisition.trial import SUCCESS_DEG, SUCCESS_M, drawn
 from rpod_estimator.tracking.depth_view import usable_image
 from rpod_schemas.config.pmd_methods import DepthImageConfig
 from rpod_schemas.types import Float32Array, PmdFrame

@@ -1,22 +1,26 @@
-"""Monte-Carlo campaigns: many trials of the estimator's methods, beside the papers' figures.
+"""The engine of the campaigns: it runs trials anywhere, keeps their rows, and knows no sensor.
 
 A campaign is named cells, each a frozen dataclass of parameters, times trials; a trial is a pure function of
-(cell, seed, trial number), so that any core may run it, in any order, and an interrupted campaign resumes.
+(cell, seed, trial number), so that any process may run it, in any order, and an interrupted campaign resumes.
 """
 
-from rpod_campaign.engine.campaign import AnyCampaign, Campaign, CellResult, Options, Section, Table
+from rpod_campaign.engine.campaign import AnyCampaign, Campaign, CellResult, Row
+from rpod_campaign.engine.errors import CampaignError
 from rpod_campaign.engine.folder import CampaignFolder
-from rpod_campaign.engine.run import Prepared, prepare, run_campaign
+from rpod_campaign.engine.options import Names, Options, Ranges, Trials
+from rpod_campaign.engine.report.content import Section, Table
 
 __all__ = [
     "AnyCampaign",
     "Campaign",
+    "CampaignError",
     "CampaignFolder",
     "CellResult",
+    "Names",
     "Options",
-    "Prepared",
+    "Ranges",
+    "Row",
     "Section",
     "Table",
-    "prepare",
-    "run_campaign",
+    "Trials",
 ]

@@ -15,18 +15,14 @@ from typing import Any, Self
 
 import polars as pl
 
-from rpod_analysis.errors import AnalysisError
-from rpod_campaign.engine.campaign import Row
+from rpod_campaign.engine.campaign import CELL, TRIAL, AnyCampaign, Row
+from rpod_campaign.engine.errors import ForeignFolderError
 
-CELL, TRIAL = "cell", "trial"
-_MANIFEST = "manifest.json"
-
-
-class ForeignFolderError(AnalysisError):
-    """The folder belongs to something else."""
-
-    def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"{path}: {reason}; give another --out, or remove the folder")
+MANIFEST = "manifest.json"
+_MOST_PARTS = 256
+"""More files of rows than this are made one while the campaign runs."""
+_READS = 5
+"""Attempts to read while another run of the campaign may be making one file of several."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +31,14 @@ class CampaignFolder:
 
     path: Path
     schema: Mapping[str, Any]
-    """Of the rows, with cell and trial in front."""
+    """Columns of the rows, with cell and trial in front."""
     keys: tuple[str, ...] = ()
     """Columns that tell the rows of one trial apart."""
+
+    @classmethod
+    def of(cls, campaign: AnyCampaign, path: Path) -> Self:
+        """Return the folder of a campaign that stands at a path; nothing is read or made."""
+        return cls(path, {CELL: pl.Int64, TRIAL: pl.Int64, **campaign.schema}, campaign.keys)
 
     @classmethod
     def open(
@@ -60,7 +61,7 @@ class CampaignFolder:
         columns = {CELL: pl.Int64, TRIAL: pl.Int64, **schema}
         folder = cls(out / f"{manifest['campaign']}-{digest}", columns, keys)
         folder.path.mkdir(parents=True, exist_ok=True)
-        file = folder.path / _MANIFEST
+        file = folder.path / MANIFEST
         if not file.exists():
             if any(folder.path.iterdir()):
                 raise ForeignFolderError(folder.path, "has no manifest.json, but is not empty")
@@ -79,19 +80,43 @@ class CampaignFolder:
         """The report."""
         return self.path / "report.html"
 
+    def manifest_digest(self) -> str:
+        """Return SHA-256 of the manifest; empty if it cannot be read."""
+        try:
+            return hashlib.sha256((self.path / MANIFEST).read_bytes()).hexdigest()
+        except OSError:
+            return ""
+
     def read(self) -> pl.DataFrame:
-        """Return all rows that are there, in the order of cells and trials."""
-        files = [file for file in (self.trials_file, *self._parts()) if file.exists()]
-        frames = [pl.read_parquet(file) for file in files]
+        """Return all rows that are there, each trial once, in the order of cells and trials."""
+        for _ in range(_READS - 1):
+            try:
+                return self._read()
+            except FileNotFoundError:  # another run made one file of this and others
+                continue
+        return self._read()
+
+    def _read(self) -> pl.DataFrame:
+        files = [*self._parts(), self.trials_file]
+        frames = [pl.read_parquet(file) for file in files if file.exists()]
         rows = pl.concat(frames) if frames else pl.DataFrame(schema=self.schema)
         order = (CELL, TRIAL, *self.keys)
-        return rows.unique(order).sort(order)
+        return rows.unique(order, keep="last", maintain_order=True).sort(order)
 
     def add(self, rows: Sequence[Row]) -> None:
         """Keep a batch of rows; it appears whole or not at all."""
         if rows:
-            name = f"part-{time.time_ns()}-{os.getpid()}.parquet"  # two runs at once do not meet
-            self._write(self.path / name, pl.DataFrame(rows, schema=self.schema))
+            name = f"{time.time_ns()}-{os.getpid()}"  # two runs at once do not meet
+            self.write_part(name, pl.DataFrame(rows, schema=self.schema))
+
+    def write_part(self, name: str, rows: pl.DataFrame) -> None:
+        """Keep rows as a part of a name; a part of the same name is replaced. Raises OSError."""
+        self._write(self.path / f"part-{name}.parquet", rows)
+
+    def compact(self) -> None:
+        """Make one file of the parts if they are many."""
+        if len(self._parts()) > _MOST_PARTS:
+            self.close()
 
     def close(self) -> pl.DataFrame:
         """Make one file of all batches and return its rows."""
@@ -99,14 +124,14 @@ class CampaignFolder:
         if parts:
             self._write(self.trials_file, rows)
             for part in parts:
-                part.unlink()
+                part.unlink(missing_ok=True)
         return rows
 
     def most_alike(self) -> tuple[Path, tuple[str, ...]] | None:
         """Return the folder of the same campaign beside this one that differs least, and in what."""
-        mine = json.loads((self.path / _MANIFEST).read_text("utf-8"))
+        mine = json.loads((self.path / MANIFEST).read_text("utf-8"))
         others = []
-        for file in self.path.parent.glob(f"{mine['campaign']}-*/{_MANIFEST}"):
+        for file in self.path.parent.glob(f"{mine['campaign']}-*/{MANIFEST}"):
             theirs = json.loads(file.read_text("utf-8"))
             differs = tuple(key for key in mine if mine[key] != theirs.get(key))
             if differs:

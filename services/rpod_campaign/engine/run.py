@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +10,12 @@ from typing import Any
 
 import polars as pl
 
-from rpod_campaign.engine.campaign import AnyCampaign, CellResult, Options, Row
-from rpod_campaign.engine.folder import CELL, TRIAL, CampaignFolder, cell_parameters
-from rpod_campaign.engine.pool import Task, run_trials
+from rpod_campaign.engine.campaign import CELL, TRIAL, AnyCampaign, CellResult, Row
+from rpod_campaign.engine.executor.port import Executor, Task, Work
+from rpod_campaign.engine.folder import CampaignFolder, cell_parameters
+from rpod_campaign.engine.options import Options
 from rpod_campaign.engine.software import software_digest
-from rpod_target import load_target
+from rpod_campaign.engine.trial.targets import cached_target
 
 _FLUSH_ROWS, _FLUSH_S = 500, 5.0
 """A batch is kept when it has so many rows, or is so old."""
@@ -27,13 +28,34 @@ Told = Callable[[int], None]
 class Prepared:
     """A campaign with its cells and its folder, ready to run or to resume."""
 
-    campaign: AnyCampaign
-    cells: tuple[Any, ...]
-    trials: int
-    seed: int
-    folder: CampaignFolder
+    work: Work
     done: tuple[tuple[int, int], ...]
     """Cell and trial of those that the folder has already and that count."""
+
+    @property
+    def campaign(self) -> AnyCampaign:
+        """The campaign."""
+        return self.work.campaign
+
+    @property
+    def cells(self) -> tuple[Any, ...]:
+        """The campaign's cells of these options."""
+        return self.work.cells
+
+    @property
+    def trials(self) -> int:
+        """Number of trials of each cell."""
+        return self.work.options.trials
+
+    @property
+    def seed(self) -> int:
+        """Seed of all random numbers."""
+        return self.work.options.seed
+
+    @property
+    def folder(self) -> CampaignFolder:
+        """Where the trials are kept."""
+        return self.work.folder
 
     @property
     def total(self) -> int:
@@ -43,10 +65,10 @@ class Prepared:
     def tasks(self) -> Iterator[Task]:
         """Return what is still to be run, cell by cell."""
         done = set(self.done)
-        for index, cell in enumerate(self.cells):
+        for index in range(len(self.cells)):
             for number in range(self.trials):
                 if (index, number) not in done:
-                    yield index, cell, number
+                    yield Task(index, number)
 
 
 def prepare(campaign: AnyCampaign, options: Options, *, out: Path, version: str) -> Prepared:
@@ -57,37 +79,41 @@ def prepare(campaign: AnyCampaign, options: Options, *, out: Path, version: str)
     Raises:
         ConfigurationError: names the option and the reason.
         rpod_target.TargetError: a target cannot be built.
-        AnalysisError, OSError: the folder cannot be used.
+        CampaignError, OSError: the folder cannot be used.
     """
     campaign.require(options)
     cells = tuple(campaign.cells(options))
-    trials = options.trials or campaign.trials
+    targets = {name: cached_target(name).digest for name in _targets(cells)}
     manifest = {
         "campaign": campaign.name,
         "version": version,
-        "software": software_digest(),
-        "targets": {name: load_target(name).digest for name in _targets(cells)},
+        "software": software_digest(campaign),
+        "targets": targets,
         "seed": options.seed,
         "cells": [cell_parameters(cell) for cell in cells],
     }
     folder = CampaignFolder.open(out, manifest, campaign.schema, keys=campaign.keys)
-    there = folder.read().filter(pl.col(TRIAL) < trials).select(CELL, TRIAL).unique().rows()
-    return Prepared(campaign, cells, trials, options.seed, folder, tuple(there))
+    there = folder.read().filter(pl.col(TRIAL) < options.trials).select(CELL, TRIAL).unique().rows()
+    return Prepared(Work(campaign, options, cells, targets, folder), tuple(there))
 
 
-def run_campaign(prepared: Prepared, *, jobs: int, told: Told = lambda _: None) -> list[CellResult[Any]]:
+def run_campaign(
+    prepared: Prepared, executor: Executor, *, told: Told = lambda _: None
+) -> list[CellResult[Any]]:
     """Run what is still to be run and return the results of all cells.
 
     Whatever ends it early, the trials that are done are in the folder.
     """
     folder, batch, kept_s = prepared.folder, list[Row](), -math.inf
     try:
-        with closing(_trials(prepared, jobs)) as trials:
-            for rows in trials:
-                batch += rows
-                told(rows[0][CELL])
+        with closing(executor.run(prepared.work, prepared.tasks())) as finished:
+            for cell, trials, rows in finished:
+                batch += rows or ()
+                for _ in trials:
+                    told(cell)
                 if len(batch) >= _FLUSH_ROWS or time.monotonic() - kept_s > _FLUSH_S:
                     folder.add(batch)
+                    folder.compact()
                     batch, kept_s = [], time.monotonic()
     finally:
         folder.add(batch)
@@ -103,13 +129,6 @@ def results(prepared: Prepared, rows: pl.DataFrame) -> list[CellResult[Any]]:
         mine = counted.filter(pl.col(CELL) == index).sort(TRIAL, *campaign.keys)
         found.append(CellResult(cell, mine, campaign.summarise(cell, mine)))
     return found
-
-
-def _trials(prepared: Prepared, jobs: int) -> Generator[list[Row]]:
-    remaining = prepared.total - len(prepared.done)
-    if remaining:
-        jobs = min(jobs, remaining)
-        yield from run_trials(prepared.campaign.trial, prepared.seed, prepared.tasks(), jobs=jobs)
 
 
 def _targets(cells: tuple[Any, ...]) -> list[str]:

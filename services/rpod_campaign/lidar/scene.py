@@ -8,12 +8,13 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_estimator.tracking.closest_point import Surface
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
-from rpod_target import Target, load_target
 
 CLEARANCE_M = 2.0
 """A pose with a part of the target nearer to the sensor than this is drawn anew."""
@@ -28,20 +29,9 @@ class Drawn(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def cached_target(name: str) -> Target:
-    """Return a target, loaded once a process."""
-    return load_target(name)
-
-
-@lru_cache(maxsize=8)
 def _surface(name: str) -> Surface:
     target = cached_target(name)
     return Surface.of(target.triangles_m, target.normals)
-
-
-def stream(seed: int, trial: int, purpose: int = 0) -> Generator:
-    """Return the random numbers of a trial: the same in every cell, so that cells compare in pairs."""
-    return np.random.default_rng((seed, trial, purpose))
 
 
 def random_attitude(sampling: str, generator: Generator) -> Rotation:

@@ -6,45 +6,16 @@ from typing import Any
 
 import polars as pl
 
-from rpod_campaign.engine.campaign import Campaign, CellResult, Options, Section, Table
-from rpod_campaign.engine.charts import rate_figure
-from rpod_campaign.engine.numbers import NONE, milliseconds, number, percent, printed, word
-from rpod_campaign.engine.statistics import Rate, mean, quantile, rate
-from rpod_campaign.lidar.cells import methods, targets, variants
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import rate_figure
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import NONE, milliseconds, number, percent, printed, word
+from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
 from rpod_campaign.lidar.scores import RIGHT_M, SUCCESS_DEG
-from rpod_campaign.lidar_acquisition import trial
 from rpod_campaign.lidar_acquisition.trial import AcquisitionCell
 from rpod_campaign.papers import paper_2015 as paper
 
 Results = Sequence[CellResult[AcquisitionCell]]
-
-_METHODS = (paper.TM, paper.FAST_TM, "global")
-_RANGES_M = (20.0, 30.0, 40.0, 50.0)
-_STEPS_DEG = (30.0,)
-
-
-def cells(options: Options) -> list[AcquisitionCell]:
-    """Return the cells. Raises ConfigurationError, which names the option."""
-    return [
-        AcquisitionCell(
-            target=target,
-            method=method,
-            eq4=eq4,
-            sampling=sampling,
-            centroid=centroid,
-            matcher=matcher,
-            range_m=range_m,
-            step_deg=step_deg,
-        )
-        for target in targets(options, ("envisat-bulky",))
-        for method in methods(options, _METHODS)
-        for step_deg, centroid, matcher in variants(
-            method, options, steps=_STEPS_DEG, centroid="plain", matcher="nearest-neighbour"
-        )
-        for eq4 in options.both("eq4", "usual")
-        for sampling in options.both("sampling", "euler")
-        for range_m in options.ranges or _RANGES_M
-    ]
 
 
 def success(rows: pl.DataFrame) -> Rate:
@@ -215,16 +186,3 @@ def _figures(results: Results) -> tuple[Any, ...]:
             rate_figure(by_step, x_title="template step [deg]", y_title="success rate", printed=marks)
         )
     return tuple(figures)
-
-
-CAMPAIGN: Campaign[AcquisitionCell] = Campaign(
-    name="lidar-acquisition",
-    title="LIDAR acquisition at random attitudes",
-    trials=500,
-    accepts=frozenset({"ranges", "steps", "method", "target", "eq4", "sampling", "centroid", "matcher"}),
-    cells=cells,
-    trial=trial.run,
-    schema=trial.SCHEMA,
-    summarise=summarise,
-    sections=sections,
-)

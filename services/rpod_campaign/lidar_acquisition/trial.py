@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import polars as pl
-
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.acquiring import SCHEMA, acquired
 from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
-from rpod_campaign.lidar.scene import Drawn, cached_target, emulator_of, random_pose, scan_of
-from rpod_campaign.lidar.scores import ACQUISITION_SCHEMA, POSE, acquisition_row, errors, numbers
+from rpod_campaign.lidar.scene import emulator_of, random_pose
 from rpod_sim_sensor.lidar import LidarEmulator
+
+__all__ = ["SCHEMA", "AcquisitionCell", "run"]
 
 
 @dataclass(frozen=True)
@@ -31,39 +32,11 @@ class AcquisitionCell:
     """Of the template grid; None of other methods."""
 
 
-SCHEMA: dict[str, Any] = {
-    **ACQUISITION_SCHEMA,
-    "template": POSE,
-    "template_attitude_error_deg": pl.Float64,
-    "template_position_error_m": pl.Float64,
-    "acquire_s": pl.Float64,
-    "icp_s": pl.Float64,
-    "discarded": pl.Int64,
-}
-
-
 def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one trial."""
     emulator, acquiring = _bench(cell, seed)
     drawn = random_pose(cell.target, range_m=cell.range_m, sampling=cell.sampling, seed=seed, trial=trial)
     return acquired(acquiring, emulator, drawn, trial=trial)
-
-
-def acquired(acquiring: Acquiring, emulator: LidarEmulator, drawn: Drawn, *, trial: int) -> dict[str, Any]:
-    """Return the row of a method that is given the scan of a pose."""
-    scan = scan_of(emulator, drawn.T_sensor_target, trial=trial)
-    timed = acquiring.acquire(scan)
-    truth, target = drawn.T_sensor_target, acquiring.target
-    attitude_deg, position_m = errors(truth, timed.template, target)
-    return {
-        **acquisition_row(truth, timed.acquisition, len(scan.returns_m), target),
-        "template": numbers(timed.template),
-        "template_attitude_error_deg": attitude_deg,
-        "template_position_error_m": position_m,
-        "acquire_s": timed.acquire_s,
-        "icp_s": timed.icp_s,
-        "discarded": drawn.discarded,
-    }
 
 
 @lru_cache(maxsize=4)

@@ -6,16 +6,15 @@ from typing import Any
 
 import polars as pl
 
-from rpod_campaign.engine.campaign import Campaign, CellResult, Options, Section, Table
-from rpod_campaign.engine.charts import rate_figure
-from rpod_campaign.engine.numbers import milliseconds, number, printed, word
-from rpod_campaign.engine.statistics import Rate, mean, quantile, rate
-from rpod_campaign.lidar.cells import DEFAULT_METHODS, methods, steps_of, targets
-from rpod_campaign.lidar_range import trial
-from rpod_campaign.lidar_range.trial import DistantCell, lidar_of
-from rpod_schemas.errors import ConfigurationError
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import rate_figure
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import milliseconds, number, printed, word
+from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
+from rpod_campaign.lidar_range.trial import RangeCell, lidar_of
 
-Results = Sequence[CellResult[DistantCell]]
+Results = Sequence[CellResult[RangeCell]]
+
 
 OBB_TM_1_DEG = {
     20.0: "about 0.69",
@@ -28,38 +27,10 @@ OBB_TM_1_DEG = {
 }
 """Success of OBB-TM at a scan step of 1 deg, by range in m, with a detailed CAD model and no detection model.
 Taken from a report on it; the publication itself was not at hand."""
+
+
 CRITERION_DEG, CRITERION_M = 5.0, 0.2
 """Its criterion of success."""
-_RANGES_M = (20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0)
-_SCAN_STEPS_DEG = (1.0, 0.5, 0.2, 0.1)
-
-
-def cells(options: Options) -> list[DistantCell]:
-    """Return the cells. Raises ConfigurationError."""
-    return [
-        DistantCell(
-            target=target,
-            method=method,
-            detection=detection,
-            scan_step_deg=scan_step_deg,
-            step_deg=step_deg,
-            range_m=range_m,
-        )
-        for target in targets(options, ("envisat-bulky",))
-        for method in methods(options, DEFAULT_METHODS)
-        for step_deg in steps_of(method, options)
-        for detection in ("off", "on")
-        for scan_step_deg in _scan_steps(options)
-        for range_m in options.ranges or _RANGES_M
-    ]
-
-
-def _scan_steps(options: Options) -> tuple[float, ...]:
-    steps = options.scan_steps or _SCAN_STEPS_DEG
-    for step_deg in steps:
-        if abs(2.0 / step_deg - round(2.0 / step_deg)) > 1e-6:
-            raise ConfigurationError("--scan-steps", "", f"needs parts of 2 deg, not {step_deg:g}")
-    return steps
 
 
 def close(rows: pl.DataFrame) -> Rate:
@@ -68,7 +39,7 @@ def close(rows: pl.DataFrame) -> Rate:
     return rate(int(rows.select(near.fill_null(value=False).sum()).item()), rows.height)
 
 
-def summarise(cell: DistantCell, rows: pl.DataFrame) -> dict[str, Any]:
+def summarise(cell: RangeCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return what is said of a cell."""
     share, lidar = close(rows), lidar_of(cell)
     return {
@@ -130,16 +101,3 @@ def _table(results: Results) -> Table:
         *("scan time, s", "trials", "mean returns", "success", "OBB-TM", "median, ms", "p95, ms"),
     )
     return Table("Success", columns, tuple(rows)).condensed(4)
-
-
-CAMPAIGN: Campaign[DistantCell] = Campaign(
-    name="lidar-range",
-    title="LIDAR acquisition over range and scan step",
-    trials=200,
-    accepts=frozenset({"ranges", "steps", "scan_steps", "method", "target"}),
-    cells=cells,
-    trial=trial.run,
-    schema=trial.SCHEMA,
-    summarise=summarise,
-    sections=sections,
-)

@@ -5,19 +5,20 @@ from functools import lru_cache
 from math import asin, ceil, degrees
 from typing import Any
 
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.acquiring import SCHEMA, acquired
 from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
-from rpod_campaign.lidar.scene import cached_target, emulator_of, random_pose
-from rpod_campaign.lidar_acquisition.trial import SCHEMA, acquired
+from rpod_campaign.lidar.scene import emulator_of, random_pose
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_sim_sensor.lidar import LidarEmulator
 
-__all__ = ["SCHEMA", "DistantCell", "lidar_of", "run", "window_deg"]
+__all__ = ["SCHEMA", "RangeCell", "lidar_of", "run", "window_deg"]
 
 _WIDEST_DEG, _WHOLE_DEG = 40.0, 2.0
 
 
 @dataclass(frozen=True)
-class DistantCell:
+class RangeCell:
     """A method that looks for a target in scans of a step."""
 
     target: str
@@ -40,7 +41,7 @@ def window_deg(target: str, range_m: float) -> float:
 
 
 @lru_cache(maxsize=32)
-def lidar_of(cell: DistantCell) -> LidarConfig:
+def lidar_of(cell: RangeCell) -> LidarConfig:
     """Return the sensor of a cell."""
     returned = "all" if cell.detection == "off" else "detected"
     return lidar_config(
@@ -50,7 +51,7 @@ def lidar_of(cell: DistantCell) -> LidarConfig:
     )
 
 
-def run(cell: DistantCell, seed: int, trial: int) -> dict[str, Any]:
+def run(cell: RangeCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one trial; attitudes Euler-uniform."""
     emulator, acquiring = _bench(cell, seed)
     drawn = random_pose(cell.target, range_m=cell.range_m, sampling="euler", seed=seed, trial=trial)
@@ -58,7 +59,7 @@ def run(cell: DistantCell, seed: int, trial: int) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=2)
-def _bench(cell: DistantCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
+def _bench(cell: RangeCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
     lidar = lidar_of(cell)
     sensor = lidar_input(
         cell.method,

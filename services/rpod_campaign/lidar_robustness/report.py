@@ -6,31 +6,16 @@ from typing import Any
 
 import polars as pl
 
-from rpod_campaign.engine.campaign import Campaign, CellResult, Options, Section, Table
-from rpod_campaign.engine.numbers import number, word
-from rpod_campaign.lidar.cells import DEFAULT_METHODS, methods, steps_of, targets
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import number, word
 from rpod_campaign.lidar_acquisition.report import success
-from rpod_campaign.lidar_robustness import trial
-from rpod_campaign.lidar_robustness.trial import DISTURBANCES, NOMINAL, DisturbedCell
+from rpod_campaign.lidar_robustness.trial import NOMINAL, RobustnessCell
 
-Results = Sequence[CellResult[DisturbedCell]]
-
-
-def cells(options: Options) -> list[DisturbedCell]:
-    """Return the cells. Raises ConfigurationError."""
-    return [
-        DisturbedCell(
-            target=target, method=method, disturbance=disturbance, step_deg=step_deg, range_m=range_m
-        )
-        for target in targets(options, ("envisat-bulky", "envisat-slim"))
-        for method in methods(options, DEFAULT_METHODS)
-        for step_deg in steps_of(method, options)
-        for range_m in options.ranges or (20.0, 50.0)
-        for disturbance in DISTURBANCES
-    ]
+Results = Sequence[CellResult[RobustnessCell]]
 
 
-def summarise(cell: DisturbedCell, rows: pl.DataFrame) -> dict[str, Any]:
+def summarise(cell: RobustnessCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return what is said of a cell; rejected are right poses that were not accepted."""
     share = success(rows)
     return {
@@ -71,16 +56,3 @@ def sections(results: Results) -> list[Section]:
         "the successes."
     )
     return [Section("Robustness", note, (table,))]
-
-
-CAMPAIGN: Campaign[DisturbedCell] = Campaign(
-    name="lidar-robustness",
-    title="LIDAR acquisition in a world that differs from the model",
-    trials=500,
-    accepts=frozenset({"ranges", "steps", "method", "target"}),
-    cells=cells,
-    trial=trial.run,
-    schema=trial.SCHEMA,
-    summarise=summarise,
-    sections=sections,
-)

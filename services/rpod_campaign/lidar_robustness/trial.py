@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.acquiring import SCHEMA, acquired
 from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
-from rpod_campaign.lidar.scene import cached_target, emulator_of, random_pose
-from rpod_campaign.lidar_acquisition.trial import SCHEMA, acquired
+from rpod_campaign.lidar.scene import emulator_of, random_pose
 from rpod_sim_sensor.lidar import LidarEmulator
 
-__all__ = ["DISTURBANCES", "NOMINAL", "SCHEMA", "DisturbedCell", "run"]
+__all__ = ["DISTURBANCES", "NOMINAL", "SCHEMA", "RobustnessCell", "run"]
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ DISTURBANCES = {
 
 
 @dataclass(frozen=True)
-class DisturbedCell:
+class RobustnessCell:
     """A method that looks for a target in scans of a disturbed world."""
 
     target: str
@@ -52,7 +53,7 @@ class DisturbedCell:
     range_m: float
 
 
-def run(cell: DisturbedCell, seed: int, trial: int) -> dict[str, Any]:
+def run(cell: RobustnessCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one trial; attitudes Euler-uniform, the same in every disturbance."""
     emulator, acquiring = _bench(cell, seed)
     drawn = random_pose(cell.target, range_m=cell.range_m, sampling="euler", seed=seed, trial=trial)
@@ -60,7 +61,7 @@ def run(cell: DisturbedCell, seed: int, trial: int) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def _bench(cell: DisturbedCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
+def _bench(cell: RobustnessCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
     disturbance = DISTURBANCES[cell.disturbance]
     lidar = lidar_config(detection=disturbance.detection, noise=disturbance.noise)
     sensor = lidar_input(cell.method, step_deg=cell.step_deg, centroid="offset", matcher="nearest-neighbour")

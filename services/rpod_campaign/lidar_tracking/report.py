@@ -7,36 +7,14 @@ from typing import Any
 import polars as pl
 
 from rpod_analysis.score import NEES_95
-from rpod_campaign.engine.campaign import Campaign, CellResult, Options, Section, Table
-from rpod_campaign.engine.charts import curve_figure
-from rpod_campaign.engine.numbers import milliseconds, number, word
-from rpod_campaign.engine.statistics import Rate, mean, quantile, rate
-from rpod_campaign.lidar.cells import targets
-from rpod_campaign.lidar.methods import tracking_input
-from rpod_campaign.lidar_tracking import trial
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import milliseconds, number, word
+from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
 from rpod_campaign.lidar_tracking.trial import FRAMES, OFF_DEG, OFF_M, TrackingCell
 
 Results = Sequence[CellResult[TrackingCell]]
-
-_TRACKERS = ("projective", "nearest-neighbour", "normal-shooting")
-_RANGES_M = (20.0, 30.0, 40.0, 50.0)
-_RATES_DEG_S = (0.5, 2.0, 4.0, 8.0)
-
-
-def cells(options: Options) -> list[TrackingCell]:
-    """Return single scans at the ranges, then sequences. Raises ConfigurationError."""
-    trackers = options.matcher or _TRACKERS
-    for tracker in trackers:
-        tracking_input(tracker)
-    return [
-        TrackingCell(target=target, tracker=tracker, range_m=range_m, rate_deg_s=rate_deg_s)
-        for target in targets(options, ("envisat-bulky",))
-        for tracker in trackers
-        for range_m, rate_deg_s in (
-            *((range_m, None) for range_m in options.ranges or _RANGES_M),
-            *((None, rate_deg_s) for rate_deg_s in _RATES_DEG_S),
-        )
-    ]
 
 
 def _consistent(rows: pl.DataFrame) -> tuple[float | None, Rate]:
@@ -157,16 +135,3 @@ def _figures(results: Results) -> tuple[Any, ...]:
 
 def _millimetres(value_m: float | None) -> float | None:
     return None if value_m is None else 1e3 * value_m
-
-
-CAMPAIGN: Campaign[TrackingCell] = Campaign(
-    name="lidar-tracking",
-    title="Tracking in LIDAR scans",
-    trials=200,
-    accepts=frozenset({"ranges", "target", "matcher"}),
-    cells=cells,
-    trial=trial.run,
-    schema=trial.SCHEMA,
-    summarise=summarise,
-    sections=sections,
-)

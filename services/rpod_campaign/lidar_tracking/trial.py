@@ -11,9 +11,12 @@ import polars as pl
 from numpy.random import Generator
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_campaign.engine.trial.poses import POSE, errors, numbers
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import lidar_config, pattern_of, tracking_input
-from rpod_campaign.lidar.scene import cached_target, emulator_of, random_pose, scan_of, stream
-from rpod_campaign.lidar.scores import POSE, SUCCESS_DEG, errors, numbers
+from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
+from rpod_campaign.lidar.scores import SUCCESS_DEG
 from rpod_estimator.measurement import Measurement
 from rpod_estimator.methods import lidar_methods, warm_up
 from rpod_estimator.navigator import Navigator

@@ -6,8 +6,8 @@ import plotly.graph_objects as go
 import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
-from rpod_campaign.engine.charts import curve_figure, rate_figure
-from rpod_campaign.engine.statistics import Rate
+from rpod_campaign.engine.report.charts import curve_figure, rate_figure
+from rpod_campaign.engine.report.statistics import Rate
 from rpod_campaign.lidar_trajectory.tables import success
 from rpod_campaign.lidar_trajectory.trial import TrajectoryCell
 from rpod_campaign.papers import paper_2015 as paper

@@ -6,10 +6,9 @@ from typing import Any
 
 import polars as pl
 
-from rpod_campaign.engine.campaign import Campaign, CellResult, Options, Section
-from rpod_campaign.engine.statistics import mean, quantile, rate
-from rpod_campaign.lidar.cells import methods, targets, variants
-from rpod_campaign.lidar.methods import TEMPLATE_MATCHING
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.content import Section
+from rpod_campaign.engine.report.statistics import mean, quantile, rate
 from rpod_campaign.lidar_trajectory import trial
 from rpod_campaign.lidar_trajectory.figures import figures_over_steps, figures_over_time
 from rpod_campaign.lidar_trajectory.tables import (
@@ -24,24 +23,8 @@ from rpod_campaign.papers import paper_2015 as paper
 
 Results = Sequence[CellResult[TrajectoryCell]]
 
+
 _TUMBLE = ", ".join(f"{rate:g}" for rate in trial.TUMBLE_DEG_S)
-_STEPS_DEG = (60.0, 40.0, 30.0, 20.0, 10.0)
-
-
-def cells(options: Options) -> list[TrajectoryCell]:
-    """Return the cells. Raises ConfigurationError, which names the option."""
-    return [
-        TrajectoryCell(
-            target=target, method=method, eq4=eq4, centroid=str(centroid), step_deg=float(step_deg)
-        )
-        for target in targets(options, ("envisat-bulky", "envisat-slim"))
-        for method in methods(options, (paper.TM, paper.FAST_TM), tuple(TEMPLATE_MATCHING))
-        for step_deg, centroid, _ in variants(
-            method, options, steps=_STEPS_DEG, centroid="plain", matcher="normal-shooting"
-        )
-        if step_deg is not None
-        for eq4 in options.both("eq4")
-    ]
 
 
 def summarise(cell: TrajectoryCell, rows: pl.DataFrame) -> dict[str, Any]:
@@ -110,17 +93,3 @@ def sections(results: Results) -> list[Section]:
             (cost_table(results),),
         ),
     ]
-
-
-CAMPAIGN: Campaign[TrajectoryCell] = Campaign(
-    name="lidar-trajectory",
-    title="Template matching along a safety ellipse",
-    trials=POSITIONS,
-    most_trials=POSITIONS,
-    accepts=frozenset({"steps", "method", "target", "eq4", "centroid"}),
-    cells=cells,
-    trial=trial.run,
-    schema=trial.SCHEMA,
-    summarise=summarise,
-    sections=sections,
-)

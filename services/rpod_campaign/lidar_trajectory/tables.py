@@ -5,9 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import polars as pl
 
-from rpod_campaign.engine.campaign import CellResult, Table
-from rpod_campaign.engine.numbers import milliseconds, number, printed, word
-from rpod_campaign.engine.statistics import Rate, mean, quantile, rate
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.content import Table
+from rpod_campaign.engine.report.numbers import milliseconds, number, printed, word
+from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
 from rpod_campaign.lidar_trajectory.trial import TrajectoryCell
 from rpod_campaign.papers import paper_2015 as paper
 

@@ -11,9 +11,11 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import RigidTransform
 
+from rpod_campaign.engine.trial.poses import POSE, errors, numbers
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import TimedSearch, lidar_config, lidar_input, pattern_of, template_search
-from rpod_campaign.lidar.scene import cached_target, emulator_of, scan_of
-from rpod_campaign.lidar.scores import POSE, SUCCESS_DEG, errors, numbers
+from rpod_campaign.lidar.scene import emulator_of, scan_of
+from rpod_campaign.lidar.scores import SUCCESS_DEG
 from rpod_estimator.methods import lidar_methods
 from rpod_estimator.ports import Registration, Tracker
 from rpod_motion.motion import Motion, build_motion

@@ -8,55 +8,39 @@ import numpy as np
 import plotly.graph_objects as go
 import polars as pl
 
-from rpod_campaign.engine.campaign import Campaign, CellResult, Options, Row, Section, Table
-from rpod_campaign.engine.charts import curve_figure
-from rpod_campaign.engine.numbers import NONE, number, word
-from rpod_campaign.engine.statistics import quantile, rate
-from rpod_campaign.lidar.cells import methods, steps_of, targets
-from rpod_campaign.lidar_verdict import trial
-from rpod_campaign.lidar_verdict.trial import JudgedCell
-from rpod_campaign.papers import paper_2015 as paper
+from rpod_campaign.engine.campaign import CellResult, Row
+from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import NONE, number, word
+from rpod_campaign.engine.report.statistics import quantile, rate
+from rpod_campaign.lidar_verdict.trial import VerdictCell
 from rpod_estimator.ports import Verdict
 from rpod_schemas.arrays import FloatArray
 
-Results = Sequence[CellResult[JudgedCell]]
+Results = Sequence[CellResult[VerdictCell]]
+
+
 Group = tuple[str, float]
 """Model, range in m."""
 
+
 MOST_WRONG_ACCEPTED, MOST_RIGHT_REJECTED = 0.02, 0.015
 """What the verdict aims at, as shares of the wrong and of the right poses."""
+
+
 F_MAX_M2 = 0.003
 """Where the 2015 paper's Table 4 would have it: above all successes but one, below all failures."""
+
+
 SCORES = {
     "f_CONV": ("f_conv_m2", False),
     "deficit": ("deficit_per_return", False),
     "explained share": ("explained_share", True),
 }
 """Scores by column, and whether larger ones speak for a pose."""
-_METHODS = (paper.TM, "global", "starved-global")
-_OTHERS = ("envisat-slim", "envisat-bulky", "mockup")
-"""What is scanned instead: a target of another size, and another object."""
-_TARGETS = ("envisat-slim", "envisat-bulky", "envisat-mesh", "mockup", "rocket-stage")
 
 
-def cells(options: Options) -> list[JudgedCell]:
-    """Return the cells: each method on scans of the target itself, the global search on others too."""
-    return [
-        JudgedCell(target=target, scanned_target=scanned, method=method, step_deg=step_deg, range_m=range_m)
-        for method in methods(options, _METHODS)
-        for step_deg in steps_of(method, options)
-        for target in targets(options, _TARGETS)
-        for scanned in _scanned(method, target)
-        for range_m in options.ranges or (20.0, 50.0)
-    ]
-
-
-def _scanned(method: str, target: str) -> tuple[str, ...]:
-    others = tuple(other for other in _OTHERS if other != target)
-    return (target, *others) if method == "global" else (target,)
-
-
-def summarise(cell: JudgedCell, rows: pl.DataFrame) -> dict[str, Any]:
+def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return what is said of a cell: numbers of trials."""
     judged = rows.filter(pl.col("found").is_not_null())
     wrong, accepted = judged["wrong"], judged["accepted"]
@@ -104,13 +88,13 @@ def sections(results: Results) -> list[Section]:
     ]
 
 
-def _source(cell: JudgedCell) -> tuple[str, ...]:
+def _source(cell: VerdictCell) -> tuple[str, ...]:
     if cell.scanned_target != cell.target:
         return (f"{cell.method}, something else scanned",)
     return (f"{cell.method}, its own target",)
 
 
-def _model(cell: JudgedCell) -> tuple[str, ...]:
+def _model(cell: VerdictCell) -> tuple[str, ...]:
     return cell.target, word(cell.range_m)
 
 
@@ -213,7 +197,7 @@ def _verdict_table(results: Results) -> Table:
 
 
 def _sum_table(
-    results: Results, title: str, names: tuple[str, ...], group: Callable[[JudgedCell], tuple[str, ...]]
+    results: Results, title: str, names: tuple[str, ...], group: Callable[[VerdictCell], tuple[str, ...]]
 ) -> Table:
     """Return the verdicts over all cells of a group, and of all groups."""
     counted = ("wrong_accepted", "wrong", "right_rejected", "right", "right_ambiguous")
@@ -255,16 +239,3 @@ def _score_table(groups: dict[Group, pl.DataFrame]) -> Table:
         *("wrong below f_MAX", "right above f_MAX", *(f"area, {score}" for score in SCORES)),
     )
     return Table(f"f_MAX = {F_MAX_M2:g} m2", columns, tuple(rows))
-
-
-CAMPAIGN: Campaign[JudgedCell] = Campaign(
-    name="lidar-verdict",
-    title="Verdicts on right and wrong poses",
-    trials=200,
-    accepts=frozenset({"ranges", "steps", "method", "target"}),
-    cells=cells,
-    trial=trial.run,
-    schema=trial.SCHEMA,
-    summarise=summarise,
-    sections=sections,
-)

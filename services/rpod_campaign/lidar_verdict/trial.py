@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import MATCHERS, lidar_config, lidar_input, pattern_of
-from rpod_campaign.lidar.scene import cached_target, emulator_of, random_pose, scan_of
+from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
 from rpod_campaign.lidar.scores import ACQUISITION_SCHEMA, acquisition_row, is_wrong
 from rpod_estimator.acquisition.global_search import GlobalSearch
 from rpod_estimator.methods import ScanPattern, lidar_methods
@@ -37,7 +38,7 @@ SCHEMA: dict[str, Any] = {
 
 
 @dataclass(frozen=True)
-class JudgedCell:
+class VerdictCell:
     """A method that looks for a target, and what is really there."""
 
     target: str
@@ -51,7 +52,7 @@ class JudgedCell:
     """For the reference; scaled by the size of what is scanned."""
 
 
-def run(cell: JudgedCell, seed: int, trial: int) -> dict[str, Any]:
+def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one trial; attitudes uniform on SO(3)."""
     emulator, judge = _bench(cell, seed)
     range_m = cell.range_m * size_m(cell.scanned_target) / size_m(REFERENCE)
@@ -67,7 +68,7 @@ def run(cell: JudgedCell, seed: int, trial: int) -> dict[str, Any]:
 class Judge:
     """A method under the facility's own verdict, and single scores of the poses that it judges."""
 
-    def __init__(self, cell: JudgedCell, pattern: ScanPattern) -> None:
+    def __init__(self, cell: VerdictCell, pattern: ScanPattern) -> None:
         target = cached_target(cell.target)
         rays = {"azimuth_rad": pattern.azimuth_rad, "elevation_rad": pattern.elevation_rad}
         sensor = lidar_input(
@@ -110,6 +111,6 @@ def size_m(target: str) -> float:
 
 
 @lru_cache(maxsize=4)
-def _bench(cell: JudgedCell, seed: int) -> tuple[LidarEmulator, Judge]:
+def _bench(cell: VerdictCell, seed: int) -> tuple[LidarEmulator, Judge]:
     lidar = lidar_config()
     return emulator_of(cell.scanned_target, lidar, seed), Judge(cell, pattern_of(lidar))

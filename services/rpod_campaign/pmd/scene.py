@@ -8,7 +8,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_campaign.lidar.scene import cached_target, stream
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.world import World, built, disturbed
 from rpod_motion.motion import build_motion
 from rpod_schemas.arrays import FloatArray

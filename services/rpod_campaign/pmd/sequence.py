@@ -11,8 +11,9 @@ import polars as pl
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.score import OFF_TARGET_M, OFF_TARGET_RAD, find_nees
-from rpod_campaign.lidar.scene import cached_target, stream
-from rpod_campaign.lidar.scores import POSE, numbers
+from rpod_campaign.engine.trial.poses import POSE, numbers
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.methods import pmd_input
 from rpod_campaign.pmd.scene import Shot, Stage, off, scenario_of, times_s, turned
 from rpod_campaign.pmd.world import NOMINAL, World

@@ -6,57 +6,16 @@ from typing import Any
 
 import polars as pl
 
-from rpod_campaign.engine.campaign import Campaign, CellResult, Options, Section, Table
-from rpod_campaign.engine.charts import curve_figure
-from rpod_campaign.engine.numbers import milliseconds, number
-from rpod_campaign.engine.statistics import quantile, rate
-from rpod_campaign.papers import paper_2018 as paper
-from rpod_campaign.pmd.cells import methods, scenarios
-from rpod_campaign.pmd.methods import DEFAULT
-from rpod_campaign.pmd.tables import millimetres
-from rpod_campaign.pmd_acquisition import trial
-from rpod_campaign.pmd_acquisition.trial import (
-    FRONT_DEG,
-    SUCCESS_DEG,
-    SUCCESS_M,
-    WIDE_DEG,
-    WIDE_M,
-    AcquisitionCell,
-)
-from rpod_schemas.errors import ConfigurationError
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import milliseconds, number
+from rpod_campaign.engine.report.statistics import quantile, rate
+from rpod_campaign.pmd.poses import FRONT_DEG, SUCCESS_DEG, SUCCESS_M
+from rpod_campaign.pmd.report.tables import millimetres
+from rpod_campaign.pmd_acquisition.trial import WIDE_DEG, WIDE_M, AcquisitionCell
 
 Results = Sequence[CellResult[AcquisitionCell]]
-
-_RANGE_M = (3.0, 6.0)
-CASES = {
-    "front": ("front", "none"),
-    "all": ("all", "none"),
-    "front-wide": ("front", "wide"),
-    "all-wide": ("all", "wide"),
-}
-"""View and start by the names of the command line."""
-
-
-def cells(options: Options) -> list[AcquisitionCell]:
-    """Return the cells. Raises ConfigurationError, which names the option."""
-    cases = options.case or tuple(CASES)
-    for case in cases:
-        if case not in CASES:
-            raise ConfigurationError("--case", "", f"needs {', '.join(CASES)}, not {case!r}")
-    ranges_m = options.ranges or _RANGE_M
-    return [
-        AcquisitionCell(
-            view=view,
-            start=start,
-            method=method,
-            range_m=(min(ranges_m), max(ranges_m)),
-            document=scenario.model_dump_json(),
-            target=scenario.target,
-        )
-        for _, scenario in scenarios(options, (paper.TUMBLING,))
-        for method, _ in methods(options, (DEFAULT,))
-        for view, start in (CASES[case] for case in cases)
-    ]
 
 
 def summarise(cell: AcquisitionCell, rows: pl.DataFrame) -> dict[str, Any]:
@@ -146,16 +105,3 @@ def _figures(results: Results) -> tuple[Any, ...]:
         shares = [(k + 1) / result.rows.height for k in range(len(errors_deg))]
         curves[", ".join(_name(result.cell)[:3])] = (errors_deg, shares)
     return (curve_figure(curves, x_title="attitude error [deg]", y_title="share below", log_x=True),)
-
-
-CAMPAIGN: Campaign[AcquisitionCell] = Campaign(
-    name="pmd-acquisition",
-    title="Acquisition in one image of a PMD camera",
-    trials=500,
-    accepts=frozenset({"scenario", "method", "ranges", "case"}),
-    cells=cells,
-    trial=trial.run,
-    schema=trial.SCHEMA,
-    summarise=summarise,
-    sections=sections,
-)

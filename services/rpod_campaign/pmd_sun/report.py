@@ -1,83 +1,19 @@
 """``pmd-sun``: suns from all sides on a mock-up of all materials (the 2018 paper's future work)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
-import numpy as np
 import polars as pl
 
-from rpod_campaign.engine.campaign import Campaign, CellResult, Options, Section, Table
-from rpod_campaign.engine.charts import curve_figure
-from rpod_campaign.engine.numbers import milliseconds, number, percent, word
-from rpod_campaign.papers import paper_2018 as paper
-from rpod_campaign.pmd import sequence as trial
-from rpod_campaign.pmd.cells import methods, scenarios
-from rpod_campaign.pmd.cells import summarise as summarise_sequence
-from rpod_campaign.pmd.sequence import FRAME, SequenceCell
-from rpod_campaign.pmd.tables import LOST
-from rpod_campaign.pmd.world import World
-from rpod_schemas.config.base import check
-from rpod_schemas.config.scenario import Scenario
-from rpod_schemas.errors import ConfigurationError
-
-AS_BUILT = "as-built"
-COATS = (AS_BUILT, "panel", "gold-mli", "silver-mli")
-_ANGLES_DEG = (0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0)
-_AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
-
-
-@dataclass(frozen=True)
-class SunCell(SequenceCell):
-    """A sequence under a sun; ``case`` is what covers the mock-up."""
-
-    angle_deg: float = 0.0
-    """Between the directions to the sun and of the boresight: at 0 the camera looks into the sun."""
-    azimuth_deg: float = 0.0
-    """About the boresight, from x (right) to y (down)."""
-
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import milliseconds, number, percent, word
+from rpod_campaign.pmd.report.summary import summarise as summarise_sequence
+from rpod_campaign.pmd.report.tables import LOST
+from rpod_campaign.pmd_sun.trial import SunCell
 
 Results = Sequence[CellResult[SunCell]]
-
-
-def cells(options: Options) -> list[SunCell]:
-    """Return the cells. Raises ConfigurationError, which names the option."""
-    coats = options.case or COATS
-    for coat in coats:
-        if coat not in COATS:
-            raise ConfigurationError("--case", "", f"needs {', '.join(COATS)}, not {coat!r}")
-    return [
-        SunCell(
-            scenario=name,
-            method=method,
-            radius_px=radius_px,
-            frames=frames,
-            through="tracker",
-            document=lit(scenario, angle_deg, azimuth_deg).model_dump_json(),
-            target=scenario.target,
-            case=coat,
-            world=World(coat=None if coat == AS_BUILT else coat),
-            angle_deg=angle_deg,
-            azimuth_deg=azimuth_deg,
-        )
-        for name, scenario in scenarios(options, (paper.TUMBLING,))
-        for frames in options.both("frames", "keyframes")
-        for method, radius_px in methods(options, ("hybrid", "joint"))
-        for coat in coats
-        for angle_deg, azimuth_deg in product(_ANGLES_DEG, _AZIMUTHS_DEG)
-        if azimuth_deg == 0.0 or 0.0 < angle_deg < 180.0  # where the azimuth says nothing, once
-    ]
-
-
-def lit(scenario: Scenario, angle_deg: float, azimuth_deg: float) -> Scenario:
-    """Return a scenario with the sun elsewhere, as seen at the epoch."""
-    angle, azimuth = np.deg2rad((angle_deg, azimuth_deg))
-    across = np.sin(angle)
-    direction = [across * np.cos(azimuth), across * np.sin(azimuth), np.cos(angle)]
-    document: dict[str, Any] = scenario.model_dump(mode="json")
-    document["motion"]["sun"] = (document["motion"]["sun"] or {}) | {"direction": direction}
-    return check(Scenario, document, source=scenario.name)
 
 
 def summarise(cell: SunCell, rows: pl.DataFrame) -> dict[str, Any]:
@@ -175,17 +111,3 @@ def _figures(results: Results) -> tuple[Any, ...]:
             ("depth_lost", "share of depth lost", False),
         )
     )
-
-
-CAMPAIGN: Campaign[SunCell] = Campaign(
-    name="pmd-sun",
-    title="Tracking under every sun, on every material",
-    trials=1,
-    accepts=frozenset({"scenario", "method", "radius", "frames", "case"}),
-    cells=cells,
-    trial=trial.run,
-    schema=trial.SCHEMA,
-    summarise=summarise,
-    sections=sections,
-    keys=(FRAME,),
-)

@@ -6,11 +6,12 @@ from itertools import product
 import plotly.graph_objects as go
 import polars as pl
 
-from rpod_campaign.engine.campaign import CellResult, Table
-from rpod_campaign.engine.charts import COLOURS, with_legend
-from rpod_campaign.engine.numbers import number, word
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import COLOURS, with_legend
+from rpod_campaign.engine.report.content import Table
+from rpod_campaign.engine.report.numbers import number, word
 from rpod_campaign.papers import paper_2018 as paper
-from rpod_campaign.pmd.cells import AXES, OTHER_AXES, Results, rms
+from rpod_campaign.pmd.report.summary import AXES, OTHER_AXES, Results, rms
 from rpod_campaign.pmd.sequence import FRAME, SequenceCell
 from rpod_campaign.pmd_tracking.pictures import picture
 

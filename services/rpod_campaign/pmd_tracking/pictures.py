@@ -12,8 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_analysis.figures import QUIET
 from rpod_analysis.snapshots import Picture, camera_pictures
 from rpod_campaign.engine.campaign import CellResult
-from rpod_campaign.engine.charts import COLOURS, with_legend
-from rpod_campaign.lidar.scene import cached_target
+from rpod_campaign.engine.report.charts import COLOURS, with_legend
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.scene import Shot, Stage, scenario_of
 from rpod_campaign.pmd.sequence import FRAME, SequenceCell
 from rpod_schemas.arrays import FloatArray

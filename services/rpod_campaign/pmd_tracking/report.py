@@ -1,12 +1,11 @@
 """``pmd-tracking``: the 2018 paper's scenarios and its approach from 10 m to 1 m, frame to frame."""
 
-from rpod_campaign.engine.campaign import Campaign, Options, Section
+from rpod_campaign.engine.report.content import Section
 from rpod_campaign.papers import paper_2018 as paper
-from rpod_campaign.pmd import sequence as trial
-from rpod_campaign.pmd.cells import CALIBRATED_WIGGLING, Results, calibrated, methods, scenarios, summarise
-from rpod_campaign.pmd.methods import PAPER_ICP, TRACKING
-from rpod_campaign.pmd.sequence import FRAME, START_DEG, START_M, SequenceCell
-from rpod_campaign.pmd.tables import LOST, by_range, errors_over_range, other_axes, overview
+from rpod_campaign.pmd.cells import CALIBRATED_WIGGLING
+from rpod_campaign.pmd.report.summary import Results
+from rpod_campaign.pmd.report.tables import LOST, by_range, errors_over_range, other_axes, overview
+from rpod_campaign.pmd.sequence import START_DEG, START_M
 from rpod_campaign.pmd_tracking.beside_paper import (
     error_figures,
     pictures,
@@ -14,48 +13,6 @@ from rpod_campaign.pmd_tracking.beside_paper import (
     spikes_table,
     table_2,
 )
-
-APPROACH = "approach"
-_SCENARIOS = (paper.OBLIQUE, paper.TUMBLING, APPROACH)
-
-
-def cells(options: Options) -> list[SequenceCell]:
-    """Return the cells. Raises ConfigurationError, which names the option."""
-    return [
-        SequenceCell(
-            scenario=name,
-            method=method,
-            radius_px=radius_px,
-            frames=frames,
-            through=through,
-            document=(calibrated(scenario) if depth == "calibrated" else scenario).model_dump_json(),
-            target=scenario.target,
-            case=depth,
-        )
-        for name, scenario in scenarios(options, _SCENARIOS)
-        for depth in options.both("depth", "raw")
-        for frames in options.both("frames", "keyframes")
-        for method, radius_px in methods(options, tuple(TRACKING), radii_px=paper.RADII_PX)
-        for through in _guesses(options, name, frames=frames, method=method)
-        if options.radius or _is_asked(name, frames=frames, method=method, radius_px=radius_px)
-    ]
-
-
-def _is_asked(scenario: str, *, frames: str, method: str, radius_px: int | None) -> bool:
-    """Return whether a radius belongs to Table 2, or is that of all other comparisons."""
-    in_table_2 = _is_papers(scenario, frames=frames, method=method)
-    return radius_px in (None, paper.RADIUS_PX) or in_table_2
-
-
-def _guesses(options: Options, scenario: str, *, frames: str, method: str) -> tuple[str, ...]:
-    """Return where first guesses come from; Table 2 is filled from the last image's true pose as well."""
-    if options.through is None and _is_papers(scenario, frames=frames, method=method):
-        return "tracker", "truth"
-    return options.both("through", "tracker")
-
-
-def _is_papers(scenario: str, *, frames: str, method: str) -> bool:
-    return method == PAPER_ICP and frames == "keyframes" and scenario != APPROACH
 
 
 def sections(results: Results) -> list[Section]:
@@ -98,17 +55,3 @@ def sections(results: Results) -> list[Section]:
             else [Section("Over the range", "", (by_range(usual),))]
         ),
     ]
-
-
-CAMPAIGN: Campaign[SequenceCell] = Campaign(
-    name="pmd-tracking",
-    title="Tracking in the images of a PMD camera",
-    trials=1,
-    accepts=frozenset({"scenario", "method", "radius", "frames", "through", "depth"}),
-    cells=cells,
-    trial=trial.run,
-    schema=trial.SCHEMA,
-    summarise=summarise,
-    sections=sections,
-    keys=(FRAME,),
-)

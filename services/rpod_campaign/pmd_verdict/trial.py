@@ -15,12 +15,13 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from rpod_campaign.lidar.scene import cached_target, stream
-from rpod_campaign.lidar.scores import POSE, errors, numbers
+from rpod_campaign.engine.trial.poses import POSE, errors, numbers
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.methods import DEFAULT, pmd_input
+from rpod_campaign.pmd.poses import SUCCESS_DEG, SUCCESS_M, drawn
 from rpod_campaign.pmd.scene import Stage, camera_of, off, scenario_of, still
 from rpod_campaign.pmd.world import World
-from rpod_campaign.pmd_acquisition.trial import SUCCESS_DEG, SUCCESS_M, drawn
 from rpod_estimator.methods import pmd_methods, warm_up
 from rpod_estimator.ports import Methods
 from rpod_estimator.tracking.frame_check import contradictions

@@ -3,21 +3,27 @@ import os
 
 import polars as pl
 import pytest
-from counting_campaign import CAMPAIGN
+from counting_campaign import CAMPAIGN, CountingOptions
 
-from rpod_campaign.engine import Options, Prepared, Table, prepare, run_campaign
-from rpod_campaign.engine.folder import ForeignFolderError
-from rpod_campaign.engine.page import write_page
-from rpod_campaign.engine.pool import WorkerDiedError
-from rpod_campaign.engine.run import results
-from rpod_campaign.engine.statistics import mean, quantile, rate
+from rpod_campaign.engine import Options
+from rpod_campaign.engine.errors import ForeignFolderError, TrialFailedError, WorkerDiedError
+from rpod_campaign.engine.executor.pool import ProcessPool
+from rpod_campaign.engine.report.content import Table
+from rpod_campaign.engine.report.page import write_page
+from rpod_campaign.engine.report.statistics import mean, quantile, rate
+from rpod_campaign.engine.run import Prepared, prepare, results
+from rpod_campaign.engine.run import run_campaign as run_with
 from rpod_schemas.errors import ConfigurationError
 
 INTERRUPTED_AFTER = 4
 
 
 def prepared(out, **options) -> Prepared:
-    return prepare(CAMPAIGN, Options(**options), out=out, version="1")
+    return prepare(CAMPAIGN, CountingOptions(**options), out=out, version="1")
+
+
+def run_campaign(campaign: Prepared, *, jobs: int, told=lambda _: None) -> list:
+    return run_with(campaign, ProcessPool(jobs), told=told)
 
 
 def rows_of(results) -> pl.DataFrame:
@@ -44,7 +50,7 @@ def test_a_complete_campaign_runs_nothing_again_and_more_trials_add_to_it(tmp_pa
     assert rows_of(run_campaign(again, jobs=1, told=told.append)).height == 8
     assert not told
     more = prepared(tmp_path, trials=6)
-    assert {number for _, _, number in more.tasks()} == {4, 5}
+    assert {task.trial for task in more.tasks()} == {4, 5}
     assert rows_of(run_campaign(more, jobs=1)).equals(rows_of(whole))
     fewer = prepared(tmp_path, trials=2)
     assert rows_of(results(fewer, fewer.folder.read())).height == 4
@@ -69,16 +75,33 @@ def test_an_interrupted_campaign_keeps_what_is_done_and_ends_as_if_it_had_not_be
     ]
 
 
-def test_a_trial_that_fails_ends_the_campaign_and_the_others_are_kept(tmp_path):
-    with pytest.raises(ArithmeticError, match="unlucky"):
+def test_a_trial_that_raises_is_told_as_what_it_is_with_its_seed_and_the_others_are_kept(tmp_path):
+    with pytest.raises(TrialFailedError, match="trial 0, seed 1: ArithmeticError: unlucky") as caught:
         run_campaign(prepared(tmp_path, ranges=(1.0, 13.0), trials=3), jobs=1)
+    assert isinstance(caught.value.__cause__, ArithmeticError)
+    assert "counting_campaign.py" in caught.value.trace
+    assert not caught.value.expected
     assert set(prepared(tmp_path, ranges=(1.0, 13.0), trials=3).done) == {(0, 0), (0, 1), (0, 2)}
 
 
-def test_a_process_that_is_killed_is_told_in_a_line_and_the_others_are_kept(tmp_path):
-    with pytest.raises(WorkerDiedError, match="try fewer --jobs"):
-        run_campaign(prepared(tmp_path, ranges=(1.0, 99.0), trials=2), jobs=1)
-    assert set(prepared(tmp_path, ranges=(1.0, 99.0), trials=2).done) == {(0, 0), (0, 1)}
+def test_an_exception_that_cannot_be_pickled_is_no_want_of_memory(tmp_path):
+    with pytest.raises(TrialFailedError, match="TwoPartsError: mesh.stl: has no triangles") as caught:
+        run_campaign(prepared(tmp_path, ranges=(14.0,), trials=1), jobs=1)
+    assert caught.value.__cause__ is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "says"),
+    [
+        (99.0, "was killed by SIGKILL, by the kernel if memory ran out: try fewer --jobs"),
+        (98.0, "crashed by SIGSEGV, a fault in compiled code"),
+        (97.0, "ended with exit code 3"),
+    ],
+)
+def test_a_process_that_ends_is_told_by_how_it_ended_and_the_others_are_kept(tmp_path, factor, says):
+    with pytest.raises(WorkerDiedError, match=rf"{says} while it ran one of: counting, cell 1 .* trial 0"):
+        run_campaign(prepared(tmp_path, ranges=(1.0, factor), trials=2), jobs=1)
+    assert set(prepared(tmp_path, ranges=(1.0, factor), trials=2).done) == {(0, 0), (0, 1)}
 
 
 def test_a_changed_parameter_is_another_folder(tmp_path):
@@ -88,7 +111,7 @@ def test_a_changed_parameter_is_another_folder(tmp_path):
     }
     assert len(paths) == 4
     assert prepared(tmp_path, trials=9).folder.path in paths
-    newer = prepare(CAMPAIGN, Options(), out=tmp_path, version="2").folder
+    newer = prepare(CAMPAIGN, CountingOptions(), out=tmp_path, version="2").folder
     assert newer.path not in paths
     assert newer.most_alike() == (prepared(tmp_path).folder.path, ("version",))
 
@@ -117,16 +140,9 @@ def test_the_processes_of_the_trials_have_one_thread_and_this_one_keeps_its_own(
     assert "POLARS_MAX_THREADS" not in os.environ
 
 
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        ({"steps": (30.0,)}, "--steps: has no meaning for counting"),
-        ({"eq4": "both"}, "--eq4: has no meaning for counting"),
-    ],
-)
-def test_an_option_that_would_do_nothing_is_refused(tmp_path, options, reason):
-    with pytest.raises(ConfigurationError, match=reason):
-        prepared(tmp_path, **options)
+def test_options_of_another_campaign_are_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"counting: needs counting_campaign"):
+        prepare(CAMPAIGN, Options(), out=tmp_path, version="1")
 
 
 def test_the_page_needs_no_network(tmp_path):

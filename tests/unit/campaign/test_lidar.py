@@ -6,33 +6,26 @@ import polars as pl
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rpod_campaign.catalogue import CAMPAIGNS
-from rpod_campaign.engine import Options
+from rpod_campaign.catalogue import find as find_campaign
 from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.trial.poses import errors
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import lidar_config
-from rpod_campaign.lidar.scene import (
-    cached_target,
-    clearance_m,
-    emulator_of,
-    random_attitude,
-    random_pose,
-    scan_of,
-    stream,
-)
-from rpod_campaign.lidar.scores import errors
-from rpod_campaign.lidar_acquisition import report as lidar_acquisition
+from rpod_campaign.lidar.scene import clearance_m, emulator_of, random_attitude, random_pose, scan_of
 from rpod_campaign.lidar_acquisition import trial as acquisition
 from rpod_campaign.lidar_range.trial import window_deg
 from rpod_campaign.lidar_tracking import trial as tracking
-from rpod_campaign.lidar_trajectory import report as lidar_trajectory
 from rpod_campaign.lidar_trajectory import trial as trajectory
 from rpod_campaign.lidar_verdict import trial as judged
 from rpod_campaign.lidar_verdict.report import roc
-from rpod_campaign.lidar_verdict.trial import JudgedCell
+from rpod_campaign.lidar_verdict.trial import VerdictCell
 from rpod_campaign.papers import paper_2015 as paper
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import make_pose
 
+lidar_acquisition = find_campaign("lidar-acquisition")
+lidar_trajectory = find_campaign("lidar-trajectory")
 TARGET = "envisat-bulky"
 
 
@@ -73,7 +66,7 @@ def test_euler_uniform_attitudes_favour_the_poles_of_the_pitch_and_uniform_ones_
 @pytest.fixture(scope="module")
 def acquired():
     """Return a cell of coarse template matching and three of its rows."""
-    options = Options(method=(paper.TM,), ranges=(20.0,), steps=(60.0,))
+    options = lidar_acquisition.options(method=(paper.TM,), ranges=(20.0,), steps=(60.0,))
     (cell,) = lidar_acquisition.cells(options)
     return cell, [acquisition.run(cell, 7, trial) for trial in range(3)]
 
@@ -127,7 +120,9 @@ def test_the_trajectory_is_that_of_the_paper():
 
 
 def test_a_trial_of_the_trajectory_refines_one_template_by_both_ways_to_pair_points():
-    options = Options(steps=(60.0,), target=(TARGET,), eq4="printed", method=(paper.TM, paper.FAST_TM))
+    options = lidar_trajectory.options(
+        steps=(60.0,), target=(TARGET,), eq4="printed", method=(paper.TM, paper.FAST_TM)
+    )
     results = []
     for cell in lidar_trajectory.cells(options):
         rows = [trajectory.run(cell, 7, position) for position in (0, 120)]
@@ -173,7 +168,7 @@ def test_what_the_paper_prints_twice_agrees():
 )
 def test_what_is_not_known_is_refused_by_the_name_of_its_option(options, reason):
     with pytest.raises(ConfigurationError, match=reason):
-        lidar_acquisition.cells(Options(**options))
+        lidar_acquisition.cells(lidar_acquisition.options(**options))
 
 
 OTHERS = {
@@ -187,9 +182,9 @@ OTHERS = {
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_row_of_every_campaign_has_the_columns_of_its_schema_and_a_place_in_its_tables(name, monkeypatch):
     monkeypatch.setattr(tracking, "FRAMES", 5)
-    campaign = CAMPAIGNS[name]
+    campaign = find_campaign(name)
     results = []
-    for cell in campaign.cells(Options(**{"target": (TARGET,), **OTHERS[name]})):
+    for cell in campaign.cells(campaign.options(**{"target": (TARGET,), **OTHERS[name]})):
         row = campaign.trial(cell, 7, 0)
         assert set(row) == set(campaign.schema)
         frame = pl.DataFrame([row], schema=campaign.schema)
@@ -199,7 +194,7 @@ def test_a_row_of_every_campaign_has_the_columns_of_its_schema_and_a_place_in_it
 
 
 def test_the_verdict_is_on_wrong_poses_wherever_something_else_was_scanned():
-    slim = JudgedCell(
+    slim = VerdictCell(
         target=TARGET, scanned_target="envisat-slim", method=paper.TM, step_deg=60.0, range_m=50.0
     )
     row = judged.run(slim, 7, 0)
@@ -264,7 +259,7 @@ def test_a_pose_that_an_exact_symmetry_turns_into_the_truth_is_right():
 
 
 def test_a_pose_of_template_matching_is_judged_by_the_facilitys_own_verdict():
-    cell = JudgedCell(target=TARGET, scanned_target=TARGET, method=paper.TM, step_deg=60.0, range_m=50.0)
+    cell = VerdictCell(target=TARGET, scanned_target=TARGET, method=paper.TM, step_deg=60.0, range_m=50.0)
     rows = [judged.run(cell, 7, trial) for trial in range(6)]
     for row in rows:
         assert set(row) == set(judged.SCHEMA)

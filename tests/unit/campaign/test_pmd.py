@@ -4,35 +4,42 @@ from dataclasses import asdict, replace
 import numpy as np
 import polars as pl
 import pytest
+from pydantic import ValidationError
 
 from rpod.scenarios import find, shipped
-from rpod_campaign.engine import Options
+from rpod_campaign.catalogue import find as find_campaign
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.folder import CampaignFolder
-from rpod_campaign.lidar.scene import cached_target, stream
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.papers import paper_2018 as paper
 from rpod_campaign.pmd import sequence
-from rpod_campaign.pmd.cells import AXES, CALIBRATED_WIGGLING, summarise
+from rpod_campaign.pmd.cells import CALIBRATED_WIGGLING
+from rpod_campaign.pmd.poses import FRONT_DEG, drawn
+from rpod_campaign.pmd.report.summary import AXES, summarise
 from rpod_campaign.pmd.scene import Stage, off, scenario_of, times_s
 from rpod_campaign.pmd.sequence import SequenceCell
 from rpod_campaign.pmd.world import World, built, disturbed, glints
-from rpod_campaign.pmd_acquisition import report as pmd_acquisition
 from rpod_campaign.pmd_acquisition import trial as acquisition
-from rpod_campaign.pmd_robustness import report as pmd_robustness
-from rpod_campaign.pmd_sun import report as pmd_sun
-from rpod_campaign.pmd_tracking import report as pmd_tracking
+from rpod_campaign.pmd_acquisition.campaign import CASES as VIEWS
+from rpod_campaign.pmd_robustness.trial import CASES
 from rpod_campaign.pmd_tracking.pictures import picture
-from rpod_campaign.pmd_verdict import report as pmd_verdict
 from rpod_campaign.pmd_verdict import trial as verdict
+from rpod_campaign.pmd_verdict.campaign import CASES as SHOWN
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import pose_error
 
+pmd_acquisition = find_campaign("pmd-acquisition")
+pmd_robustness = find_campaign("pmd-robustness")
+pmd_sun = find_campaign("pmd-sun")
+pmd_tracking = find_campaign("pmd-tracking")
+pmd_verdict = find_campaign("pmd-verdict")
 SCENARIOS = {name: find(name) for name in shipped()}
 TARGET = "mockup"
 
 
 def cells(campaign=pmd_tracking, **options) -> list[SequenceCell]:
-    return list(campaign.cells(Options(scenarios=SCENARIOS, **options)))
+    return list(campaign.cells(campaign.options(scenarios=SCENARIOS, **options)))
 
 
 def shortened(cell: SequenceCell, duration_s: float) -> SequenceCell:
@@ -267,12 +274,12 @@ def test_depth_is_lost_without_the_amplitude_and_glints_take_both():
 
 def test_the_worlds_share_their_frames_and_a_calibrated_camera():
     chosen = {cell.case: cell for cell in cells(pmd_robustness, method=("signed-distance",))}
-    assert list(chosen) == list(pmd_robustness.CASES)
+    assert list(chosen) == list(CASES)
     for cell in chosen.values():
         scenario = scenario_of(cell.document)
         assert scenario.sensors[0].pixel.wiggling_share == CALIBRATED_WIGGLING
         assert cell.frames == "full"
-    pair = chosen[pmd_robustness.CASES["depth-lost"].pair]
+    pair = chosen[CASES["depth-lost"].pair]
     assert pair.document == chosen["depth-lost"].document
     assert scenario_of(chosen["close"].document).motion.trajectory.end_m[2] == 1.0
 
@@ -303,9 +310,9 @@ def test_the_sun_is_where_the_cell_says():
 def test_a_front_view_shows_the_front_and_a_wide_start_is_as_wide_as_is_said():
     target = cached_target(TARGET)
     for trial in range(200):
-        pose = acquisition.drawn(target, "front", (3.0, 6.0), stream(2, trial))
+        pose = drawn(target, "front", (3.0, 6.0), stream(2, trial))
         towards = pose.rotation.apply((1.0, 0.0, 0.0))
-        assert -towards[2] >= np.cos(np.deg2rad(acquisition.FRONT_DEG)) - 1e-9
+        assert -towards[2] >= np.cos(np.deg2rad(FRONT_DEG)) - 1e-9
         start = off(pose, stream(2, trial, 1), angle_deg=25.0, distance_m=0.5)
         attitude_rad, position_m = pose_error(pose, start)
         assert np.rad2deg(np.linalg.norm(attitude_rad)) == pytest.approx(25.0)
@@ -313,7 +320,7 @@ def test_a_front_view_shows_the_front_and_a_wide_start_is_as_wide_as_is_said():
 
 
 def test_a_trial_of_acquisition_fills_every_column_and_is_counted():
-    (cell,) = pmd_acquisition.cells(Options(scenarios=SCENARIOS, case=("front-wide",)))
+    (cell,) = pmd_acquisition.cells(pmd_acquisition.options(scenarios=SCENARIOS, case=("front-wide",)))
     row = acquisition.run(cell, 7, 0)
     assert set(row) == set(acquisition.SCHEMA)
     assert row["acquire_s"] > 0.0
@@ -343,8 +350,8 @@ def test_pictures_show_depth_and_amplitude_under_the_wireframe(followed):
     figure = picture([CellResult(cell, frame_of(rows), {})], number=2)
     assert len(figure.layout.images) == 2
     assert {trace.name.split(":")[0] for trace in figure.data} == {"truth", "signed-distance"}
-    drawn = figure.data[0]
-    assert np.isfinite(np.asarray(drawn.x, float)).sum() > 20
+    line = figure.data[0]
+    assert np.isfinite(np.asarray(line.x, float)).sum() > 20
 
 
 def test_a_verdict_campaign_counts_right_frames_and_frames_of_something_else():
@@ -363,6 +370,8 @@ def test_a_verdict_campaign_counts_right_frames_and_frames_of_something_else():
     assert titles == ["Right frames", "Frames of something else"]
 
 
-def test_a_verdict_campaign_names_an_unknown_case():
-    with pytest.raises(ConfigurationError, match="--case"):
+def test_the_cases_of_the_command_line_are_those_of_the_trials():
+    for campaign, known in ((pmd_robustness, CASES), (pmd_acquisition, VIEWS), (pmd_verdict, SHOWN)):
+        assert campaign.options().case == tuple(known)
+    with pytest.raises(ValidationError, match="sideways"):
         cells(pmd_verdict, case=("sideways",))

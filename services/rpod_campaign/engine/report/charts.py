@@ -6,7 +6,7 @@ from typing import Any
 import plotly.graph_objects as go
 
 from rpod_analysis.figures import ACCENT, BAD, QUIET, styled
-from rpod_campaign.engine.statistics import Rate
+from rpod_campaign.engine.report.statistics import Rate
 
 COLOURS = (ACCENT, "#e8973a", "#3aa876", "#a46de0", BAD, "#5bb8c9", "#c96f9e", QUIET)
 

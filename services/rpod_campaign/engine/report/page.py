@@ -8,7 +8,7 @@ import plotly.io
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
-from rpod_campaign.engine.campaign import Section
+from rpod_campaign.engine.report.content import Section
 from rpod_campaign.engine.run import Prepared
 
 _PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}

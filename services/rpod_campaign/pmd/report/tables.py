@@ -4,10 +4,11 @@ import numpy as np
 import plotly.graph_objects as go
 import polars as pl
 
-from rpod_campaign.engine.campaign import CellResult, Table
-from rpod_campaign.engine.charts import curve_figure
-from rpod_campaign.engine.numbers import milliseconds, number, percent, word
-from rpod_campaign.pmd.cells import AXES, OTHER_AXES, Results, rms
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.content import Table
+from rpod_campaign.engine.report.numbers import milliseconds, number, percent, word
+from rpod_campaign.pmd.report.summary import AXES, OTHER_AXES, Results, rms
 from rpod_campaign.pmd.sequence import SequenceCell
 
 _NAMES = ("scenario", "case", "frames", "through", "method", "radius, px")
