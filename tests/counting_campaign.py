@@ -2,7 +2,9 @@
 
 import os
 import signal
+import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,6 +16,7 @@ from rpod_campaign.engine import Campaign, Options, Ranges, Section, Trials
 @dataclass(frozen=True)
 class CountingCell:
     factor: float
+    pause_s: float = 0.0
 
 
 class CountingOptions(Options):
@@ -23,10 +26,12 @@ class CountingOptions(Options):
 
     trials: Trials = 5
     ranges: Ranges = (1.0, 2.0)
+    pause: float = 0.0
+    """Time that a trial takes, s."""
 
 
 def cells(options: CountingOptions) -> list[CountingCell]:
-    return [CountingCell(factor) for factor in options.ranges]
+    return [CountingCell(factor, options.pause) for factor in options.ranges]
 
 
 class TwoPartsError(Exception):
@@ -43,8 +48,12 @@ def trial(cell: CountingCell, seed: int, number: int) -> dict[str, Any]:
         os.kill(os.getpid(), signal.SIGSEGV)
     if cell.factor == 97.0:
         os._exit(3)
+    time.sleep(cell.pause_s)
+    if "COUNTING_LOG" in os.environ:
+        with Path(os.environ["COUNTING_LOG"]).open("a") as log:
+            log.write(f"{cell.factor:g} {number}\n")
     if cell.factor == 14.0:
-        raise TwoPartsError("mesh.stl", "has no triangles")
+        raise TwoPartsError("mesh", "has no triangles")
     if cell.factor == 13.0:
         raise ArithmeticError("unlucky")
     return {"value": cell.factor * float(np.random.default_rng((seed, number)).random())}
