@@ -7,10 +7,11 @@ from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_estimator.acquisition.template_matching import OnlineTemplateMatching
-from rpod_estimator.acquisition.verified_search import VerifiedSearch
-from rpod_estimator.methods import ScanPattern, lidar_methods, warm_up
-from rpod_estimator.ports import Acquirer, Acquisition, Candidates, Registration, Search, Tracker
+from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.methods import lidar_methods, warm_up
+from rpod_pose.ports import Acquirer, Acquisition, Candidates, Registration, Search, Tracker
+from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.lidar import LidarConfig
@@ -112,7 +113,6 @@ def lidar_input(
             **TEMPLATE_MATCHING[method],
         },
         "tracking": {"kind": "icp_nearest_neighbour", **MATCHERS[matcher], **sure},
-        "verification": {"max_cost_m2": 0.003, "min_explained_share": 0.97, "candidates": 1},
     }
     return check(LidarInput, document, source=f"--method {method} --matcher {matcher}")
 
@@ -183,7 +183,7 @@ class Acquiring:
         self._acquirer: Acquirer[LidarScan] = methods.acquirer
         if isinstance(sensor.acquisition, TemplateMatchingConfig):
             self._search = TimedSearch(template_search(sensor, target, pattern))
-            self._acquirer = VerifiedSearch(self._search, self._tracker, sensor.verification)
+            self._acquirer = VerifiedSearch(self._search, self._tracker, sensor.acquisition.choice)
         warm_up(methods, target, pattern)
 
     def acquire(self, scan: LidarScan) -> TimedAcquisition:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
-from rpod_estimator.tracking.closest_point import Surface
+from rpod_pose.registration.closest_point import Surface
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan

@@ -6,7 +6,7 @@ import polars as pl
 from scipy.spatial.transform import RigidTransform
 
 from rpod_campaign.engine.trial.poses import POSE, errors, numbers
-from rpod_estimator.ports import Acquisition
+from rpod_pose.ports import Acquisition
 from rpod_target import Target
 
 SUCCESS_DEG = 3.0
@@ -55,9 +55,9 @@ def acquisition_row(
         "attitude_error_deg": attitude_deg,
         "position_error_m": position_m,
         "success": attitude_deg is not None and attitude_deg < SUCCESS_DEG,
-        "accepted": acquisition.trackable,
-        "verdict": str(acquisition.verdict),
-        "reason": acquisition.reason,
+        "accepted": acquisition.begins_track,
+        "verdict": str(acquisition.outcome),
+        "reason": acquisition.belief.reason,
         "hypotheses": len(acquisition.hypotheses),
         "f_conv_m2": registration.cost_m2,
         "explained_share": registration.explained_share,

@@ -17,11 +17,11 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import lidar_config, pattern_of, tracking_input
 from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
 from rpod_campaign.lidar.scores import SUCCESS_DEG
-from rpod_estimator.measurement import Measurement
-from rpod_estimator.methods import lidar_methods, warm_up
-from rpod_estimator.navigator import Navigator
-from rpod_estimator.ports import Methods
 from rpod_motion.motion import Motion, build_motion
+from rpod_pose.measurement import Measurement
+from rpod_pose.methods import lidar_methods, warm_up
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.ports import Methods
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
@@ -92,7 +92,7 @@ def _single(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
         "position_error_m": position_m,
         "success": attitude_deg is not None and attitude_deg < SUCCESS_DEG,
         "nees": None if found is None else nees(truth, found, registration.covariance),
-        "reason": registration.reason,
+        "reason": registration.belief.reason,
         "returns": len(scan.returns_m),
         "track_s": took_s,
     }

@@ -16,9 +16,9 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import TimedSearch, lidar_config, lidar_input, pattern_of, template_search
 from rpod_campaign.lidar.scene import emulator_of, scan_of
 from rpod_campaign.lidar.scores import SUCCESS_DEG
-from rpod_estimator.methods import lidar_methods
-from rpod_estimator.ports import Registration, Tracker
 from rpod_motion.motion import Motion, build_motion
+from rpod_pose.methods import lidar_methods
+from rpod_pose.ports import Registration, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
 from rpod_schemas.types import LidarScan

@@ -14,7 +14,7 @@ from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import NONE, number, word
 from rpod_campaign.engine.report.statistics import quantile, rate
 from rpod_campaign.lidar_verdict.trial import VerdictCell
-from rpod_estimator.ports import Verdict
+from rpod_pose.ports import Outcome
 from rpod_schemas.arrays import FloatArray
 
 Results = Sequence[CellResult[VerdictCell]]
@@ -44,7 +44,7 @@ def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return what is said of a cell: numbers of trials."""
     judged = rows.filter(pl.col("found").is_not_null())
     wrong, accepted = judged["wrong"], judged["accepted"]
-    ambiguous = judged["verdict"] == Verdict.AMBIGUOUS.value
+    ambiguous = judged["verdict"] == Outcome.AMBIGUOUS.value
     return {
         **asdict(cell),
         "trials": rows.height,

@@ -17,10 +17,10 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.methods import pmd_input
 from rpod_campaign.pmd.scene import Shot, Stage, off, scenario_of, times_s, turned
 from rpod_campaign.pmd.world import NOMINAL, World
-from rpod_estimator.measurement import Measurement
-from rpod_estimator.methods import pmd_methods, warm_up
-from rpod_estimator.navigator import Navigator
-from rpod_estimator.ports import Methods, Tracker
+from rpod_pose.measurement import Measurement
+from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.ports import Methods, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.poses import pose_error
@@ -132,10 +132,11 @@ class _ByTracker:
 
     def follow(self, shot: Shot) -> Answer:
         found = self._tracker.track(shot.frame, self._last)
-        measured = found.T_sensor_target is not None and not found.reason
+        measured = found.continues_track
         if measured and found.T_sensor_target is not None:
             self._last = found.T_sensor_target
-        return Answer(self._last, measured, found.covariance, found.reason, found.inliers, found.iterations)
+        reason = found.belief.reason
+        return Answer(self._last, measured, found.covariance, reason, found.inliers, found.iterations)
 
 
 class _FromTruth(_ByTracker):

@@ -14,8 +14,8 @@ from rpod_campaign.pmd.methods import pmd_input
 from rpod_campaign.pmd.poses import SUCCESS_DEG, SUCCESS_M, drawn
 from rpod_campaign.pmd.scene import Stage, off, scenario_of, still
 from rpod_campaign.pmd.world import World
-from rpod_estimator.methods import pmd_methods, warm_up
-from rpod_estimator.ports import Methods
+from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.ports import Methods
 
 WIDE_DEG, WIDE_M = 25.0, 0.5
 """How far off a wide start is."""
@@ -84,11 +84,11 @@ def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
         "attitude_deg": attitude_deg,
         "position_m": position_m,
         "success": _is_right(attitude_deg, position_m),
-        "accepted": found.trackable,
-        "verdict": str(found.verdict),
+        "accepted": found.begins_track,
+        "verdict": str(found.outcome),
         "hypotheses": len(found.hypotheses),
         "right_hypothesis": any(_is_right(*errors(truth, h.pose, stage.target)) for h in found.hypotheses),
-        "reason": found.reason,
+        "reason": found.belief.reason,
         "acquire_s": took_s,
     }
 

@@ -16,8 +16,8 @@ from rpod_campaign.engine.report.charts import COLOURS, with_legend
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.scene import Shot, Stage, scenario_of
 from rpod_campaign.pmd.sequence import FRAME, SequenceCell
+from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.arrays import FloatArray
-from rpod_sim_sensor.wireframe import project, visible_pieces
 
 _HEIGHT_PX = 460
 

@@ -1,0 +1,171 @@
+"""The ports of the estimator: what a method must offer to take part.
+
+A method is a value behind one of these protocols, chosen in the configuration. It sees one
+measurement in its sensor's axes and the target's model, and neither bus, clock nor truth.
+"""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.belief import Belief, doubtful
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import BeliefLevel, Hypothesis, LidarScan, PmdFrame, Source
+
+MeasurementT_contra = TypeVar("MeasurementT_contra", LidarScan, PmdFrame, contravariant=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A pose that a search proposes."""
+
+    T_sensor_target: RigidTransform
+    cost_m2: float
+    """The method's own cost, lower is better."""
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """A pose measured from one frame, or the reason why there is none."""
+
+    source: Source
+    T_sensor_target: RigidTransform | None = None
+    """The measured pose; None where the frame gives none, and the belief says why."""
+    belief: Belief = field(default_factory=Belief)
+    """Whether the pose is believed; the only part that the navigator decides by."""
+    cost_m2: float = float("nan")
+    """f_CONV: mean squared residual of the inliers at convergence, m2."""
+    inliers: int = 0
+    inlier_share: float = float("nan")
+    """Inliers over the points that could have matched."""
+    explained_share: float = float("nan")
+    """Self-check: of the rays where model or measurement say "surface", the share that agrees."""
+    covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
+    """Of (dp, dtheta) in the sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1); shape (6, 6)."""
+    iterations: int = 0
+
+    @classmethod
+    def none(cls, source: Source, reason: str, *, iterations: int = 0) -> "Registration":
+        """Return the registration of a frame that gives no pose."""
+        return cls(source, belief=doubtful(reason), iterations=iterations)
+
+    @property
+    def begins_track(self) -> bool:
+        """Whether a track may begin at the pose."""
+        return self.T_sensor_target is not None and self.belief.begins_track
+
+    @property
+    def continues_track(self) -> bool:
+        """Whether a running track may use the pose."""
+        return self.T_sensor_target is not None and self.belief.continues_track
+
+
+class Outcome(StrEnum):
+    """What became of a search."""
+
+    ACCEPTED = "accepted"
+    AMBIGUOUS = "ambiguous"
+    """Several poses explain the measurement: the belief names them as rivals."""
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, eq=False)
+class Acquisition:
+    """What a search without a guess made of one measurement."""
+
+    registration: Registration
+    """The best pose with its covariance and belief; without a pose where nothing was found."""
+    templates: int = 0
+    """Attitudes in the search."""
+    excluded_share: float = 0.0
+    """The share of them that was left out before the comparison with the measurement."""
+
+    @property
+    def belief(self) -> Belief:
+        """Whether the best pose is believed; rivals are the other poses that explain the measurement."""
+        return self.registration.belief
+
+    @property
+    def begins_track(self) -> bool:
+        """Whether a track may begin at the best pose."""
+        return self.registration.begins_track
+
+    @property
+    def pose(self) -> RigidTransform | None:
+        """T_sensor_target of the best pose; None where nothing was found."""
+        return self.registration.T_sensor_target
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6)."""
+        return self.registration.covariance
+
+    @property
+    def outcome(self) -> Outcome:
+        """What became of the search, in one word."""
+        if self.pose is None or not self.belief.continues_track:
+            return Outcome.FAILED
+        accepted = self.belief.level is BeliefLevel.ACCEPTED or not self.belief.rivals
+        return Outcome.ACCEPTED if accepted else Outcome.AMBIGUOUS
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """T_sensor_target of what explains the measurement, best first; weights sum to 1. Empty if failed."""
+        if self.pose is None or self.outcome is Outcome.FAILED:
+            return ()
+        return self.belief.hypotheses(self.pose)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """What a search proposes, unchecked."""
+
+    poses: tuple[Candidate, ...] = ()
+    """Best first; empty where there is nothing to work on."""
+    templates: int = 0
+    """Attitudes in the search."""
+    excluded_share: float = 0.0
+    """Of them, those left out before they were compared with the measurement."""
+
+
+class Search(Protocol, Generic[MeasurementT_contra]):
+    """Proposes poses for one measurement, for a tracker to refine and check."""
+
+    def search(self, measurement: MeasurementT_contra) -> Candidates:
+        """Return candidates from everywhere. Deterministic."""
+        ...
+
+    def near(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Candidates:
+        """Return candidates around a pose that is too far off for the tracker. Deterministic."""
+        ...
+
+
+class Acquirer(Protocol, Generic[MeasurementT_contra]):
+    """Finds the target in one measurement and judges what it found."""
+
+    def acquire(self, measurement: MeasurementT_contra) -> Acquisition:
+        """Search without any prior pose; never raises on data. Deterministic."""
+        ...
+
+    def near(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Acquisition:
+        """Search around a pose that is too far off for the tracker; never raises on data. Deterministic."""
+        ...
+
+
+class Tracker(Protocol, Generic[MeasurementT_contra]):
+    """Registers one measurement, starting from a predicted pose."""
+
+    def track(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration; never raises on data, says why instead. Deterministic."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Methods:
+    """How one sensor's target is found and tracked."""
+
+    acquirer: Acquirer[Any]
+    tracker: Tracker[Any]

@@ -1,0 +1,64 @@
+"""A search made an acquisition: its candidates are refined and checked by the tracker, and one is chosen."""
+
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.belief import contradicted
+from rpod_pose.ports import Acquisition, Candidates, Registration, Search, Tracker
+from rpod_schemas.types import LidarScan, PmdFrame, Source
+
+
+class VerifiedSearch:
+    """Finds the target by a search and a tracker: ports.Acquirer of either sensor.
+
+    Args:
+        search: proposes candidates.
+        tracker: refines and checks them.
+        choice: which accepted candidate is taken: the first, or the one that explains most.
+    """
+
+    def __init__(
+        self, search: Search[Any], tracker: Tracker[Any], choice: Literal["first", "best_explained"]
+    ) -> None:
+        self._search, self._tracker, self._choice = search, tracker, choice
+
+    def acquire(self, measurement: LidarScan | PmdFrame) -> Acquisition:
+        """Return the accepted candidate that is chosen, else the first of all and why it is refused."""
+        return self._checked(measurement, self._search.search(measurement))
+
+    def near(self, measurement: LidarScan | PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
+        """Return the same of candidates around a pose."""
+        return self._checked(measurement, self._search.near(measurement, T_sensor_target))
+
+    def _checked(self, measurement: LidarScan | PmdFrame, found: Candidates) -> Acquisition:
+        registration = self._best(measurement, found)
+        return Acquisition(registration, templates=found.templates, excluded_share=found.excluded_share)
+
+    def _best(self, measurement: LidarScan | PmdFrame, found: Candidates) -> Registration:
+        if not found.poses:
+            return Registration.none(Source.NONE, "the search found nothing to work on")
+        accepted: list[Registration] = []
+        refused: list[Registration] = []
+        for candidate in found.poses:
+            registration = self._tracker.track(measurement, candidate.T_sensor_target)
+            if not registration.begins_track:
+                refused.append(registration)
+            elif self._choice == "first":
+                return registration
+            else:
+                accepted.append(registration)
+        return max(accepted, key=_explained) if accepted else _refused(refused[0])
+
+
+def _explained(registration: Registration) -> float:
+    share = registration.explained_share
+    return 0.0 if np.isnan(share) else share
+
+
+def _refused(registration: Registration) -> Registration:
+    """Return a registration at which no track may begin, with the reason in its belief."""
+    belief = registration.belief
+    return replace(registration, belief=contradicted(f"not accepted: {belief.refusal}", **belief.evidence))
