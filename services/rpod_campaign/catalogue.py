@@ -22,7 +22,7 @@ BUILT_IN = (
     "lidar-tracking",
     "lidar-robustness",
     "lidar-range",
-    #    "template-tau",
+    "template-tau",
     "pmd-tracking",
     "pmd-sun",
     "pmd-robustness",

@@ -1,5 +1,6 @@
 """Campaigns on a Dask cluster: a real scheduler and real workers, which are killed."""
 
+import os
 import random
 import signal
 import socket
@@ -37,10 +38,10 @@ def rows_of(results) -> pl.DataFrame:
 
 
 def once(campaign: Prepared) -> bool:
-    """Return whether the folder has each trial exactly once, in one file."""
+    """Return whether the folder has each trial exactly once, in one file, and nothing else of them."""
     rows = pl.read_parquet(campaign.folder.trials_file)
-    files = [file.name for file in campaign.folder.path.iterdir()]
-    return rows.height == campaign.total == rows.select("cell", "trial").n_unique() and len(files) == 2
+    left = [*campaign.folder.path.glob("part-*"), *campaign.folder.path.glob("*.tmp")]
+    return rows.height == campaign.total == rows.select("cell", "trial").n_unique() and not left
 
 
 @pytest.fixture(scope="module")
@@ -227,3 +228,30 @@ def test_a_scheduler_that_is_not_there_is_named(tmp_path):
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     with pytest.raises(NoSchedulerError, match=f"{address}: no scheduler answers after 1 s"):
         run_campaign(counting(tmp_path), Cluster(address, patience_s=1.0))
+
+
+def test_the_script_for_slurm_runs_a_campaign(tmp_path, site):
+    stub = tmp_path / "bin" / "srun"
+    stub.parent.mkdir()
+    stub.write_text('#!/bin/bash\nwhile [[ $1 == --* ]]; do shift; done\nexec "$@"\n')
+    stub.chmod(0o755)
+    script = Path(__file__).parents[2] / "deploy" / "cluster" / "campaign.slurm"
+    environment = os.environ | {
+        "PATH": f"{stub.parent}:{os.environ['PATH']}",
+        "PYTHONPATH": f"{site}:{Path(__file__).parents[1]}",
+        "RPOD_BIN": str(Path(sys.executable).parent),
+        "RPOD_CAMPAIGNS": str(tmp_path / "campaigns"),
+        "SLURM_NTASKS": "2",
+        "SLURM_JOB_ID": "7",
+    }
+    done = subprocess.run(
+        ["bash", str(script), "counting", "--trials", "20"],
+        env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120.0, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert once(counting_of(tmp_path / "campaigns", trials=20))
+    assert not (tmp_path / "campaigns" / ".slurm-7").exists()
+
+
+def counting_of(out: Path, **options) -> Prepared:
+    return prepare(CAMPAIGN, CountingOptions(**options), out=out, version=__version__)

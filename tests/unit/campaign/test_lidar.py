@@ -266,3 +266,29 @@ def test_a_pose_of_template_matching_is_judged_by_the_facilitys_own_verdict():
         assert row["accepted"] == (not row["wrong"])
         assert (row["deficit_per_return"] > 0.5) == row["wrong"]
     assert 0 < sum(row["wrong"] for row in rows) < 6
+
+
+def test_a_tau_of_the_sweep_is_the_fast_variant_with_that_tau():
+    tau, step_deg, range_m = 0.1, 60.0, 20.0
+    swept = find_campaign("template-tau")
+    (cell,) = swept.cells(
+        swept.options(taus=(0.5, tau), steps=(step_deg,), ranges=(range_m,), target=(TARGET,))
+    )
+    assert cell.taus == (tau, 0.5)
+    fast = lidar_acquisition.options(
+        method=(paper.FAST_TM,), steps=(step_deg,), ranges=(range_m,), target=(TARGET,)
+    )
+    (fast_cell,) = lidar_acquisition.cells(fast)
+    rows = []
+    for trial in range(5):
+        of_sweep = swept.trial(cell, 7, trial)
+        of_fast = acquisition.run(fast_cell, 7, trial)
+        assert [row["tau"] for row in of_sweep] == list(cell.taus)
+        assert of_sweep[0]["success"] == of_fast["success"]
+        assert of_sweep[0]["excluded_share"] == pytest.approx(of_fast["excluded_share"])
+        rows += [{"cell": 0, "trial": trial, **row} for row in of_sweep]
+    frame = pl.DataFrame(rows)
+    summary = swept.summarise(cell, frame)
+    assert summary["trials"] == 5
+    assert summary["success_rate"][0] == frame.filter(pl.col("tau") == tau)["success"].mean()
+    _check_sections(swept.sections([CellResult(cell, frame, summary)]))
