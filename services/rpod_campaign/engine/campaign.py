@@ -24,7 +24,7 @@ class CellResult(Generic[CellT]):
     rows: pl.DataFrame
     """One row a trial, in the order of the trials."""
     summary: Row
-    """What ``--json`` prints of it."""
+    """The cell's object in the output of ``--json``."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ _FLUSH_ROWS, _FLUSH_S = 500, 5.0
 """A batch is kept when it has so many rows, or is so old."""
 
 Told = Callable[[int], None]
-"""What is told of each trial that is done: the index of its cell."""
+"""Called for each trial that is done, with the index of its cell."""
 
 
 @dataclass(frozen=True)

@@ -48,9 +48,9 @@ TRACKERS: dict[str, dict[str, Any]] = {
 """All trackers of scans by name."""
 
 SEES_ALL = {"snr_m2": 1e9, "surest_detection": 0.999}
-"""Of ``ScanModelConfig`` where the detection model is off."""
+"""Fields of ``ScanModelConfig`` for a sensor without a detection model."""
 PRINTED_SURE_RANGE_M = 150.0
-"""Of ``ScanComparisonConfig.sure_range_m`` where Eq. 4 is read as printed."""
+"""Value of ``ScanComparisonConfig.sure_range_m`` if Eq. 4 is read as printed."""
 
 
 def lidar_config(
@@ -161,13 +161,13 @@ class TimedTracker:
 
 @dataclass(frozen=True, eq=False)
 class TimedAcquisition:
-    """What came of one scan."""
+    """Result of one scan, with its times."""
 
     acquisition: Acquisition
     acquire_s: float
-    """Up to the method's answer; of template matching its search alone."""
+    """Time up to the method's answer; for template matching, of its search alone."""
     icp_s: float | None
-    """Of the ICP after template matching; None where the method refines by itself."""
+    """Time of the ICP after template matching; None if the method refines by itself."""
     template: RigidTransform | None
     """T_sensor_target of the best template before ICP; None of other methods."""
 

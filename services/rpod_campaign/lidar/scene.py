@@ -1,4 +1,4 @@
-"""What is scanned: a target at a random attitude, and the scan of it."""
+"""Targets at random attitudes, and scans of them."""
 
 from dataclasses import replace
 from functools import lru_cache

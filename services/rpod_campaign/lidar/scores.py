@@ -11,12 +11,8 @@ from rpod_target import Target
 
 SUCCESS_DEG = 3.0
 """An attitude nearer than this is a success (2015 paper, section 4.2)."""
-
-
 RIGHT_M = 0.3
 """An accepted pose farther off than this is wrong, whatever its attitude."""
-
-
 ACQUISITION_SCHEMA: dict[str, Any] = {
     "truth": POSE,
     "found": POSE,

@@ -15,21 +15,21 @@ __all__ = ["SCHEMA", "AcquisitionCell", "run"]
 
 @dataclass(frozen=True)
 class AcquisitionCell:
-    """What is scanned, and which method looks for it."""
+    """A target that is scanned, and the method that looks for it."""
 
     target: str
     method: str
     eq4: str
     """Reading of Eq. 4: usual or printed."""
     sampling: str
-    """Of the attitudes: euler or so3."""
+    """Distribution of the attitudes: euler or so3."""
     centroid: str | None
-    """Position of template matching: plain or offset; None of other methods."""
+    """Position of template matching: plain or offset; None for other methods."""
     matcher: str | None
-    """ICP after template matching; None of other methods."""
+    """ICP after template matching; None for other methods."""
     range_m: float
     step_deg: float | None
-    """Of the template grid; None of other methods."""
+    """Step of the template grid; None for other methods."""
 
 
 def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:

@@ -14,8 +14,6 @@ from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
 from rpod_campaign.lidar_range.trial import RangeCell, lidar_of
 
 Results = Sequence[CellResult[RangeCell]]
-
-
 OBB_TM_1_DEG = {
     20.0: "about 0.69",
     30.0: "0.96",

@@ -27,7 +27,7 @@ class RangeCell:
     """on: the model of the 2015 paper; off: every ray that meets the target comes back."""
     scan_step_deg: float
     step_deg: float | None
-    """Of the template grid; None of other methods."""
+    """Step of the template grid; None for other methods."""
     range_m: float
 
 

@@ -16,7 +16,7 @@ __all__ = ["DISTURBANCES", "NOMINAL", "SCHEMA", "RobustnessCell", "run"]
 
 @dataclass(frozen=True)
 class Disturbance:
-    """How the scanned world differs."""
+    """Differences between the scanned world and the nominal one."""
 
     scale: float = 1.0
     """Size of the target over that of its model."""
@@ -49,7 +49,7 @@ class RobustnessCell:
     method: str
     disturbance: str
     step_deg: float | None
-    """Of the template grid; None of other methods."""
+    """Step of the template grid; None for other methods."""
     range_m: float
 
 

@@ -31,9 +31,9 @@ from rpod_schemas.types import Mode
 from rpod_sim_sensor.lidar import LidarEmulator
 
 OFF_DEG, OFF_M = 5.0, 0.3
-"""How far from the truth a single scan is tracked from."""
+"""Distance of a single scan's start from its truth."""
 FRAMES, SENSOR = 60, "lidar"
-"""Of a sequence, at 1 Hz."""
+"""Number of scans of a sequence, at 1 Hz, and name of the sensor."""
 _START, _TUMBLE = 1, 2
 """Streams of random numbers beside that of the pose."""
 
@@ -45,9 +45,9 @@ class TrackingCell:
     target: str
     tracker: str
     range_m: float | None
-    """Of single scans; None of sequences, which go round the safety ellipse of 25 to 53 m."""
+    """Range of single scans; None for sequences, which follow the safety ellipse of 25 to 53 m."""
     rate_deg_s: float | None
-    """Of sequences; None of single scans."""
+    """Rate of tumbling of sequences; None for single scans."""
 
 
 SCHEMA: dict[str, Any] = {

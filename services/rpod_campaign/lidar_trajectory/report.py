@@ -22,8 +22,6 @@ from rpod_campaign.lidar_trajectory.trial import INTERVAL_S, MATCHERS, POSITIONS
 from rpod_campaign.papers import paper_2015 as paper
 
 Results = Sequence[CellResult[TrajectoryCell]]
-
-
 _TUMBLE = ", ".join(f"{rate:g}" for rate in trial.TUMBLE_DEG_S)
 
 

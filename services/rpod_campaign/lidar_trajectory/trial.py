@@ -27,7 +27,7 @@ from rpod_target import Target
 
 POSITIONS, INTERVAL_S = 241, 50.0
 TUMBLE_DEG_S = (0.1, 0.2, 2.67)
-"""Of the target at the epoch, its own axes."""
+"""Rates of the target about its own axes at the epoch."""
 MATCHERS = {"nn": "nearest-neighbour", "ns": "normal-shooting"}
 """Columns of the ICPs and their names."""
 

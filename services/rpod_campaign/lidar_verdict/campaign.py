@@ -8,7 +8,7 @@ from rpod_campaign.lidar_verdict.report import sections, summarise
 from rpod_campaign.lidar_verdict.trial import VerdictCell
 
 _OTHERS = ("envisat-slim", "envisat-bulky", "mockup")
-"""What is scanned instead: a target of another size, and another object."""
+"""Targets that are scanned instead: one of another size, and another object."""
 
 
 def cells(options: Options) -> list[VerdictCell]:

@@ -18,20 +18,14 @@ from rpod_pose.ports import Outcome
 from rpod_schemas.arrays import FloatArray
 
 Results = Sequence[CellResult[VerdictCell]]
-
-
 Group = tuple[str, float]
 """Model, range in m."""
 
 
 MOST_WRONG_ACCEPTED, MOST_RIGHT_REJECTED = 0.02, 0.015
-"""What the verdict aims at, as shares of the wrong and of the right poses."""
-
-
+"""Aims of the verdict, as shares of the wrong and of the right poses."""
 F_MAX_M2 = 0.003
-"""Where the 2015 paper's Table 4 would have it: above all successes but one, below all failures."""
-
-
+"""Limit that the 2015 paper's Table 4 suggests: above all successes but one, below all failures."""
 SCORES = {
     "f_CONV": ("f_conv_m2", False),
     "deficit": ("deficit_per_return", False),

@@ -45,10 +45,10 @@ class VerdictCell:
     target: str
     """The model."""
     scanned_target: str
-    """What is scanned."""
+    """Name of the target that is scanned."""
     method: str
     step_deg: float | None
-    """Of the template grid; None of other methods."""
+    """Step of the template grid; None for other methods."""
     range_m: float
     """For the reference; scaled by the size of what is scanned."""
 

@@ -11,9 +11,7 @@ from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
 
 CALIBRATED_WIGGLING = 0.005
-"""What a calibration of the depth leaves of the third harmonic."""
-
-
+"""Share of the depth's third harmonic that a calibration leaves."""
 _FAMILY = "mockup-"
 
 

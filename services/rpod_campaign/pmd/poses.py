@@ -9,12 +9,8 @@ from rpod_target import Target
 
 SUCCESS_DEG, SUCCESS_M = 4.0, 0.08
 """A pose nearer than both is a success."""
-
-
 FRONT_DEG = 45.0
 """Half angle of the cone about the target's x axis from which its front is seen."""
-
-
 _ASIDE_M = 0.1
 """The middle of the target is drawn up to so far from the boresight, right or left, up or down."""
 

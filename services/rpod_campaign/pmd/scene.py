@@ -1,4 +1,4 @@
-"""What a camera sees in a scenario: frames at any time, with their truth."""
+"""Frames of a scenario's camera at any time, with their truth."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -37,7 +37,7 @@ class Shot:
     T_sensor_target: RigidTransform
     frame: PmdFrame
     seen: NDArray[np.bool_]
-    """Where the target is, shape (H, W)."""
+    """Pixels that see the target, shape (H, W)."""
 
     @property
     def depth_share(self) -> float:

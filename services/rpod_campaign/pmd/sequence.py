@@ -27,7 +27,8 @@ from rpod_schemas.poses import pose_error
 from rpod_schemas.types import PmdFrame
 
 START_DEG, START_M = 2.0, 0.03
-"""How far off the first frame's guess is, in random directions: the paper has it known (section 3)."""
+"""Distance of the first frame's guess from the truth, in random directions; the paper takes the first pose as
+known (section 3)."""
 _START = 13
 """Stream of random numbers."""
 FRAME = "frame"
@@ -41,7 +42,7 @@ class SequenceCell:
     scenario: str
     method: str
     radius_px: int | None
-    """Of the neighbour search at first; None of methods that have none."""
+    """First radius of the neighbour search; None for methods without one."""
     frames: str
     """keyframes or full."""
     through: str
@@ -52,7 +53,7 @@ class SequenceCell:
     target: str
     """The scenario's."""
     case: str = ""
-    """What the campaign calls this world, or this light."""
+    """The campaign's name for this world, or for this light."""
     world: World = NOMINAL
 
 
@@ -83,13 +84,13 @@ SCHEMA: dict[str, Any] = {
 
 
 class Answer(NamedTuple):
-    """What is made of a frame."""
+    """Result of one frame."""
 
     T_sensor_target: RigidTransform
     """The estimate; where nothing was measured, what is gone on with."""
     measured: bool
     covariance: FloatArray
-    """Of (dp, dtheta) in the sensor's axes, shape (6, 6); NaN where unknown."""
+    """Covariance of (dp, dtheta) in the sensor's axes, shape (6, 6); NaN if unknown."""
     reason: str = ""
     inliers: int = 0
     iterations: int = 0

@@ -1,4 +1,4 @@
-"""How the world that the camera looks at differs from what the estimator knows of it."""
+"""Differences between the world that the camera looks at and the estimator's model of it."""
 
 from dataclasses import dataclass, replace
 
@@ -20,7 +20,7 @@ _MOST_GLINTS = 400
 
 @dataclass(frozen=True)
 class World:
-    """What differs; the default is what the estimator assumes."""
+    """Differences; the default has none."""
 
     cad_error_m: float = 0.0
     """Standard deviation of the parts' places and of their sizes along each axis."""
@@ -29,9 +29,9 @@ class World:
     scale: float = 1.0
     """Size over what is drawn."""
     depth_lost_share: float = 0.0
-    """Of the image, in patches; the amplitude lives on."""
+    """Share of the image without depth, in patches; the amplitude stays."""
     glint_share: float = 0.0
-    """Of the target's pixels that glints take both images from."""
+    """Share of the target's pixels where glints leave neither depth nor amplitude."""
 
 
 NOMINAL = World()

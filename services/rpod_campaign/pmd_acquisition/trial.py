@@ -18,25 +18,23 @@ from rpod_pose.methods import pmd_methods, warm_up
 from rpod_pose.ports import Methods
 
 WIDE_DEG, WIDE_M = 25.0, 0.5
-"""How far off a wide start is."""
-
-
+"""Distance of a wide start from the truth."""
 _START = 1
 """Stream of random numbers beside that of the pose."""
 
 
 @dataclass(frozen=True)
 class AcquisitionCell:
-    """What is looked for, and from where."""
+    """A target, a method, and the view and start of the trials."""
 
     view: str
     """front: within FRONT_DEG of the target's front; all: attitudes uniform on SO(3)."""
     start: str
     """none; or wide: from WIDE_DEG and WIDE_M off."""
     method: str
-    """Of the tracker behind the search."""
+    """Name of the tracking method behind the search."""
     range_m: tuple[float, float]
-    """From and to; of the target's middle, uniform."""
+    """Least and greatest range of the target's middle; uniform between them."""
     document: str = field(repr=False)
     """The scenario with camera and sun, as JSON."""
     target: str

@@ -25,8 +25,6 @@ class Case:
 
 
 _1_MM = 1e-3
-
-
 CASES: Mapping[str, Case] = {
     "nominal": Case("as the estimator assumes", World()),
     "cad-1mm": Case("parts 1 mm off in place and size", World(cad_error_m=_1_MM)),

@@ -19,8 +19,6 @@ from rpod_schemas.config.base import check
 from rpod_schemas.config.scenario import Scenario
 
 _ANGLES_DEG = (0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0)
-
-
 _AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
 
 

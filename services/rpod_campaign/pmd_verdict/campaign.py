@@ -19,7 +19,7 @@ _AS_BUILT = World(cad_error_m=1e-3)
 
 @dataclass(frozen=True)
 class Case:
-    """What a frame shows, and how it is spoiled."""
+    """Content of a frame, and how it differs from the target as it is."""
 
     world: World = _AS_BUILT
     target: str | None = None

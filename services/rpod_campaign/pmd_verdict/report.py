@@ -12,8 +12,6 @@ from rpod_campaign.engine.report.statistics import rate
 from rpod_campaign.pmd_verdict.trial import OFF_DEG, OFF_M, VerdictCell
 
 Results = Sequence[CellResult[VerdictCell]]
-
-
 _JUDGES = ("acquisition", "tracker")
 
 

@@ -35,28 +35,28 @@ from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import Target
 
 OFF_DEG, OFF_M = 1.0, 0.01
-"""How far off the tracker starts."""
+"""Distance of the tracker's start from the truth."""
 _DRAW, _START, _SUN = 0, 1, 2
 """Streams of random numbers."""
 _EXACT = PmdCheckConfig(tolerance_m=0.03)
-"""What two images without noise may differ by and still be one."""
+"""Tolerance within which two images without noise count as the same."""
 _EVERY = 3
 """Pixels that they are compared on, as the tracker does at 5 m: what is left of the pose's error is less."""
 
 Flip = Callable[[NDArray[Any]], NDArray[Any]]
 FLIPS: Mapping[str, Flip] = {"": np.asarray, "left-right": np.fliplr, "upside-down": np.flipud}
-"""How images are mirrored."""
+"""Ways to mirror images, by name."""
 
 
 @dataclass(frozen=True)
 class VerdictCell:
-    """What is shown."""
+    """Content of the frames, and the target that is looked for."""
 
     case: str
     document: str = field(repr=False)
     """The scenario with the camera, as JSON; its target is looked for."""
     target: str
-    """What is really there."""
+    """Name of the target that is really there."""
     range_m: tuple[float, float]
     """From and to; of the target's middle, uniform."""
     world: World

@@ -32,7 +32,7 @@ TAU = "tau"
 
 @dataclass(frozen=True)
 class TauCell:
-    """What is scanned, and which values of tau are compared."""
+    """A target that is scanned, and the values of tau that are compared."""
 
     target: str
     step_deg: float

@@ -44,7 +44,7 @@ class Job:
     cells: str
     """Digest of the cells that the options make."""
     software: Mapping[str, str]
-    """What has to be the same here as there."""
+    """Versions and digests that have to be the same on both sides."""
     targets: Mapping[str, str]
     """Digests by name."""
     folder: str
@@ -60,13 +60,13 @@ class Answer(NamedTuple):
     """Whether a worker may run a job's trials."""
 
     refusal: str
-    """Why not; empty if it may."""
+    """Reason why it may not; empty if it may."""
     missing: tuple[str, ...]
     """Names of the targets that have to be sent to it first."""
 
 
 class Delivery(NamedTuple):
-    """What came of a batch."""
+    """Result of a batch."""
 
     trials: tuple[int, ...]
     """Numbers of the trials that finished."""

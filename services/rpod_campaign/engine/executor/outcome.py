@@ -41,13 +41,13 @@ class Failure:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a batch: the rows of the trials that finished, and the exception that ended it."""
+    """Result of a batch: the rows of the trials that finished, and the exception that ended it."""
 
     cell: int
     trials: tuple[int, ...]
     """Numbers of the trials that finished."""
     rows: tuple[Row, ...]
-    """Of these, with cell and trial in front."""
+    """Rows of these, with cell and trial in front."""
     took_s: float
     """Wall clock time of the batch."""
     failure: Failure | None = None

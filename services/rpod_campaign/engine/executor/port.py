@@ -31,7 +31,7 @@ class Finished(NamedTuple):
 
 @dataclass(frozen=True)
 class Work:
-    """What an executor has to know of a campaign."""
+    """A campaign as an executor needs it."""
 
     campaign: AnyCampaign
     options: Options

@@ -42,7 +42,7 @@ class Section:
 
     title: str
     note: str = ""
-    """What the reader has to know of it."""
+    """Explanation for the reader."""
     tables: tuple[Table, ...] = ()
     figures: tuple[Any, ...] = ()
     """Plotly figures."""

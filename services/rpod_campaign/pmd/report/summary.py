@@ -1,4 +1,4 @@
-"""What is said of a sequence of images."""
+"""The summary of a sequence of images."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,12 +12,8 @@ from rpod_campaign.engine.report.statistics import mean, quantile
 from rpod_campaign.pmd.sequence import SequenceCell
 
 Results = Sequence[CellResult[SequenceCell]]
-
-
 AXES = ("roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m")
-"""Of the errors: attitude in target axes, position in the sensor's (ICD section 1)."""
-
-
+"""Columns of the errors: attitude in target axes, position in the sensor's (ICD section 1)."""
 OTHER_AXES = (
     "sensor_roll_deg", "sensor_pitch_deg", "sensor_yaw_deg", "target_x_m", "target_y_m", "target_z_m",
 )  # fmt: skip
@@ -25,7 +21,7 @@ OTHER_AXES = (
 
 
 def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a sequence; RMS over all frames, those where the last pose stayed included."""
+    """Return the summary of a sequence; RMS over all frames, also those that kept the last pose."""
     known = rows.filter(pl.col("nees").is_finite())["nees"]
     return {
         "scenario": cell.scenario,
