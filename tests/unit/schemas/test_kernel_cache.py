@@ -20,7 +20,7 @@ KERNEL = """
 from numba import njit
 
 from rpod_analysis.log.log_file import beside
-from rpod_analysis.campaign.trials.scores import numbers
+from rpod_campaign.engine.trial.poses import numbers
 from rpod_tiny.between import twice
 from rpod_tiny.numbers import OFFSET
 from rpod_tiny.numbers import Place
