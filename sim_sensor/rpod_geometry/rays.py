@@ -41,6 +41,15 @@ class GridArrays(NamedTuple):
     rows: Envelope
 
 
+class RenderBuffers(NamedTuple):
+    """What each ray of a grid meets first, as the kernels take it."""
+
+    range_m: Float32Array
+    """Distance along the ray, shape (rows, columns), inf where it meets nothing."""
+    triangle: NDArray[np.int32]
+    """Index of the triangle, shape (rows, columns), -1 where it meets nothing."""
+
+
 @dataclass(frozen=True, eq=False)
 class RayGrid:
     """Rays of a sensor, in rows and columns, with what bounds a triangle in rows and columns.
@@ -128,6 +137,11 @@ class Hits:
     def of(cls, grid: RayGrid) -> Self:
         """Return buffers for the hits of a grid, without any hit."""
         return cls(np.full(grid.shape, np.inf, np.float32), np.full(grid.shape, -1, np.int32))
+
+    @property
+    def arrays(self) -> RenderBuffers:
+        """The same as the kernels take it."""
+        return RenderBuffers(self.range_m, self.triangle)
 
 
 def cast(

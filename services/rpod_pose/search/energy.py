@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numba import njit
 
-from rpod_pose.registration.surface_model import Field
+from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.search.view_model import Points, view_of
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -49,7 +49,7 @@ def energies(
     *,
     seen: Returns,
     points: Points,
-    squares: Field,
+    squares: FieldArrays,
     image: Image,
     detection: tuple[float, FloatArray],
     returns: int,

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_pose.registration.closest_point import Surface
-from rpod_pose.registration.surface_model import Field
+from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.search.attitude_grid import BORESIGHT, even_directions
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import make_pose
@@ -54,11 +54,13 @@ class ViewModel:
     """Of what is seen from far away in each direction, shape (VIEWS, 3)."""
     anchors_m: FloatArray
     """The origin, and centres of the surface's regions, shape (1 + ANCHORS, 3)."""
-    squares: Field
+    squares: FieldArrays
     """Origin, spacing, and values of the squared distance field, truncated."""
 
     @classmethod
-    def of(cls, target: Target, coarse_field: Field, *, count: int, few: int, truncation_m: float) -> Self:
+    def of(
+        cls, target: Target, coarse_field: FieldArrays, *, count: int, few: int, truncation_m: float
+    ) -> Self:
         """Return the model of a target with at most ``count`` points, and ``few``."""
         origin_m, spacing_m, distances_m = coarse_field
         scale_m = np.sqrt(spacing_m * target.radius_m) / 4.0  # so that both sides of a panel are kept
@@ -88,7 +90,7 @@ class ViewModel:
             cube,
             centroids_m,
             np.vstack((np.zeros(3), regions_m)),
-            (origin_m, spacing_m, squares),
+            FieldArrays(origin_m, spacing_m, squares),
         )
 
 
