@@ -203,6 +203,7 @@ class ScanSearch:
         A scan that the field of view cuts off shows any region of the target: each is tried.
         """
         views = self._model.views
+        offsets_m: FloatArray | Float32Array
         if self.seen.cut_off:
             attitudes = np.repeat(attitudes, len(views.anchors_m), axis=0)
             offsets_m = np.tile(views.anchors_m, (len(attitudes) // len(views.anchors_m), 1))

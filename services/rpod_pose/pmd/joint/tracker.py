@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
 from rpod_pose.pmd.depth_view import DepthView
-from rpod_pose.pmd.frame_check import Contradictions, contradictions
+from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.edge_consistency import edge_doubt, edges_in_place, scale_doubt
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.fit import (
@@ -183,7 +183,7 @@ class JointTracker:
         rendered = Rendering(
             *buffers, view.coarse, view.stride, view.camera.fx, self._model.triangles_m, R, t
         )
-        images = seen.range_m, seen.sigma_m, seen.shade
+        images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
         return contradictions(images, rendered, self._config.check, typical=seen.typical, bias_m=bias_m)
 
     def _fills(self, seen: JointFrame, t: FloatArray) -> float:

@@ -14,6 +14,8 @@ from rpod_pose.pmd.paper_2018.icp_reverse_calibration import (
     DIRECT,
     NEAREST,
     NO_MATCH,
+    DepthPixels,
+    MatchReach,
     Pairs,
     ReverseCalibrationIcp,
     find_matches,
@@ -226,7 +228,9 @@ SLOPES = np.stack(np.meshgrid(np.arange(20) / 100.0 - 0.1, np.arange(20) / 100.0
 def matches(depth, *, at=(0.0, 0.0, 5.0), radius=3, direct=0.2, gate=10.0):
     point = np.array([at])
     pixel = 100.0 * (point[:, :2] / point[:, 2:] + 0.1)
-    measured, kind = find_matches(point, pixel, (depth.astype(np.float32), SLOPES), radius, (direct, gate))
+    measured, kind = find_matches(
+        point, pixel, DepthPixels(depth.astype(np.float32), SLOPES), MatchReach(radius, direct, gate)
+    )
     return measured[0], kind[0]
 
 
