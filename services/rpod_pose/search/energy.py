@@ -98,7 +98,7 @@ def energies(
         np.float32(truncation_m**2),
     )
     field = FieldArrays(
-        squares.origin_m.astype(np.float32),  # type: ignore[arg-type] - all in single precision here
+        squares.origin_m.astype(np.float32),
         np.float32(squares.spacing_m),  # type: ignore[arg-type]
         squares.values,
     )

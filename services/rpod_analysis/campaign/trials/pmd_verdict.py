@@ -23,7 +23,7 @@ from rpod_analysis.campaign.trials.scene import cached_target, stream
 from rpod_analysis.campaign.trials.scores import POSE, errors, numbers
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.methods import pmd_methods, warm_up
-from rpod_pose.pmd.frame_check import contradictions
+from rpod_pose.pmd.frame_check import SeenPixels, contradictions
 from rpod_pose.pmd.rendering import Rendering
 from rpod_pose.ports import Methods
 from rpod_pose.verification import doubt
@@ -167,7 +167,8 @@ def _alike(seen_m: FloatArray, camera: Camera, target: Target, pose: RigidTransf
     seen_m = seen_m[::_EVERY, ::_EVERY]
     measured_m = np.where(np.isfinite(seen_m), seen_m, np.nan)
     shade = np.where(np.isfinite(seen_m), 1.0, 0.1)
-    there = contradictions((measured_m, np.zeros(seen_m.shape), shade), expected, _EXACT, typical=1.0)
+    seen = SeenPixels(measured_m, np.zeros(seen_m.shape), shade)
+    there = contradictions(seen, expected, _EXACT, typical=1.0)
     return not there.doubt(_EXACT)
 
 
