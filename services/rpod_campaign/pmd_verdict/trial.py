@@ -24,7 +24,7 @@ from rpod_campaign.pmd.scene import Stage, camera_of, off, scenario_of, still
 from rpod_campaign.pmd.world import World
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.methods import pmd_methods, warm_up
-from rpod_pose.pmd.frame_check import contradictions
+from rpod_pose.pmd.frame_check import SeenPixels, contradictions
 from rpod_pose.pmd.rendering import Rendering
 from rpod_pose.ports import Methods
 from rpod_schemas.arrays import FloatArray
@@ -168,7 +168,8 @@ def _alike(seen_m: FloatArray, camera: Camera, target: Target, pose: RigidTransf
     seen_m = seen_m[::_EVERY, ::_EVERY]
     measured_m = np.where(np.isfinite(seen_m), seen_m, np.nan)
     shade = np.where(np.isfinite(seen_m), 1.0, 0.1)
-    there = contradictions((measured_m, np.zeros(seen_m.shape), shade), expected, _EXACT, typical=1.0)
+    seen = SeenPixels(measured_m, np.zeros(seen_m.shape), shade)
+    there = contradictions(seen, expected, _EXACT, typical=1.0)
     return not there.reason(_EXACT)
 
 
