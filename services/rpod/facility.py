@@ -85,6 +85,7 @@ def _settings(scenario: Scenario) -> EstimatorSettings:
             update={
                 "azimuth_rad": patterns[sensor.name].azimuth_rad,
                 "elevation_rad": patterns[sensor.name].elevation_rad,
+                "sigma_range_m": patterns[sensor.name].info().sigma_range_m,
             }
         )
         if isinstance(sensor, LidarInput)

@@ -70,12 +70,12 @@ def lidar_methods(sensor: LidarInput, target: Target, pattern: ScanPattern) -> M
     rays = {"azimuth_rad": pattern.azimuth_rad, "elevation_rad": pattern.elevation_rad}
     tracker: Tracker[LidarScan]
     if isinstance(sensor.tracking, ProjectiveIcpConfig):
-        tracker = ProjectiveIcp(sensor.tracking, target, **rays)
+        tracker = ProjectiveIcp(sensor.tracking, target, **rays, sigma_range_m=pattern.sigma_range_m)
     else:
         tracker = NearestNeighbourIcp(sensor.tracking, target, **rays)
     acquirer: Acquirer[LidarScan]
     if isinstance(sensor.acquisition, GlobalSearchConfig):
-        acquirer = GlobalSearch(sensor.acquisition, target, **rays)
+        acquirer = GlobalSearch(sensor.acquisition, target, **rays, sigma_range_m=pattern.sigma_range_m)
     else:
         search = OnlineTemplateMatching(sensor.acquisition, target, **rays)
         acquirer = VerifiedSearch(search, tracker, sensor.verification)
@@ -86,7 +86,7 @@ def configured_pattern(sensor: SensorInput) -> ScanPattern | None:
     """Return the scan pattern that the configuration tells."""
     if not isinstance(sensor, LidarInput) or sensor.azimuth_rad is None or sensor.elevation_rad is None:
         return None
-    return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad)
+    return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad, sigma_range_m=sensor.sigma_range_m or 0.0)
 
 
 def warm_up(methods: Methods, target: Target, pattern: ScanPattern | None) -> None:

@@ -5,6 +5,7 @@ from typing import Self
 
 import numpy as np
 
+from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.distance_field import field_arrays
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -22,7 +23,7 @@ class SurfaceModel:
     """A target's faces and field, as the kernels take them."""
 
     faces: Faces
-    """Triangles (T, 3, 3), normals (T, 3), offsets of their planes (T,), reflectivities (T,)."""
+    """Triangles (T, 3, 3), normals (T, 3), offsets of their planes (T,), albedos of their classes (T,)."""
     coarse_field: Field
     """Origin, spacing and values of the distance field, at every few nodes: it stays in a cache."""
 
@@ -33,13 +34,12 @@ class SurfaceModel:
         Raises:
             rpod_target.TargetError: the target has no distance field.
         """
-        reflectivity = np.array([material.reflectivity for material in target.materials])
         offsets_m = np.einsum("ij,ij->i", target.normals, target.triangles_m[:, 0])
         triangles_m = np.ascontiguousarray(target.triangles_m)
         normals = np.ascontiguousarray(target.normals)
         origin_m, spacing_m, values = field_arrays(target)
         coarse = values[::COARSE_CELLS, ::COARSE_CELLS, ::COARSE_CELLS].copy()
         return cls(
-            (triangles_m, normals, offsets_m, reflectivity[target.triangle_material]),
+            (triangles_m, normals, offsets_m, albedos(target)),
             (origin_m, COARSE_CELLS * spacing_m, coarse),
         )

@@ -31,19 +31,26 @@ def add_veils(
         world: which share is spread, and how far.
     """
     width = charge_e.shape[1]
-    if world.bounced_share:
+    if world.bounced_share:  # from surface to surface: the sky stays dark
         turns = 2.0 * np.array(config.frequencies_hz) / constants.c * world.detour_m
-        _spread(modulated_e, charge_e, world.bounced_share, width * world.bounced_radius, turns)
+        share = np.where(charge_e > 0.0, np.float32(world.bounced_share), np.float32(0.0))
+        _spread(modulated_e, charge_e, share, width * world.bounced_radius, turns)
     if world.glare_share:
         turns = np.zeros(len(config.frequencies_hz))
-        _spread(modulated_e, charge_e, world.glare_share, width * world.glare_radius, turns)
+        share = np.full_like(charge_e, world.glare_share)
+        _spread(modulated_e, charge_e, share, width * world.glare_radius, turns)
 
 
 def _spread(
-    modulated_e: Float32Array, charge_e: Float32Array, share: float, radius_px: float, turns: FloatArray
+    modulated_e: Float32Array,
+    charge_e: Float32Array,
+    share: Float32Array,
+    radius_px: float,
+    turns: FloatArray,
 ) -> None:
-    halo = _halo(charge_e, radius_px)
-    charge_e *= 1.0 - share
+    """Replace a share of each pixel's light, shape (H, W), by that of its surroundings, delayed by turns."""
+    kept, halo = 1.0 - share, _halo(charge_e, radius_px)
+    charge_e *= kept
     charge_e += share * halo
     for number, delay in enumerate(turns):
         quad = modulated_e[SAMPLES * number : SAMPLES * (number + 1)]
@@ -51,7 +58,7 @@ def _spread(
         sine = _halo(0.5 * (quad[2] - quad[3]), radius_px)
         c, s = np.cos(2.0 * np.pi * delay), np.sin(2.0 * np.pi * delay)
         late = (c * cosine - s * sine, s * cosine + c * sine)
-        quad *= 1.0 - share
+        quad *= kept
         for k, sign in enumerate((1.0, -1.0)):
             quad[k] += sign * share * late[0]
             quad[2 + k] += sign * share * late[1]
