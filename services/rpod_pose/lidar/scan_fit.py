@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from rpod_geometry.rays import cast
+from rpod_pose.belief import Belief, contradicted
 from rpod_pose.lidar.detection import LINEAR_RUNGS, detection, expected_shares
 from rpod_pose.lidar.scan_likelihood import (
     Assumptions,
@@ -132,18 +133,25 @@ class ScanModel:
         """Return ``energy.Detection`` of a scan: steps of the table a unit of echo, and the table."""
         return LINEAR_RUNGS * seen.middle_m**2, self._shares
 
-    def doubt(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> str:
-        """Return why a pose does not explain a scan, whose fit is known; empty if it does."""
+    def belief(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> Belief:
+        """Return whether a pose, whose fit is known, explains a scan."""
+        rays = fit.agreement
+        evidence = {
+            "deficit": fit.deficit,
+            "deficit_sigma": fit.deviation,
+            "returns": float(seen.returns),
+            "agreeing_share": rays.share,
+        }
         if self._content(fit, seen.returns):
-            return ""
+            return Belief(evidence=evidence)
         less = _fit(judged(_returns(seen), R, t, self._rays, self._pessimistic))
         if self._content(less, seen.returns):
-            return ""
-        rays = fit.agreement
-        return (
+            return Belief(evidence=evidence)
+        reason = (
             f"does not explain the scan: of {seen.returns} returns {rays.contrary} contradict the pose, "
             f"{rays.missing:.0f} more are missing"
         )
+        return contradicted(reason, **evidence)
 
     def _content(self, fit: ScanFit, returns: int) -> bool:
         verdict = self._verdict
