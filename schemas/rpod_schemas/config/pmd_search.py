@@ -34,7 +34,7 @@ class PmdModelConfig(Config):
     """What is expected of the pixels of a frame under the right pose; it need not be exact."""
 
     sigma_m: Positive = 0.04
-    """Standard deviation of a depth but for its noise: uncalibrated wiggling."""
+    """Standard deviation of a depth but for its noise: uncalibrated wiggling, as ``JointDepthConfig.raw``."""
     most_noise_m: Positive = 0.1
     """Noise, as neighbouring pixels tell it, is never taken for more."""
     slack_m: Positive = 0.015

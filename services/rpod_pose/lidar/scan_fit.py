@@ -12,7 +12,6 @@ nothing but chance, a wrong one lacks several units a return.
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,12 +63,7 @@ class Agreement:
     contrary: int
     """Returns where none was predicted, or at another range."""
     missing: float
-    """Predicted returns that are lacking beyond what P_D lets expect."""
-
-    @classmethod
-    def of(cls, agreeing: int, contrary: int, missed: float, expected_missed: float) -> Self:
-        """Return the agreement of counted rays: an excess of one standard deviation is left to chance."""
-        return cls(agreeing, contrary, max(0.0, missed - expected_missed - sqrt(expected_missed)))
+    """Predicted returns that are lacking beyond what their echoes let expect."""
 
     @property
     def share(self) -> float:
@@ -123,7 +117,7 @@ class ScanModel:
 
     def agreement(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Agreement:
         """Return that part of ``fit`` alone, which takes half its time."""
-        return Agreement.of(*agreed(_returns(seen), R, t, self._rays, self._assumed))
+        return Agreement(*agreed(_returns(seen), R, t, self._rays, self._assumed))
 
     def log_likelihood(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> float:
         """Return that part of ``fit`` alone."""
@@ -195,9 +189,9 @@ class ScanModel:
 
 
 def _fit(told: Judgement) -> ScanFit:
-    counts = told.agreeing, told.contrary, told.missed, told.expected_missed
+    counts = told.agreeing, told.contrary, told.missing
     deficit = told.expected - told.log_likelihood
-    return ScanFit(told.log_likelihood, deficit, sqrt(told.variance), Agreement.of(*counts))
+    return ScanFit(told.log_likelihood, deficit, sqrt(told.variance), Agreement(*counts))
 
 
 def _returns(seen: SeenScan) -> Returns:

@@ -86,10 +86,8 @@ class Judgement(NamedTuple):
     """Returns that the predicted face explains better than clutter does."""
     contrary: int
     """Other returns."""
-    missed: float
-    """Rays that meet a face and did not come back."""
-    expected_missed: float
-    """How many of these were to be expected."""
+    missing: float
+    """Rays that meet a face and did not come back, beyond the number that is expected of their echo."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -107,7 +105,7 @@ def judged(returns, R, t, rays, assumed):  # type: ignore[no-untyped-def]
     told, power = _log_likelihood(returns, R, rays, assumed)
     mean, variance = _expectation(returns, R, rays, assumed, power)
     counts = _agreement(returns, R, rays, assumed, power)
-    return Judgement(told, mean, variance, counts[0], counts[1], counts[2], counts[3])
+    return Judgement(told, mean, variance, counts[0], counts[1], counts[2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -119,7 +117,7 @@ def log_likelihood(returns, R, t, rays, assumed):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def agreed(returns, R, t, rays, assumed):  # type: ignore[no-untyped-def]
-    """Return the counts of ``judged`` alone: agreeing, contrary, missed, expected to be missed."""
+    """Return the counts of ``judged`` alone: agreeing, contrary, missing."""
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
     power = _log_likelihood(returns, R, rays, assumed)[1]
     return _agreement(returns, R, rays, assumed, power)
@@ -216,8 +214,13 @@ def _expectation(returns, R, rays, assumed, power):  # type: ignore[no-untyped-d
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _agreement(returns, R, rays, assumed, power):  # type: ignore[no-untyped-def]
-    """Return how many returns agree, how many contradict, how many lack, and how many were expected to."""
-    agreeing, contrary, missed, expected_missed = 0, 0, 0.0, 0.0
+    """Return how many returns agree, how many contradict, and how many are missing.
+
+    What is missing is counted for each echo apart: no sensor loses bright surfaces and returns dark ones. One
+    standard deviation of each number is left to chance.
+    """
+    agreeing, contrary = 0, 0
+    missed, expected = np.zeros(RUNGS), np.zeros(RUNGS)
     for i in range(rays.face.shape[0]):
         for j in range(rays.face.shape[1]):
             m = returns.range_m[i, j]
@@ -225,14 +228,17 @@ def _agreement(returns, R, rays, assumed, power):  # type: ignore[no-untyped-def
                 contrary += m > 0.0
                 continue
             r, cosine, rung = _met(returns, R, rays, i, j)
-            expected_missed += 1.0 - assumed.detection.share[power, rung]
+            expected[rung] += 1.0 - assumed.detection.share[power, rung]
             if m <= 0.0:
-                missed += 1.0
+                missed[rung] += 1.0
             elif _density(m - r, cosine, assumed) > assumed.clutter_density:
                 agreeing += 1
             else:
                 contrary += 1
-    return agreeing, contrary, missed, expected_missed
+    missing = 0.0
+    for rung in range(RUNGS):
+        missing += max(0.0, missed[rung] - expected[rung] - np.sqrt(expected[rung]))
+    return agreeing, contrary, missing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -90,7 +90,7 @@ def test_the_truth_is_never_contradicted_by_sensors_that_nobody_described(world,
     refused = 0
     for seed in range(20):
         T = random_pose(seed, range_m)
-        refused += doubt(T, scan_of(emulator.scan([T], frame=seed).points_m)) != ""
+        refused += reason_against(T, scan_of(emulator.scan([T], frame=seed).points_m)) != ""
     assert refused <= 1
 
 
