@@ -38,21 +38,36 @@ _WRAPPING = PmdInfo(
 """Of a camera whose distances are to be unwrapped."""
 
 
+LEAST_BIAS_M = 0.001
+"""Least standard deviation of the bias that ranges keep: no calibration holds better than this for long."""
+
+
 def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
     """Return the methods for a PMD camera."""
     tracker = _pmd_tracker(sensor, target)
     finisher = tracker
     if not isinstance(tracker, JointTracker):
-        finisher = JointTracker(JointConfig(), target, calibrated=sensor.calibration is not None)
+        finisher = _joint(JointConfig(), sensor, target)
     acquirer = ViewSearch(sensor.acquisition, target, finisher)
     preparation = DepthPreparation(sensor, target)
     return Methods(PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation))
 
 
+def _joint(config: JointConfig, sensor: PmdInput, target: Target) -> JointTracker:
+    """Return the joint tracker; what a calibration says that it left of the ranges' bias is believed."""
+    calibration = sensor.calibration
+    if calibration is not None and calibration.evidence is not None:
+        bias_m = max(calibration.evidence.bias_after_m, LEAST_BIAS_M)
+        left = config.depth.calibrated.model_copy(update={"bias_m": bias_m})
+        depth = config.depth.model_copy(update={"calibrated": left})
+        config = config.model_copy(update={"depth": depth})
+    return JointTracker(config, target, calibrated=calibration is not None)
+
+
 def _pmd_tracker(sensor: PmdInput, target: Target) -> Tracker[PmdFrame]:
     match sensor.tracking:
         case JointConfig() as config:
-            return JointTracker(config, target, calibrated=sensor.calibration is not None)
+            return _joint(config, sensor, target)
         case IcpReverseCalibrationConfig() as config:
             return ReverseCalibrationIcp(config, target)
         case SignedDistanceConfig() as config:
