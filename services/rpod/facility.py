@@ -56,6 +56,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 bus=bus,
                 target=scenario.target,
                 sensors=scenario.sensors,
+                world=scenario.world,
                 seed=scenario.seed,
                 publish_samples=scenario.publish_samples,
                 await_start=True,
@@ -85,6 +86,7 @@ def _settings(scenario: Scenario) -> EstimatorSettings:
             update={
                 "azimuth_rad": patterns[sensor.name].azimuth_rad,
                 "elevation_rad": patterns[sensor.name].elevation_rad,
+                "sigma_range_m": patterns[sensor.name].info().sigma_range_m,
             }
         )
         if isinstance(sensor, LidarInput)

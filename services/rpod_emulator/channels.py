@@ -23,6 +23,7 @@ from rpod_schemas.types import LidarScan, PmdFrame
 from rpod_sim_sensor.errors import SimSensorError
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.pmd import PmdEmulator, PmdExposure
+from rpod_sim_sensor.worlds import world_of
 from rpod_target import Target
 
 
@@ -51,7 +52,7 @@ class PmdChannel:
         self.sensor = sensor
         self._seed = config.seed
         self._with_samples = config.publish_samples
-        self._emulator = PmdEmulator(sensor, target, seed=config.seed)
+        self._emulator = PmdEmulator(sensor, target, seed=config.seed, world=world_of(config.world))
         self._spare: list[PmdExposure] = []
         self._announced_s = sensor.integration_time_s
         self._publisher = CameraPublisher(
@@ -94,7 +95,7 @@ class LidarChannel:
     def __init__(self, node: Node, config: EmulatorConfig, sensor: LidarConfig, target: Target) -> None:
         self.sensor = sensor
         self._seed = config.seed
-        self._emulator = LidarEmulator(sensor, target, seed=config.seed)
+        self._emulator = LidarEmulator(sensor, target, seed=config.seed, world=world_of(config.world))
         self._publisher = LidarPublisher(
             node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
         )

@@ -38,21 +38,36 @@ _WRAPPING = PmdInfo(
 """Of a camera whose distances are to be unwrapped."""
 
 
+LEAST_BIAS_M = 0.001
+"""Least standard deviation of the bias that ranges keep: no calibration holds better than this for long."""
+
+
 def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
     """Return the methods for a PMD camera."""
     tracker = _pmd_tracker(sensor, target)
     finisher = tracker
     if not isinstance(tracker, JointTracker):
-        finisher = JointTracker(JointConfig(), target, calibrated=sensor.calibration is not None)
+        finisher = _joint(JointConfig(), sensor, target)
     acquirer = ViewSearch(sensor.acquisition, target, finisher)
     preparation = DepthPreparation(sensor, target)
     return Methods(PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation))
 
 
+def _joint(config: JointConfig, sensor: PmdInput, target: Target) -> JointTracker:
+    """Return the joint tracker; what a calibration says that it left of the ranges' bias is believed."""
+    calibration = sensor.calibration
+    if calibration is not None and calibration.evidence is not None:
+        bias_m = max(calibration.evidence.bias_after_m, LEAST_BIAS_M)
+        left = config.depth.calibrated.model_copy(update={"bias_m": bias_m})
+        depth = config.depth.model_copy(update={"calibrated": left})
+        config = config.model_copy(update={"depth": depth})
+    return JointTracker(config, target, calibrated=calibration is not None)
+
+
 def _pmd_tracker(sensor: PmdInput, target: Target) -> Tracker[PmdFrame]:
     match sensor.tracking:
         case JointConfig() as config:
-            return JointTracker(config, target, calibrated=sensor.calibration is not None)
+            return _joint(config, sensor, target)
         case IcpReverseCalibrationConfig() as config:
             return ReverseCalibrationIcp(config, target)
         case SignedDistanceConfig() as config:
@@ -68,12 +83,12 @@ def lidar_methods(sensor: LidarInput, target: Target, pattern: ScanPattern) -> M
     rays = {"azimuth_rad": pattern.azimuth_rad, "elevation_rad": pattern.elevation_rad}
     tracker: Tracker[LidarScan]
     if isinstance(sensor.tracking, ProjectiveIcpConfig):
-        tracker = ProjectiveIcp(sensor.tracking, target, **rays)
+        tracker = ProjectiveIcp(sensor.tracking, target, **rays, sigma_range_m=pattern.sigma_range_m)
     else:
         tracker = NearestNeighbourIcp(sensor.tracking, target, **rays)
     acquirer: Acquirer[LidarScan]
     if isinstance(sensor.acquisition, GlobalSearchConfig):
-        acquirer = GlobalSearch(sensor.acquisition, target, **rays)
+        acquirer = GlobalSearch(sensor.acquisition, target, **rays, sigma_range_m=pattern.sigma_range_m)
     else:
         search = OnlineTemplateMatching(sensor.acquisition, target, **rays)
         acquirer = VerifiedSearch(search, tracker, sensor.acquisition.choice)
@@ -84,7 +99,7 @@ def configured_pattern(sensor: SensorInput) -> ScanPattern | None:
     """Return the scan pattern that the configuration tells."""
     if not isinstance(sensor, LidarInput) or sensor.azimuth_rad is None or sensor.elevation_rad is None:
         return None
-    return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad)
+    return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad, sigma_range_m=sensor.sigma_range_m or 0.0)
 
 
 def warm_up(methods: Methods, target: Target, pattern: ScanPattern | None) -> None:

@@ -45,6 +45,8 @@ class LidarInput(Config):
     """Scan pattern, where the latched info does not tell."""
     elevation_rad: VectorN | None = None
     """Scan pattern, where the latched info does not tell."""
+    sigma_range_m: NonNegative | None = None
+    """Standard deviation of a range, where the latched info does not tell."""
     acquisition: LidarAcquisitionConfig = Field(default_factory=GlobalSearchConfig)
     """Without a prior pose."""
     tracking: LidarTrackingConfig = Field(default_factory=ProjectiveIcpConfig)

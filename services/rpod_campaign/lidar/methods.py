@@ -47,8 +47,6 @@ TRACKERS: dict[str, dict[str, Any]] = {
 }
 """All trackers of scans by name."""
 
-SEES_ALL = {"snr_m2": 1e9, "surest_detection": 0.999}
-"""Fields of ``ScanModelConfig`` for a sensor without a detection model."""
 PRINTED_SURE_RANGE_M = 150.0
 """Value of ``ScanComparisonConfig.sure_range_m`` if Eq. 4 is read as printed."""
 
@@ -88,16 +86,14 @@ def lidar_input(
     centroid: str | None = None,
     matcher: str | None = None,
     eq4: str = "usual",
-    sees_all: bool = False,
 ) -> LidarInput:
-    """Return the configuration of a method that knows its sensor: Eq. 4, or that it detects everything.
+    """Return the configuration of a method; of template matching with Eq. 4 as the sensor reads it.
 
     Raises:
         ConfigurationError: the method or the matcher is not known.
     """
     if method in GLOBAL:
-        model = {"threshold": eq4, **(SEES_ALL if sees_all else {})}
-        acquisition = {"kind": "global", **GLOBAL[method], "tracking": {"model": model}}
+        acquisition = {"kind": "global", **GLOBAL[method]}
         return check(LidarInput, {"acquisition": acquisition}, source=f"--method {method}")
     if method not in TEMPLATE_MATCHING:
         raise ConfigurationError("--method", "", f"needs {', '.join(METHODS)}, not {method!r}")
@@ -211,4 +207,4 @@ def template_search(sensor: LidarInput, target: Target, pattern: ScanPattern) ->
 
 def pattern_of(config: LidarConfig) -> ScanPattern:
     """Return where a LIDAR looks."""
-    return ScanPattern(config.azimuth_rad, config.elevation_rad)
+    return ScanPattern.of(config.info())

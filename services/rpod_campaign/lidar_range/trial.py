@@ -66,7 +66,6 @@ def _bench(cell: RangeCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
         step_deg=cell.step_deg,
         centroid="offset",
         matcher="nearest-neighbour",
-        sees_all=cell.detection == "off",
     )
     acquiring = Acquiring(sensor, cached_target(cell.target), pattern_of(lidar))
     return emulator_of(cell.target, lidar, seed), acquiring

@@ -78,8 +78,9 @@ class Judge:
         config = GlobalSearchConfig()
         self._acquirer = lidar_methods(sensor, target, pattern).acquirer
         self._judges_itself = sensor.acquisition == config
-        self._verdict = GlobalSearch(config, target, **rays)
-        self._fine = ProjectiveIcp(config.tracking, target, **rays)
+        sigma_range_m = pattern.sigma_range_m
+        self._verdict = GlobalSearch(config, target, **rays, sigma_range_m=sigma_range_m)
+        self._fine = ProjectiveIcp(config.tracking, target, **rays, sigma_range_m=sigma_range_m)
         paper = IcpNearestNeighbourConfig.model_validate(MATCHERS["nearest-neighbour"])
         self._paper = NearestNeighbourIcp(paper, target, **rays)
 

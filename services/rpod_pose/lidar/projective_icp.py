@@ -27,6 +27,13 @@ from rpod_target import Target
 class ProjectiveIcp:
     """Registers scans: ports.Tracker[LidarScan].
 
+    Args:
+        config: its parameters.
+        target: what is tracked.
+        azimuth_rad: of the scan pattern's columns, shape (columns,).
+        elevation_rad: of its rows, shape (rows,).
+        sigma_range_m: what the sensor says of its range errors, 0 where it does not.
+
     Raises:
         rpod_target.TargetError: the target has no distance field.
     """
@@ -38,15 +45,18 @@ class ProjectiveIcp:
         *,
         azimuth_rad: FloatArray,
         elevation_rad: FloatArray,
+        sigma_range_m: float = 0.0,
     ) -> None:
         self._config = config
         weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
         self._weak = np.diag(weak**-2)
         self.view = ScanView.of(azimuth_rad, elevation_rad)
         self.surface = SurfaceModel.of(target)
-        self.model = ScanModel(config.model, config.verdict, self.view, self.surface)
+        self.model = ScanModel(
+            config.model, config.verdict, self.view, self.surface, sigma_range_m=sigma_range_m
+        )
         self._errors = ScanErrors(
-            config.model.sigma_range_m, config.model.slack_m, config.steep_cosine**2, 1.0 / config.outline_m
+            self.model.sigma_range_m, config.model.slack_m, config.steep_cosine**2, 1.0 / config.outline_m
         )
         middle_m = np.sqrt(config.widest_m * config.narrowest_m)
         self._far = np.geomspace(config.widest_m, middle_m, config.draw_in_steps)
@@ -101,7 +111,7 @@ class ProjectiveIcp:
         That of the normal equations, times the residuals' variance over the assumed one where that is larger,
         for the degrees of freedom that six unknowns leave.
         """
-        excess = max(1.0, cost_m2 / self._config.model.sigma_range_m**2)
+        excess = max(1.0, cost_m2 / self.model.sigma_range_m**2)
         excess *= inliers / max(inliers - 6, 1)
         covariance: FloatArray = spread(information / excess + self._weak, R)
         return covariance

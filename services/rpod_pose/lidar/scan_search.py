@@ -60,10 +60,13 @@ class Scanner:
     statistics: ScanModel
 
     @classmethod
-    def of(cls, view: ScanView, config: GlobalSearchConfig, surface: SurfaceModel) -> Self:
-        """Return the scanner of a view."""
-        tracking = config.tracking
-        return cls(view, ReturnDistances.of(view), ScanModel(tracking.model, tracking.verdict, view, surface))
+    def of(
+        cls, view: ScanView, config: GlobalSearchConfig, surface: SurfaceModel, *, sigma_range_m: float
+    ) -> Self:
+        """Return the scanner of a view; the sigma of a range is what the sensor says, 0 where it does not."""
+        model, verdict = config.tracking.model, config.tracking.verdict
+        statistics = ScanModel(model, verdict, view, surface, sigma_range_m=sigma_range_m)
+        return cls(view, ReturnDistances.of(view), statistics)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +159,7 @@ class ScanSearch:
             view.grid.arrays,
             self._model.surface.faces,
             self._model.surface.coarse_field,
-            ScanErrors(model.sigma_range_m, model.slack_m, 0.0, 0.0),
+            ScanErrors(self._scanner.statistics.sigma_range_m, model.slack_m, 0.0, 0.0),
             scales_m,
             view.hits.arrays,
         )
@@ -225,7 +228,7 @@ class ScanSearch:
             points=views.few_points if roughly else views.points,
             squares=views.squares,
             image=self._image,
-            detection=self._scanner.statistics.detection,
+            detection=self._scanner.statistics.expected_shares(self.seen),
             returns=FEW_RETURNS if roughly else MORE_RETURNS,
             rounds=rounds,
             truncation_m=self._config.truncation_m,

@@ -24,7 +24,7 @@ from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
 ANY_ECHO = 0.0, np.ones(1)
-"""``scan_fit.detection_table`` of a sensor that detects everything."""
+"""Steps and table (``energies``) of a sensor that detects everything."""
 DRAW_IN_SCALES_M = np.geomspace(0.5, 0.1, 6)
 """Of the steps that draw a candidate onto the frame."""
 FINE_SCALES_M = np.geomspace(0.15, 0.05, 6)

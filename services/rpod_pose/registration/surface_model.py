@@ -5,6 +5,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.distance_field import FieldArrays, checked, field_arrays
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
@@ -22,8 +23,8 @@ class Faces(NamedTuple):
     """Outward, target axes, shape (T, 3)."""
     offsets_m: FloatArray
     """Of their planes, n . v0, shape (T,)."""
-    reflectivity: FloatArray
-    """Shape (T,)."""
+    albedo: FloatArray
+    """Of the class of each triangle's material, shape (T,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +42,12 @@ class SurfaceModel:
         Raises:
             rpod_target.TargetError: the target has no distance field.
         """
-        reflectivity = np.array([material.reflectivity for material in target.materials])
         offsets_m = np.einsum("ij,ij->i", target.normals, target.triangles_m[:, 0])
         triangles_m = np.ascontiguousarray(target.triangles_m)
         normals = np.ascontiguousarray(target.normals)
         origin_m, spacing_m, values = field_arrays(target)
         coarse = values[::COARSE_CELLS, ::COARSE_CELLS, ::COARSE_CELLS].copy()
         return cls(
-            Faces(triangles_m, normals, offsets_m, reflectivity[target.triangle_material]),
+            Faces(triangles_m, normals, offsets_m, albedos(target)),
             checked(target, FieldArrays(origin_m, COARSE_CELLS * spacing_m, coarse)),
         )

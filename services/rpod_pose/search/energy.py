@@ -84,7 +84,8 @@ def energies(
         points: of the target.
         squares: of the target; its border counts for all that is outside.
         image: ``ReturnDistances.image`` of the scan.
-        detection: ``scan_fit.detection_table``.
+        detection: steps of a table a unit of echo, albedo cos(theta) / R^2, and the table: the share of rays
+            that come back.
         returns: about how many returns are compared.
         rounds: how often the centroids are aligned.
         truncation_m: of both distances; that of the field.

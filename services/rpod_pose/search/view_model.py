@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import Hits, RayGrid, cast
+from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.closest_point import Surface
 from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.search.attitude_grid import BORESIGHT, even_directions
@@ -41,7 +42,7 @@ class Points(NamedTuple):
     """Surface points of a target, as the kernels take them."""
 
     columns: Float32Array
-    """Place, normal, normal times place, area and reflectivity in rows, shape (9, K)."""
+    """Place, normal, normal times place, area and albedo in rows, shape (9, K)."""
     seen_from: NDArray[np.bool_]
     """Which points show from each direction, shape (VIEWS, K)."""
     cube: NDArray[np.int32]
@@ -74,14 +75,14 @@ class ViewModel:
         lifted = np.hstack((target.model_points_m, scale_m * target.model_normals))
         chosen = spread(lifted, count)
         places_m, normals = target.model_points_m[chosen], target.model_normals[chosen]
-        reflectivity, directions = _reflectivity(target, places_m), even_directions(VIEWS)
+        albedo, directions = _albedo(target, places_m), even_directions(VIEWS)
         seen, cube = _seen(target, places_m, normals, directions), _cube(directions)
 
         def first(number: int) -> Points:
             _, owner = cKDTree(lifted[chosen[:number]]).query(lifted)
             areas = np.bincount(owner, minlength=len(chosen[:number])) / len(lifted)
             offsets_m = (places_m[:number] * normals[:number]).sum(axis=1)
-            rows = (places_m[:number].T, normals[:number].T, offsets_m, areas, reflectivity[:number])
+            rows = (places_m[:number].T, normals[:number].T, offsets_m, areas, albedo[:number])
             columns = np.ascontiguousarray(np.vstack(rows), np.float32)
             return Points(columns, seen[:, :number].copy(), cube)
 
@@ -112,12 +113,11 @@ def spread(points: FloatArray, count: int) -> NDArray[np.int64]:
     return np.array(order)
 
 
-def _reflectivity(target: Target, points_m: FloatArray) -> FloatArray:
+def _albedo(target: Target, points_m: FloatArray) -> FloatArray:
     nearest = np.zeros(len(points_m), np.int32)
     every = np.ones(len(target.triangles_m), bool)
     Surface.of(target.triangles_m, target.normals).closest(points_m, every, nearest)
-    reflectivity = np.array([material.reflectivity for material in target.materials])
-    return reflectivity[target.triangle_material[nearest]]
+    return albedos(target)[nearest]
 
 
 def _seen(

@@ -2,7 +2,19 @@
 
 import numpy as np
 import pytest
-from lidar_scans import BULKY, errors, load, off, random_pose, scan_at, scan_of, strange_scans, tracker
+from lidar_scans import (
+    BULKY,
+    LIDAR,
+    errors,
+    load,
+    off,
+    random_pose,
+    scan_at,
+    scan_of,
+    strange_scans,
+    told_by,
+    tracker,
+)
 
 from rpod_geometry.rays import cast
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
@@ -172,8 +184,7 @@ def test_organised_or_not_a_scan_is_registered_bit_for_bit_the_same(seed):
 
 def test_a_tracker_may_do_without_the_steps_from_afar():
     T, config = random_pose(2), ProjectiveIcpConfig(draw_in_steps=0)
-    view = tracker().view
-    near = ProjectiveIcp(config, load(BULKY), azimuth_rad=view.azimuth_rad, elevation_rad=view.elevation_rad)
+    near = ProjectiveIcp(config, load(BULKY), **told_by(LIDAR))
     registration = near.track(scan_at(T), off(T, 1.0, 0.05, 2))
     assert errors(T, registration.T_sensor_target)[0] < 0.3
     assert registration.iterations == config.settle_steps
