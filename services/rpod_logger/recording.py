@@ -54,7 +54,7 @@ class Totals:
 
 @dataclass
 class _Run:
-    """What a publisher instance's messages in the file come to."""
+    """Sequence numbers and count of a publisher instance's messages in the file."""
 
     topic: str
     first: int
@@ -76,7 +76,7 @@ class Recording:
 
     @property
     def age_s(self) -> float:
-        """How long it has been open, whatever the clock says."""
+        """Time since the file was opened, by the monotonic clock."""
         return time.monotonic() - self._opened_s
 
     def write(self, received: Received) -> None:
