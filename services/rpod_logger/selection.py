@@ -1,4 +1,4 @@
-"""What is recorded: every topic of the ICD, for any sensor and any estimator, and what is asked for."""
+"""Selection of what is recorded: every topic of the ICD for any sensor and estimator, and configured keys."""
 
 from collections.abc import Sequence
 from functools import cache
