@@ -23,7 +23,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
         node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
         while not stop.is_set():
             arrived = inputs.newest(TICK_S)
-            estimator.use_patterns(inputs.patterns)
+            estimator.learn(inputs.said)
             if arrived is not None:
                 outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)
             outputs.publish(estimator.tick(node.clock.now_ns()))

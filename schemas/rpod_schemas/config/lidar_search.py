@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+from rpod_schemas.config.sensor import MethodConfig
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -53,10 +54,10 @@ class ScanVerdictConfig(Config):
     """A sensor that detects less and errs more than it is said to."""
 
 
-class ProjectiveIcpConfig(Config):
+class ProjectiveIcpConfig(MethodConfig):
     """Tracking by casting the target: each return against the face that its own ray meets."""
 
-    kind: Literal["projective_point_to_plane"] = "projective_point_to_plane"
+    kind: str = "projective_point_to_plane"
     """Selects this method."""
     points: Count = 100
     """Returns that the first steps work on."""
@@ -99,10 +100,10 @@ class SearchLevelConfig(Config):
     """Of those, the best ones that are drawn onto the scan."""
 
 
-class GlobalSearchConfig(Config):
+class GlobalSearchConfig(MethodConfig):
     """Search over all attitudes by predicted against measured scans."""
 
-    kind: Literal["global"] = "global"
+    kind: str = "global"
     """Selects this method."""
     levels: tuple[SearchLevelConfig, ...] = Field(
         default=(

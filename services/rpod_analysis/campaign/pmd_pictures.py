@@ -15,7 +15,7 @@ from rpod_analysis.campaign.trials.pmd_scene import Shot, Stage, scenario_of
 from rpod_analysis.campaign.trials.pmd_sequence import FRAME, SequenceCell
 from rpod_analysis.campaign.trials.scene import cached_target
 from rpod_analysis.figures import QUIET
-from rpod_analysis.snapshots import Picture, camera_pictures
+from rpod_analysis.snapshots import Picture, frame_pictures
 from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.arrays import FloatArray
 
@@ -37,7 +37,7 @@ def picture(results: Sequence[CellResult[SequenceCell]], *, number: int) -> go.F
         return project(visible_pieces(target, pose), camera)
 
     truth = outline(shot.T_sensor_target)
-    shown = camera_pictures(shot.frame, truth.reshape(-1, 2))
+    shown = frame_pictures(shot.frame, truth.reshape(-1, 2))
     figure = make_subplots(
         1, len(shown), subplot_titles=[f"{each.title}, image {number + 1}" for each in shown],
         horizontal_spacing=0.03,

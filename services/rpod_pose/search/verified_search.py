@@ -8,24 +8,24 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.ports import Acquisition, Candidates, Registration, Search, Tracker, Verdict
 from rpod_pose.verification import doubt
 from rpod_schemas.config.verification import VerificationConfig
-from rpod_schemas.types import Hypothesis, LidarScan, PmdFrame, Source
+from rpod_schemas.types import Hypothesis, SensorFrame, Source
 
 
 class VerifiedSearch:
-    """Finds the target by a search and a tracker: ports.Acquirer of either sensor."""
+    """Finds the target by a search and a tracker: ports.Acquirer of any sensor."""
 
     def __init__(self, search: Search[Any], tracker: Tracker[Any], limits: VerificationConfig) -> None:
         self._search, self._tracker, self._limits = search, tracker, limits
 
-    def acquire(self, measurement: LidarScan | PmdFrame) -> Acquisition:
+    def acquire(self, measurement: SensorFrame) -> Acquisition:
         """Return the believed candidate that is chosen, else the first of all with its doubt."""
         return self._judged(measurement, self._search.search(measurement))
 
-    def near(self, measurement: LidarScan | PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
+    def near(self, measurement: SensorFrame, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the same of candidates around a pose."""
         return self._judged(measurement, self._search.near(measurement, T_sensor_target))
 
-    def _judged(self, measurement: LidarScan | PmdFrame, found: Candidates) -> Acquisition:
+    def _judged(self, measurement: SensorFrame, found: Candidates) -> Acquisition:
         registration, why = self._best(measurement, found)
         pose = None if why else registration.T_sensor_target
         return Acquisition(
@@ -37,7 +37,7 @@ class VerifiedSearch:
             excluded_share=found.excluded_share,
         )
 
-    def _best(self, measurement: LidarScan | PmdFrame, found: Candidates) -> tuple[Registration, str]:
+    def _best(self, measurement: SensorFrame, found: Candidates) -> tuple[Registration, str]:
         if not found.poses:
             return Registration(Source.NONE), "the search found nothing to work on"
         limits = self._limits

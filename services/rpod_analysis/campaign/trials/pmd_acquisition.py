@@ -15,7 +15,7 @@ from rpod_analysis.campaign.trials.pmd_scene import Stage, off, scenario_of, sti
 from rpod_analysis.campaign.trials.pmd_world import World
 from rpod_analysis.campaign.trials.scene import stream
 from rpod_analysis.campaign.trials.scores import POSE, errors, numbers
-from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.methods import ready_methods
 from rpod_pose.ports import Methods
 from rpod_schemas.poses import make_pose
 from rpod_target import Target
@@ -129,6 +129,5 @@ def _is_right(attitude_deg: float | None, position_m: float | None) -> bool:
 def _bench(cell: AcquisitionCell, seed: int) -> tuple[Stage, Methods]:
     scenario = scenario_of(cell.document)
     stage = Stage(scenario, World(), seed=seed, trial=0)
-    methods = pmd_methods(pmd_input(cell.method, name=stage.camera.name), stage.target)
-    warm_up(methods, stage.target, None)
+    methods = ready_methods(pmd_input(cell.method, name=stage.camera.name), stage.target)
     return stage, methods

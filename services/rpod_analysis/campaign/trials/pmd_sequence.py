@@ -17,7 +17,7 @@ from rpod_analysis.campaign.trials.scene import cached_target, stream
 from rpod_analysis.campaign.trials.scores import POSE, numbers
 from rpod_analysis.score import OFF_TARGET_M, OFF_TARGET_RAD, find_nees
 from rpod_pose.measurement import Measurement
-from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.ports import Methods, Tracker
 from rpod_schemas.arrays import FloatArray
@@ -181,9 +181,7 @@ def _follower(cell: SequenceCell, stage: Stage, first: RigidTransform) -> Follow
 @lru_cache(maxsize=8)
 def _methods(cell: SequenceCell) -> Methods:
     target = cached_target(scenario_of(cell.document).target)
-    methods = pmd_methods(_input(cell), target)
-    warm_up(methods, target, None)
-    return methods
+    return ready_methods(_input(cell), target)
 
 
 def _input(cell: SequenceCell) -> PmdInput:

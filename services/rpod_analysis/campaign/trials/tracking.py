@@ -16,7 +16,7 @@ from rpod_analysis.campaign.trials.scene import cached_target, emulator_of, rand
 from rpod_analysis.campaign.trials.scores import POSE, SUCCESS_DEG, errors, numbers
 from rpod_motion.motion import Motion, build_motion
 from rpod_pose.measurement import Measurement
-from rpod_pose.methods import lidar_methods, warm_up
+from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.ports import Methods
 from rpod_schemas.arrays import FloatArray
@@ -159,8 +159,7 @@ def _off(truth: RigidTransform, generator: Generator) -> RigidTransform:
 @lru_cache(maxsize=4)
 def _bench(cell: TrackingCell, seed: int) -> tuple[LidarEmulator, Methods, Navigator]:
     lidar, target, sensor = lidar_config(), cached_target(cell.target), tracking_input(cell.tracker)
-    methods = lidar_methods(sensor, target, pattern_of(lidar))
-    warm_up(methods, target, pattern_of(lidar))
+    methods = ready_methods(sensor, target, pattern_of(lidar))
     navigator = Navigator(
         EstimatorSettings(sensors=(sensor,)),
         {SENSOR: methods},
