@@ -5,7 +5,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from rpod_schemas.arrays import Matrix6
-from rpod_schemas.config.base import Config, NonNegative
+from rpod_schemas.config.base import Config, NonNegative, Positive
 from rpod_schemas.poses import Pose
 
 
@@ -52,6 +52,8 @@ class StartRequest(Config):
 
     epoch_ns: int = Field(gt=0)
     """UTC since the Unix epoch."""
+    duration_s: Positive | None = None
+    """How long the scenario is: in lockstep no frame is made with a stamp beyond its end."""
 
 
 class ResetRequest(Config):

@@ -26,6 +26,7 @@ class Reason(StrEnum):
     NOT_FINITE = "not_finite"
     EMPTY = "empty"
     DUPLICATE = "duplicate"
+    JUMP = "sequence_jump"
     LATE = "late"
     FUTURE = "future"
     UNKNOWN_FRAME = "unknown_frame"

@@ -228,12 +228,27 @@ class Source(IntEnum):
     """A method of another package; the status names the sensor."""
 
 
+class BeliefLevel(IntEnum):
+    """How far a measured pose is believed (EstimatorStatus.msg)."""
+
+    ACCEPTED = 0
+    """The measurement supports the pose."""
+    DOUBTFUL = 1
+    """The measurement supports the pose weakly, or supports several poses alike."""
+    CONTRADICTED = 2
+    """The measurement is inconsistent with the pose."""
+
+
 class Hypothesis(Model):
     """One of several poses that explain a measurement."""
 
     pose: Pose
     """T_chaser_target."""
     weight: Annotated[float, Field(ge=0, le=1)]
+    name: str = ""
+    """What it is beside the first: "symmetry of the target", "turned by 180 deg"; empty for the first."""
+    log_likelihood: float = float("nan")
+    """Of the measurement under this pose, less that under the first."""
 
 
 class EstimatorStatus(Stamped):
@@ -255,6 +270,10 @@ class EstimatorStatus(Stamped):
     ambiguous: bool = False
     hypotheses: tuple[Hypothesis, ...] = ()
     """Best first; weights sum to 1."""
+    belief: BeliefLevel = BeliefLevel.ACCEPTED
+    """What the method says of its pose; the filter's gate may reject it all the same."""
+    evidence: dict[str, float] = Field(default_factory=dict)
+    """The numbers that the belief follows from, by name; each name carries its unit or is a share."""
 
 
 class Health(IntEnum):

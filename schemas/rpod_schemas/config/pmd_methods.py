@@ -4,6 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
 
@@ -89,6 +90,8 @@ class IcpReverseCalibrationConfig(MethodConfig):
     """The self-check."""
     errors: DepthErrorConfig = DepthErrorConfig()
     """What the covariance assumes."""
+    acceptance: AcceptanceConfig = AcceptanceConfig(min_explained_share=0.6, min_inlier_share=0.45)
+    """When a registration is believed."""
 
 
 class SignedDistanceConfig(MethodConfig):
@@ -111,6 +114,8 @@ class SignedDistanceConfig(MethodConfig):
     """The self-check."""
     errors: DepthErrorConfig = DepthErrorConfig()
     """What the covariance assumes."""
+    acceptance: AcceptanceConfig = AcceptanceConfig(min_explained_share=0.6, min_inlier_share=0.45)
+    """When a registration is believed."""
 
     @model_validator(mode="after")
     def _narrows(self) -> Self:

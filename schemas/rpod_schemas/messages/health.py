@@ -34,11 +34,35 @@ def read_status(message: Any) -> EstimatorStatus:
         inlier_share=message.inlier_share,
         processing_s=message.processing_s,
         ambiguous=message.ambiguous,
-        hypotheses=tuple(
-            build(Hypothesis, pose=read_pose(pose), weight=weight)
-            for pose, weight in zip(message.hypotheses, message.hypothesis_weights, strict=True)
-        ),
+        hypotheses=_read_hypotheses(message),
+        belief=getattr(message, "belief", 0),
+        evidence=dict(zip(*_evidence(message), strict=True)),
     )
+
+
+def _read_hypotheses(message: Any) -> tuple[Hypothesis, ...]:
+    """Return the hypotheses; a status of version 1 names none and gives no likelihoods."""
+    count = len(message.hypotheses)
+    names = getattr(message, "hypothesis_names", [""] * count)
+    logs = getattr(message, "hypothesis_log_likelihoods", [float("nan")] * count)
+    if not len(names) == len(logs) == count:
+        raise MessageRejectedError(
+            Reason.WRONG_SIZE, f"{count} hypotheses with {len(names)} names and {len(logs)} log likelihoods"
+        )
+    rows = zip(message.hypotheses, message.hypothesis_weights, names, logs, strict=True)
+    return tuple(
+        build(Hypothesis, pose=read_pose(pose), weight=weight, name=name, log_likelihood=log)
+        for pose, weight, name, log in rows
+    )
+
+
+def _evidence(message: Any) -> tuple[Sequence[str], Sequence[float]]:
+    names, values = getattr(message, "evidence_names", []), getattr(message, "evidence_values", [])
+    if len(names) != len(values):
+        raise MessageRejectedError(
+            Reason.WRONG_SIZE, f"{len(names)} names of evidence with {len(values)} values"
+        )
+    return names, values
 
 
 def write_status(status: EstimatorStatus) -> Any:
@@ -58,6 +82,11 @@ def write_status(status: EstimatorStatus) -> Any:
         ambiguous=status.ambiguous,
         hypotheses=[write_pose(item.pose) for item in status.hypotheses],
         hypothesis_weights=np.array([item.weight for item in status.hypotheses], np.float64),
+        belief=int(status.belief),
+        evidence_names=list(status.evidence),
+        evidence_values=np.array(list(status.evidence.values()), np.float64),
+        hypothesis_names=[item.name for item in status.hypotheses],
+        hypothesis_log_likelihoods=np.array([item.log_likelihood for item in status.hypotheses], np.float64),
     )
 
 

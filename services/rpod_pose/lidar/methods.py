@@ -43,7 +43,7 @@ def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[Li
     """Return the 2015 paper's, whose candidates the tracker refines."""
     assert task.tracker is not None  # noqa: S101 - made before the acquirer
     search = OnlineTemplateMatching(config, task.target, **_rays(task))
-    return VerifiedSearch(search, task.tracker, task.sensor.verification)
+    return VerifiedSearch(search, task.tracker, config.choice)
 
 
 def projective_point_to_plane(config: ProjectiveIcpConfig, task: Task) -> Tracker[LidarScan]:
@@ -71,7 +71,7 @@ def make(task: Task) -> Methods:
     tracker = method("lidar", sensor.tracking.kind).built(sensor.tracking, task)
     task = task.with_tracker(tracker)
     acquirer = method("lidar", sensor.acquisition.kind).built(sensor.acquisition, task)
-    return Methods(acquirer, tracker, sensor.verification, deskewed)
+    return Methods(acquirer, tracker, deskewed)
 
 
 def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan]:

@@ -67,9 +67,7 @@ def make(task: Task) -> Methods:
     task = task.with_tracker(tracker)
     acquirer = method("pmd", sensor.acquisition.kind).built(sensor.acquisition, task)
     preparation = DepthPreparation(sensor, task.target)
-    return Methods(
-        PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation), sensor.verification
-    )
+    return Methods(PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation))
 
 
 def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) -> tuple[PmdFrame, PmdFrame]:
