@@ -136,6 +136,10 @@ class Rig:
         return self.state.mode
 
 
+def scans_deskewed(data, T_sensor_target: RigidTransform, **twist):
+    return deskewed(data, T_sensor_target, **twist) if isinstance(data, LidarScan) else data
+
+
 def rig(
     *,
     pose=None,
@@ -153,7 +157,7 @@ def rig(
     )
     method = Method()
     acquirer = VerifiedSearch(method, method, choice) if found is None else Judge(found)
-    methods = Methods(acquirer, method, deskewed)
+    methods = Methods(acquirer, method, scans_deskewed)
     navigator = Navigator(settings, {"pmd": methods}, centre_of_mass_m=np.zeros(3), alike=alike)
     return Rig(navigator, method, navigator.start(pose))
 
