@@ -101,8 +101,8 @@ class EdgeTrackingConfig(MethodConfig):
     sigma_px: Positive = 0.15
     """Least standard deviation of an edge's place."""
     effective_edges: Positive = 30.0
-    """Most samples counted as independent: those of an edge share the shading beside it, and some thirty edges
-    of a satellite are seen at once (an assumption, not fitted)."""
+    """Most samples counted as independent: those of an edge share the shading beside it, and some thirty
+    edges of a satellite are seen at once (an assumption, not fitted)."""
 
 
 class NearPredictionConfig(MethodConfig):
