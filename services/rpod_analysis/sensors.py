@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_analysis.log import Log, Logged
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
-from rpod_runtime.frames import FrameReader, open_reader
+from rpod_runtime.frames import SensorReader, open_reader
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_pmd_info
@@ -131,7 +131,7 @@ def sensor_frames(
         yield from _complete(pending, described, reader, up_to_ns=max(pending))
 
 
-def _informed_reader(log: Log, sensor: str, kind: SensorKind) -> FrameReader:
+def _informed_reader(log: Log, sensor: str, kind: SensorKind) -> SensorReader:
     reader = open_reader(kind)
     for logged in () if kind.info is None else log.messages(kind.info.of(sensor)):
         with suppress(MessageRejectedError):
@@ -140,7 +140,7 @@ def _informed_reader(log: Log, sensor: str, kind: SensorKind) -> FrameReader:
 
 
 def _complete(
-    pending: dict[int, dict[str, Received]], kind: SensorKind, reader: FrameReader, *, up_to_ns: int
+    pending: dict[int, dict[str, Received]], kind: SensorKind, reader: SensorReader, *, up_to_ns: int
 ) -> Iterator[SensorFrame]:
     for stamp_ns in sorted(stamp for stamp in pending if stamp <= up_to_ns):
         parts = pending.pop(stamp_ns)

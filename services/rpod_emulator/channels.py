@@ -1,4 +1,4 @@
-"""One emulated sensor from pose to messages: a channel for each kind, alike to the daemon."""
+"""Emulated sensors from pose to messages, with one interface for all kinds."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -20,7 +20,7 @@ from rpod_target import Target
 
 
 class Channel(Protocol):
-    """An emulated sensor on the bus, made as ``(node, config, sensor, target)``."""
+    """An emulated sensor that publishes on the bus, made as ``(node, config, sensor, target)``."""
 
     @property
     def sensor(self) -> SensorConfig:
@@ -30,18 +30,18 @@ class Channel(Protocol):
     def emulate(
         self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
     ) -> Callable[[], None]:
-        """Make a frame from T_sensor_target at the sensor's pose times; the sun in chaser axes.
+        """Compute a frame from T_sensor_target at the sensor's pose times; the sun is in chaser axes.
 
-        Returns what publishes it.
+        Returns a function that publishes the frame.
         """
         ...
 
 
 def open_channel(node: Node, config: EmulatorConfig, sensor: SensorConfig, target: Target) -> Channel:
-    """Return the channel of a sensor, warmed up: its first frame is as fast as any other.
+    """Return the channel of a sensor. It is warmed up: its first frame is as fast as any other.
 
     Raises:
-        ConfigurationError: there is no such sensor, for its lens, say.
+        ConfigurationError: the sensor cannot be emulated, for example because of its lens.
     """
     try:
         return _warm_channel(node, config, sensor, target)

@@ -36,7 +36,7 @@ class LidarChannel:
         frame: DueFrame,
         fault: Kind | None,
     ) -> Callable[[], None]:
-        """Scan, and lose what the fault takes."""
+        """Compute a scan; a fault removes a part of its returns."""
         returns = self._emulator.scan(poses, frame=frame.number)
         points_m = returns.points_m
         lost = lost_cells(fault, points_m.shape[:2], seed=self._seed, number=frame.number)

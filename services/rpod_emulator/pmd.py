@@ -37,7 +37,7 @@ class PmdChannel:
     def emulate(
         self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
     ) -> Callable[[], None]:
-        """Expose, and lose what the fault takes: the depth, or the amplitude as well."""
+        """Compute an image; a fault removes depth, or depth and amplitude, from a part of it."""
         sun = rotation_of(self.sensor.T_chaser_sensor).inv().apply(sun_W_m2)
         buffers = self._spare.pop() if self._spare else None
         exposure = self._emulator.expose(poses, sun_W_m2=sun, frame=frame.number, out=buffers)
@@ -49,7 +49,7 @@ class PmdChannel:
         return partial(self._publish, exposure, frame.stamp_ns)
 
     def _publish(self, exposure: PmdExposure, stamp_ns: int) -> None:
-        """Publish a frame, after the info where the exposure has changed it; its arrays serve again."""
+        """Publish the info if the exposure time has changed, then the frame; the arrays are used again."""
         if exposure.integration_time_s != self._announced_s:
             self._announced_s = exposure.integration_time_s
             self._publisher.announce(self.sensor.info(exposure.integration_time_s))

@@ -1,4 +1,4 @@
-"""From the parts of a complete frame to what the methods work on: decoded and checked.
+"""Decodes and checks the parts of a complete frame.
 
 A reader stands for one sensor and remembers what the sensor says of itself. A kind names its reader; the ones
 of the PMD camera and the LIDAR are here.
@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from rpod_runtime.assembler import Assembled, Assembler
-from rpod_runtime.received import Received
+from rpod_runtime.inbox import Received
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
     build,
@@ -28,7 +28,7 @@ from rpod_schemas.types import Float32Array, LidarInfo, LidarScan, PmdFrame, Pmd
 ReadT = TypeVar("ReadT")
 
 
-class FrameReader(Protocol):
+class SensorReader(Protocol):
     """Reads the messages of one sensor."""
 
     @property
@@ -45,9 +45,9 @@ class FrameReader(Protocol):
         ...
 
 
-def open_reader(kind: SensorKind) -> FrameReader:
+def open_reader(kind: SensorKind) -> SensorReader:
     """Return a new reader of a kind."""
-    reader: FrameReader = resolve(kind.reader)()
+    reader: SensorReader = resolve(kind.reader)()
     return reader
 
 
@@ -57,7 +57,7 @@ def assembler_of(kind: SensorKind) -> Assembler[Received]:
 
 
 class PartRejectedError(MessageRejectedError):
-    """A part of a frame that cannot be used, and the topic on which it came."""
+    """A part of a frame cannot be used; ``topic`` is the topic on which it came."""
 
     def __init__(self, received: Received, rejection: MessageRejectedError) -> None:
         super().__init__(rejection.reason, rejection.text)

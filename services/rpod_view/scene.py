@@ -14,7 +14,7 @@ from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler, NewestFrames
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.extrinsics import Extrinsics
-from rpod_runtime.frames import FrameReader, PartRejectedError, assembler_of, open_reader
+from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
@@ -81,7 +81,7 @@ class Scene:
         self._kinds = sensor_kinds()
         self._assemblers: dict[tuple[str, str], Assembler[Received]] = {}
         """By sensor and kind: a topic alone may not tell the kind, a whole frame does."""
-        self._readers: dict[str, FrameReader] = {}
+        self._readers: dict[str, SensorReader] = {}
         self._frames: NewestFrames[Received] = NewestFrames()
         self._statuses: deque[EstimatorStatus] = deque(maxlen=_MOST_WAITING)
         self._unscored: deque[Odometry] = deque(maxlen=_MOST_WAITING)

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from rpod_schemas.bounds import HYPOTHESES, SHARE
 from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.geometry import read_pose, write_pose
-from rpod_schemas.messages.header import build, read_stamp, write_header
+from rpod_schemas.messages.header import build, read_stamp, within, write_header
 from rpod_schemas.types import Diagnostic, EstimatorStatus, Hypothesis
 
 
@@ -19,6 +20,11 @@ def read_status(message: Any) -> EstimatorStatus:
             Reason.WRONG_SIZE,
             f"{len(message.hypotheses)} hypotheses with {len(message.hypothesis_weights)} weights",
         )
+    within(HYPOTHESES, "number of hypotheses", len(message.hypotheses))
+    within(SHARE, "sum of hypothesis_weights", float(np.sum(message.hypothesis_weights)))
+    _not_negative(message, "cost_m2", "nis", "inlier_share", "processing_s")
+    if not np.isnan(message.inlier_share):
+        within(SHARE, "inlier_share", message.inlier_share)
     return build(
         EstimatorStatus,
         stamp_ns=read_stamp(message.header),
@@ -63,6 +69,15 @@ def _evidence(message: Any) -> tuple[Sequence[str], Sequence[float]]:
             Reason.WRONG_SIZE, f"{len(names)} names of evidence with {len(values)} values"
         )
     return names, values
+
+
+def _not_negative(message: Any, *fields: str) -> None:
+    for field in fields:
+        if getattr(message, field) < 0.0:
+            raise MessageRejectedError(
+                Reason.MALFORMED,
+                f"{field} is {getattr(message, field):g}, needs 0 or more, NaN where not known",
+            )
 
 
 def write_status(status: EstimatorStatus) -> Any:

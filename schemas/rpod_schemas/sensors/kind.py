@@ -41,7 +41,7 @@ class SensorKind:
     heard: type[SensorInput]
     """Configuration of the estimator's side: methods and what they need."""
     reader: str
-    """``rpod_runtime.frames.FrameReader``: from the messages of a frame to what the methods work on."""
+    """``rpod_runtime.frames.SensorReader``: from the messages of a frame to what the methods work on."""
     publisher: str
     """``rpod_runtime.sensors.SensorPublisher``: from frames to messages; drivers and the emulator use it."""
     emulator: str

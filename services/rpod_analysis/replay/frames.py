@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from rpod_analysis.log import Logged
 from rpod_analysis.sensors import as_received
-from rpod_estimator.intake import Arrived, Intake
+from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_pose.measurement import Tick
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
@@ -35,7 +35,7 @@ class Frames:
     The stamps are not judged: a log may be old, or of another clock. Other messages do nothing.
     """
 
-    intake: Intake
+    intake: FrameReader
     refused: Counter[str] = field(default_factory=Counter)
     """Messages that could not be used, by topic."""
     missing: int = 0

@@ -248,7 +248,8 @@ def _prepare(depth_m, cosine, unwrapping, corrections_m, out_m):  # type: ignore
             shift_m = interval_m * np.rint((range_m - measured_m) * turns_per_m)
             if shift_m < nothing or abs(measured_m + shift_m - range_m) > reach_m:
                 shift_m = nothing
-        index = np.int32(min((measured_m + shift_m) * steps_per_m + np.float32(0.5), last))
+        step = (measured_m + shift_m) * steps_per_m + np.float32(0.5)
+        index = np.int32(step) if nothing <= step < last else np.int32(last)  # NaN is in no table
         shift_m -= corrections_m[index]
         out[pixel] = (
             depth + shift_m * cosines[pixel] if measured_m + shift_m > nothing else np.float32(np.nan)

@@ -1,5 +1,8 @@
 """Depth before the methods: unwrapped, calibrated, or refused by the field that is wrong."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -269,3 +272,22 @@ def test_what_is_farther_than_the_camera_can_tell_has_not_been_wrapped(target):
     near = frame_of(7.0).model_copy(update={"info": info(MHZ_20)})
     prepared = DepthPreparation(PmdInput(), target).predicted(near, pose_at(0.5))
     np.testing.assert_allclose(prepared.depth_m, 7.0, rtol=1e-6, err_msg="not to behind the camera")
+
+
+_KERNEL = """
+import subprocess
+import sys
+
+import numpy as np
+from rpod_pose.pmd.depth_preparation import _prepare
+depth = np.full((4, 5), 3.0, np.float32)
+for interval in (float("inf"), float("nan"), 1e300, 1e-300, 0.0):
+    for reach in (0.0, 0.5, float("nan")):
+        out = np.zeros_like(depth)
+        _prepare(depth, np.ones_like(depth), (4.0, reach, interval), np.zeros(30_000, np.float32), out)
+"""
+
+
+def test_the_kernel_reads_no_correction_outside_its_table_whatever_the_unambiguous_range():
+    finished = subprocess.run([sys.executable, "-c", _KERNEL], capture_output=True, text=True, check=False)
+    assert finished.returncode == 0, finished.stderr

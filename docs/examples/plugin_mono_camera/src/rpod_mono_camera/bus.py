@@ -16,7 +16,7 @@ from rpod_schemas.topics import CAMERA_INFO, optical_frame
 
 
 class MonoReader:
-    """Frames of a monocular camera, which says nothing of itself: rpod_runtime.frames.FrameReader."""
+    """Frames of a monocular camera, which says nothing of itself: rpod_runtime.frames.SensorReader."""
 
     said = None
 

@@ -1,7 +1,7 @@
-"""What a subscription hands over: the bytes, the attachment, the time of arrival.
+"""Received messages, and the bounded queue between the bus and the main loop of a service.
 
-Callbacks of the bus only enqueue. An ``Inbox`` is the bounded queue between them and a service's
-main loop; what does not fit is counted, never waited for.
+Callbacks of the bus only enqueue. A message that does not fit displaces the oldest one and is counted;
+the bus never waits.
 """
 
 import time
@@ -17,18 +17,18 @@ from rpod_schemas.wire import Attachment
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """One message as it came off the wire."""
+    """One message as it was received: payload, attachment and time of arrival."""
 
     topic: Topic
     key: str
     payload: memoryview
     attachment: Attachment
     arrival_ns: int
-    """This machine's wall clock."""
+    """Time of arrival, this machine's wall clock."""
     arrival_s: float = field(default_factory=time.monotonic)
-    """Monotonic clock, for processing times."""
+    """Time of arrival, monotonic clock; for processing times."""
     encoding: str = ""
-    """As the publisher named it to the bus; only of what has no type that is known."""
+    """Encoding that the publisher declared; set only where the type is unknown."""
 
     def decode(self) -> Any:
         """Return the ROS message; raises ``MessageRejectedError``."""
@@ -36,7 +36,7 @@ class Received:
 
 
 class Inbox:
-    """A bounded queue of received messages; where it is full the oldest gives way, and is counted."""
+    """A bounded queue of received messages. When it is full, the oldest message is dropped and counted."""
 
     def __init__(self, capacity: int = 4096) -> None:
         self._messages: deque[Received] = deque(maxlen=capacity)
@@ -44,14 +44,14 @@ class Inbox:
         self.overflowed = 0
 
     def put(self, received: Received) -> None:
-        """Enqueue."""
+        """Enqueue a message."""
         with self._arrival:
             self.overflowed += len(self._messages) == self._messages.maxlen
             self._messages.append(received)
             self._arrival.notify()
 
     def wait(self, timeout_s: float) -> list[Received]:
-        """Return all that is there, in order of arrival; wait for the first up to the timeout."""
+        """Return all queued messages in order of arrival; wait up to the timeout for the first one."""
         with self._arrival:
             self._arrival.wait_for(lambda: self._messages, timeout_s)
             messages = list(self._messages)

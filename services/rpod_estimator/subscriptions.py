@@ -1,13 +1,13 @@
-"""The estimator's ears: subscriptions, freshness, and the newest complete frame.
+"""Subscriptions of the estimator: they check the age of messages and keep the newest complete frame.
 
-Only sensors, ``tf_static`` and the clock are subscribed; nothing here knows a topic of the truth.
+The estimator subscribes to sensors, ``tf_static`` and the clock only, never to the truth.
 """
 
 from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rpod_estimator.intake import Arrived, Intake
+from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.frames import PartRejectedError
@@ -17,42 +17,42 @@ from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS
 
 _WAITING_PARTS = 512
-"""Parts between the bus and the assembler: some 200 MB of images."""
+"""Largest number of parts between the bus and the assembler; about 200 MB of images."""
 _CLOCK_LAG_S = 0.2
-"""How long a clock message may be behind a frame that was published after it."""
+"""Longest time that a clock message may arrive after a frame that was published later."""
 
 
-class Inputs:
-    """Everything that reaches the estimator."""
+class Subscriptions:
+    """Receives all messages of the estimator and hands out frames."""
 
     def __init__(self, node: Node, config: EstimatorConfig) -> None:
         self._node, self._config = node, config
         self._in_lockstep = config.time_source == "clock"
         self._latched, self._waiting = Inbox(), Inbox(_WAITING_PARTS)
-        self._intake = Intake(config.sensors)
+        self._reader = FrameReader(config.sensors)
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
-        for topic in self._intake.latched:
+        for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
-        for topic in self._intake.streams:
+        for topic in self._reader.streams:
             # Live, what is missed is old by the time it could be had; in lockstep everybody waits for it.
             node.subscribe(topic, self._waiting.put, recover=self._in_lockstep)
 
     @property
     def said(self) -> Mapping[str, Any]:
         """What the sensors say of themselves, by name; None where one says nothing."""
-        return self._intake.said
+        return self._reader.said
 
     def newest(self, timeout_s: float) -> Arrived | None:
-        """Return the newest complete frame of the sensor that waits longest; None after the timeout.
+        """Return the newest complete frame with the oldest stamp over all sensors; None after the timeout.
 
-        Frames that are refused on arrival, for their stamps, come before it, each with its reason.
+        Frames that were refused for their stamps come first, each with its reason.
         """
         self._take_in(0.0 if self._newest or self._refused else timeout_s)
         return self._next()
 
     def rest(self) -> Iterator[Arrived]:
-        """Yield what waits at this moment: what was refused, the newest complete frame of each sensor."""
+        """Yield the frames that wait now: refused ones first, then the newest complete one of each sensor."""
         self._take_in(0.0)
         while (arrived := self._next()) is not None:
             yield arrived
@@ -65,7 +65,7 @@ class Inputs:
             except MessageRejectedError as error:
                 self._node.reject(received.topic.name, error)
         if timeout_s and not parts and not self._in_lockstep:
-            for sensor, assembler in self._intake.assemblers.items():
+            for sensor, assembler in self._reader.assemblers.items():
                 self._put(sensor, assembler.release())
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
 
@@ -76,21 +76,21 @@ class Inputs:
         return self._arrived(*chosen) if chosen else None
 
     def _take(self, received: Received) -> None:
-        if received.topic.name in self._intake.parts:
+        if received.topic.name in self._reader.parts:
             self._take_part(received)
         else:
-            self._intake.learn(received)
+            self._reader.learn(received)
 
     def _take_part(self, received: Received) -> None:
-        sensor, part = self._intake.parts[received.topic.name]
-        assembler = self._intake.assemblers[sensor]
+        sensor, part = self._reader.parts[received.topic.name]
+        assembler = self._reader.assemblers[sensor]
         stamp_ns = peek_stamp(received.payload)
         try:
             self._check_freshness(received, stamp_ns)
             if stamp_ns == assembler.done_ns and part in assembler.required:
                 raise MessageRejectedError(Reason.DUPLICATE, "a frame of this stamp is complete already")
         except MessageRejectedError as error:
-            if part == self._intake.leading[sensor]:
+            if part == self._reader.leading[sensor]:
                 self._refused.append(Arrived(sensor, stamp_ns, received.arrival_s, None, str(error)))
             raise
         self._put(sensor, assembler.add(part, stamp_ns, received))
@@ -102,7 +102,7 @@ class Inputs:
                 self._node.health.count(f"dropped/{sensor}")
 
     def _check_freshness(self, received: Received, stamp_ns: int) -> None:
-        """Judge a stamp by its arrival: what then waits for the methods is not late by its sensor's fault."""
+        """Check a stamp against the time of arrival: the estimator's own delay does not count."""
         now_ns, clock = received.arrival_ns, self._node.clock
         if isinstance(clock, BusClock):
             clock.await_ns(stamp_ns - round(self._config.max_future_s * NANOSECONDS), _CLOCK_LAG_S)
@@ -122,7 +122,7 @@ class Inputs:
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
         arrival_s = max(part.arrival_s for part in frame.parts.values())
         try:
-            measurement = self._intake.measurement(sensor, frame)
+            measurement = self._reader.measurement(sensor, frame)
         except PartRejectedError as error:
             self._node.reject(error.topic, error)
             return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error))

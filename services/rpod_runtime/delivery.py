@@ -1,4 +1,4 @@
-"""From samples of the bus to received messages: what is unusable, doubled, missed or recovered is counted."""
+"""Delivers samples of the bus to subscribers; counts unusable, duplicate, missed and recovered ones."""
 
 import logging
 import time
@@ -10,7 +10,7 @@ import zenoh.ext
 
 from rpod_runtime.accounting import JumpError, Publication, SequenceAccount
 from rpod_runtime.health import HealthBook
-from rpod_runtime.received import Received
+from rpod_runtime.inbox import Received
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import Namespace, Topic
 from rpod_schemas.wire import UNNUMBERED, Attachment, unpack_attachment
@@ -18,23 +18,23 @@ from rpod_schemas.wire import UNNUMBERED, Attachment, unpack_attachment
 log = logging.getLogger(__name__)
 
 _REPLAYED = zenoh.CongestionControl.BLOCK
-"""Our publishers drop under congestion; only the replies of their caches never do."""
+"""Congestion control of replies from a cache. Publishers of this package use DROP for live messages."""
 
 Sink = Callable[[Received], None]
 
 
-class Reception:
-    """Runs in the bus's threads: never raises, never waits."""
+class Delivery:
+    """Delivers messages to subscribers. It runs in the threads of the bus, never raises and never waits."""
 
     def __init__(self, keys: Namespace, health: HealthBook, account: SequenceAccount) -> None:
         self._keys, self._health, self._account = keys, health, account
         self._topics: dict[str, Topic] = {}
-        """By key, of those that came by a pattern."""
+        """Topic of each key that matched a pattern."""
         self._publications: dict[str, Publication] = {}
         self._gids: set[bytes] = set()
 
     def take(self, topic: Topic, sample: zenoh.Sample, sink: Sink) -> None:
-        """Hand over a message of a topic, or of one that fits a pattern, unless it is doubled or unusable."""
+        """Deliver a message of a topic or of a pattern, unless it is a duplicate or unusable."""
         key = str(sample.key_expr)
         if "*" in topic.name:
             topic = self._topics.get(key) or self._name(topic, key)
@@ -52,7 +52,7 @@ class Reception:
             log.exception("a message on %s could not be handled", topic.name)
 
     def take_any(self, sample: zenoh.Sample, sink: Sink) -> None:
-        """Hand over a message of any key; what is no known ROS topic needs no attachment."""
+        """Deliver a message of any key; a key that is no known ROS topic needs no attachment."""
         key = str(sample.key_expr)
         topic = self._keys.topic_at(key)
         if topic.type or _is_numbered(sample):
@@ -61,7 +61,7 @@ class Reception:
             sink(_received(topic, key, sample, UNNUMBERED))
 
     def miss(self, miss: zenoh.ext.Miss) -> None:
-        """Count what the bus could not recover; of a publisher never heard, nothing is missed."""
+        """Count messages that the bus could not recover; a publisher that was never heard has none."""
         publication = self._publications.get(str(miss.source))
         if publication:
             self._account.miss(publication, miss.nb)
@@ -72,7 +72,7 @@ class Reception:
             log.warning("rejected a message on %s: %s (counted from here on, see diagnostics)", topic, error)
 
     def _name(self, pattern: Topic, key: str) -> Topic:
-        """Return the topic of a key that a pattern brought, and remember it."""
+        """Return the topic of a key that matched a pattern, and remember it."""
         topic = self._topics[key] = replace(pattern, name=self._keys.topic_of(key))
         return topic
 

@@ -1,6 +1,7 @@
-"""From messages to measurements, without a bus: the daemon and a replay of a log share this very path.
+"""Reads measurements from messages, without a bus; the daemon and the replay of a log both use it.
 
-Parts are told apart by topic and stamp from their first bytes; only a frame that is chosen is decoded.
+Parts are identified by topic and by the stamp in their first bytes. Only frames that are
+processed are decoded.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.extrinsics import Extrinsics
-from rpod_runtime.frames import FrameReader, PartRejectedError, assembler_of, open_reader
+from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_transforms
@@ -24,18 +25,18 @@ from rpod_schemas.types import Camera
 
 @dataclass(frozen=True)
 class Arrived:
-    """A frame for the navigator, or why it is none."""
+    """A frame for the navigator, or the reason why it cannot be used."""
 
     sensor: str
     stamp_ns: int
     arrival_s: float
-    """Of its last part, monotonic clock."""
+    """Arrival of the last part, monotonic clock."""
     measurement: Measurement | None
     reason: str = ""
 
 
-class Intake:
-    """What is known of the sensors, their frames in the making, and how a frame becomes a measurement."""
+class FrameReader:
+    """Assembles frames of the configured sensors, and reads measurements from them."""
 
     def __init__(self, sensors: Sequence[SensorInput]) -> None:
         self.latched: tuple[Topic, ...] = (TF_STATIC,)
@@ -43,12 +44,12 @@ class Intake:
         self.streams: tuple[Topic, ...] = ()
         """Topics of the parts of frames, for the ``assemblers``."""
         self.parts: dict[str, tuple[str, str]] = {}
-        """Sensor and part, by such a topic's name."""
+        """Sensor and part, by the name of the stream topic."""
         self.assemblers: dict[str, Assembler[Received]] = {}
         """By sensor."""
         self.leading: dict[str, str] = {}
         """The part, by sensor, in whose place a frame is refused that never gets complete."""
-        self._readers: dict[str, FrameReader] = {}
+        self._readers: dict[str, SensorReader] = {}
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
         self._cameras = CameraWatch()
         for sensor in sensors:
@@ -72,7 +73,7 @@ class Intake:
         return {sensor: reader.said for sensor, reader in self._readers.items()}
 
     def learn(self, received: Received) -> None:
-        """Take a latched message. Raises ``MessageRejectedError``."""
+        """Store the content of a latched message. Raises ``MessageRejectedError``."""
         topic = received.topic
         if topic.name == TF_STATIC.name:
             for _, parent, child, pose in read_transforms(received.decode()):

@@ -5,7 +5,7 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from rpod_estimator.inputs import Inputs
+from rpod_estimator.subscriptions import Subscriptions
 from rpod_runtime import BusClock, Received, WallClock
 from rpod_runtime.health import HealthBook
 from rpod_schemas.cdr import encode
@@ -56,7 +56,7 @@ class Bench:
             "sensors", [{"kind": "pmd", "T_chaser_sensor": {"translation_m": [0, -0.05, 0]}}]
         )
         self.node = FakeNode(config.get("time_source", "wall"))
-        self.inputs = Inputs(self.node, EstimatorConfig(target="mockup", sensors=sensors, **config))
+        self.inputs = Subscriptions(self.node, EstimatorConfig(target="mockup", sensors=sensors, **config))
 
     def send(self, topic, message, *, arrival_ns=NOW_NS, damage=lambda payload: payload, arrival_s=0.0):
         payload = memoryview(bytes(damage(encode(message))))
