@@ -28,16 +28,20 @@ def emulator(target=BULKY, lidar=LIDAR):
     return LidarEmulator(lidar, load(target), seed=5)
 
 
+def told_by(lidar):
+    """Return what a LIDAR says of itself."""
+    names = "azimuth_rad", "elevation_rad", "sigma_range_m"
+    return {name: getattr(lidar.info(), name) for name in names}
+
+
 @cache
 def search(target=BULKY, lidar=LIDAR):
-    rays = {"azimuth_rad": lidar.azimuth_rad, "elevation_rad": lidar.elevation_rad}
-    return GlobalSearch(GlobalSearchConfig(), load(target), **rays)
+    return GlobalSearch(GlobalSearchConfig(), load(target), **told_by(lidar))
 
 
 @cache
 def tracker(target=BULKY, lidar=LIDAR):
-    rays = {"azimuth_rad": lidar.azimuth_rad, "elevation_rad": lidar.elevation_rad}
-    return ProjectiveIcp(ProjectiveIcpConfig(), load(target), **rays)
+    return ProjectiveIcp(ProjectiveIcpConfig(), load(target), **told_by(lidar))
 
 
 def scan_of(points_m, time_s=None):

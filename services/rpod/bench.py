@@ -144,7 +144,7 @@ def _rays() -> Iterator[Row]:
 def _lidar() -> Iterator[Row]:
     config, target = LidarConfig(), load_target("envisat-bulky")
     emulator = LidarEmulator(config, target, seed=1)
-    methods = methods_of(LidarInput(), target, ScanPattern(config.azimuth_rad, config.elevation_rad))
+    methods = methods_of(LidarInput(), target, ScanPattern.of(config.info()))
     for range_m in (20.0, 50.0):
         pose = _facing(range_m) * make_pose(rotation=_OBLIQUE)
         poses = [pose] * len(config.pose_times_s())

@@ -15,6 +15,7 @@ from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.schedule import DueFrame
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
+from rpod_sim_sensor.worlds import world_of
 from rpod_target import Target
 
 
@@ -24,7 +25,7 @@ class LidarChannel:
     def __init__(self, node: Node, config: EmulatorConfig, sensor: LidarConfig, target: Target) -> None:
         self.sensor = sensor
         self._seed = config.seed
-        self._emulator = LidarEmulator(sensor, target, seed=config.seed)
+        self._emulator = LidarEmulator(sensor, target, seed=config.seed, world=world_of(config.world))
         self._publisher = LidarPublisher(
             node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
         )

@@ -17,6 +17,7 @@ from rpod_schemas.schedule import DueFrame
 from rpod_schemas.topics import optical_frame
 from rpod_schemas.types import PmdFrame
 from rpod_sim_sensor.pmd import PmdEmulator, PmdExposure
+from rpod_sim_sensor.worlds import world_of
 from rpod_target import Target
 
 
@@ -27,7 +28,7 @@ class PmdChannel:
         self.sensor = sensor
         self._seed = config.seed
         self._with_samples = config.publish_samples
-        self._emulator = PmdEmulator(sensor, target, seed=config.seed)
+        self._emulator = PmdEmulator(sensor, target, seed=config.seed, world=world_of(config.world))
         self._spare: list[PmdExposure] = []
         self._announced_s = sensor.integration_time_s
         self._publisher = CameraPublisher(

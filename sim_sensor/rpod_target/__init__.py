@@ -7,9 +7,10 @@ without it.
 
 from rpod_target.errors import TargetError
 from rpod_target.loading import load_target, shipped_targets
-from rpod_target.target import DistanceField, Material, Symmetry, Target
+from rpod_target.target import Albedo, DistanceField, Material, Symmetry, Target
 
 __all__ = [
+    "Albedo",
     "DistanceField",
     "Material",
     "Symmetry",

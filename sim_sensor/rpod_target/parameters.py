@@ -4,15 +4,22 @@ Every part stands in its own axes and is placed by ``T_target_part``. A box is c
 origin; a prism, frustum or cylinder runs along its x axis from 0 to its length.
 """
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import FloatArray, Matrix3, Vector3
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.poses import Pose
+from rpod_target.target import Albedo
 
 
 class MaterialParameters(Config):
@@ -30,6 +37,17 @@ class MaterialParameters(Config):
     """Standard deviation of the tilt of a patch of foil about each axis; 0 for a smooth surface."""
     crinkle_m: Positive = 0.05
     """Size of a patch."""
+    albedo: Albedo | None = None
+    """How bright the surface looks: all that an estimator may know of it. Left out, foil and bare metal (a
+    specular reflectance of a half and more) are a mirror, others dark, grey or white by ``reflectivity``."""
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_left_out(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields; a file that says nothing of the albedo keeps its digest."""
+        document: dict[str, Any] = handler(self)
+        if self.albedo is None:
+            document.pop("albedo", None)
+        return document
 
 
 class _PartParameters(Config):

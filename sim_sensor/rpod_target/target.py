@@ -1,6 +1,7 @@
 """The target as sensors and estimators see it. All coordinates are in target axes, metres."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,13 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target.errors import TargetError
 
 Int32Array = NDArray[np.int32]
+
+Albedo = Literal["dark", "grey", "white", "mirror"]
+"""How bright a surface looks to somebody who has no instruments: solar cells and black paint, painted panels,
+white paint, foil and bare metal."""
+
+_MIRROR_F0, _DARK, _GREY = 0.5, 0.2, 0.5
+"""Specular reflectance from which on a surface is a mirror; reflectivities below which one is dark, grey."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +37,19 @@ class Material:
     """Standard deviation of the tilt of a patch of the surface about each axis; 0 for a smooth surface."""
     crinkle_m: float = 0.05
     """Size of a patch."""
+    albedo: Albedo | None = None
+    """What the target's file says of its brightness, if it does."""
+
+    @property
+    def looks(self) -> Albedo:
+        """How bright the surface looks: all that an estimator may know of a material."""
+        if self.albedo is not None:
+            return self.albedo
+        if self.crinkle_deg > 0.0 or self.f0 >= _MIRROR_F0:
+            return "mirror"
+        if self.reflectivity < _GREY:
+            return "dark" if self.reflectivity < _DARK else "grey"
+        return "white"
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,13 @@ SensorConfig = Annotated[EmulatedSensor, EMULATED]
 """A sensor to emulate; ``kind`` chooses among the installed ones."""
 
 
+WorldName = Literal[
+    "documented", "lambertian", "noisy", "multipath", "faint",
+    "specular", "stray-light", "exchanged", "keen", "outliers",
+]  # fmt: skip
+"""Variants of the physics behind the sensors' messages; ``rpod_sim_sensor.worlds`` says what each is."""
+
+
 class EmulatorConfig(ServiceConfig):
     """Truth in, sensor messages out."""
 
@@ -23,6 +30,8 @@ class EmulatorConfig(ServiceConfig):
     """Name or file of the target."""
     sensors: tuple[SensorConfig, ...] = Field(min_length=1)
     """What is emulated."""
+    world: WorldName = "documented"
+    """Which physics the sensors have; they do not say it, and no estimator is told."""
     seed: int = Field(default=0, ge=0)
     """Of all noise; with a frame's number it gives that frame's noise."""
     epoch_ns: int | None = Field(default=None, ge=0)

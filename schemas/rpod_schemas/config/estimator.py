@@ -39,17 +39,20 @@ class LidarInput(SensorInput):
     """Scan pattern, where the latched info does not tell."""
     elevation_rad: VectorN | None = None
     """Scan pattern, where the latched info does not tell."""
+    sigma_range_m: NonNegative | None = None
+    """Standard deviation of a range, where the latched info does not tell."""
     acquisition: LidarAcquisition = Field(default_factory=GlobalSearchConfig)
     """Without a prior pose."""
     tracking: LidarTracking = Field(default_factory=ProjectiveIcpConfig)
     """From a predicted pose."""
 
     def informed_by(self, emulated: EmulatedSensor) -> Self:
-        """Return this input with the scan pattern of the emulated LIDAR."""
+        """Return this input with the scan pattern and the range noise of the emulated LIDAR."""
         if not isinstance(emulated, LidarConfig):
             return self
-        pattern = {"azimuth_rad": emulated.azimuth_rad, "elevation_rad": emulated.elevation_rad}
-        return self.model_copy(update=pattern)
+        info = emulated.info()
+        said = {name: getattr(info, name) for name in ("azimuth_rad", "elevation_rad", "sigma_range_m")}
+        return self.model_copy(update=said)
 
     @model_validator(mode="after")
     def _the_pattern_is_whole(self) -> Self:

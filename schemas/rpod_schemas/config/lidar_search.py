@@ -1,6 +1,6 @@
 """Parameters of the global search in LIDAR scans, and of the tracker that casts the target."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -11,23 +11,17 @@ Count = Annotated[int, Field(gt=0)]
 
 
 class ScanModelConfig(Config):
-    """What a method assumes of a scan's statistics; they need not be exact."""
+    """What a method assumes of a scan's statistics beyond what sensor and scan tell."""
 
-    snr_m2: Positive = 7.14e5
-    """Signal-to-noise ratio of a white surface seen squarely, times the square of its range (2015 paper,
-    Eqs. 5 to 9 with Table 1)."""
-    false_alarm: Annotated[float, Field(gt=0, lt=1)] = 1e-4
-    """P_FA of Eq. 4."""
-    threshold: Literal["usual", "printed"] = "usual"
-    """Which reading of Eq. 4, as in the sensor's own configuration."""
+    sigma_range_m: Positive | None = None
+    """Standard deviation of a range; None for what the sensor says of itself, 0.05 m where it does not."""
+    noise_scale: Positive = 1.0
+    """Standard deviation over that."""
     surest_detection: Annotated[float, Field(gt=0, lt=1)] = 0.95
-    """P_D is never taken for more than this: models of materials are rough."""
-    sigma_range_m: Positive = 0.025
-    """Standard deviation of a range."""
+    """A ray that meets the target is never expected to come back with a larger probability: holes, edges and
+    mirrors lose what the brightness of a surface does not tell."""
     slack_m: Positive = 0.008
     """Standard deviation of the target's faces about their model."""
-    outlier_share: Share = 0.06
-    """Share of returns whose sigma is four times as large."""
     clutter_share: Annotated[float, Field(gt=0, lt=1)] = 0.02
     """Share of rays whose return, or its lack, says nothing."""
     clutter_depth_m: Positive = 20.0
@@ -48,10 +42,8 @@ class ScanVerdictConfig(Config):
     contrary_share: Share = 0.055
     """Share of rays that may contradict the pose, or be missing; two standard deviations of their number more
     where returns are few."""
-    pessimistic: ScanModelConfig = ScanModelConfig(
-        snr_m2=2.5e5, sigma_range_m=0.05, slack_m=0.03, clutter_share=0.05
-    )
-    """A sensor that detects less and errs more than it is said to."""
+    pessimistic: ScanModelConfig = ScanModelConfig(noise_scale=2.0, slack_m=0.03, clutter_share=0.05)
+    """A sensor that errs more than it says, and a target that was not built as drawn."""
 
 
 class ProjectiveIcpConfig(MethodConfig):

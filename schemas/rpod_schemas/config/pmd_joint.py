@@ -33,10 +33,12 @@ class JointDepthConfig(Config):
     """Least standard deviation of a residual; the inliers' own spread where that is larger."""
     effective_points: Count = 400
     """Most residuals counted as independent: neighbours share their errors."""
-    raw: RangeErrorConfig = RangeErrorConfig(bias_m=0.025, uneven_m=0.005)
-    """What noise leaves, where the depth is not calibrated: the wiggling."""
-    calibrated: RangeErrorConfig = RangeErrorConfig(bias_m=0.0035, uneven_m=0.0004)
-    """The same where it is."""
+    raw: RangeErrorConfig = RangeErrorConfig(bias_m=0.04, uneven_m=0.005)
+    """What noise leaves, where the depth is not calibrated: the wiggling, which is of several centimetres
+    (M. Lindner et al., Computer Vision and Image Understanding 114, 2010)."""
+    calibrated: RangeErrorConfig = RangeErrorConfig(bias_m=0.007, uneven_m=0.001)
+    """The same where it is calibrated, of which mostly several millimetres are left; a calibration that tells
+    what it left (``evidence.bias_after_m``) is believed instead."""
 
 
 class JointEdgeConfig(Config):

@@ -35,24 +35,18 @@ class PmdModelConfig(Config):
     """What is expected of the pixels of a frame under the right pose; it need not be exact."""
 
     sigma_m: Positive = 0.04
-    """Standard deviation of a depth but for its noise: uncalibrated wiggling."""
+    """Standard deviation of a depth but for its noise: uncalibrated wiggling, as ``JointDepthConfig.raw``."""
     most_noise_m: Positive = 0.1
     """Noise, as neighbouring pixels tell it, is never taken for more."""
     slack_m: Positive = 0.015
     """The same of the surface across its normal: on a steep face it counts for more along the ray."""
     outlier_loss: Positive = 3.5
     """Most loss of a depth: mixed pixels and multiple reflections are wrong altogether."""
-    sigma_log_amplitude: Positive = 0.2
-    """Standard deviation of the amplitude's logarithm on a diffuse surface."""
     strange_log_amplitude: Positive = 1.0
-    """The same where the materials may be others than the file's."""
-    mirror_log_amplitude: NonNegative = 3.0
-    """The same for what its lobe reflects, on top and times the lobe's share of the amplitude: where crinkled
-    foil glints is anyone's guess."""
-    foil_share: Share = 0.05
-    """Least share of the lobe, times the specular reflectance, wherever the lobe points."""
+    """Least standard deviation of the amplitude's logarithm where the materials may be others than the
+    file's: any paint may be any other, a factor of ten from the darkest to the brightest."""
     amplitude_outlier_loss: Positive = 2.3
-    """Most loss of an amplitude: of glints the model of reflection knows nothing."""
+    """Most loss of an amplitude: of glints no class of brightness knows anything."""
     lost_loss: NonNegative = 0.3
     """Loss of a lit pixel without depth where the pose predicts surface: glints and dark parts lose depth."""
     dark_loss: NonNegative = 3.0

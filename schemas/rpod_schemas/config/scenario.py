@@ -5,7 +5,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import Config, Name, Positive
-from rpod_schemas.config.emulator import SensorConfig
+from rpod_schemas.config.emulator import SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.motion import MotionConfig
 
@@ -32,6 +32,8 @@ class Scenario(Config):
     """How chaser and target move."""
     sensors: tuple[SensorConfig, ...] = Field(min_length=1)
     """What is emulated."""
+    world: WorldName = "documented"
+    """Which physics the emulated sensors have; the estimator is not told."""
     publish_samples: bool = False
     """Publish the PMD cameras' raw samples as well: about 70 MB/s at 45 Hz."""
     estimator: EstimatorSettings

@@ -13,11 +13,12 @@ from pathlib import Path
 
 from rpod_analysis.errors import CannotWriteError, NoEstimatorError
 from rpod_analysis.log import Log, Logged
-from rpod_analysis.log_file import REPLAY, beside
+from rpod_analysis.log.log_file import REPLAY, beside
+from rpod_analysis.log.unreadable import StampCheck
 from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
 from rpod_analysis.replay.timeline import Timeline
-from rpod_analysis.run import estimate_prefix
+from rpod_analysis.scoring.run import estimate_prefix
 from rpod_estimator.estimator import Estimator
 from rpod_estimator.frame_reader import FrameReader
 from rpod_pose.measurement import Tick
@@ -97,7 +98,12 @@ def replay(
         raise CannotWriteError(target, "is the log itself")
     estimator, intake = Estimator(config, load_target(config.target)), FrameReader(config.sensors)
     old = estimate_prefix(log)
-    frames = FramesAsLive(intake, status_topic=STATUS.under(old).name) if as_live else Frames(intake)
+    stamps = StampCheck(log)
+    frames = (
+        FramesAsLive(intake, stamps, status_topic=STATUS.under(old).name)
+        if as_live
+        else Frames(intake, stamps)
+    )
     feed = _Feed(estimator, intake, as_live=as_live)
     try:
         with EstimateLog(target, log, config) as written:

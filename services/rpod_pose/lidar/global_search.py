@@ -36,6 +36,13 @@ from rpod_target import Target
 class GlobalSearch:
     """Finds the target in a scan: ports.Acquirer[LidarScan].
 
+    Args:
+        config: its parameters.
+        target: what is looked for.
+        azimuth_rad: of the scan pattern's columns, shape (columns,).
+        elevation_rad: of its rows, shape (rows,).
+        sigma_range_m: what the sensor says of its range errors, 0 where it does not.
+
     Raises:
         rpod_target.TargetError: the target has no distance field.
     """
@@ -47,10 +54,15 @@ class GlobalSearch:
         *,
         azimuth_rad: FloatArray,
         elevation_rad: FloatArray,
+        sigma_range_m: float = 0.0,
     ) -> None:
-        self._config, self._radius_m = config, target.radius_m
+        self._config, self._radius_m, self._sigma_range_m = config, target.radius_m, sigma_range_m
         self._tracker = ProjectiveIcp(
-            config.tracking, target, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad
+            config.tracking,
+            target,
+            azimuth_rad=azimuth_rad,
+            elevation_rad=elevation_rad,
+            sigma_range_m=sigma_range_m,
         )
         surface = self._tracker.surface
         views = ViewModel.of(
@@ -122,7 +134,9 @@ class GlobalSearch:
         seen = whole.every(stride) if stride > 1 else whole
         if stride not in self._scanners:
             view = self._tracker.view if stride == 1 else self._tracker.view.every(stride)
-            self._scanners[stride] = Scanner.of(view, self._config, self._model.surface)
+            self._scanners[stride] = Scanner.of(
+                view, self._config, self._model.surface, sigma_range_m=self._sigma_range_m
+            )
         return ScanSearch(self._config, self._model, self._scanners[stride], seen)
 
     def _too_few(self, seen: SeenScan) -> Acquisition:

@@ -36,7 +36,7 @@ def _rays(task: Task) -> Rays:
 
 def global_search(config: GlobalSearchConfig, task: Task) -> Acquirer[LidarScan]:
     """Return the search of our own."""
-    return GlobalSearch(config, task.target, **_rays(task))
+    return GlobalSearch(config, task.target, **_rays(task), sigma_range_m=task.setup.sigma_range_m)
 
 
 def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[LidarScan]:
@@ -48,7 +48,7 @@ def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[Li
 
 def projective_point_to_plane(config: ProjectiveIcpConfig, task: Task) -> Tracker[LidarScan]:
     """Return the tracker of our own."""
-    return ProjectiveIcp(config, task.target, **_rays(task))
+    return ProjectiveIcp(config, task.target, **_rays(task), sigma_range_m=task.setup.sigma_range_m)
 
 
 def icp_nearest_neighbour(config: IcpNearestNeighbourConfig, task: Task) -> Tracker[LidarScan]:
@@ -62,7 +62,7 @@ def known_pattern(sensor: LidarInput, said: LidarInfo | None) -> ScanPattern | N
         return ScanPattern.of(said)
     if sensor.azimuth_rad is None or sensor.elevation_rad is None:
         return None
-    return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad)
+    return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad, sigma_range_m=sensor.sigma_range_m or 0.0)
 
 
 def make(task: Task) -> Methods:

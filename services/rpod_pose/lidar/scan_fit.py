@@ -1,8 +1,9 @@
 """How well a pose explains a scan: the likelihood of every ray, hit or missed.
 
-The target is cast at the pose. A ray that should meet it comes back with the probability P_D (2015 paper,
-Eq. 4) and then with a range error that is a mixture of two normal ones, sigma and 4 sigma; one that should
-meet nothing comes back with a small probability, at any range. The logarithms add up to the scan's.
+The target is cast at the pose. A ray that should meet it comes back with a probability that the scan tells
+itself (``detection``), and then with a range error of heavy tails whose scale is what the sensor says of
+itself (``scan_likelihood``); one that should meet nothing comes back with a small probability, at any range.
+The logarithms add up to the scan's.
 
 The same sum has an expectation and a variance under the pose itself, so that the *deficit*, expected minus
 actual, says how badly the scan speaks against it, without any other pose to compare with: a right pose lacks
@@ -10,17 +11,26 @@ nothing but chance, a wrong one lacks several units a return.
 """
 
 from dataclasses import dataclass
-from math import log, sqrt
-from typing import Self
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 from scipy.stats import norm, qmc
 
 from rpod_geometry.rays import cast
 from rpod_pose.belief import Belief, contradicted
-from rpod_pose.lidar.scan_likelihood import agreed, judged, likeliest, told
+from rpod_pose.lidar.detection import LINEAR_RUNGS, detection, expected_shares
+from rpod_pose.lidar.scan_likelihood import (
+    Assumptions,
+    Draws,
+    Judgement,
+    Rays,
+    Returns,
+    agreed,
+    judged,
+    likeliest,
+    log_likelihood,
+)
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
@@ -31,12 +41,15 @@ LEAST_DEVIATION = 3.0
 """Of a deficit, where nothing is left to chance."""
 MARGIN = 3
 """Rows and columns beside a target that it may reach while a pose is sharpened."""
-_TABLE = np.arange(0.0, 64.0, 0.25)
-"""Signal-to-noise ratios at which P_D is tabulated; beyond the last it is as good as one."""
+UNKNOWN_SIGMA_M = 0.05
+"""Sigma of a range of a sensor that does not say it: pulsed LIDARs err by 2 to 5 cm."""
 
 _ROUNDS, _SAMPLES, _ELITE = 4, 64, 10
-_DRAWS = norm.ppf(qmc.Sobol(6, seed=1).random(_ROUNDS * _SAMPLES).clip(1e-3, 1.0 - 1e-3)).reshape(
-    _ROUNDS, _SAMPLES, 6
+_DRAWS = Draws(
+    norm.ppf(qmc.Sobol(6, seed=1).random(_ROUNDS * _SAMPLES).clip(1e-3, 1.0 - 1e-3)).reshape(
+        _ROUNDS, _SAMPLES, 6
+    ),
+    _ELITE,
 )
 """Standard normal samples, spread evenly, the same in every search."""
 
@@ -50,12 +63,7 @@ class Agreement:
     contrary: int
     """Returns where none was predicted, or at another range."""
     missing: float
-    """Predicted returns that are lacking beyond what P_D lets expect."""
-
-    @classmethod
-    def of(cls, agreeing: int, contrary: int, missed: float, expected_missed: float) -> Self:
-        """Return the agreement of counted rays: an excess of one standard deviation is left to chance."""
-        return cls(agreeing, contrary, max(0.0, missed - expected_missed - sqrt(expected_missed)))
+    """Predicted returns that are lacking beyond what their echoes let expect."""
 
     @property
     def share(self) -> float:
@@ -77,30 +85,47 @@ class ScanFit:
 
 
 class ScanModel:
-    """The statistics of a sensor's scans of a target."""
+    """The statistics of a sensor's scans of a target.
+
+    Args:
+        config: what is assumed of the scans.
+        verdict: when a pose explains one.
+        view: the rays.
+        surface: the target.
+        sigma_range_m: what the sensor says of its range errors, 0 where it does not.
+    """
 
     def __init__(
-        self, config: ScanModelConfig, verdict: ScanVerdictConfig, view: ScanView, surface: SurfaceModel
+        self,
+        config: ScanModelConfig,
+        verdict: ScanVerdictConfig,
+        view: ScanView,
+        surface: SurfaceModel,
+        *,
+        sigma_range_m: float = 0.0,
     ) -> None:
-        self._view, self._faces, self._verdict = view, surface.faces, verdict
-        self.detection = detection_table(config)
-        self._chances, self._noise = _chances(config), _noise(config)
-        buffers = view.hits.range_m, view.hits.triangle
-        self._asked = view.grid.arrays, surface.faces, self._chances, self._noise, buffers
-        pessimistic = verdict.pessimistic
-        self._asked_of_less = (*self._asked[:2], _chances(pessimistic), _noise(pessimistic), buffers)
+        self._view, self._verdict = view, verdict
+        self.sigma_range_m = config.sigma_range_m or sigma_range_m or UNKNOWN_SIGMA_M
+        self._rays = Rays(view.grid.arrays, surface.faces, view.hits.range_m, view.hits.triangle)
+        self._shares = expected_shares(config.surest_detection)
+        self._assumed = _assumptions(config, self.sigma_range_m)
+        self._pessimistic = _assumptions(verdict.pessimistic, self.sigma_range_m)
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
-        return _fit(*judged(seen.range_m, (R, t), *self._asked))
+        return _fit(judged(_returns(seen), R, t, self._rays, self._assumed))
 
     def agreement(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Agreement:
         """Return that part of ``fit`` alone, which takes half its time."""
-        return Agreement.of(*agreed(seen.range_m, (R, t), *self._asked))
+        return Agreement(*agreed(_returns(seen), R, t, self._rays, self._assumed))
 
     def log_likelihood(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> float:
         """Return that part of ``fit`` alone."""
-        return float(told(seen.range_m, (R, t), *self._asked))
+        return float(log_likelihood(_returns(seen), R, t, self._rays, self._assumed))
+
+    def expected_shares(self, seen: SeenScan) -> tuple[float, FloatArray]:
+        """Return ``energy.Detection`` of a scan: steps of the table a unit of echo, and the table."""
+        return LINEAR_RUNGS * seen.middle_m**2, self._shares
 
     def belief(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> Belief:
         """Return whether a pose, whose fit is known, explains a scan."""
@@ -113,7 +138,7 @@ class ScanModel:
         }
         if self._content(fit, seen.returns):
             return Belief(evidence=evidence)
-        less = _fit(*judged(seen.range_m, (R, t), *self._asked_of_less))
+        less = _fit(judged(_returns(seen), R, t, self._rays, self._pessimistic))
         if self._content(less, seen.returns):
             return Belief(evidence=evidence)
         reason = (
@@ -147,28 +172,40 @@ class ScanModel:
             covariance: of (dtau, dtheta) of ``normal_equations``, shape (6, 6).
         """
         hits = self._view.hits
-        cast(self._view.grid, self._faces[0], pose_of(R, t), out=hits)
+        cast(self._view.grid, self._rays.faces[0], pose_of(R, t), out=hits)
         rows, columns = _around((seen.range_m > 0.0) | (hits.triangle >= 0))
         measured = np.ascontiguousarray(seen.range_m[rows, columns])
-        sharper: tuple[FloatArray, FloatArray] = likeliest(
-            measured,
-            (R, t),
+        rays = Rays(
             self._view.grid.block(rows, columns),
-            self._faces,
-            self._chances,
-            self._noise,
-            (np.empty(measured.shape, np.float32), np.empty(measured.shape, np.int32)),
-            covariance,
-            _DRAWS,
-            _ELITE,
+            self._rays.faces,
+            np.empty(measured.shape, np.float32),
+            np.empty(measured.shape, np.int32),
+        )
+        returns = Returns(measured, seen.middle_m)
+        sharper: tuple[FloatArray, FloatArray] = likeliest(
+            returns, R, t, rays, self._assumed, covariance, _DRAWS
         )
         return sharper
 
 
-def _fit(actual: float, moments: tuple[float, float], counts: tuple[int, int, float, float]) -> ScanFit:
-    """Return the fit of what ``judged`` returns."""
-    expected, variance = moments
-    return ScanFit(actual, expected - actual, sqrt(variance), Agreement.of(*counts))
+def _fit(told: Judgement) -> ScanFit:
+    counts = told.agreeing, told.contrary, told.missing
+    deficit = told.expected - told.log_likelihood
+    return ScanFit(told.log_likelihood, deficit, sqrt(told.variance), Agreement(*counts))
+
+
+def _returns(seen: SeenScan) -> Returns:
+    return Returns(seen.range_m, seen.middle_m)
+
+
+def _assumptions(config: ScanModelConfig, sigma_range_m: float) -> Assumptions:
+    return Assumptions(
+        sigma_m=config.noise_scale * sigma_range_m,
+        slack_m=config.slack_m,
+        clutter_share=config.clutter_share,
+        clutter_density=config.clutter_share / config.clutter_depth_m,
+        detection=detection(config.surest_detection, config.clutter_share),
+    )
 
 
 def _around(rays: NDArray[np.bool_]) -> tuple[slice, slice]:
@@ -179,29 +216,3 @@ def _around(rays: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 def _widened(lines: NDArray[np.intp]) -> slice:
     return slice(max(0, lines[0] - MARGIN), lines[-1] + 1 + MARGIN)
-
-
-def _noise(config: ScanModelConfig) -> tuple[float, ...]:
-    """Return sigma, slack, outlier share, clutter share and clutter density, as the kernels take them."""
-    return (
-        config.sigma_range_m,
-        config.slack_m,
-        config.outlier_share,
-        config.clutter_share,
-        config.clutter_share / config.clutter_depth_m,
-    )
-
-
-def detection_table(config: ScanModelConfig) -> tuple[float, FloatArray]:
-    """Return P_D over the echo rho cos(theta) / R^2: steps of the table a unit of echo, and the table."""
-    logarithm = log(1.0 / config.false_alarm)
-    level = 0.5 * logarithm if config.threshold == "printed" else sqrt(logarithm)
-    probability = 0.5 * (1.0 + erf(np.sqrt(0.5 + _TABLE) - level))
-    return config.snr_m2 / (_TABLE[1] - _TABLE[0]), np.minimum(probability, config.surest_detection)
-
-
-def _chances(config: ScanModelConfig) -> tuple[float, FloatArray]:
-    """Return ``detection_table`` with clutter in the way, and its table's logarithms: of p and of 1 - p."""
-    steps, table = detection_table(config)
-    p = (1.0 - config.clutter_share) * table
-    return steps, np.stack((p, np.log(p + 1e-9), np.log(1.0 - p)))

@@ -1,158 +1,266 @@
 """What a scan says of a pose, ray by ray: its log likelihood, what that was to be expected, which rays agree.
 
-The kernels of ``scan_fit``. They share
-
-    measured: range of each ray, 0 where no return, shape (rows, columns), m.
-    pose: R and t of the target in the sensor, shapes (3, 3) and (3,), m.
-    grid: ``RayGrid.arrays``.
-    faces: ``SurfaceModel.faces``.
-    chances: ``scan_fit.chances``.
-    noise: sigma, slack, outlier share, clutter share, clutter density a metre.
-    buffers: predicted range and face of each ray, -1 for none, shape (rows, columns) each.
+The kernels of ``scan_fit``. A return from a surface errs by Student's distribution with four degrees of
+freedom, whose scale is what the sensor says of itself: a normal error whose variance is known roughly (by a
+scaled inverse chi-square distribution with four degrees of freedom). Its tails take outliers without being
+told how many there are, or how large.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from rpod_geometry.rays import cast_pose
+from rpod_geometry.rays import GridArrays, cast_pose
+from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG, Detection
 from rpod_pose.registration.lie_group import turned
+from rpod_pose.registration.surface_model import Faces
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
 
-OUTLIER_FACTOR = 4.0
-"""Sigma of outliers over that of the others (2015 paper, section 3.2)."""
 STEEPEST = 0.05
 """Cosine of incidence below which a surface's slack along the ray grows no more."""
-HIT_MEAN, HIT_VARIANCE = 0.677, 1.03
-"""Of minus the log likelihood of a range error, without 0.5 log(2 pi sigma^2): of the mixture with 6 % of
-outliers, integrated numerically."""
-AGREEING = 4.0
-"""Standard deviations of an outlier within which a range is as predicted."""
+PEAK = 0.375
+"""Density of Student's distribution (4) at zero, in units of one over its scale."""
+HIT_MEAN, HIT_VARIANCE = 1.6818, 0.9661
+"""Mean and variance of minus the logarithm of that density, integrated numerically."""
+
+
+class Returns(NamedTuple):
+    """What the rays of a pattern measured."""
+
+    range_m: FloatArray
+    """0 where no return, shape (rows, columns)."""
+    middle_m: float
+    """Median of the returns' ranges."""
+
+
+class Assumptions(NamedTuple):
+    """What is expected of a return."""
+
+    sigma_m: float
+    """Scale of a range error."""
+    slack_m: float
+    """Standard deviation of a face across its plane."""
+    clutter_share: float
+    """Share of rays whose return, or its lack, says nothing."""
+    clutter_density: float
+    """Such returns a ray and metre of range, 1/m."""
+    detection: Detection
+    """Which rays come back."""
+
+
+class Rays(NamedTuple):
+    """The rays of a pattern, the target that they are cast at, and buffers of shape (rows, columns)."""
+
+    grid: GridArrays
+    """``RayGrid.arrays``."""
+    faces: Faces
+    """``SurfaceModel.faces``."""
+    range_m: Float32Array
+    """Predicted range."""
+    face: NDArray[np.int32]
+    """Predicted face, -1 for none."""
+
+
+class Draws(NamedTuple):
+    """How a pose's neighbourhood is sampled."""
+
+    normal: FloatArray
+    """Standard normal samples, shape (rounds, samples, 6)."""
+    elite: int
+    """How many of the best of a round lead the next."""
+
+
+class Judgement(NamedTuple):
+    """What a scan says of a pose."""
+
+    log_likelihood: float
+    """Against that of an empty sky."""
+    expected: float
+    """Its mean over the scans that the pose lets expect."""
+    variance: float
+    """Its variance over these."""
+    agreeing: int
+    """Returns that the predicted face explains better than clutter does."""
+    contrary: int
+    """Other returns."""
+    missing: float
+    """Rays that meet a face and did not come back, beyond the number that is expected of their echo."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def judged(measured, pose, grid, faces, chances, noise, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return ``log_likelihood``, ``expectation`` and ``agreement`` of a scan at a pose."""
-    cast_pose(grid, faces[0], pose[0], pose[1], True, buffers[0], buffers[1])
-    seen = (pose[0], grid[0], faces, buffers)
-    told = log_likelihood(measured, seen, chances, noise)
-    return told, expectation(seen, chances, noise), agreement(measured, seen, chances, noise)
+def judged(returns, R, t, rays, assumed):  # type: ignore[no-untyped-def]
+    """Return the ``Judgement`` on a pose R, t of the target in the sensor.
+
+    Args:
+        returns: ``Returns``.
+        R: shape (3, 3).
+        t: shape (3,), m.
+        rays: ``Rays``.
+        assumed: ``Assumptions``.
+    """
+    cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
+    told, power = _log_likelihood(returns, R, rays, assumed)
+    mean, variance = _expectation(returns, R, rays, assumed, power)
+    counts = _agreement(returns, R, rays, assumed, power)
+    return Judgement(told, mean, variance, counts[0], counts[1], counts[2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def told(measured, pose, grid, faces, chances, noise, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return ``log_likelihood`` of a scan at a pose."""
-    cast_pose(grid, faces[0], pose[0], pose[1], True, buffers[0], buffers[1])
-    return log_likelihood(measured, (pose[0], grid[0], faces, buffers), chances, noise)
+def log_likelihood(returns, R, t, rays, assumed):  # type: ignore[no-untyped-def]
+    """Return that part of ``judged`` alone."""
+    cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
+    return _log_likelihood(returns, R, rays, assumed)[0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def agreed(measured, pose, grid, faces, chances, noise, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return ``agreement`` of a scan at a pose."""
-    cast_pose(grid, faces[0], pose[0], pose[1], True, buffers[0], buffers[1])
-    return agreement(measured, (pose[0], grid[0], faces, buffers), chances, noise)
+def agreed(returns, R, t, rays, assumed):  # type: ignore[no-untyped-def]
+    """Return the counts of ``judged`` alone: agreeing, contrary, missing."""
+    cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
+    power = _log_likelihood(returns, R, rays, assumed)[1]
+    return _agreement(returns, R, rays, assumed, power)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def met(seen, i, j):  # type: ignore[no-untyped-def]
-    """Return the predicted range of a ray, its cosine of incidence and the echo rho cos(theta) / R^2."""
-    R, rays, (_, normals, _, reflectivity), (range_m, owner) = seen
-    face, dx, dy, dz = owner[i, j], rays[0, i, j], rays[1, i, j], rays[2, i, j]
+def _met(returns, R, rays, i, j):  # type: ignore[no-untyped-def]
+    """Return the predicted range of a ray, its cosine of incidence, and the step of its echo in the table."""
+    directions, (_, normals, _, albedo) = rays.grid[0], rays.faces
+    face = rays.face[i, j]
+    dx, dy, dz = directions[0, i, j], directions[1, i, j], directions[2, i, j]
     cosine = 0.0
     for k in range(3):
         cosine -= normals[face, k] * (R[0, k] * dx + R[1, k] * dy + R[2, k] * dz)
-    r = np.float64(range_m[i, j])
-    return r, cosine, cosine * reflectivity[face] / (r * r)
+    r = np.float64(rays.range_m[i, j])
+    echo = cosine * albedo[face] * (returns.middle_m / r) ** 2
+    rung = int((np.log(max(echo, 1e-9)) - LEAST_LOG) * RUNGS_PER_LOG)
+    return r, cosine, min(max(rung, 0), RUNGS - 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def log_likelihood(measured, seen, chances, noise):  # type: ignore[no-untyped-def]
-    """Return the log likelihood of a scan against that of an empty sky."""
-    owner, (steps, table), (sigma, slack, outliers, clutter, density) = seen[3][1], chances, noise
-    log_density, log_clear, total = np.log(density), np.log(1.0 - clutter), 0.0
-    for i in range(owner.shape[0]):
-        for j in range(owner.shape[1]):
-            m = measured[i, j]
-            if owner[i, j] < 0:
+def _density(error_m, cosine, assumed):  # type: ignore[no-untyped-def]
+    """Return the density of a range error on a face, 1/m."""
+    lateral_m = assumed.slack_m / max(cosine, STEEPEST)
+    variance = assumed.sigma_m * assumed.sigma_m + lateral_m * lateral_m
+    tail = 1.0 + 0.25 * error_m * error_m / variance
+    return PEAK / (np.sqrt(variance * tail) * tail * tail)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _log_likelihood(returns, R, rays, assumed):  # type: ignore[no-untyped-def]
+    """Return the log likelihood of a scan against that of an empty sky, and the likeliest of ``HALVES``.
+
+    A return that clutter explains better than the face does tells nothing of what is detected.
+    """
+    log_density, log_clear = np.log(assumed.clutter_density), np.log(1.0 - assumed.clutter_share)
+    returned, missing, total = np.zeros(RUNGS), np.zeros(RUNGS), 0.0
+    for i in range(rays.face.shape[0]):
+        for j in range(rays.face.shape[1]):
+            m = returns.range_m[i, j]
+            if rays.face[i, j] < 0:
                 if m > 0.0:
                     total += log_density - log_clear
                 continue
-            r, cosine, echo = met(seen, i, j)
-            rung = min(int(echo * steps), table.shape[1] - 1)
+            r, cosine, rung = _met(returns, R, rays, i, j)
             total -= log_clear
             if m <= 0.0:
-                total += table[2, rung]
+                missing[rung] += 1.0
                 continue
-            e2, lateral = (m - r) * (m - r), slack / max(cosine, STEEPEST)
-            narrow = sigma * sigma + lateral * lateral
-            wide = OUTLIER_FACTOR**2 * sigma * sigma + lateral * lateral
-            near = (1.0 - outliers) * np.exp(-0.5 * e2 / narrow) / np.sqrt(2.0 * np.pi * narrow)
-            near += outliers * np.exp(-0.5 * e2 / wide) / np.sqrt(2.0 * np.pi * wide)
-            total += np.log(table[0, rung] * near + density)
-    return total
+            near = _density(m - r, cosine, assumed)
+            total += np.log(near + assumed.clutter_density)
+            if near > assumed.clutter_density:
+                returned[rung] += 1.0
+    evidence, power = _detected(returned, missing, assumed.detection)
+    return total + evidence, power
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def expectation(seen, chances, noise):  # type: ignore[no-untyped-def]
-    """Return mean and variance of ``log_likelihood`` over the scans that the pose lets expect."""
-    owner, (steps, table), (sigma, slack, _, clutter, _) = seen[3][1], chances, noise
-    log_clear, mean, variance = np.log(1.0 - clutter), 0.0, 0.0
-    for i in range(owner.shape[0]):
-        for j in range(owner.shape[1]):
-            if owner[i, j] < 0:
+def _detected(returned, missing, detection):  # type: ignore[no-untyped-def]
+    """Return the log of the mean likelihood over ``HALVES`` of which rays came back, and the likeliest one.
+
+    Args:
+        returned: rays that came back, by echo, shape (RUNGS,).
+        missing: rays that did not, likewise.
+        detection: ``Detection``.
+    """
+    told = np.zeros(detection.share.shape[0])
+    for h in range(told.size):
+        for rung in range(RUNGS):
+            told[h] += returned[rung] * detection.log_share[h, rung]
+            told[h] += missing[rung] * detection.log_missing[h, rung]
+    power = np.argmax(told)
+    return told[power] + np.log(np.mean(np.exp(told - told[power]))), power
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _expectation(returns, R, rays, assumed, power):  # type: ignore[no-untyped-def]
+    """Return mean and variance of the log likelihood over the scans that the pose lets expect."""
+    log_clear, mean, variance = np.log(1.0 - assumed.clutter_share), 0.0, 0.0
+    share, log_share, log_missing = assumed.detection
+    for i in range(rays.face.shape[0]):
+        for j in range(rays.face.shape[1]):
+            if rays.face[i, j] < 0:
                 continue
-            _, cosine, echo = met(seen, i, j)
-            rung = min(int(echo * steps), table.shape[1] - 1)
-            p, log_p, miss = table[0, rung], table[1, rung], table[2, rung]
-            lateral = slack / max(cosine, STEEPEST)
-            hit = log_p - 0.5 * np.log(2.0 * np.pi * (sigma * sigma + lateral * lateral)) - HIT_MEAN
+            _, cosine, rung = _met(returns, R, rays, i, j)
+            p, miss = share[power, rung], log_missing[power, rung]
+            lateral_m = assumed.slack_m / max(cosine, STEEPEST)
+            scale = np.log(assumed.sigma_m * assumed.sigma_m + lateral_m * lateral_m)
+            hit = log_share[power, rung] - 0.5 * scale - HIT_MEAN
             mean += p * hit + (1.0 - p) * miss - log_clear
             variance += p * (1.0 - p) * (hit - miss) ** 2 + HIT_VARIANCE * p
     return mean, variance
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def agreement(measured, seen, chances, noise):  # type: ignore[no-untyped-def]
-    """Return how many returns agree, how many contradict, how many lack, and how many were expected to."""
-    owner, (steps, table), (sigma, slack, _, _, _) = seen[3][1], chances, noise
-    agreeing, contrary, missed, expected_missed = 0, 0, 0.0, 0.0
-    for i in range(owner.shape[0]):
-        for j in range(owner.shape[1]):
-            m = measured[i, j]
-            if owner[i, j] < 0:
+def _agreement(returns, R, rays, assumed, power):  # type: ignore[no-untyped-def]
+    """Return how many returns agree, how many contradict, and how many are missing.
+
+    What is missing is counted for each echo apart: no sensor loses bright surfaces and returns dark ones. One
+    standard deviation of each number is left to chance.
+    """
+    agreeing, contrary = 0, 0
+    missed, expected = np.zeros(RUNGS), np.zeros(RUNGS)
+    for i in range(rays.face.shape[0]):
+        for j in range(rays.face.shape[1]):
+            m = returns.range_m[i, j]
+            if rays.face[i, j] < 0:
                 contrary += m > 0.0
                 continue
-            r, cosine, echo = met(seen, i, j)
-            expected_missed += 1.0 - table[0, min(int(echo * steps), table.shape[1] - 1)]
+            r, cosine, rung = _met(returns, R, rays, i, j)
+            expected[rung] += 1.0 - assumed.detection.share[power, rung]
             if m <= 0.0:
-                missed += 1.0
-                continue
-            lateral = slack / max(cosine, STEEPEST)
-            wide = OUTLIER_FACTOR**2 * sigma * sigma + lateral * lateral
-            if (m - r) * (m - r) < AGREEING**2 * wide:
+                missed[rung] += 1.0
+            elif _density(m - r, cosine, assumed) > assumed.clutter_density:
                 agreeing += 1
             else:
                 contrary += 1
-    return agreeing, contrary, missed, expected_missed
+    missing = 0.0
+    for rung in range(RUNGS):
+        missing += max(0.0, missed[rung] - expected[rung] - np.sqrt(expected[rung]))
+    return agreeing, contrary, missing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def likeliest(measured, pose, grid, faces, chances, noise, buffers, covariance, draws, elite):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def likeliest(returns, R, t, rays, assumed, covariance, draws):  # type: ignore[no-untyped-def]  # noqa: PLR0917
     """Return the likeliest pose R, t near one (``scan_fit.ScanModel.sharpen``).
 
     The samples of the first round have a covariance of (dtau, dtheta), shape (6, 6), those of each next one
-    that of so many of the best, the elite. Draws are standard normal, shape (rounds, samples, 6).
+    that of the elite, the best of the round. The other arguments are those of ``judged``, and ``Draws``.
     """
-    best_R, best_t = pose
-    best = told(measured, pose, grid, faces, chances, noise, buffers)
-    steps, scores, spread = np.empty(draws.shape[1:]), np.empty(draws.shape[1]), covariance
-    for number in range(draws.shape[0]):
+    normal, elite = draws
+    best_R, best_t = R, t
+    best = log_likelihood(returns, R, t, rays, assumed)
+    steps, scores, spread = np.empty(normal.shape[1:]), np.empty(normal.shape[1]), covariance
+    for number in range(normal.shape[0]):
         root = np.linalg.cholesky(spread + 1e-12 * np.eye(6))
         centre_R, centre_t = best_R, best_t
-        for n in range(draws.shape[1]):
-            steps[n] = root @ draws[number, n]
-            moved = turned(centre_R, steps[n, 3:]), centre_t + centre_R @ steps[n, :3]
-            scores[n] = told(measured, moved, grid, faces, chances, noise, buffers)
+        for n in range(normal.shape[1]):
+            steps[n] = root @ normal[number, n]
+            moved_R, moved_t = turned(centre_R, steps[n, 3:]), centre_t + centre_R @ steps[n, :3]
+            scores[n] = log_likelihood(returns, moved_R, moved_t, rays, assumed)
             if scores[n] > best:
-                best, (best_R, best_t) = scores[n], moved
+                best, best_R, best_t = scores[n], moved_R, moved_t
         leading = steps[np.argsort(-scores)[:elite]]
         middle = np.zeros(6)
         for row in leading:

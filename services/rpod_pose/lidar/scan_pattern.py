@@ -1,4 +1,4 @@
-"""The directions of a LIDAR's rays."""
+"""What a LIDAR says of itself: the directions of its rays, and how well it measures."""
 
 from dataclasses import dataclass
 
@@ -10,24 +10,28 @@ from rpod_schemas.types import LidarInfo
 
 @dataclass(frozen=True, eq=False)
 class ScanPattern:
-    """Directions of an organised scan."""
+    """Directions of an organised scan, and the sensor's own word on its errors."""
 
     azimuth_rad: FloatArray
     elevation_rad: FloatArray
     rows_are_elevation: bool = True
     """Of the scans as they are sent."""
+    sigma_range_m: float = 0.0
+    """Standard deviation of a range, 0 where the sensor does not say it."""
 
     @classmethod
     def of(cls, info: LidarInfo) -> "ScanPattern":
         """Return what a LIDAR says of itself."""
-        return cls(info.azimuth_rad, info.elevation_rad, info.rows_are_elevation)
+        return cls(info.azimuth_rad, info.elevation_rad, info.rows_are_elevation, info.sigma_range_m)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether two patterns have the same directions."""
+        """Return whether two patterns have the same directions and the same noise."""
         if not isinstance(other, ScanPattern):
             return NotImplemented
-        return np.array_equal(self.azimuth_rad, other.azimuth_rad) and np.array_equal(
-            self.elevation_rad, other.elevation_rad
+        return (
+            np.array_equal(self.azimuth_rad, other.azimuth_rad)
+            and np.array_equal(self.elevation_rad, other.elevation_rad)
+            and self.sigma_range_m == other.sigma_range_m
         )
 
     __hash__ = None  # type: ignore[assignment]

@@ -6,7 +6,7 @@ import numpy as np
 
 from rpod_pose.lidar.global_search import GlobalSearch
 from rpod_pose.ports import Acquisition
-from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig, ScanModelConfig
+from rpod_schemas.config.lidar_search import GlobalSearchConfig
 from rpod_schemas.types import LidarInfo, LidarScan
 from rpod_target import Target
 
@@ -50,7 +50,11 @@ def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
 
 @lru_cache(maxsize=8)
 def _search(target: Target, pattern: tuple[bytes, bytes], sigma_range_m: float) -> GlobalSearch:
-    model = ScanModelConfig(sigma_range_m=sigma_range_m or ScanModelConfig().sigma_range_m)
-    config = GlobalSearchConfig(tracking=ProjectiveIcpConfig(model=model))
     azimuth_rad, elevation_rad = (np.frombuffer(angles) for angles in pattern)
-    return GlobalSearch(config, target, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad)
+    return GlobalSearch(
+        GlobalSearchConfig(),
+        target,
+        azimuth_rad=azimuth_rad,
+        elevation_rad=elevation_rad,
+        sigma_range_m=sigma_range_m,
+    )

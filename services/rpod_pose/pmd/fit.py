@@ -3,31 +3,38 @@
 Where pose and frame agree on a surface, the loss is half the squared error in its standard deviations, of the
 depth and of the amplitude, and saturates at what an outlier costs. Where one of them shows a surface and the
 other does not, it is a constant: little where depth alone is lost, more where even the amplitude says
-otherwise. The amplitude is predicted by the camera's own model of reflection up to one gain for the frame.
-What is asked are the pixels where pose or frame show the target, but for those that a glint wiped out: there
-both may be right.
+otherwise. What is asked are the pixels where pose or frame show the target, but for those that a glint wiped
+out: there both may be right.
+
+The amplitude is expected as of a Lambertian surface lit by a lamp at the camera: the albedo of its class
+(``brightness``) times the cosine of incidence over the square of the range, up to one gain for the frame. The
+class says how far its logarithm may be off, which is little less than everything for foil and metal.
 
 Where the materials may be others than the target file's, no amplitude is compared, and only roughly is it
 expected whether a surface is bright enough to be told from the sky: what is left is the shape.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rpod_geometry.rays import cast_pose
+from rpod_geometry.rays import GridArrays, cast_pose
 from rpod_pose.pmd.scene import PmdScene
+from rpod_pose.registration.brightness import albedos, spreads
 from rpod_pose.registration.lie_group import turned
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdModelConfig
-from rpod_sim_sensor.pmd.reflection import reflected_share
-from rpod_target import Material, Target
+from rpod_schemas.types import Float32Array
+from rpod_target import Target
 
 STEEPEST = 0.1
 """Cosine of incidence below which the slack along the ray grows no more."""
+GRAZING = 0.02
+"""Cosine of incidence below which a surface is expected to be no darker."""
 AGREES = 2.0
 """Loss below which a pixel agrees."""
 DARK = -1.0
@@ -36,6 +43,79 @@ MARGIN = 6
 """Rows and columns beside what is lit that a pose may reach."""
 GAIN_STRIDE = 3
 """Every how many pixels the gain is estimated on."""
+
+
+class Surface(NamedTuple):
+    """The target, as it is expected to look."""
+
+    triangles_m: FloatArray
+    """Shape (T, 3, 3)."""
+    normals: FloatArray
+    """Outward, shape (T, 3)."""
+    albedo: FloatArray
+    """Middle of each triangle's class, shape (T,)."""
+    sigma_log: FloatArray
+    """Standard deviation of the albedo's logarithm, shape (T,)."""
+
+
+class Seen(NamedTuple):
+    """A frame's coarse pixels, shape (rows, columns) each."""
+
+    range_m: Float32Array
+    """0 where there is none."""
+    sigma_m: Float32Array
+    """Standard deviation of the range's noise."""
+    log_amplitude: Float32Array
+    """Natural logarithm, counts."""
+    lit: NDArray[np.bool_]
+    """Where depth or amplitude show something."""
+    blind: NDArray[np.bool_]
+    """What glints hide."""
+
+
+class Losses(NamedTuple):
+    """What errors cost, and how large they are expected to be."""
+
+    sigma_m: float
+    """Standard deviation of a depth beside its noise."""
+    slack_m: float
+    """Standard deviation of the surface across its normal."""
+    outlier: float
+    """Most loss of a depth."""
+    strange: float
+    """Most loss of an amplitude, 0 where none is compared."""
+    least_log_amplitude: float
+    """From which on a pixel is lit."""
+    lost: float
+    """Of depth that is lost on a lit pixel."""
+    dark: float
+    """Of a dark pixel where the pose has surface."""
+    beyond: float
+    """Of a lit pixel where the pose has none."""
+
+
+class Canvas(NamedTuple):
+    """Buffers of a rendering, shape (rows, columns) each."""
+
+    range_m: Float32Array
+    """Predicted, along the ray."""
+    triangle: NDArray[np.int32]
+    """Which is seen, -1 for none."""
+    loss: Float32Array
+    """Of each pixel; before, the logarithm of its predicted amplitude."""
+    sigma_log: Float32Array
+    """Standard deviation of that logarithm."""
+
+
+class Comparison(NamedTuple):
+    """A frame, and all that it takes to compare it with poses."""
+
+    surface: Surface
+    grid: GridArrays
+    """``RayGrid.arrays``."""
+    seen: Seen
+    losses: Losses
+    canvas: Canvas
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,45 +153,41 @@ class PmdFitter:
     def __init__(
         self, config: PmdModelConfig, target: Target, scene: PmdScene, *, as_filed: bool = True
     ) -> None:
-        materials = np.array([(m.diffuse, m.f0, _lobe(m)) for m in target.materials])
-        optics = materials[target.triangle_material]
-        self._surface = np.ascontiguousarray(target.triangles_m), np.ascontiguousarray(target.normals), optics
         block = _around(scene.lit | scene.blind)
         noise_m = np.minimum(scene.sigma_m, config.most_noise_m)
         amplitude = np.log(np.maximum(scene.amplitude, np.float32(0.1)))
         images = scene.range_m, noise_m, amplitude, scene.lit, scene.blind
-        self._seen = tuple(np.ascontiguousarray(image[block]) for image in images)
-        self._grid = scene.view.coarse.block(*block)
-        self._noise = (
-            config.sigma_m,
-            config.slack_m,
-            config.outlier_loss,
-            config.amplitude_outlier_loss if as_filed else 0.0,
-            config.sigma_log_amplitude if as_filed else config.strange_log_amplitude,
-            config.mirror_log_amplitude,
-            config.foil_share,
-            float(np.log(scene.least_amplitude)) if scene.outlined else DARK,
-        )
-        dark_loss = config.dark_loss if scene.outlined else config.lost_loss
-        self._losses = config.lost_loss, dark_loss, config.beyond_loss
         shape = noise_m[block].shape
-        self._buffers = (
-            np.empty(shape, np.float32),
-            np.empty(shape, np.int32),
-            np.zeros(shape, np.float32),
-            np.zeros(shape, np.float32),
+        self._compared = Comparison(
+            _surface(target, config, as_filed=as_filed),
+            scene.view.coarse.block(*block),
+            Seen(*(np.ascontiguousarray(image[block]) for image in images)),
+            Losses(
+                sigma_m=config.sigma_m,
+                slack_m=config.slack_m,
+                outlier=config.outlier_loss,
+                strange=config.amplitude_outlier_loss if as_filed else 0.0,
+                least_log_amplitude=float(np.log(scene.least_amplitude)) if scene.outlined else DARK,
+                lost=config.lost_loss,
+                dark=config.dark_loss if scene.outlined else config.lost_loss,
+                beyond=config.beyond_loss,
+            ),
+            Canvas(
+                np.empty(shape, np.float32),
+                np.empty(shape, np.int32),
+                np.zeros(shape, np.float32),
+                np.zeros(shape, np.float32),
+            ),
         )
 
     def fit(self, R: FloatArray, t: FloatArray) -> PmdFit:
         """Return how badly the pose R, t of the target in the sensor explains the frame."""
-        return PmdFit(
-            *compare(self._surface, R, t, self._grid, self._seen, self._noise, self._losses, self._buffers)
-        )
+        return PmdFit(*compare(self._compared, R, t))
 
     def worst_patches(self, R: FloatArray, t: FloatArray, *sizes: int) -> list[float]:
         """Return for each size the mean loss a pixel of the size x size patch that a pose explains worst."""
         self.fit(R, t)
-        loss = self._buffers[2]
+        loss = self._compared.canvas.loss
         return [float(cv2.blur(loss, (px, px), borderType=cv2.BORDER_CONSTANT).max()) for px in sizes]
 
     def sharpened(
@@ -128,24 +204,21 @@ class PmdFitter:
             deviations: sigmas of (dtau, dtheta) of ``normal_equations``, m and rad, shape (6,).
             draws: standard normal samples, shape (rounds, samples, 6).
         """
-        sharper: tuple[FloatArray, FloatArray] = _sharpen(
-            self._surface,
-            R,
-            t,
-            self._grid,
-            self._seen,
-            self._noise,
-            self._losses,
-            self._buffers,
-            deviations,
-            draws,
-        )
+        sharper: tuple[FloatArray, FloatArray] = _sharpen(self._compared, R, t, deviations, draws)
         return sharper
 
 
-def _lobe(material: Material) -> float:
-    """Return the squared width of a material's lobe, its crinkles included."""
-    return float(material.roughness**4 + 2.0 * np.tan(np.deg2rad(material.crinkle_deg)) ** 2)
+def _surface(target: Target, config: PmdModelConfig, *, as_filed: bool) -> Surface:
+    """Return the target as it should look; what may be of any material is known a little less still."""
+    sigma_log = spreads(target)
+    if not as_filed:
+        sigma_log = np.maximum(sigma_log, config.strange_log_amplitude)
+    return Surface(
+        np.ascontiguousarray(target.triangles_m),
+        np.ascontiguousarray(target.normals),
+        albedos(target),
+        sigma_log,
+    )
 
 
 def _around(pixels: NDArray[np.bool_]) -> tuple[slice, slice]:
@@ -159,65 +232,56 @@ def _widened(lines: NDArray[np.intp]) -> slice:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def compare(surface, R, t, grid, seen, noise, losses, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def compare(compared, R, t):  # type: ignore[no-untyped-def]
     """Return the summed loss, and the numbers of pixels asked and agreeing; fill their losses.
 
     Args:
-        surface: triangles (T, 3, 3), normals (T, 3), and of each triangle diffuse albedo, specular
-            reflectance and squared width of the lobe (T, 3).
+        compared: ``Comparison``.
         R: of the target in the sensor, shape (3, 3).
         t: of the target in the sensor, shape (3,), m.
-        grid: ``RayGrid.arrays``.
-        seen: ranges, their noise, logarithms of amplitudes, what is lit, and what glints hide, shape
-            (rows, columns) each.
-        noise: sigma and slack of a depth, m; losses of outliers of depth and amplitude, 0 where no amplitude
-            is compared; sigma of the amplitude's logarithm, what a lobe adds, and the least share of a
-            mirror's lobe; logarithm of the least amplitude that is lit.
-        losses: of depth lost on a lit pixel, of a dark one, of one beyond the outline.
-        buffers: ranges, triangles, losses, and sigmas of amplitudes, shape (rows, columns) each.
     """
-    triangles, normals, _ = surface
-    range_m, owner, loss, vague = buffers
-    cast_pose(grid, triangles, R, t, True, range_m, owner)
+    surface, grid, seen, losses, canvas = compared
+    range_m, owner, loss, sigma_log = canvas
+    cast_pose(grid, surface.triangles_m, R, t, True, range_m, owner)
     rays = grid[0]
-    rows, columns = range_m.shape
-    sigma, slack, outliers, strange, _, _, _, least = noise
-    lost, dark, beyond = losses
-    gain = _predict(surface, R, grid, seen, noise, buffers)
-    measured, spread, amplitude, lit, blind = seen
+    gain = _predict(compared, R)
     total, pixels, agreeing = 0.0, 0, 0
-    for i in range(rows):
-        for j in range(columns):
+    for i in range(range_m.shape[0]):
+        for j in range(range_m.shape[1]):
             k = owner[i, j]
-            if blind[i, j]:
+            if seen.blind[i, j]:
                 loss[i, j] = 0.0
                 continue
             if k < 0:
-                loss[i, j] = beyond if lit[i, j] else 0.0
-                if lit[i, j]:
+                loss[i, j] = losses.beyond if seen.lit[i, j] else 0.0
+                if seen.lit[i, j]:
                     pixels += 1
-                    total += beyond
+                    total += losses.beyond
                 continue
             pixels += 1
-            above = max(loss[i, j] + gain - least, 0.0) / vague[i, j]
-            worse = min(lost + 0.5 * above * above, dark)
-            if measured[i, j] > 0.0:
-                facing = _facing(normals[k], R, rays[0, i, j], rays[1, i, j], rays[2, i, j])
-                steep = slack / max(facing, STEEPEST)
-                variance = sigma * sigma + steep * steep + spread[i, j] ** 2
-                e2 = (measured[i, j] - range_m[i, j]) ** 2 / variance
-                worse = outliers * e2 / (2.0 * outliers + e2)
-            elif lit[i, j]:
-                worse = lost
-            if strange > 0.0 and lit[i, j] and amplitude[i, j] > DARK:
-                e = amplitude[i, j] - loss[i, j] - gain
-                e2 = e * e / vague[i, j] ** 2
-                worse += strange * e2 / (2.0 * strange + e2)
+            above = max(loss[i, j] + gain - losses.least_log_amplitude, 0.0) / sigma_log[i, j]
+            worse = min(losses.lost + 0.5 * above * above, losses.dark)
+            if seen.range_m[i, j] > 0.0:
+                facing = _facing(surface.normals[k], R, rays[0, i, j], rays[1, i, j], rays[2, i, j])
+                steep_m = losses.slack_m / max(facing, STEEPEST)
+                variance_m2 = losses.sigma_m**2 + steep_m * steep_m + seen.sigma_m[i, j] ** 2
+                worse = _saturated((seen.range_m[i, j] - range_m[i, j]) ** 2 / variance_m2, losses.outlier)
+            elif seen.lit[i, j]:
+                worse = losses.lost
+            if losses.strange > 0.0 and seen.lit[i, j] and seen.log_amplitude[i, j] > DARK:
+                e = (seen.log_amplitude[i, j] - loss[i, j] - gain) / sigma_log[i, j]
+                worse += _saturated(e * e, losses.strange)
             loss[i, j] = worse
             total += worse
             if worse < AGREES:
                 agreeing += 1
     return total, pixels, agreeing
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _saturated(square, most):  # type: ignore[no-untyped-def]
+    """Return half of a squared error in standard deviations, which grows to ``most`` (Geman-McClure)."""
+    return most * square / (2.0 * most + square)
 
 
 @njit(cache=True, nogil=True)
@@ -230,34 +294,31 @@ def _facing(normal, R, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _predict(surface, R, grid, seen, noise, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _predict(compared, R):  # type: ignore[no-untyped-def]
     """Fill in logarithms of predicted amplitudes up to a gain, and their sigmas; return the gain's logarithm.
 
-    The more of an amplitude is reflected by the lobe, the less is known of it.
+    The expectation is Lambert's: albedo cos(theta) / range^2. The gain is a median, weighted by what is known
+    of each pixel's albedo.
     """
-    _, normals, optics = surface
-    range_m, owner, predicted, vague = buffers
-    rays, (_, _, amplitude, lit, _) = grid[0], seen
-    rows, columns = owner.shape
+    surface, grid, seen, _, canvas = compared
+    range_m, owner, predicted, sigma_log = canvas
+    rays = grid[0]
     ratios, weights = np.empty(owner.size // GAIN_STRIDE + 1), np.empty(owner.size // GAIN_STRIDE + 1)
-    count = 0
-    asked = 0
-    for i in range(rows):
-        for j in range(columns):
+    count, asked = 0, 0
+    for i in range(owner.shape[0]):
+        for j in range(owner.shape[1]):
             k = owner[i, j]
             predicted[i, j] = 0.0
             if k < 0:
                 continue
-            facing = _facing(normals[k], R, rays[0, i, j], rays[1, i, j], rays[2, i, j])
-            facing = max(facing, 0.02)
-            share = reflected_share(facing, facing, 1.0, optics[k, 0], optics[k, 1], optics[k, 2])
-            mirrored = 1.0 - facing * optics[k, 0] / (np.pi * share)
-            predicted[i, j] = np.log(share / (range_m[i, j] * range_m[i, j]))
-            vague[i, j] = noise[4] + noise[5] * max(mirrored, noise[6] * optics[k, 1])
-            if lit[i, j] and amplitude[i, j] > DARK:
+            facing = _facing(surface.normals[k], R, rays[0, i, j], rays[1, i, j], rays[2, i, j])
+            lambert = surface.albedo[k] * max(facing, GRAZING)
+            predicted[i, j] = np.log(lambert / (range_m[i, j] * range_m[i, j]))
+            sigma_log[i, j] = surface.sigma_log[k]
+            if seen.lit[i, j] and seen.log_amplitude[i, j] > DARK:
                 if asked % GAIN_STRIDE == 0:
-                    ratios[count] = amplitude[i, j] - predicted[i, j]
-                    weights[count] = 1.0 / vague[i, j] ** 2
+                    ratios[count] = seen.log_amplitude[i, j] - predicted[i, j]
+                    weights[count] = 1.0 / sigma_log[i, j] ** 2
                     count += 1
                 asked += 1
     return _weighted_median(ratios[:count], weights[:count]) if count else 0.0
@@ -265,6 +326,7 @@ def _predict(surface, R, grid, seen, noise, buffers):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def _weighted_median(values, weights):  # type: ignore[no-untyped-def]
+    """Return the value, shape (N,), below which half of the weights, shape (N,), lie."""
     half, below = 0.5 * weights.sum(), 0.0
     order = np.argsort(values)
     for n in order:
@@ -275,10 +337,11 @@ def _weighted_median(values, weights):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sharpen(surface, R, t, grid, seen, noise, losses, buffers, deviations, draws):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+def _sharpen(compared, R, t, deviations, draws):  # type: ignore[no-untyped-def]
+    """Return the pose R, t of least loss of all that the samples tried (``PmdFitter.sharpened``)."""
     rounds, samples = draws.shape[0], draws.shape[1]
     best_R, best_t = R, t
-    least = compare(surface, R, t, grid, seen, noise, losses, buffers)[0]
+    least = compare(compared, R, t)[0]
     mean, spread = np.zeros(6), deviations.copy()
     elite = max(4, samples // 5)
     for turn in range(rounds):
@@ -286,7 +349,7 @@ def _sharpen(surface, R, t, grid, seen, noise, losses, buffers, deviations, draw
         for n in range(samples):
             steps[n] = mean + spread * draws[turn, n]
             moved_R, moved_t = turned(R, steps[n, 3:]), t + R @ steps[n, :3]
-            costs[n] = compare(surface, moved_R, moved_t, grid, seen, noise, losses, buffers)[0]
+            costs[n] = compare(compared, moved_R, moved_t)[0]
             if costs[n] < least:
                 least, best_R, best_t = costs[n], moved_R, moved_t
         order = np.argsort(costs)[:elite]

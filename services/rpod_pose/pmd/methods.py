@@ -27,6 +27,8 @@ _WRAPPING = PmdInfo(
     saturation_count=4096.0,
 )
 """Of a camera whose distances are to be unwrapped."""
+LEAST_BIAS_M = 0.001
+"""Least standard deviation of the bias that ranges keep: no calibration holds better than this for long."""
 
 
 def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
@@ -36,8 +38,14 @@ def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
 
 
 def joint(config: JointConfig, task: Task) -> Tracker[PmdFrame]:
-    """Return the tracker of our own."""
-    return JointTracker(config, task.target, calibrated=task.sensor.calibration is not None)
+    """Return the tracker of our own; what a calibration says that it left of the ranges' bias is believed."""
+    calibration = task.sensor.calibration
+    if calibration is not None and calibration.evidence is not None:
+        bias_m = max(calibration.evidence.bias_after_m, LEAST_BIAS_M)
+        left = config.depth.calibrated.model_copy(update={"bias_m": bias_m})
+        depth = config.depth.model_copy(update={"calibrated": left})
+        config = config.model_copy(update={"depth": depth})
+    return JointTracker(config, task.target, calibrated=calibration is not None)
 
 
 def signed_distance(config: SignedDistanceConfig, task: Task) -> Tracker[PmdFrame]:

@@ -12,9 +12,17 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.lidar.detection import echo
+from rpod_sim_sensor.lidar.disturbance import bounced, false_m, mixed
 from rpod_sim_sensor.lidar.noise import noisy_directions, noisy_range_m
 from rpod_sim_sensor.noise import noise_stream
+from rpod_sim_sensor.worlds import DOCUMENTED, World, lidar_cosine
 from rpod_target import Target
+
+_DISTURBED = "disturbed"
+"""In the name of a stream, so that a world's disturbances leave the frame's own noise as it is."""
+
+Met = tuple[FloatArray, FloatArray, FloatArray]
+"""Range, cosine of incidence and reflectivity of what each ray meets, NaN where nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +38,20 @@ class LidarReturns:
 
 
 class LidarEmulator:
-    """Scans a target. The same seed, sensor name and frame number give the same noise."""
+    """Scans a target. The same seed, sensor name and frame number give the same noise.
 
-    def __init__(self, config: LidarConfig, target: Target, *, seed: int) -> None:
-        self._config, self._target, self._seed = config, target, seed
-        self._grid = RayGrid.azimuth_elevation(config.azimuth_rad, config.elevation_rad)
-        self._rows = [
-            RayGrid.azimuth_elevation(config.azimuth_rad, config.elevation_rad[row : row + 1])
-            for row in range(config.elevation_rad.size)
-        ]
+    Args:
+        config: what the sensor says that it is.
+        target: what it looks at, as its file describes it.
+        seed: of all noise.
+        world: how sensor and target differ from that; nothing of it shows in what the sensor says of itself.
+    """
+
+    def __init__(self, config: LidarConfig, target: Target, *, seed: int, world: World = DOCUMENTED) -> None:
+        config, target = world.lidar_config(config), world.target(target)
+        self._config, self._target, self._seed, self._world = config, target, seed, world
+        self._whole, self._rows = _grids(config, 0.0)
+        self._beside = _grids(config, 0.5 * world.lidar.footprint_rad)
         self._time_s = config.ray_times_s().astype(np.float32)
         self._reflectivity = _reflectivity(config, target)
 
@@ -49,30 +62,42 @@ class LidarEmulator:
             poses: T_lidar_target at ``config.pose_times_s()``.
             frame: its number, which with seed and sensor name gives its noise.
         """
-        config = self._config
+        config, world = self._config, self._world
         generator = noise_stream(self._seed, config.name, frame)
-        range_m, cos_incidence, reflectivity = self._met(poses)
+        strange = noise_stream(self._seed, config.name + _DISTURBED, frame)
+        range_m, cos_incidence, reflectivity = self._met(poses, strange)
+        cos_incidence = lidar_cosine(world, cos_incidence)
         signal_e, probability = echo(
             config, reflectivity=reflectivity, cos_incidence=cos_incidence, range_m=range_m
         )
+        if world.lidar.law == "hard":
+            probability = np.where(np.isnan(probability), np.nan, probability >= 0.5)
         detected = generator.random(range_m.shape) < probability  # not where NaN: nothing is met
+        if not world.lidar.is_documented:
+            false = false_m(range_m, world.lidar, strange)
+            detected |= np.isfinite(false)
+            range_m = np.where(np.isfinite(false), false, bounced(range_m, world.lidar, strange))
         points_m = self._measured_m(range_m, generator)
         return LidarReturns(
             points_m=np.where(detected[..., None], points_m, np.nan).astype(np.float32),
-            intensity=np.where(detected, signal_e, 0.0).astype(np.float32),
+            intensity=np.where(detected, np.nan_to_num(signal_e), 0.0).astype(np.float32),
             time_s=self._time_s,
         )
 
-    def _met(self, poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return range, cosine of incidence and reflectivity of what each ray meets, NaN where nothing."""
-        grids = [self._grid] if len(poses) == 1 else self._rows
-        parts = [self._met_by(grid, pose) for grid, pose in zip(grids, poses, strict=True)]
+    def _met(self, poses: Sequence[RigidTransform], strange: Generator) -> Met:
+        """Return what each ray meets, with a wide beam perhaps two surfaces."""
+        middle = self._met_along((self._whole, self._rows), poses)
+        if not self._world.lidar.footprint_rad:
+            return middle
+        return mixed(middle, self._met_along(self._beside, poses), self._world.lidar, strange)
+
+    def _met_along(self, grids: tuple[RayGrid, list[RayGrid]], poses: Sequence[RigidTransform]) -> Met:
+        used = [grids[0]] if len(poses) == 1 else grids[1]
+        parts = [self._met_by(grid, pose) for grid, pose in zip(used, poses, strict=True)]
         range_m, cos_incidence, reflectivity = (np.concatenate(part) for part in zip(*parts, strict=True))
         return range_m, cos_incidence, reflectivity
 
-    def _met_by(
-        self, grid: RayGrid, T_lidar_target: RigidTransform
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _met_by(self, grid: RayGrid, T_lidar_target: RigidTransform) -> Met:
         hits = cast(grid, self._target.triangles_m, T_lidar_target)
         met = hits.triangle >= 0
         triangle = np.where(met, hits.triangle, 0)
@@ -85,9 +110,19 @@ class LidarEmulator:
     def _measured_m(self, range_m: FloatArray, generator: Generator) -> FloatArray:
         """Return the points as measured, shape (rows, columns, 3): the ideal ranges along rays that err."""
         noise = self._config.noise
-        measured_m = noisy_range_m(range_m, noise, generator)
-        directions = noisy_directions(self._grid.directions, noise.sigma_pointing_rad, generator)
+        measured_m = noisy_range_m(range_m, noise, generator, self._world.noise)
+        directions = noisy_directions(self._whole.directions, noise.sigma_pointing_rad, generator)
         return measured_m[..., None] * directions
+
+
+def _grids(config: LidarConfig, aside_rad: float) -> tuple[RayGrid, list[RayGrid]]:
+    """Return the rays of a pattern, turned aside by an angle both ways, as a whole and row by row."""
+    azimuth_rad, elevation_rad = config.azimuth_rad + aside_rad, config.elevation_rad + aside_rad
+    rows = [
+        RayGrid.azimuth_elevation(azimuth_rad, elevation_rad[row : row + 1])
+        for row in range(elevation_rad.size)
+    ]
+    return RayGrid.azimuth_elevation(azimuth_rad, elevation_rad), rows
 
 
 def _reflectivity(config: LidarConfig, target: Target) -> FloatArray:

@@ -7,19 +7,25 @@ from numpy.random import Generator
 
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar import LidarNoiseConfig
+from rpod_sim_sensor.worlds import DOCUMENTED, NoiseWorld
 
 MIN_RANGE_M = 0.1
 """A measured range is never below this, whatever its error."""
 
 
-def noisy_range_m(range_m: FloatArray, noise: LidarNoiseConfig, generator: Generator) -> FloatArray:
+def noisy_range_m(
+    range_m: FloatArray,
+    noise: LidarNoiseConfig,
+    generator: Generator,
+    world: NoiseWorld = DOCUMENTED.noise,
+) -> FloatArray:
     """Return ranges as measured, shape as given: white noise, 4-sigma outliers, gross outliers.
 
     Every ray draws the same number of variates whatever the parameters, so that runs that differ in one of
     them stay comparable.
     """
     shape = range_m.shape
-    white = generator.standard_normal(shape)
+    white = world.draw(generator, shape)
     outlier = generator.random(shape) < noise.outlier_share
     gross = generator.random(shape) < noise.gross_outlier_share
     gross_m = generator.uniform(-noise.gross_outlier_m, noise.gross_outlier_m, shape)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
@@ -19,6 +20,8 @@ from rpod_sim_sensor.pmd.metering import exposure_share, mean_light_e
 from rpod_sim_sensor.pmd.pixel import Electronics, Light, Noise, convert
 from rpod_sim_sensor.pmd.reconstruction import Reconstruction, reconstruct
 from rpod_sim_sensor.pmd.scene import Scene
+from rpod_sim_sensor.pmd.veil import add_veils
+from rpod_sim_sensor.worlds import DOCUMENTED, World
 from rpod_target import Target
 
 _POOL = 1 << 20
@@ -63,10 +66,18 @@ class PmdExposure:
 
 
 class PmdEmulator:
-    """A PMD camera that looks at a target; a frame is the same in whatever order frames are asked for."""
+    """A PMD camera that looks at a target; a frame is the same in whatever order frames are asked for.
 
-    def __init__(self, config: PmdConfig, target: Target, *, seed: int) -> None:
-        self._config, self._target, self._seed = config, target, seed
+    Args:
+        config: what the camera says that it is.
+        target: what it looks at, as its file describes it.
+        seed: of all noise.
+        world: how camera and target differ from that; nothing of it shows in what the camera says of itself.
+    """
+
+    def __init__(self, config: PmdConfig, target: Target, *, seed: int, world: World = DOCUMENTED) -> None:
+        config, target = world.camera_config(config), world.target(target)
+        self._config, self._target, self._seed, self._world = config, target, seed, world
         self._rays = RayGrid.pinhole(config.camera, config.subsamples).in_single_precision()
         self._centres = RayGrid.pinhole(config.camera).in_single_precision()
         self._scene = Scene(target, config.sub_exposures)
@@ -77,7 +88,7 @@ class PmdEmulator:
         self._charge_e = np.empty((height, width), np.float32)
         self._modulated_e = np.empty((config.sub_exposures, height, width), np.float32)
         self._full = np.empty((height, width), np.bool_)
-        self._pool = noise_stream(seed, config.name, _POOL_KEY).standard_normal(_POOL, np.float32)
+        self._pool = _pool(noise_stream(seed, config.name, _POOL_KEY), world)
 
     def expose(
         self,
@@ -123,6 +134,7 @@ class PmdEmulator:
             modulated_e=modulated_e,
             charge_e=charge_e,
         )
+        add_veils(modulated_e, charge_e, self._config, self._world.camera)
         stray_e = self._config.lens.stray_share * mean_light_e(modulated_e, charge_e)
         share = exposure_share(modulated_e, charge_e, self._config, self._electronics)
         return Light(modulated_e, charge_e, stray_e, share)
@@ -131,6 +143,13 @@ class PmdEmulator:
         count, height, width = self._modulated_e.shape
         stream = noise_stream(self._seed, self._config.name, frame)
         return Noise(self._pool, stream.integers(_POOL - width * count, size=height))
+
+
+def _pool(generator: Generator, world: World) -> Float32Array:
+    """Return the errors that frames take, in units of their standard deviation, shape (P,)."""
+    if world.noise == DOCUMENTED.noise:
+        return generator.standard_normal(_POOL, np.float32)
+    return world.noise.draw(generator, _POOL).astype(np.float32)
 
 
 def _between(first: RigidTransform, second: RigidTransform) -> RigidTransform:

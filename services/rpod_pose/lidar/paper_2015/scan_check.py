@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import Hits, RayGrid, cast
+from rpod_pose.registration.brightness import albedos
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_methods import ScanComparisonConfig
 from rpod_schemas.types import LidarScan
@@ -34,8 +35,7 @@ class ScanComparison:
     ) -> None:
         self._config, self._target = config, target
         self._shape = (elevation_rad.size, azimuth_rad.size)
-        reflectivities = np.array([material.reflectivity for material in target.materials])
-        self._reflectivity = reflectivities[target.triangle_material]
+        self._albedo = albedos(target)
         margin_rad = radians(config.margin_deg)
         self._grid = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad)
         self._beside = [
@@ -65,6 +65,6 @@ class ScanComparison:
         """Return which rays meet a surface that surely sends them back, shape (rows, columns)."""
         normals = T_sensor_target.rotation.apply(self._target.normals)
         cos_incidence = np.abs((normals[hits.triangle] * self._grid.directions).sum(axis=-1))
-        echo = self._reflectivity[hits.triangle] * cos_incidence / hits.range_m.astype(np.float64) ** 2
+        echo = self._albedo[hits.triangle] * cos_incidence / hits.range_m.astype(np.float64) ** 2
         bright: NDArray[np.bool_] = echo > self._config.sure_range_m**-2
         return bright

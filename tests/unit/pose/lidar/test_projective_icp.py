@@ -2,11 +2,24 @@
 
 import numpy as np
 import pytest
-from lidar_scans import BULKY, errors, load, off, random_pose, scan_at, scan_of, strange_scans, tracker
+from lidar_scans import (
+    BULKY,
+    LIDAR,
+    errors,
+    load,
+    off,
+    random_pose,
+    scan_at,
+    scan_of,
+    strange_scans,
+    told_by,
+    tracker,
+)
 
 from rpod_geometry.rays import cast
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
-from rpod_pose.registration.field_alignment import draw_in
+from rpod_pose.registration.field_alignment import Points, field_aligned
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
 from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
 from rpod_schemas.poses import make_pose, pose_of
@@ -24,10 +37,9 @@ def test_a_rough_pose_is_drawn_in_by_the_distance_field(target, range_m):
     for seed in range(12):
         T = random_pose(seed, range_m)
         seen, guess = tracker(target).view.seen(scan_at(T, target, frame=seed)), off(T, 15.0, 1.0, seed)
-        R, t = draw_in(
-            seen.thinned(128),
-            guess.rotation.as_matrix(),
-            guess.translation,
+        R, t = field_aligned(
+            Points.equal(seen.thinned(128)),
+            PoseArrays.of(guess),
             tracker(target).surface.coarse_field,
             np.geomspace(1.0, 0.15, 6),
         )
@@ -172,8 +184,7 @@ def test_organised_or_not_a_scan_is_registered_bit_for_bit_the_same(seed):
 
 def test_a_tracker_may_do_without_the_steps_from_afar():
     T, config = random_pose(2), ProjectiveIcpConfig(draw_in_steps=0)
-    view = tracker().view
-    near = ProjectiveIcp(config, load(BULKY), azimuth_rad=view.azimuth_rad, elevation_rad=view.elevation_rad)
+    near = ProjectiveIcp(config, load(BULKY), **told_by(LIDAR))
     registration = near.track(scan_at(T), off(T, 1.0, 0.05, 2))
     assert errors(T, registration.T_sensor_target)[0] < 0.3
     assert registration.iterations == config.settle_steps

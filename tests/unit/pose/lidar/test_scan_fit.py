@@ -4,15 +4,19 @@ import numpy as np
 import pytest
 from lidar_scans import LIDAR, errors, load, off, random_pose, scan_at, scan_of, tracker
 from scipy.spatial.transform import Rotation
+from scipy.stats import t as student
 
 from rpod_geometry.rays import cast
-from rpod_pose.lidar.scan_fit import ScanModel, detection_table
-from rpod_pose.lidar.scan_likelihood import OUTLIER_FACTOR, STEEPEST
+from rpod_pose.lidar.detection import HALVES, RUNGS, STEEPNESS, detection, expected_shares
+from rpod_pose.lidar.scan_fit import UNKNOWN_SIGMA_M, ScanModel
+from rpod_pose.lidar.scan_likelihood import HIT_MEAN, HIT_VARIANCE, PEAK, STEEPEST
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
+from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
 from rpod_schemas.poses import make_pose, pose_of
-from rpod_sim_sensor.lidar.detection import detection_probability
+from rpod_sim_sensor.lidar import LidarEmulator
+from rpod_sim_sensor.worlds import world_of
 
 BULKY, SLIM, MESH = "envisat-bulky", "envisat-slim", "envisat-mesh"
 SCENES = [(BULKY, 20.0), (BULKY, 50.0), (SLIM, 20.0), (SLIM, 50.0), (MESH, 30.0)]
@@ -32,46 +36,75 @@ def reason_against(T, scan, target=BULKY):
     return tracker(target).model.belief(seen, *parts(T), fit).reason
 
 
-@pytest.mark.parametrize("threshold", ["usual", "printed"])
-def test_the_table_of_detection_is_the_sensors_own_probability(threshold):
-    config = ScanModelConfig(threshold=threshold, surest_detection=0.999)
-    steps, table = detection_table(config)
-    echoes = np.linspace(0.0, 60.0, 500) / config.snr_m2
-    expected = detection_probability(echoes * config.snr_m2, config.false_alarm, threshold)
-    read = table[(echoes * steps).astype(int)]
-    assert np.abs(read - np.minimum(expected, 0.999)).max() < 0.06  # a step of the table
-    assert (np.diff(table) >= 0.0).all()
-    assert table[-1] == 0.999
-
-
-def drawn(T, *, model, target, view, generator):
-    """Return a scan that a model expects: which rays return, and with what errors."""
+def drawn(T, *, half, target, view, generator):
+    """Return a scan that a model expects: which rays return, by which sensor, and with what errors."""
+    config, sigma_m = ScanModelConfig(), 0.025
     hits = cast(view.grid, target.triangles_m, T, cull_back_faces=True)
     met, face = hits.triangle >= 0, np.maximum(hits.triangle, 0)
     cosine = -(T.rotation.apply(target.normals)[face] * view.grid.directions).sum(axis=-1)
-    reflectivity = np.array([material.reflectivity for material in target.materials])
-    echo = cosine * reflectivity[target.triangle_material[face]] / np.where(met, hits.range_m, np.inf) ** 2
-    steps, table = detection_table(model)
-    probability = table[np.minimum((np.maximum(echo, 0.0) * steps).astype(int), len(table) - 1)]
+    ranges_m = np.where(met, hits.range_m, np.inf)
+    echo = np.maximum(cosine * albedos(target)[face] * (np.median(hits.range_m[met]) / ranges_m) ** 2, 1e-9)
+    probability = config.surest_detection / (1.0 + (half / echo) ** STEEPNESS)
     returned = met & (generator.random(met.shape) < probability)
-    outlier = generator.random(met.shape) < model.outlier_share
-    sigma_m = model.sigma_range_m * np.where(outlier, OUTLIER_FACTOR, 1.0)
-    sigma_m = np.hypot(sigma_m, model.slack_m / np.maximum(cosine, STEEPEST))
-    range_m = np.where(returned, hits.range_m + sigma_m * generator.standard_normal(met.shape), 0.0)
+    scale_m = np.hypot(sigma_m, config.slack_m / np.maximum(cosine, STEEPEST))
+    range_m = np.where(returned, hits.range_m + scale_m * generator.standard_t(4, met.shape), 0.0)
     rays = np.flatnonzero(returned)
     points_m = (view.grid.directions * range_m[..., None]).reshape(-1, 3)[rays]
     return SeenScan(points_m, rays, range_m)
 
 
+def test_a_brighter_echo_is_detected_rather_than_a_dimmer_one_by_every_sensor():
+    tables = detection(0.95, 0.02)
+    assert tables.share.shape == (len(HALVES), RUNGS)
+    assert (np.diff(tables.share, axis=1) >= 0.0).all()
+    assert (np.diff(tables.share, axis=0) <= 0.0).all()
+    np.testing.assert_allclose(tables.share[0], 0.95 * 0.98)
+    shares = expected_shares(0.95)
+    assert (np.diff(shares) >= 0.0).all()
+    assert shares[-1] < 0.95
+
+
+def test_the_moments_of_a_range_error_are_those_of_students_distribution():
+    log_density = student.logpdf(student.rvs(4, size=400_000, random_state=1), 4)
+    assert student.pdf(0.0, 4) == pytest.approx(PEAK)
+    assert -log_density.mean() == pytest.approx(HIT_MEAN, abs=0.01)
+    assert log_density.var() == pytest.approx(HIT_VARIANCE, abs=0.02)
+
+
+def test_the_sigma_of_a_range_is_what_the_sensor_says_and_a_guess_where_it_says_nothing():
+    view, surface = ScanView.of(LIDAR.azimuth_rad, LIDAR.elevation_rad), SurfaceModel.of(load(BULKY))
+
+    def sigma_m(told_m, **config):
+        parts = ScanModelConfig(**config), ScanVerdictConfig(), view, surface
+        return ScanModel(*parts, sigma_range_m=told_m).sigma_range_m
+
+    assert sigma_m(0.01) == 0.01
+    assert sigma_m(0.0) == UNKNOWN_SIGMA_M
+    assert sigma_m(0.01, sigma_range_m=0.03) == 0.03
+
+
+@pytest.mark.parametrize("world", ["faint", "keen", "outliers", "exchanged", "specular", "noisy"])
+@pytest.mark.parametrize("range_m", [20.0, 50.0])
+def test_the_truth_is_never_contradicted_by_sensors_that_nobody_described(world, range_m):
+    emulator = LidarEmulator(LIDAR, load(BULKY), seed=5, world=world_of(world))
+    refused = 0
+    for seed in range(20):
+        T = random_pose(seed, range_m)
+        refused += reason_against(T, scan_of(emulator.scan([T], frame=seed).points_m)) != ""
+    assert refused <= 1
+
+
+@pytest.mark.parametrize("half", [0.0, 0.03])
 @pytest.mark.parametrize(("target", "range_m"), SCENES)
-def test_scans_drawn_from_the_model_lack_nothing_but_chance(target, range_m):
+def test_scans_drawn_from_the_model_lack_nothing_but_chance(target, range_m, half):
     config = ScanModelConfig(clutter_share=1e-6)
     view = ScanView.of(LIDAR.azimuth_rad, LIDAR.elevation_rad)
-    model = ScanModel(config, ScanVerdictConfig(), view, SurfaceModel.of(load(target)))
+    surface = SurfaceModel.of(load(target))
+    model = ScanModel(config, ScanVerdictConfig(), view, surface, sigma_range_m=0.025)
     scores = []
     for seed in range(40):
         T, generator = random_pose(seed, range_m), np.random.default_rng((1, seed))
-        seen = drawn(T, model=config, target=load(target), view=view, generator=generator)
+        seen = drawn(T, half=half, target=load(target), view=view, generator=generator)
         fit = model.fit(seen, *parts(T))
         scores.append(fit.deficit / fit.deviation)
     assert abs(np.mean(scores)) < 1.2

@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.lidar.return_distances import ReturnDistances
-from rpod_pose.lidar.scan_fit import detection_table
 from rpod_pose.search.attitude_grid import even_directions, super_fibonacci
 from rpod_pose.search.energy import CELLS, NOTHING_IN_VIEW, energies
 from rpod_pose.search.view_model import AREA, VIEWS, ViewModel, centroids_in_view, spread, view_of
-from rpod_schemas.config.lidar_search import GlobalSearchConfig, ScanModelConfig
+from rpod_schemas.config.lidar_search import GlobalSearchConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera
 
@@ -127,7 +126,7 @@ def energies_of(attitudes, places_m, scan, *, rounds):
         points=model.points,
         squares=model.squares,
         image=ReturnDistances.of(view).image(seen),
-        detection=detection_table(ScanModelConfig()),
+        detection=tracker().model.expected_shares(seen),
         returns=256,
         rounds=rounds,
         truncation_m=1.5,

@@ -37,7 +37,9 @@ class MyDistance:
         turn = np.kron(np.eye(2), pose.rotation.as_matrix())  # neighbours err alike: 120 count
         covariance = turn @ np.linalg.inv(information) @ turn.T * 0.02**2 * len(d) / 120 + 1e-5 * np.eye(6)
         share = inlier.mean()
-        belief = Belief() if share > 0.6 else doubtful(f"{share:.0%} of the points on the surface, limit 60 %")
+        belief = (
+            Belief() if share > 0.6 else doubtful(f"{share:.0%} of the points on the surface, limit 60 %")
+        )
         cost_m2, count = float((d[inlier] ** 2).mean()), int(inlier.sum())
         return Registration(
             Source.PMD_DEPTH, pose, belief, cost_m2, count, float(share), covariance=covariance

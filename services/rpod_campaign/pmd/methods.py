@@ -1,0 +1,49 @@
+"""Methods for the camera under trial, by the names of the command line."""
+
+from typing import Any
+
+from rpod_schemas.config.base import check
+from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.sensors import methods
+
+PAPER_ICP = "icp-reverse-calibration"
+_VARIANTS: dict[str, dict[str, Any]] = {
+    PAPER_ICP: {
+        "kind": "icp_reverse_calibration",
+        "metric": "point_to_point",
+        "iterations": 60,
+        "step_m": 0.0005,
+    },
+    "icp-reverse-calibration-plane": {"kind": "icp_reverse_calibration"},
+}
+"""The 2018 paper's, point to point with equal weights, in many small steps; and ours, point to plane."""
+DEFAULT = "default"
+"""Whatever the facility's configuration has."""
+
+
+def has_radius(method: str) -> bool:
+    """Return whether a method searches for neighbours in a radius."""
+    return method in _VARIANTS
+
+
+def method_names() -> tuple[str, ...]:
+    """Return the methods that ``--method`` takes: variants above, and all that installed packages bring."""
+    brought = (each.name.replace("_", "-") for each in methods("pmd", "tracking"))
+    return tuple(dict.fromkeys((*_VARIANTS, *brought)))
+
+
+def pmd_input(method: str, *, radius_px: int | None = None, name: str = "pmd") -> PmdInput:
+    """Return the configuration of a method for the camera of a name.
+
+    Raises:
+        ConfigurationError: the method is not known.
+    """
+    if method == DEFAULT:
+        return PmdInput(name=name)
+    known = method_names()
+    if method.replace("_", "-") not in known:
+        raise ConfigurationError("--method", "", f"needs {', '.join(known)}, not {method!r}")
+    tracking = _VARIANTS.get(method) or {"kind": method.replace("-", "_")}
+    radius = {} if radius_px is None else {"radius_px": radius_px}
+    return check(PmdInput, {"name": name, "tracking": tracking | radius}, source=f"--method {method}")

@@ -1,0 +1,55 @@
+"""What an estimator expects of a surface's brightness: four classes, each known within a wide factor.
+
+No estimator knows a satellite's reflectances: paint yellows, foil crinkles, and a target's file is a
+drawing. What a user can tell are classes (``Material.looks``). A class is a mean albedo and a standard
+deviation of its logarithm:
+
+- dark, grey and white span 0.05 to 0.2, 0.2 to 0.5 and 0.5 to 1, with the geometric means as their middles.
+  Even over the widest of them the logarithm's standard deviation is 0.4; surfaces that are not Lambertian add
+  0.3: 0.5 together.
+- a mirror sends its light where it points. From beside it is as dark as black paint (0.05), in a glint it is
+  brighter than any diffuse surface, so that its logarithm is known within two or so.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from rpod_schemas.arrays import FloatArray
+from rpod_target import Albedo, Target
+
+
+class Brightness(NamedTuple):
+    """What is known of a class."""
+
+    albedo: float
+    """Middle of the Lambertian albedo."""
+    sigma_log: float
+    """Standard deviation of its logarithm."""
+
+
+CLASSES: Mapping[Albedo, Brightness] = MappingProxyType(
+    {
+        "dark": Brightness(0.1, 0.5),
+        "grey": Brightness(0.32, 0.5),
+        "white": Brightness(0.7, 0.5),
+        "mirror": Brightness(0.4, 2.0),
+    }
+)
+"""By name."""
+
+
+def albedos(target: Target) -> FloatArray:
+    """Return the middle of the albedo of each triangle's class, shape (T,)."""
+    known = np.array([CLASSES[material.looks].albedo for material in target.materials])
+    each: FloatArray = known[target.triangle_material]
+    return each
+
+
+def spreads(target: Target) -> FloatArray:
+    """Return the standard deviation of the albedo's logarithm of each triangle's class, shape (T,)."""
+    known = np.array([CLASSES[material.looks].sigma_log for material in target.materials])
+    each: FloatArray = known[target.triangle_material]
+    return each

@@ -1,0 +1,59 @@
+"""Returns that a LIDAR has from no single surface: mixed at edges, reflected twice, or of stray light."""
+
+import numpy as np
+from numpy.random import Generator
+
+from rpod_schemas.arrays import FloatArray
+from rpod_sim_sensor.worlds import LidarWorld
+
+_APART_M = 0.1
+"""Surfaces nearer to each other than this make one echo."""
+_STEEPEST = 0.05
+"""Cosine of incidence below which a plane is seen no more obliquely."""
+_FALSE_SPREAD = 0.5, 1.5
+"""False ranges, evenly, over the middle of the others."""
+
+
+def mixed(
+    middle: tuple[FloatArray, FloatArray, FloatArray],
+    beside: tuple[FloatArray, FloatArray, FloatArray],
+    world: LidarWorld,
+    generator: Generator,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what rays with a wide beam meet.
+
+    Args:
+        middle: range, cosine of incidence and reflectivity at the beam's middle, NaN where it meets nothing,
+            shape (rows, columns) each.
+        beside: the same at the beam's rim.
+        world: how many rays are mixed.
+        generator: of the frame's disturbances.
+    """
+    shape = middle[0].shape
+    chosen, weight = generator.random(shape) < world.mixed_share, generator.random(shape)
+    outside, inside = np.isnan(middle[0]), np.isfinite(beside[0])
+    aside_m = world.footprint_rad * middle[0]  # on one steep plane ranges differ as well
+    slant_m = aside_m * np.sqrt(1.0 - middle[1] ** 2) / np.maximum(middle[1], _STEEPEST)
+    apart = np.abs(middle[0] - beside[0]) > _APART_M + slant_m
+    between = chosen & ~outside & inside & apart
+    grazed = chosen & outside & inside
+    range_m, cosine, reflectivity = (
+        np.where(grazed, rim, np.where(between, weight * mid + (1.0 - weight) * rim, mid))
+        for mid, rim in zip(middle, beside, strict=True)
+    )
+    # Half of the beam's light passes the target by.
+    return range_m, cosine, np.where(grazed, 0.5 * reflectivity, reflectivity)
+
+
+def bounced(range_m: FloatArray, world: LidarWorld, generator: Generator) -> FloatArray:
+    """Return ranges of which some are too long by a second reflection."""
+    late = generator.random(range_m.shape) < world.bounced_share
+    return range_m + np.where(late, generator.exponential(world.detour_m, range_m.shape), 0.0)
+
+
+def false_m(range_m: FloatArray, world: LidarWorld, generator: Generator) -> FloatArray:
+    """Return ranges of stray light for some rays that meet nothing, NaN of all others."""
+    shape = range_m.shape
+    strays = (generator.random(shape) < world.false_share) & np.isnan(range_m)
+    middle_m = float(np.nanmedian(range_m)) if np.isfinite(range_m).any() else np.nan
+    return np.where(strays, middle_m * generator.uniform(*_FALSE_SPREAD, shape), np.nan)
