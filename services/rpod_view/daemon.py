@@ -13,7 +13,7 @@ from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.topics import TF, TRUTH
 from rpod_target import Target, TargetError, load_target
-from rpod_view.scene import SENSOR_TOPICS, pose_topics
+from rpod_view.scene import pose_topics, sensor_topics
 from rpod_view.view import View
 from rpod_view.viewer import open_viewer
 
@@ -72,7 +72,7 @@ class _Ears:
         truth = TF if config.truth == "tf" else TRUTH
         for topic in (truth, *pose_topics(config.prefix)):
             node.subscribe(topic, self._others.put)
-        node.subscribe_all(SENSOR_TOPICS, self._parts.put, recover=False)
+        node.subscribe_all(sensor_topics(), self._parts.put, recover=False)
 
     def hand_over(self, view: View) -> None:
         """Give the view everything that has come."""

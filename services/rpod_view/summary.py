@@ -12,6 +12,7 @@ SOURCES = {
     Source.PMD_DEPTH: "PMD depth",
     Source.PMD_AMPLITUDE: "PMD amplitude",
     Source.PMD_JOINT: "PMD depth and amplitude",
+    Source.OTHER: "other sensor",
 }
 """Names of the pose's sources."""
 

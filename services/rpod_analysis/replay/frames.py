@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from rpod_analysis.log import Logged
+from rpod_analysis.log.sensors import as_received
 from rpod_analysis.log.unreadable import StampCheck
 from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_pose.measurement import Tick
@@ -15,9 +16,7 @@ from rpod_runtime.frames import PartRejectedError
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_status
-from rpod_schemas.topics import Topic
 from rpod_schemas.types import EstimatorStatus
-from rpod_schemas.wire import GID_BYTES, Attachment
 
 _BY_ARRIVAL = tuple(f"{reason}:" for reason in (Reason.LATE, Reason.FUTURE, Reason.DUPLICATE))
 """Why a live run refused a frame before it looked at it: what only that run can know."""
@@ -28,13 +27,6 @@ _MOST_WAITING = 64
 
 Event = Arrived | Tick
 """Input of the estimator."""
-
-
-def as_received(logged: Logged) -> Received:
-    """Return a logged message as it came off the wire."""
-    attachment = Attachment(logged.sequence, logged.publish_ns, bytes(GID_BYTES))
-    topic = Topic(logged.topic, logged.type)
-    return Received(topic, logged.topic, memoryview(logged.payload), attachment, logged.log_ns, 0.0)
 
 
 @dataclass

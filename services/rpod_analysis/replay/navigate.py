@@ -153,7 +153,7 @@ class _Feed:
     def outputs(self, events: Iterable[Event]) -> Iterator[Output]:
         """Yield the estimator's outputs."""
         for event in events:
-            self._estimator.use_patterns(self._intake.patterns)
+            self._estimator.learn(self._intake.said)
             if isinstance(event, Tick):
                 yield from self._tick(event.stamp_ns)
                 continue

@@ -24,7 +24,6 @@ from rpod_analysis.scoring.summarise import summarise
 from rpod_analysis.scoring.totals import RunTotals
 from rpod_schemas.logs import SOFTWARE, TopicCount
 from rpod_schemas.summary import Summary
-from rpod_schemas.topics import DEPTH, POINTS
 from rpod_target import Target, TargetError, load_target
 
 _PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
@@ -144,13 +143,12 @@ def figure_html(figure: go.Figure | None, identity: str) -> str:
 def _flows(run: StreamedRun, totals: RunTotals, summary: Summary) -> list[SensorFlow]:
     flows = []
     for sensor in run.sensors.values():
-        topic = (DEPTH if sensor.kind == "pmd" else POINTS).of(sensor.name)
         outcomes = totals.by_sensor.get(sensor.name, Counter[str]())
         dropped, incomplete = run.account.passed_over(run.status_topic, sensor.name)
         flows.append(
             SensorFlow(
                 sensor=sensor.name,
-                published=summary.frames[topic.name].published,
+                published=summary.frames[sensor.leading.name].published,
                 accepted=outcomes["accepted"],
                 rejected=outcomes["rejected"],
                 dropped=dropped,

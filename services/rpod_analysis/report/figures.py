@@ -34,6 +34,7 @@ _SOURCES = {
     Source.PMD_DEPTH: "#a05fd6",
     Source.PMD_AMPLITUDE: "#e8833a",
     Source.PMD_JOINT: "#d6487e",
+    Source.OTHER: "#8a6d3b",
 }
 _AXES = (
     ("roll", "pitch", "yaw"),

@@ -14,7 +14,7 @@ from rpod_analysis.log.unreadable import StampCheck
 from rpod_analysis.scoring.row_store import RowStore
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.messages import read_diagnostics, read_odometry, read_stamp, read_status
-from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE, POINTS, STATUS, TRUTH
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, STATUS, TRUTH
 
 
 @dataclass(eq=False)
@@ -53,8 +53,7 @@ class Reader:
             CLOCK.name: self._take_clock,
         }
         for sensor in sensors.values():
-            topic = (DEPTH if sensor.kind == "pmd" else POINTS).of(sensor.name)
-            self._takers[topic.name] = self._frame_taker(sensor.name)
+            self._takers[sensor.leading.name] = self._frame_taker(sensor.name)
 
     def take(self, logged: Logged) -> None:
         """Add a message of any topic."""
