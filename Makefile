@@ -9,7 +9,7 @@ PEERS := .venv-peers
 SCENARIO ?= mockup-tumbling
 ARGS ?=
 
-.PHONY: help run test check format lint types layers bench recording busy reading peers check-viewers setup clean
+.PHONY: help run test check format lint types layers bench recording busy reading cluster peers check-viewers setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -56,6 +56,9 @@ recording: $(READY) ## The logger at a camera's full rate: loss, processor time,
 
 busy: $(READY) ## A run beside two busy processes: what its log misses
 	@PYTHONPATH=benchmarks $(BIN)/python -m busy $(ARGS)
+
+cluster: $(READY) ## A campaign on a Dask cluster of this machine beside the process pool, in pairs
+	@PYTHONPATH=benchmarks $(BIN)/python -m cluster $(ARGS)
 
 peers: $(PEERS)/.ready ## Registration packages beside our methods, on the same scans
 	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 PYTHONPATH=benchmarks $(PEERS)/bin/python -m peers $(ARGS)

@@ -14,8 +14,8 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_analysis.campaign.statistics import rate
-from rpod_analysis.campaign.trials.scene import emulator_of, random_pose, scan_of
+from rpod_campaign.engine.report.statistics import rate
+from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import Float32Array, LidarScan

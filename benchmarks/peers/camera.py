@@ -7,10 +7,10 @@ import numpy as np
 
 from peers.benchmark import Case, Clouds, Criterion, disturbed
 from rpod.scenarios import find
-from rpod_analysis.campaign.trials.pmd_acquisition import SUCCESS_DEG, SUCCESS_M, drawn
-from rpod_analysis.campaign.trials.pmd_scene import Stage, still
-from rpod_analysis.campaign.trials.pmd_world import NOMINAL
-from rpod_analysis.campaign.trials.scene import stream
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.pmd.poses import SUCCESS_DEG, SUCCESS_M, drawn
+from rpod_campaign.pmd.scene import Stage, still
+from rpod_campaign.pmd.world import NOMINAL
 from rpod_pose.pmd.depth_view import usable_image
 from rpod_schemas.config.pmd_methods import DepthImageConfig
 from rpod_schemas.types import Float32Array, PmdFrame

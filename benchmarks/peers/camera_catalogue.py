@@ -10,7 +10,7 @@ from peers.camera import CameraScene, CameraView
 from peers.clouds import model_cloud
 from peers.open3d_icp import Estimation
 from peers.small_gicp_icp import Setup
-from rpod_analysis.campaign.trials.pmd_methods import DEFAULT, PAPER_ICP, pmd_input
+from rpod_campaign.pmd.methods import DEFAULT, PAPER_ICP, pmd_input
 from rpod_pose.methods import pmd_methods, warm_up
 
 POINT_SPACING_M, PLANE_SPACING_M = 0.02, 0.02

@@ -42,10 +42,10 @@ class _Watching(caching._SourceFileBackedLocatorMixin):  # type: ignore[misc, un
         super().__init__(py_func, py_file)  # type: ignore[call-arg]
         self._globals = py_func.__globals__
 
-    def get_source_stamp(self) -> str:
+    def get_source_stamp(self) -> bytes:
         """Return a digest of the kernel's file and of what is compiled in from elsewhere."""
         own = super().get_source_stamp()  # type: ignore[no-untyped-call]
-        return hashlib.sha256(repr((own, sorted(_parts(self._globals, set())))).encode()).hexdigest()
+        return hashlib.sha256(repr((own, sorted(_parts(self._globals, set())))).encode()).digest()
 
 
 class UserProvided(_Watching, caching.UserProvidedCacheLocator):

@@ -165,6 +165,8 @@ class Summary(Config):
     """Over the frames whose measurement was held against the prediction, rejected ones included."""
     completeness: LogCompleteness | None = None
     """The log's statement of itself."""
+    unreadable: dict[str, dict[str, Count]] = Field(default_factory=dict)
+    """Messages in the log that cannot be read, by topic, then by reason."""
 
     @property
     def missed(self) -> int:

@@ -10,6 +10,7 @@ import typer
 from pydantic import BaseModel
 
 from rpod import __version__
+from rpod.campaign_verbs import campaign_verbs
 from rpod.log_verbs import log_verbs
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_runtime.lifecycle import run as run_service
@@ -56,6 +57,7 @@ def _version(asked: bool) -> None:
 
 
 app.add_typer(log_verbs)
+app.add_typer(campaign_verbs)
 
 
 @app.callback()
@@ -218,89 +220,6 @@ def run(
         scenario, duration_s=duration, speed=speed, seed=seed, out=out, view=with_view, as_json=as_json
     )
     raise typer.Exit(code)
-
-
-@app.command()
-def campaign(
-    name: Annotated[
-        str,
-        typer.Argument(
-            help="lidar-acquisition, -trajectory, -verdict, -tracking, -robustness, -range; "
-            "pmd-tracking, -sun, -robustness, -acquisition."
-        ),
-    ],
-    trials: Annotated[int | None, typer.Option("--trials", help="Of each cell.")] = None,
-    ranges: Annotated[str | None, typer.Option("--ranges", help="In m, for example 20,50.")] = None,
-    steps: Annotated[
-        str | None, typer.Option("--steps", help="Of the templates, deg: 60,40,30,20,10.")
-    ] = None,
-    scan_steps: Annotated[
-        str | None, typer.Option("--scan-steps", help="Of the scan, deg: 1,0.5,0.2,0.1.")
-    ] = None,
-    method: Annotated[str | None, typer.Option("--method", help="One or several, with commas.")] = None,
-    target: Annotated[str | None, typer.Option("--target", help="One or several, with commas.")] = None,
-    seed: Annotated[int | None, typer.Option("--seed", help="Of all randomness.")] = None,
-    eq4: Annotated[
-        str | None, typer.Option("--eq4", help="Of the 2015 paper: usual, printed or both.")
-    ] = None,
-    sampling: Annotated[
-        str | None, typer.Option("--sampling", help="Of the attitudes: euler, so3 or both.")
-    ] = None,
-    centroid: Annotated[
-        str | None, typer.Option("--centroid", help="Of template matching: plain, offset or both.")
-    ] = None,
-    matcher: Annotated[
-        str | None, typer.Option("--matcher", help="ICP after template matching, with commas.")
-    ] = None,
-    scenario: Annotated[
-        str | None, typer.Option("--scenario", help="Of the camera, with commas: oblique,tumbling,approach.")
-    ] = None,
-    radius: Annotated[
-        str | None, typer.Option("--radius", help="Of the paper's neighbour search, px: 10,25,50.")
-    ] = None,
-    frames: Annotated[
-        str | None, typer.Option("--frames", help="Of a sequence: keyframes (one a second), full or both.")
-    ] = None,
-    through: Annotated[
-        str | None,
-        typer.Option("--through", help="First guess of a frame: tracker, truth, navigator or both."),
-    ] = None,
-    depth: Annotated[
-        str | None, typer.Option("--depth", help="Of the camera: raw, calibrated or both.")
-    ] = None,
-    case: Annotated[
-        str | None,
-        typer.Option("--case", help="Of pmd-robustness, -sun, -acquisition, -verdict, with commas."),
-    ] = None,
-    out: Annotated[Path, typer.Option("--out", help="Where the campaign's folder is made.")] = Path(
-        "campaigns"
-    ),
-    jobs: Annotated[int | None, typer.Option("--jobs", help="Processes; all cores where left out.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the cells as one JSON object only.")] = False,
-) -> None:
-    """Monte-Carlo trials of the methods, beside the papers."""
-    from rpod.command_campaign import campaign_command
-
-    options = {
-        "trials": trials,
-        "ranges": ranges,
-        "steps": steps,
-        "scan_steps": scan_steps,
-        "method": method,
-        "target": target,
-        "seed": seed,
-        "eq4": eq4,
-        "sampling": sampling,
-        "centroid": centroid,
-        "matcher": matcher,
-        "scenario": scenario,
-        "radius": radius,
-        "frames": frames,
-        "through": through,
-        "depth": depth,
-        "case": case,
-    }
-    raise typer.Exit(campaign_command(name, options=options, jobs=jobs, out=out, as_json=as_json))
 
 
 @app.command()

@@ -10,9 +10,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from rpod.unreadable import tell_unreadable
 from rpod_analysis import AnalysisError, open_log
-from rpod_analysis.depth_calibration import RangeBin, evidence, fit, range_bins
-from rpod_analysis.depth_samples import collect
+from rpod_analysis.calibration.depth_calibration import RangeBin, evidence, fit, range_bins
+from rpod_analysis.calibration.depth_samples import collect
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import load
 from rpod_schemas.config.depth_calibration import DepthCalibration
@@ -26,7 +27,8 @@ def calibrate_command(
     try:
         given = load(DepthCalibration, check) if check else None
         with ExitStack() as stack:
-            samples = collect([stack.enter_context(open_log(path)) for path in logs], camera)
+            opened = [stack.enter_context(open_log(path)) for path in logs]
+            samples = collect(opened, camera)
         calibration = (
             fit(samples) if given is None else given.model_copy(update={"evidence": evidence(samples, given)})
         )
@@ -34,6 +36,7 @@ def calibrate_command(
         written = (out or Path(f"{camera}-calibration.yaml")) if given is None else out
         if written:
             calibration.write(written)
+        tell_unreadable("rpod calibrate", *opened)
     except ConfigurationError as error:
         print(f"rpod calibrate: {error}", file=sys.stderr)
         return EXIT_USAGE

@@ -15,8 +15,8 @@ from rich.table import Table
 from rpod import __version__
 from rpod_analysis import AnalysisError, Log, open_log
 from rpod_analysis.replay import Playback, Played, compare, configured_estimator, play, replay
-from rpod_analysis.spool import Column
-from rpod_analysis.tally import summarise_durations
+from rpod_analysis.scoring.row_store import Column
+from rpod_analysis.scoring.totals import summarise_durations
 from rpod_runtime import Node
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_runtime.lifecycle import run as run_service

@@ -9,7 +9,7 @@ from threading import Event
 from typing import Any
 
 from rpod_analysis import AnalysisError, Log, open_log
-from rpod_analysis.log_view import Part, show_log
+from rpod_analysis.replay.log_view import Part, show_log
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_runtime.lifecycle import run as run_service
 from rpod_schemas.cdr import NANOSECONDS
@@ -78,6 +78,10 @@ def _show(opened: Log, config: ViewConfig, part: Part, stop: Event) -> None:
         )
         for topic, count in refused.items():
             log.warning("%d messages of %s could not be used", count, topic)
+        for kind in opened.unreadable.kinds:
+            log.warning(
+                "%d messages of %s cannot be read (%s): %s", kind.count, kind.topic, kind.reason, kind.example
+            )
         while viewer.process is not None and not viewer.closed and not stop.wait(_POLL_S):
             pass
 

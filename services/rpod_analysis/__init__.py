@@ -2,8 +2,8 @@
 
 from rpod_analysis.errors import AnalysisError
 from rpod_analysis.log import Log, Logged, TopicInfo, open_log
-from rpod_analysis.run import Run, StreamedRun, read_run, stream_run
-from rpod_analysis.sensors import Sensor, find_sensors, lidar_scans, pmd_frames
+from rpod_analysis.log.sensors import Sensor, find_sensors, lidar_scans, pmd_frames
+from rpod_analysis.scoring.run import Run, StreamedRun, read_run, stream_run
 
 __all__ = [
     "AnalysisError",

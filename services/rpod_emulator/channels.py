@@ -1,4 +1,4 @@
-"""One emulated sensor from pose to messages: a channel for each kind, alike to the daemon."""
+"""Emulated sensors from pose to messages, with one interface for all kinds."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -28,7 +28,7 @@ from rpod_target import Target
 
 
 class Channel(Protocol):
-    """An emulated sensor on the bus."""
+    """An emulated sensor that publishes on the bus."""
 
     @property
     def sensor(self) -> SensorConfig:
@@ -38,9 +38,9 @@ class Channel(Protocol):
     def emulate(
         self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
     ) -> Callable[[], None]:
-        """Make a frame from T_sensor_target at the sensor's pose times; the sun in chaser axes.
+        """Compute a frame from T_sensor_target at the sensor's pose times; the sun is in chaser axes.
 
-        Returns what publishes it.
+        Returns a function that publishes the frame.
         """
         ...
 
@@ -62,7 +62,7 @@ class PmdChannel:
     def emulate(
         self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
     ) -> Callable[[], None]:
-        """Expose, and lose what the fault takes: the depth, or the amplitude as well."""
+        """Compute an image; a fault removes depth, or depth and amplitude, from a part of it."""
         sun = rotation_of(self.sensor.T_chaser_sensor).inv().apply(sun_W_m2)
         buffers = self._spare.pop() if self._spare else None
         exposure = self._emulator.expose(poses, sun_W_m2=sun, frame=frame.number, out=buffers)
@@ -74,7 +74,7 @@ class PmdChannel:
         return partial(self._publish, exposure, frame.stamp_ns)
 
     def _publish(self, exposure: PmdExposure, stamp_ns: int) -> None:
-        """Publish a frame, after the info where the exposure has changed it; its arrays serve again."""
+        """Publish the info if the exposure time has changed, then the frame; the arrays are used again."""
         if exposure.integration_time_s != self._announced_s:
             self._announced_s = exposure.integration_time_s
             self._publisher.announce(self.sensor.info(exposure.integration_time_s))
@@ -107,7 +107,7 @@ class LidarChannel:
         frame: DueFrame,
         fault: Kind | None,
     ) -> Callable[[], None]:
-        """Scan, and lose what the fault takes."""
+        """Compute a scan; a fault removes a part of its returns."""
         returns = self._emulator.scan(poses, frame=frame.number)
         points_m = returns.points_m
         lost = lost_cells(fault, points_m.shape[:2], seed=self._seed, number=frame.number)
@@ -124,10 +124,10 @@ class LidarChannel:
 
 
 def open_channel(node: Node, config: EmulatorConfig, sensor: SensorConfig, target: Target) -> Channel:
-    """Return the channel of a sensor, warmed up: its first frame is as fast as any other.
+    """Return the channel of a sensor. It is warmed up: its first frame is as fast as any other.
 
     Raises:
-        ConfigurationError: there is no such sensor, for its lens, say.
+        ConfigurationError: the sensor cannot be emulated, for example because of its lens.
     """
     try:
         return _warm_channel(node, config, sensor, target)

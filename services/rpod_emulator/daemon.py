@@ -1,4 +1,4 @@
-"""The emulator daemon: wait for truth, emulate what is due, publish no earlier than a real sensor."""
+"""The emulator daemon: waits for truth, computes the frames that are due, and publishes them in time."""
 
 import logging
 import time
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 _WAIT_S = 0.05
 _DARKNESS = 0, np.zeros(3)
 _SUN_PERIOD_NS = NANOSECONDS
-"""Between two messages of the sun (ICD section 2)."""
+"""Time between two messages of the sun (ICD section 2)."""
 
 
 def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
@@ -51,20 +51,20 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
 
 
 def _exposure_end_ns(sensor: SensorConfig) -> int:
-    """Return when the last pose of an exposure or scan is needed, from the stamp."""
+    """Return the time from the stamp to the last pose that an exposure or scan needs, ns."""
     return round(max(sensor.pose_times_s()) * NANOSECONDS)
 
 
 @dataclass(frozen=True)
 class _Made:
-    """A frame that waits until a real sensor would hand it out."""
+    """A frame that is not published before a real sensor would have it ready."""
 
     frame: DueFrame
     publish: Callable[[], None]
 
 
 class Emulator:
-    """The state between the frames: truth, sun, the next frame of each sensor, frames made ahead."""
+    """State between frames: truth, sun, the next frame of each sensor, and frames not published yet."""
 
     def __init__(self, node: Node, config: EmulatorConfig, channels: list[Channel]) -> None:
         self._node, self._config = node, config
@@ -107,9 +107,9 @@ class Emulator:
         return Accepted()
 
     def take_messages(self) -> None:
-        """Take in all truth, sun and time that arrived; wait for the first of it, or for a frame to publish.
+        """Process all truth, sun and clock messages; wait for the first one, or for a frame to publish.
 
-        A start was asked for before anything of its run was published, so it is taken before the messages.
+        A start query comes before any message of its run, so it is processed before the messages.
         """
         messages = self._inbox.wait(self._spare_s())
         self._take_starts()
@@ -165,7 +165,7 @@ class Emulator:
         return sorted(due, key=lambda item: item[1])
 
     def _stepped(self, epoch_ns: int) -> Iterator[DueFrame]:
-        """Yield the frames of the steps that lockstep has taken and that can be made."""
+        """Yield the frames up to the clock's time for which truth and sun have arrived."""
         if self._steps is None:
             sensors = [channel.sensor for channel in self._channels]
             self._steps = lockstep_steps(sensors, epoch_ns=epoch_ns, duration_s=self._duration_s)
@@ -190,7 +190,7 @@ class Emulator:
         return frame_at(sensor, last, epoch_ns=epoch_ns)
 
     def make(self, channel: Channel, frame: DueFrame) -> None:
-        """Emulate one frame; where the truth has a gap, count it and go on."""
+        """Compute one frame; a frame in a gap of the truth is counted and left out."""
         fault = self._faults.at(frame.stamp_ns)
         if fault == "silence":
             self._node.health.count(f"silenced/{frame.sensor}")
@@ -215,11 +215,11 @@ class Emulator:
         self._node.health.report(Health.OK, "emulating")
 
     def _sun_W_m2(self, stamp_ns: int) -> FloatArray:  # noqa: N802 - watt
-        """Return the last sun up to a stamp; the oldest that is known where all are newer."""
+        """Return the newest sun up to a stamp, or the oldest one if all are newer."""
         return next((sun for sun_ns, sun in reversed(self._suns) if sun_ns <= stamp_ns), self._suns[0][1])
 
     def publish_made(self) -> None:
-        """Publish the frames that a real sensor would have handed out by now; all of them in lockstep."""
+        """Publish the frames that a real sensor would have ready by now; in lockstep all of them."""
         now_ns = time.time_ns()
         waiting = []
         for made in self._made:

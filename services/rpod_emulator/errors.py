@@ -1,4 +1,4 @@
-"""The errors of the emulator."""
+"""Errors that this package raises."""
 
 from rpod_schemas.errors import RpodError
 
@@ -8,7 +8,7 @@ class EmulatorError(RpodError):
 
 
 class TruthGapError(EmulatorError):
-    """The truth does not cover a frame's exposure."""
+    """The truth does not cover the exposure of a frame."""
 
     def __init__(self, stamp_ns: int, gap_s: float) -> None:
         super().__init__(f"no truth within {gap_s * 1e3:.1f} ms around stamp {stamp_ns} ns")

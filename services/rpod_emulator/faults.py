@@ -1,4 +1,4 @@
-"""Faults on request: what a real sensor does at the worst moment."""
+"""Faults that an operator requests: lost depth, glints, blackout and silence."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -10,12 +10,12 @@ Kind = Literal["dropout", "glints", "blackout", "silence"]
 
 _LOST_SHARE = {"dropout": 0.6, "glints": 0.4, "blackout": 1.0}
 _PATCHES = 12
-"""Patches along each side of the image: losses come in areas, not in single pixels."""
+"""Number of patches along each side of the image; a fault takes whole patches, not single pixels."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault and when it holds."""
+    """One fault and the time for which it lasts."""
 
     kind: Kind
     start_ns: int
@@ -24,16 +24,16 @@ class Fault:
 
 @dataclass
 class Faults:
-    """The faults that were asked for."""
+    """The faults that were requested."""
 
     _faults: list[Fault] = field(default_factory=list)
 
     def add(self, fault: Fault) -> None:
-        """Plan a fault."""
+        """Add a fault."""
         self._faults.append(fault)
 
     def at(self, stamp_ns: int) -> Kind | None:
-        """Return the fault that holds at a stamp; the one asked for last wins."""
+        """Return the fault at a stamp, the last one that was requested; None where there is none."""
         for fault in reversed(self._faults):
             if fault.start_ns <= stamp_ns < fault.end_ns:
                 return fault.kind
@@ -41,14 +41,14 @@ class Faults:
 
 
 def takes_amplitude(kind: Kind | None) -> bool:
-    """Return whether a fault takes the amplitude with the depth: full taps do, a mask does not."""
+    """Return whether a fault removes the amplitude as well as the depth, as saturated pixels do."""
     return kind in {"glints", "blackout"}
 
 
 def lost_cells(
     kind: Kind | None, shape: tuple[int, ...], *, seed: int, number: int
 ) -> NDArray[np.bool_] | None:
-    """Return which cells of an image or scan a fault takes, shape as given; None for none of them."""
+    """Return a mask, of the given shape, of the cells that a fault removes; None for no fault."""
     if kind is None or kind == "silence":
         return None
     generator = np.random.default_rng([seed, number, 0xFA17])

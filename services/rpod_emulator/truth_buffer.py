@@ -1,4 +1,4 @@
-"""The last seconds of truth, and poses between its samples."""
+"""Buffer of the last seconds of truth, with interpolated poses."""
 
 from bisect import bisect_left
 from collections import deque
@@ -14,14 +14,14 @@ from rpod_schemas.messages import NANOSECONDS, read_pose
 from rpod_schemas.poses import between
 
 MAX_GAP_S = 0.008
-"""Two samples of truth further apart than this leave what is between them unknown (ICD section 1)."""
+"""Longest time between two samples of truth between which a pose is interpolated (ICD section 1)."""
 
 _MAX_AHEAD_NS = NANOSECONDS
 
 
 @dataclass
 class TruthBuffer:
-    """Truth in order of its stamps, decoded as it comes: a frame finds its poses ready."""
+    """Truth in the order of its stamps. Messages are decoded on arrival, which saves time later."""
 
     keep_s: float = 3.0
     _stamps_ns: deque[int] = field(default_factory=deque)
@@ -38,7 +38,7 @@ class TruthBuffer:
         return self._stamps_ns[-1] if self._stamps_ns else -1
 
     def add(self, received: Received, *, latest_ns: int | None = None) -> None:
-        """Take a message.
+        """Add a message.
 
         Raises:
             MessageRejectedError: its stamp is not newer than the last one's, or beyond the latest by more

@@ -1,6 +1,6 @@
-"""The estimator without its bus: methods by sensor, the navigator's state, resets.
+"""The estimator without a bus: methods of each sensor, the navigator's state, and resets.
 
-The daemon feeds it from the bus, a replay from a log.
+The daemon passes frames from the bus to it, a replay passes frames from a log.
 """
 
 import logging
@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from queue import Empty, SimpleQueue
 
-from rpod_estimator.intake import Arrived
+from rpod_estimator.frame_reader import Arrived
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.measurement import Tick
 from rpod_pose.methods import configured_pattern, lidar_methods, pmd_methods, warm_up
@@ -26,12 +26,12 @@ from rpod_target import Target
 log = logging.getLogger(__name__)
 
 TICK_S = 0.1
-"""How often time passes without a frame."""
+"""Time between two ticks while no frame arrives."""
 _TICK_NS = round(TICK_S * NANOSECONDS)
 
 
 class Estimator:
-    """Navigator and state, between the frames; resets may come from another thread."""
+    """Holds the navigator and its state between frames; resets may come from another thread."""
 
     def __init__(self, config: EstimatorConfig, target: Target) -> None:
         self._config, self._target = config, target
@@ -68,7 +68,7 @@ class Estimator:
         warm_up(self._methods[sensor.name], self._target, pattern)
 
     def use_patterns(self, patterns: Mapping[str, ScanPattern]) -> None:
-        """Build a LIDAR's methods anew where its latched info tells another scan pattern."""
+        """Build the methods of a LIDAR again if its latched info gives another scan pattern."""
         for name, pattern in patterns.items():
             known = self._patterns[name]
             if known is None or not known.equals(pattern):
@@ -79,7 +79,7 @@ class Estimator:
                 self._build(self._sensors[name])
 
     def request_reset(self, request: ResetRequest) -> Accepted:
-        """Begin anew with the next frame, from nothing or from a given pose."""
+        """Start again with the next frame, without a pose or from a given pose."""
         if request.pose is not None and request.frame_id != CHASER:
             raise ConfigurationError(
                 "reset", "frame_id", f"{request.frame_id!r}: poses are taken in {CHASER!r}"
@@ -100,7 +100,7 @@ class Estimator:
             self._state = replace(begun, shown_ns=self._state.shown_ns)
 
     def process(self, arrived: Arrived) -> Output:
-        """Return what becomes of a frame."""
+        """Process a frame and return the result."""
         self._take_resets()
         if arrived.measurement is None:
             return self._rejected(arrived, arrived.reason)
@@ -112,7 +112,7 @@ class Estimator:
         return output
 
     def tick(self, now_ns: int) -> Output | None:
-        """Let time pass without a frame."""
+        """Advance the time without a frame; return a result if the mode changes."""
         self._take_resets()
         before = self._state.mode
         self._state, output = self._navigator.step(self._state, Tick(now_ns))
@@ -122,9 +122,9 @@ class Estimator:
         return output
 
     def let_time_pass(self, until_ns: int) -> Iterator[Output]:
-        """Tick from the newest frame's stamp up to another frame's, where no wall clock does it.
+        """Advance the time in ticks from the stamp of the newest frame up to a stamp; yield results.
 
-        A run in lockstep and a replay pass the same times, whatever the machine is busy with.
+        Lockstep and replay call this, so that their results do not depend on the machine's load.
         """
         if self._passed_ns is not None:
             last_ns = min(until_ns, self._passed_ns + self._silence_ns)  # later ticks say nothing new

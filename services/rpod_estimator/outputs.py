@@ -1,4 +1,4 @@
-"""The estimator's voice: odometry, pose, transform and status."""
+"""Publishes the estimator's results: odometry, pose, transform and status."""
 
 import time
 
@@ -17,7 +17,7 @@ _TF_PERIOD_NS = NANOSECONDS // 25
 
 
 class Outputs:
-    """Publishers of everything that the estimator says."""
+    """Publishers of the estimator's results."""
 
     def __init__(self, node: Node, prefix: str) -> None:
         self._odometry = node.publisher(ESTIMATE.under(prefix))
@@ -27,7 +27,7 @@ class Outputs:
         self._tf_ns = 0
 
     def publish(self, output: Output | None, *, since_s: float | None = None) -> None:
-        """Publish a result; the status comes last, for those who wait for it.
+        """Publish a result; the status comes last, because lockstep waits for it.
 
         ``since_s`` is the arrival of the frame's last part on the monotonic clock.
         """

@@ -1,4 +1,4 @@
-"""How the target turns: fixed to the chaser, spinning, or tumbling free of torque."""
+"""Attitude of the target over time: fixed to the chaser, spinning, or tumbling free of torque."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from rpod_motion.trajectory import TrajectoryState
 from rpod_schemas.arrays import FloatArray
 
 RELATIVE_TOLERANCE = 1e-12
-"""Of the integration: keeps the energy to about this share over hundreds of turns."""
+"""Relative tolerance of the integration; the energy errs by about as much over hundreds of turns."""
 
 
 class TargetAttitude(Protocol):
@@ -26,7 +26,7 @@ class TargetAttitude(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FixedAttitude:
-    """Constant relative to the chaser, whatever the chaser does."""
+    """An attitude that is constant relative to the chaser."""
 
     R_chaser_target: FloatArray
 
@@ -40,7 +40,7 @@ class Spin:
     """A constant rate about an axis fixed in the target and in inertial space."""
 
     R_epoch_target: FloatArray
-    """At the epoch."""
+    """Attitude at the epoch."""
     axis: FloatArray
     """Unit vector, target axes."""
     rate_rad_s: float

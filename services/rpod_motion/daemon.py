@@ -21,11 +21,11 @@ from rpod_target import load_target
 log = logging.getLogger(__name__)
 
 _SPARE_S = 0.2
-"""Time between being told to start and the epoch: longer than the truth's preroll needs."""
+"""Time between the start and the epoch where no epoch is given; longer than the truth's preroll."""
 _TAIL_S = 0.1
-"""Truth after the end, so that exposures around it are covered."""
+"""Duration of truth after the end, so that exposures at the end are covered."""
 _LONGEST_TAIL_S = 0.9
-"""In lockstep the tail reaches to the hand-over of the last frame, as far as the motion is defined."""
+"""Longest duration of truth after the end in lockstep; the motion is defined a little longer than that."""
 
 
 def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
@@ -73,7 +73,7 @@ def _tail_s(config: MotionServiceConfig) -> float:
 
 
 def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
-    """Return the epoch once it is time to begin; None where the service is stopped before."""
+    """Wait for the start and return the epoch; None where the service is stopped before."""
     if not config.await_start:
         node.ready("playing at once")
         return config.epoch_ns or time.time_ns() + round(_SPARE_S * NANOSECONDS)
@@ -96,7 +96,7 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
 
 
 def _play_by_the_wall(node: Node, truth: TruthPublisher, ticks: range, *, lead_s: float) -> None:
-    """Publish each tick so long before its time; ticks that are overdue follow without a pause."""
+    """Publish each tick ``lead_s`` before its time; overdue ticks follow without a pause."""
     for tick in _paced(node.stop, truth, ticks, lead_s=lead_s):
         truth.publish(tick)
     node.stop.wait(lead_s)

@@ -1,4 +1,4 @@
-"""The errors of this package."""
+"""Errors that this package raises."""
 
 from rpod_schemas.errors import RpodError
 

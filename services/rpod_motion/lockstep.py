@@ -1,4 +1,4 @@
-"""Lockstep: motion owns time and goes on when the others are done (ICD section 4)."""
+"""Lockstep: motion sets the time and advances when the other services have finished (ICD section 4)."""
 
 import time
 from collections import Counter
@@ -18,7 +18,7 @@ from rpod_schemas.topics import CLOCK, STATUS, TRUTH
 from rpod_schemas.types import EstimatorStatus
 
 _BATCH = 60
-"""Truth messages between two acknowledgements: fewer than the publisher's cache holds."""
+"""Number of truth messages between two acknowledgements; the publisher's cache holds more."""
 _POLL_S = 0.002
 
 
@@ -32,14 +32,14 @@ class Lockstep:
         self._truth_sent = 0
         self._statuses_heard = 0
         self._answered: set[tuple[str, int]] = set()
-        """Sensor and stamp of frames whose status has come and is not waited for yet."""
+        """Sensor and stamp of frames whose status arrived before lockstep waited for it."""
         self._published: Counter[str] = Counter()
-        """Frames by sensor that the emulator must have published by now."""
+        """Number of frames that the emulator must have published by now, by sensor."""
         self._begun_ns = time.time_ns()
         node.subscribe(STATUS, self._take, recover=True)
 
     def _take(self, received: Received) -> None:
-        """Keep a status of this run: those of an earlier one, of the same stamps, may be recovered too."""
+        """Keep a status of this run; statuses of an earlier run with the same stamps may be recovered too."""
         if received.attachment.stamp_ns >= self._begun_ns:
             self._statuses.put(read_status(received.decode()))
 
@@ -98,7 +98,7 @@ class Lockstep:
         self._answered.discard(answer)
 
     def _await_count(self, service: str | None, counter: str, count: int) -> None:
-        """Wait until a service has counted so many; nobody is waited for where there is no service."""
+        """Wait until a counter of a service reaches a value; return at once where no service is given."""
         if service is None:
             return
         deadline_s = time.monotonic() + self._config.lockstep.timeout_s

@@ -24,7 +24,7 @@ from rpod_schemas.config.motion import (
 from rpod_schemas.poses import pose_of
 
 MARGIN_S = 1.0
-"""How far beyond epoch and end the motion is defined: exposures and scans reach there."""
+"""Time before the epoch and after the end for which the motion is defined, because exposures extend there."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -42,7 +42,7 @@ class MotionState:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Truth over time; ``build_motion`` makes it."""
+    """The truth over time; ``build_motion`` creates it."""
 
     trajectory: Trajectory
     attitude: TargetAttitude
@@ -57,7 +57,7 @@ class Motion:
         from the attitude: p = p_c - R c, so that R^T dp/dt = R^T dp_c/dt - omega x c.
 
         Raises:
-            MotionError: the time lies outside.
+            MotionError: the time lies outside this range.
         """
         self._require_inside(time_s)
         chaser = self.trajectory.state(time_s)

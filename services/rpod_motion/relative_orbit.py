@@ -1,4 +1,4 @@
-"""Two orbits about the oblate Earth, and how one is laid about the other as a safety ellipse.
+"""Two orbits about the oblate Earth, the chaser's on a safety ellipse about the target's.
 
 Each orbit is a set of mean elements. The Earth's oblateness turns node, perigee and mean anomaly at constant
 rates (its secular effects; D. Brouwer, Solution of the Problem of Artificial Satellite Theory Without Drag,
@@ -38,7 +38,7 @@ EARTH_J2 = 1.0826359e-3
 
 _KEPLER_RAD = 1e-15
 _NODE_PHASE_RAD = pi / 2.0
-"""phi = theta of the safety ellipse."""
+"""Phase phi = theta of the safety ellipse."""
 
 
 class OrbitState(NamedTuple):
@@ -51,7 +51,7 @@ class OrbitState(NamedTuple):
     R_inertial_local: FloatArray
     """Columns: radius, track, orbit's normal; shape (3, 3)."""
     local_rate_rad_s: FloatArray
-    """Of the local frame relative to inertial space, local axes, shape (3,)."""
+    """Rotation rate of the local frame relative to inertial space, local axes, shape (3,)."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class MeanOrbit:
 
     @cached_property
     def mean_motion_rad_s(self) -> float:
-        """Of Kepler's third law, without J2."""
+        """Mean motion by Kepler's third law, without J2."""
         return sqrt(EARTH_MU_M3_S2 / self.semi_major_axis_m) / self.semi_major_axis_m
 
     @cached_property
@@ -133,7 +133,7 @@ class RelativeOrbit:
 
     @classmethod
     def safety_ellipse(cls, target: MeanOrbit, *, radial_m: float, cross_track_m: float) -> Self:
-        """Lay the chaser's orbit about the target's, with the amplitudes a and b as above.
+        """Return the orbits for a safety ellipse with the amplitudes a and b of the module's docstring.
 
         The inclination vectors differ by the nodes alone, theta = 90 deg: a difference of inclinations would
         make the nodes part. With equal semi-major axes all rates are then equal to first order, and the

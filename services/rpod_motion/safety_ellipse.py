@@ -1,4 +1,4 @@
-"""The positions along a safety ellipse at which an acquisition is tried, as a pure function for campaigns.
+"""Positions along a safety ellipse at which campaigns try an acquisition.
 
 Source: Opromolla et al., Sensors 15(3), 2015, sections 3.3 and 4.3 (Fig. 5): 241 positions, 50 s apart, over
 two orbits of ENVISAT, at ranges from about 25 to 53 m. The paper does not state how the target turns

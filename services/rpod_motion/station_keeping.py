@@ -19,9 +19,9 @@ from rpod_schemas.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class StationKeeping:
-    """The chaser about the target's centre of mass, its z axis pointing there.
+    """The chaser moves about the target's centre of mass; its z axis points there.
 
-    The chaser's y axis (down) is as near as may be to the normal e1 x e2 of the ellipse, which is constant
+    The chaser's y axis (down) is as close as possible to the normal e1 x e2 of the ellipse, which is constant
     in the local frame and on the far side of the orbit's normal.
     """
 
@@ -63,7 +63,7 @@ class StationKeeping:
 
     @cached_property
     def R_epoch_inertial(self) -> FloatArray:  # noqa: N802 - a rotation
-        """From Earth-centred inertial axes to the epoch axes, shape (3, 3)."""
+        """Rotation from Earth-centred inertial axes to the epoch axes, shape (3, 3)."""
         separation_m, _, target = self.orbit.separation(0.0)
         return (target.R_inertial_local @ self._looking_at_target(separation_m)).T
 
@@ -84,7 +84,7 @@ class StationKeeping:
         )
 
     def _looking_at_target(self, separation_m: FloatArray) -> FloatArray:
-        """Return R_local_chaser: z towards the target, y as near as may be to the ellipse's normal."""
+        """Return R_local_chaser: z towards the target, y as close as possible to the ellipse's normal."""
         z = -separation_m / sqrt(separation_m @ separation_m)
         y = self.down_L - (self.down_L @ z) * z
         y /= sqrt(y @ y)

@@ -1,4 +1,4 @@
-"""What a trajectory is: the chaser's attitude, and the path of the target's *anchor* in chaser axes.
+"""The protocol of a trajectory: the chaser's attitude, and the path of the target's *anchor* in chaser axes.
 
 The anchor is the point of the target that the trajectory moves; the rest follows from the attitude.
 Inertial space is represented by the *epoch axes*: the chaser's at the epoch, which keep their attitude.
@@ -12,14 +12,14 @@ from rpod_schemas.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TrajectoryState:
-    """Where chaser and target's point are at one time."""
+    """Attitude of the chaser and position of the anchor at one time."""
 
     R_epoch_chaser: FloatArray
     """Attitude of the chaser, shape (3, 3)."""
     chaser_angular_rad_s: FloatArray
     """Rate of the chaser relative to inertial space, chaser axes, shape (3,)."""
     position_m: FloatArray
-    """Of the anchor in chaser axes, shape (3,)."""
+    """Position of the anchor, chaser axes, shape (3,)."""
     velocity_m_s: FloatArray
     """Time derivative of ``position_m``, shape (3,)."""
 

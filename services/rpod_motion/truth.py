@@ -1,4 +1,4 @@
-"""The truth on the bus: odometry at every tick, the sun, transforms for viewers."""
+"""Publishes the truth: odometry at every tick, the sun, and transforms for viewers."""
 
 from rpod_motion.motion import Motion
 from rpod_runtime import Node
@@ -15,8 +15,10 @@ from rpod_schemas.types import Odometry
 _TF_HZ = 25.0
 _SUN_HZ = 1.0
 _AHEAD_S = 0.032
-"""For how long truth is made at once: a tick that is made alone, by a processor that comes from other work,
-takes three times as long."""
+"""Time span for which truth is computed at once.
+
+A tick that is computed alone, on a processor that comes from other work, takes three times as long.
+"""
 
 
 class TruthPublisher:
@@ -41,7 +43,7 @@ class TruthPublisher:
         return self._epoch_ns + round(tick * NANOSECONDS / self._rate_hz)
 
     def publish(self, tick: int) -> None:
-        """Publish the truth of a tick; the ideal robots are where they are told to be."""
+        """Publish the truth of a tick. The reference is the same: ideal robots follow it exactly."""
         if tick % self._sun_every == 0 or not self._sun.published:  # latched: known before any truth
             sun = self._motion.sun_W_m2(tick / self._rate_hz)
             self._sun.publish(write_vector_stamped(self.stamp_ns(tick), CHASER, sun))

@@ -1,10 +1,10 @@
-"""What every service stands on: session, publishers, subscriptions, health, clock, life cycle."""
+"""Common base of all services: session, publishers, subscriptions, health, clock and life cycle."""
 
 from rpod_runtime.clock import BusClock, Clock, WallClock
 from rpod_runtime.errors import BusError, NoRouterError, QueryFailedError
+from rpod_runtime.inbox import Inbox, Received
 from rpod_runtime.node import Node
 from rpod_runtime.publisher import Publisher
-from rpod_runtime.received import Inbox, Received
 
 __all__ = [
     "BusClock",

@@ -1,7 +1,7 @@
-"""From parts to frames, and from frames to the newest complete one (ICD section 2, frame assembly).
+"""Assembles frames from their parts, and keeps the newest complete frame (ICD section 2, frame assembly).
 
-Pure bookkeeping on stamps: parts are whatever the caller hands in, decoded only once their frame
-is chosen. One slot a sensor; a frame that is passed over is counted, not processed.
+The assembler compares stamps only. A part may be of any type; it is decoded when its frame is processed.
+Each sensor has one slot. A frame that a newer one replaces is counted and not processed.
 """
 
 from collections import deque
@@ -11,11 +11,11 @@ from typing import Generic, TypeVar
 PartT = TypeVar("PartT")
 
 _PENDING = 8
-"""Frames that may wait for parts at once; older ones are given up."""
+"""Largest number of frames that wait for parts; older ones are given up."""
 _PATIENCE = 10
-"""Frames without an optional part after which it is no longer waited for, until it is seen again."""
+"""Frames in a row without an optional part after which the assembler stops waiting for that part."""
 _REMEMBERED = 64
-"""Frames whose late parts are known to belong to them."""
+"""Number of finished frames whose late parts are still recognised."""
 
 
 @dataclass(frozen=True)
@@ -30,26 +30,25 @@ class Assembled(Generic[PartT]):
 class Assembler(Generic[PartT]):
     """Collects parts that carry the same stamp; the stamps of its frames rise.
 
-    Parts of one frame keep no order among themselves, nor with those of the next: the bus hands over each
-    topic in a thread of its own.
+    Parts may arrive in any order, also across frames, because the bus delivers each topic in its own thread.
 
-    A frame is complete with all its required parts and, as long as they keep coming, its optional
-    ones; an optional part that is missing is not waited for beyond the next frame's first part, nor, as
-    ``release`` has it, once nothing comes any more.
+    A frame is complete when it has all required parts and, as long as the sensor sends them, its optional
+    parts. The assembler stops waiting for an optional part when the first part of the next frame arrives,
+    or when ``release`` is called.
     """
 
     required: frozenset[str]
     optional: frozenset[str] = frozenset()
     incomplete: int = 0
-    """Frames given up: a newer one was complete first."""
+    """Number of frames given up because a newer one was complete first."""
     done_ns: int = -1
-    """Stamp of the last complete frame: what is not newer comes too late."""
+    """Stamp of the last complete frame, ns; a part that is not newer is late."""
     _pending: dict[int, dict[str, PartT]] = field(default_factory=dict)
     _past: deque[int] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     _without_optional: int = 0
 
     def add(self, name: str, stamp_ns: int, part: PartT) -> list[Assembled[PartT]]:
-        """Take a part; return the frames that it completes, oldest first."""
+        """Add a part; return the frames that it completes, oldest first."""
         if stamp_ns <= self.done_ns or stamp_ns in self._past:
             self._note_straggler(name, stamp_ns)
             return []
@@ -65,7 +64,7 @@ class Assembler(Generic[PartT]):
         return complete
 
     def release(self) -> list[Assembled[PartT]]:
-        """Return the frames that lack optional parts only, oldest first: nothing comes any more."""
+        """Return the frames that lack only optional parts, oldest first, when no parts arrive any more."""
         ready = [stamp_ns for stamp_ns, parts in self._pending.items() if self.required <= parts.keys()]
         return [self._finish(stamp_ns) for stamp_ns in sorted(ready)]
 
@@ -89,7 +88,7 @@ class Assembler(Generic[PartT]):
         self.incomplete += 1
 
     def _note_straggler(self, name: str, stamp_ns: int) -> None:
-        """Wait again for an optional part that comes before the next frame, if after the required ones."""
+        """Wait for an optional part again if it arrives late, yet before the next frame."""
         if stamp_ns not in self._past:
             self._give_up(stamp_ns)
         elif name in self.optional and stamp_ns == self.done_ns and not self._pending:
@@ -98,7 +97,7 @@ class Assembler(Generic[PartT]):
 
 @dataclass
 class NewestFrames(Generic[PartT]):
-    """One slot a sensor for its newest complete frame."""
+    """Keeps the newest complete frame of each sensor."""
 
     _slots: dict[str, Assembled[PartT]] = field(default_factory=dict)
 
@@ -106,13 +105,13 @@ class NewestFrames(Generic[PartT]):
         return bool(self._slots)
 
     def put(self, sensor: str, frame: Assembled[PartT]) -> bool:
-        """Offer a frame; return whether one was passed over for it."""
+        """Store a frame; return whether it replaced one that was not processed."""
         passed_over = sensor in self._slots
         self._slots[sensor] = frame
         return passed_over
 
     def take(self) -> tuple[str, Assembled[PartT]] | None:
-        """Return the sensor and frame with the oldest stamp, then by name; None where all slots are empty."""
+        """Return the frame with the oldest stamp and its sensor; equal stamps by name; None if empty."""
         if not self._slots:
             return None
         sensor = min(self._slots, key=lambda name: (self._slots[name].stamp_ns, name))

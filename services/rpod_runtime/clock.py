@@ -8,14 +8,14 @@ from rpod_schemas.messages import read_stamp
 
 
 class Clock(Protocol):
-    """Where now comes from."""
+    """A source of the current time."""
 
     def now_ns(self) -> int:
         """Return nanoseconds of UTC since the Unix epoch."""
         ...
 
     def settled_ns(self) -> int:
-        """Return the newest time up to which everything that was handed out has come."""
+        """Return the newest time up to which no frame is still on its way."""
         ...
 
 
@@ -27,19 +27,19 @@ class WallClock:
         return time.time_ns()
 
     def settled_ns(self) -> int:
-        """Return now: what has not come by now is late."""
+        """Return the current time: frames that have not arrived by now are late."""
         return time.time_ns()
 
 
 class BusClock:
-    """The last message of ``clock``; 0 until there was one. Never runs backwards."""
+    """The time of the newest message on ``clock``; 0 before the first one. It never goes back."""
 
     def __init__(self) -> None:
         self._now_ns = self._before_ns = 0
         self._moved = Condition()
 
     def set(self, message: object) -> None:
-        """Take a rosgraph_msgs/Clock."""
+        """Set the time from a rosgraph_msgs/Clock; an earlier one is ignored."""
         stamp_ns = read_stamp(message)
         with self._moved:
             if stamp_ns > self._now_ns:
@@ -47,7 +47,10 @@ class BusClock:
             self._moved.notify_all()
 
     def await_ns(self, stamp_ns: int, timeout_s: float) -> None:
-        """Wait for a time: what was published after a clock message may be handed over before it."""
+        """Wait until the clock reaches a time.
+
+        A message that was published after a clock message may be delivered before it.
+        """
         with self._moved:
             self._moved.wait_for(lambda: self._now_ns >= stamp_ns, timeout_s)
 
@@ -56,5 +59,5 @@ class BusClock:
         return self._now_ns
 
     def settled_ns(self) -> int:
-        """Return the time of the last clock message but one: what the last one hands out is on its way."""
+        """Return the time of the second newest clock message: the newest one's frame may be on its way."""
         return self._before_ns

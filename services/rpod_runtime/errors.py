@@ -1,4 +1,4 @@
-"""The errors of the bus."""
+"""Errors that this package raises."""
 
 from rpod_schemas.errors import RpodError
 
@@ -8,7 +8,7 @@ class BusError(RpodError):
 
 
 class NoRouterError(BusError):
-    """Nobody answers at the router's endpoint."""
+    """No router answers at the endpoint."""
 
     def __init__(self, endpoint: str, waited_s: float, identity: str | None = None) -> None:
         taken = f", end the other client that holds the identity {identity}" if identity else ""
@@ -19,7 +19,7 @@ class NoRouterError(BusError):
 
 
 class EndpointError(BusError):
-    """The router cannot listen where it was told to."""
+    """The router cannot listen on its configured endpoint."""
 
     def __init__(self, endpoint: str, reason: str) -> None:
         super().__init__(f"cannot listen on {endpoint}: {reason}; is another router running there?")
@@ -33,7 +33,7 @@ class QueryFailedError(BusError):
 
 
 class LockstepError(BusError):
-    """A service did not keep up with lockstep in time."""
+    """A service did not deliver what lockstep waits for in time."""
 
     def __init__(self, service: str, waited_for: str, waited_s: float) -> None:
         self.service = service
@@ -41,8 +41,8 @@ class LockstepError(BusError):
 
 
 class ExtrinsicsError(BusError):
-    """A sensor's mount is unknown, or told in two ways."""
+    """The mount of a sensor is unknown, or two sources give different ones."""
 
 
 class RefusedError(BusError):
-    """A command that cannot be carried out now; says why and what to do instead."""
+    """A command cannot be carried out now; the text gives the reason and the remedy."""

@@ -1,4 +1,4 @@
-"""Where the sensors sit: chains of ``tf_static`` to the chaser, and the configuration beside them."""
+"""Mounts of the sensors on the chaser, from ``tf_static`` and from the configuration."""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -13,21 +13,21 @@ _AGREE_RAD = 1e-4
 
 
 class Extrinsics:
-    """Mounts from ``tf_static`` and from the configuration; where both speak they must agree."""
+    """Keeps the mounts from ``tf_static`` and from the configuration; where both give one they must agree."""
 
     def __init__(self, configured: dict[str, RigidTransform | None]) -> None:
         self._configured = configured
         self._parents: dict[str, tuple[str, RigidTransform]] = {}
 
     def set(self, parent: str, child: str, T_parent_child: RigidTransform) -> None:
-        """Take one static transform."""
+        """Store one static transform."""
         self._parents[child] = parent, T_parent_child
 
     def mount(self, sensor: str, frame_id: str) -> RigidTransform:
         """Return the mount of a sensor whose messages are stamped with a frame.
 
         Raises:
-            ExtrinsicsError: neither source tells, both do and differ, or the sensor is too far away.
+            ExtrinsicsError: no source gives the mount, two differ, or the sensor is too far away.
         """
         measured = self._chain(frame_id)
         configured = self._configured.get(sensor)

@@ -1,4 +1,4 @@
-"""From the parts of a complete frame to what the methods work on: decoded and checked."""
+"""Decodes and checks the parts of a complete frame."""
 
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rpod_runtime.assembler import Assembled, Assembler
-from rpod_runtime.received import Received
+from rpod_runtime.inbox import Received
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import build, read_amplitude, read_camera, read_depth, read_points
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, POINTS
@@ -15,9 +15,9 @@ from rpod_schemas.types import Float32Array, LidarScan, PmdFrame, PmdInfo
 ReadT = TypeVar("ReadT")
 
 CAMERA_PARTS = {"depth": DEPTH, "camera_info": CAMERA_INFO, "amplitude": AMPLITUDE}
-"""Topics of the parts of a camera's frame."""
+"""Topics of the parts of a camera frame, by part."""
 LIDAR_PARTS = {"points": POINTS}
-"""Topics of the parts of a LIDAR's."""
+"""Topics of the parts of a LIDAR frame, by part."""
 _OPTIONAL = frozenset({"amplitude"})
 
 
@@ -28,7 +28,7 @@ def assembler_of(parts: Iterable[str]) -> Assembler[Received]:
 
 
 class PartRejectedError(MessageRejectedError):
-    """A part of a frame that cannot be used, and the topic on which it came."""
+    """A part of a frame cannot be used; ``topic`` is the topic on which it came."""
 
     def __init__(self, received: Received, rejection: MessageRejectedError) -> None:
         super().__init__(rejection.reason, rejection.text)
@@ -36,7 +36,7 @@ class PartRejectedError(MessageRejectedError):
 
 
 def read_frame(frame: Assembled[Received], info: PmdInfo | None = None) -> PmdFrame:
-    """Read a camera's frame, with what the camera says of itself. Raises ``PartRejectedError``."""
+    """Return a decoded camera frame with the camera's info. Raises ``PartRejectedError``."""
     depth, amplitude = frame.parts["depth"], frame.parts.get("amplitude")
     camera = _read(frame.parts["camera_info"], read_camera)
     size = (camera.height, camera.width)
@@ -56,7 +56,7 @@ def read_frame(frame: Assembled[Received], info: PmdInfo | None = None) -> PmdFr
 
 
 def read_scan(frame: Assembled[Received], *, rows_are_elevation: bool = True) -> LidarScan:
-    """Read a LIDAR's frame, rows being elevation. Raises ``PartRejectedError``."""
+    """Return a decoded scan whose rows are elevation. Raises ``PartRejectedError``."""
 
     def read(message: Any) -> LidarScan:
         fields = read_points(message)

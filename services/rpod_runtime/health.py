@@ -9,7 +9,7 @@ from rpod_schemas.types import Diagnostic, Health
 
 
 class HealthBook:
-    """What a service counts and how it feels. Safe from several threads.
+    """Counters, measured values and health of a service. Safe to use from several threads.
 
     Counters are named ``group/what``: ``rejected/pmd/depth/image_raw/late``, ``published/pmd/...``.
     """
@@ -31,12 +31,12 @@ class HealthBook:
             self._counters[name] += amount
 
     def put(self, name: str, value: int) -> None:
-        """Set a counter that is kept elsewhere."""
+        """Set a counter whose value is kept elsewhere."""
         with self._lock:
             self._counters[name] = value
 
     def measure(self, name: str, value: float) -> None:
-        """Set a measured value; the unit is the end of its name."""
+        """Set a measured value; its name ends with the unit."""
         with self._lock:
             self._measures[name] = value
 
@@ -51,27 +51,27 @@ class HealthBook:
         return first
 
     def obey(self, verb: str, request: str) -> None:
-        """Count a command that was accepted, and keep its text: so that a log tells who was asked what."""
+        """Count an accepted command and keep its text, so that a log shows which commands were given."""
         with self._lock:
             self._counters[f"commands/{verb}"] += 1
             self._texts[f"command/{verb}"] = request
             self._changed = True
 
     def warn(self, name: str, text: str) -> None:
-        """Tell what an operator must look at; the level is at least WARN as long as the process lives."""
+        """Show a text that an operator must look at; the level is at least WARN until the process ends."""
         with self._lock:
             self._texts[name] = text
             self._warning = f"look at {name}"
             self._changed = True
 
     def report(self, level: Health, message: str) -> None:
-        """Say how the service is; a change is published at once."""
+        """Set the level and the message of the service; a change is published at once."""
         with self._lock:
             self._changed |= (level, message) != (self._level, self._message)
             self._level, self._message = level, message
 
     def watch(self, check: Callable[[], tuple[Health, str]]) -> None:
-        """Ask ``check`` for level and message at each diagnostic: so a main loop that hangs is told too."""
+        """Take level and message from ``check`` at each diagnostic, even if the main loop hangs."""
         self._check = check
 
     def take_change(self) -> bool:
@@ -86,7 +86,7 @@ class HealthBook:
             return dict(sorted(self._counters.items()))
 
     def diagnostic(self, stamp_ns: int) -> Diagnostic:
-        """Return the diagnostic of this moment."""
+        """Return the current diagnostic."""
         level, message = self._check() if self._check else (self._level, self._message)
         values = {name: str(value) for name, value in self.counters().items()}
         with self._lock:

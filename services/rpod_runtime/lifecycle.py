@@ -1,7 +1,7 @@
-"""From start to end of a process: log lines, signals, exit codes.
+"""Runs a service as a process: log lines, signals and exit codes.
 
-The first SIGINT or SIGTERM drains and finalises, the second forces the exit. A supervised
-process also ends when its supervisor is gone.
+The first SIGINT or SIGTERM lets the service drain and finish, the second forces the exit. A supervised
+process also ends when its supervisor has ended.
 """
 
 import logging
@@ -19,11 +19,11 @@ log = logging.getLogger(__name__)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 EXIT_OK, EXIT_FAILURE, EXIT_USAGE = 0, 1, 2
 SUPERVISED = "RPOD_SUPERVISED"
-"""Set by a supervisor that holds the other end of standard input."""
+"""Environment variable that a supervisor sets; it holds the other end of standard input."""
 
 
 def configure_logging(instance: str, level: int = logging.INFO) -> None:
-    """Send log lines to standard error: time, level, instance, sentence."""
+    """Send log lines to standard error, each with time, level, instance and message."""
     logging.basicConfig(
         level=level,
         stream=sys.stderr,
@@ -35,7 +35,7 @@ def configure_logging(instance: str, level: int = logging.INFO) -> None:
 def run(instance: str, body: Callable[[threading.Event], None]) -> int:
     """Run a service's body until it returns or is stopped; return the exit code.
 
-    The body gets the event that says "stop". What it raises is logged here, once.
+    The body receives the event that asks it to stop. An exception that it raises is logged here, once.
     """
     configure_logging(instance)
     stop = threading.Event()
@@ -61,9 +61,10 @@ def run(instance: str, body: Callable[[threading.Event], None]) -> int:
 
 
 def _stop_on_signals(stop: threading.Event) -> None:
-    """Let a thread set the event: a handler that meets the main thread inside the event's lock never returns.
+    """Set the event from a thread when a signal arrives.
 
-    Also, the second signal then ends a process whose main thread is deep in compiled code.
+    A signal handler that set the event itself would hang if the main thread held the event's lock. The thread
+    also lets the second signal end a process whose main thread runs compiled code.
     """
     reader, writer = os.pipe()
     os.set_blocking(writer, False)

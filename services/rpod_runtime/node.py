@@ -1,7 +1,7 @@
 """A service on the bus: its session, endpoints, liveliness, health and control plane.
 
-``with Node(...) as node:`` holds all of them; they are undeclared in reverse order, the session
-last, since a subscriber that outlives its session hangs the interpreter.
+``with Node(...) as node:`` opens them. At the end they are undeclared in reverse order and the session is
+closed last, because a subscriber that outlives its session hangs the interpreter.
 """
 
 import logging
@@ -20,11 +20,11 @@ from pydantic import BaseModel, ValidationError
 
 from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.clock import BusClock, Clock, WallClock
+from rpod_runtime.delivery import Delivery
 from rpod_runtime.errors import QueryFailedError
 from rpod_runtime.health import HealthBook
+from rpod_runtime.inbox import Received
 from rpod_runtime.publisher import Publisher
-from rpod_runtime.received import Received
-from rpod_runtime.reception import Reception
 from rpod_runtime.replies import error_reply, error_text
 from rpod_runtime.session import open_client
 from rpod_schemas.config.service import ServiceConfig
@@ -44,11 +44,11 @@ State = Literal["starting", "ready", "running", "finished", "stopping", "failed"
 _DIAGNOSTICS_PERIOD_S = 1.0
 _CHANGE_POLL_S = 0.1
 _LINGER_S = 0.3
-"""After a service's last message: for a heartbeat, and the recovery of what it shows to be missed."""
+"""Time that a node stays open after its last message, so that receivers can recover what they missed."""
 
 
 class Node:
-    """One process's presence on the bus."""
+    """Represents one process on the bus."""
 
     def __init__(self, config: ServiceConfig, *, version: str, stop: Event | None = None) -> None:
         self.config = config
@@ -60,7 +60,7 @@ class Node:
         self.account = SequenceAccount()
         self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
         self._keys = config.bus.keys
-        self._reception = Reception(self._keys, self.health, self.account)
+        self._delivery = Delivery(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
         self._entities = 0
         self._publishers: list[Publisher] = []
@@ -111,11 +111,11 @@ class Node:
     def subscribe(
         self, topic: Topic, sink: Callable[[Received], None], *, recover: bool = False, history: bool = False
     ) -> None:
-        """Subscribe a topic; ``sink`` runs in the bus's thread and must only enqueue.
+        """Subscribe to a topic; ``sink`` runs in the bus's thread and must only enqueue.
 
-        Duplicates and messages without a usable attachment are counted and not handed over. With
-        ``recover`` missed samples are asked for again; with ``history`` those are fetched that were
-        published before, as far as the publisher keeps them. A latched topic's last one always is.
+        Duplicates and messages without a usable attachment are counted and not delivered. With ``recover``
+        missed samples are requested again. With ``history`` earlier samples are fetched, as far as the
+        publisher keeps them; the last one of a latched topic always is.
         """
         self._subscribe(topic, sink, recover=recover, history=history)
         self._token(self._graph.endpoint_token("MS", self._entity(), topic))
@@ -123,10 +123,10 @@ class Node:
     def subscribe_all(
         self, patterns: Sequence[Topic], sink: Callable[[Received], None], *, recover: bool = True
     ) -> None:
-        """Subscribe all topics that fit patterns (``*`` for a part of the name), with recovery or plainly.
+        """Subscribe to all topics that match patterns (``*`` for a part of the name).
 
-        Tokens carry no wildcards, so one is declared for each topic as its first publisher appears:
-        newer rmw_zenoh publishers of images and point clouds are silent without it.
+        Tokens carry no wildcards, so one is declared for each topic when its first publisher appears: newer
+        rmw_zenoh publishers of images and point clouds send nothing without it.
         """
         for pattern in patterns:
             self._subscribe(pattern, sink, recover=recover, history=recover)
@@ -150,7 +150,7 @@ class Node:
         past = SENSOR_CACHE if history else 0
         self._declare(
             self._keys.selector(topic),
-            lambda sample: self._reception.take(topic, sample, sink),
+            lambda sample: self._delivery.take(topic, sample, sink),
             kept=1 if topic.latched else past,
             recover=recover,
         )
@@ -158,19 +158,19 @@ class Node:
     def listen(
         self, key_expression: str, sink: Callable[[Received], None], *, accept: Callable[[str], bool]
     ) -> None:
-        """Subscribe, with recovery, those keys of any form that are accepted.
+        """Subscribe, with recovery, to keys of any form that ``accept`` takes.
 
-        What is no known ROS topic comes without type, and without attachment where it has none.
+        A message of an unknown topic has no type, and no attachment where the publisher sent none.
         """
 
         def take(sample: zenoh.Sample) -> None:
             if accept(str(sample.key_expr)):
-                self._reception.take_any(sample, sink)
+                self._delivery.take_any(sample, sink)
 
         self._declare(key_expression, take, kept=SENSOR_CACHE, recover=True)
 
     def follow_clock(self, sink: Callable[[Received], None]) -> None:
-        """Hand over each message of ``clock`` too, once it is the time; ``sink`` must only enqueue."""
+        """Deliver each message of ``clock`` after the node's clock is set; ``sink`` must only enqueue."""
         self._clock_sinks.append(sink)
 
     def _take_clock(self, clock: BusClock, received: Received) -> None:
@@ -181,7 +181,7 @@ class Node:
     def _declare(
         self, key_expression: str, take: Callable[[zenoh.Sample], None], *, kept: int, recover: bool
     ) -> None:
-        """Subscribe with so much history, if any."""
+        """Subscribe, and fetch up to ``kept`` earlier samples."""
         past = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=kept) if kept else None
         recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if recover else None
         subscriber = zenoh.ext.declare_advanced_subscriber(
@@ -189,11 +189,11 @@ class Node:
         )
         self._stack.callback(subscriber.undeclare)
         if recover:
-            self._stack.callback(subscriber.sample_miss_listener(self._reception.miss).undeclare)
+            self._stack.callback(subscriber.sample_miss_listener(self._delivery.miss).undeclare)
 
     def reject(self, topic: str, error: MessageRejectedError) -> None:
         """Count a rejected message; log the first of its kind."""
-        self._reception.reject(topic, error)
+        self._delivery.reject(topic, error)
 
     def _entity(self) -> int:
         self._entities += 1
@@ -206,7 +206,7 @@ class Node:
     # --- control plane ---
 
     def serve(self, verb: str, request: type[RequestT], handler: Callable[[RequestT], BaseModel]) -> None:
-        """Answer a control-plane query with a model; what the handler raises becomes an error reply."""
+        """Answer a control-plane query with a model; an exception of the handler becomes an error reply."""
         key = self._keys.control(self.config.instance, verb)
 
         def answer(query: zenoh.Query) -> None:
@@ -252,7 +252,7 @@ class Node:
         raise QueryFailedError(key, f"no answer within {timeout_s:g} s")
 
     def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:
-        """Query every service that answers a verb; who is silent or answers otherwise is left out."""
+        """Query every service that answers a verb; invalid and missing answers are left out."""
         answers = self._session.get(
             self._keys.control("*", verb),
             target=zenoh.QueryTarget.ALL,
@@ -268,7 +268,7 @@ class Node:
         return replies
 
     def status(self) -> StatusReply:
-        """Return what this service says of itself."""
+        """Return the state, the counters and the configuration of this service."""
         self._update_counters()
         return StatusReply(
             name=self.config.instance,
@@ -287,7 +287,7 @@ class Node:
     # --- life ---
 
     def ready(self, message: str) -> None:
-        """Say that the service does its work from now on."""
+        """Report that the service is ready for work."""
         self.state = "ready"
         self.health.report(Health.OK, message)
         log.info("ready: %s", message)

@@ -1,4 +1,4 @@
-"""A publisher as the ICD asks: CDR, attachment, a cache for those who missed something."""
+"""A publisher as the ICD defines it: CDR payload, attachment, and a cache for recovery."""
 
 import secrets
 import time
@@ -19,8 +19,8 @@ _HEARTBEAT_S = 0.2
 class Publisher:
     """Publishes one topic. Safe to call from several threads.
 
-    On a link that is congested, images and point clouds wait and are dropped in a queue of their own: what is
-    small goes past them.
+    On a congested link images and point clouds wait, and are dropped, in a queue of their own; small messages
+    overtake them.
     """
 
     def __init__(self, session: zenoh.Session, keys: Namespace, topic: Topic) -> None:
@@ -28,7 +28,7 @@ class Publisher:
         self._gid = secrets.token_bytes(GID_BYTES)
         self._sequence = 0
         self.last_s = float("-inf")
-        """When it published last, by the monotonic clock."""
+        """Time of the last publication, monotonic clock."""
         self._lock = Lock()
         self._publisher = zenoh.ext.declare_advanced_publisher(
             session,

@@ -1,4 +1,4 @@
-"""How an error travels over the control plane: as a reply, and back into a sentence."""
+"""Converts errors to replies of the control plane, and such replies back to text."""
 
 import logging
 
@@ -12,7 +12,7 @@ log = logging.getLogger(__name__)
 
 
 def error_reply(error: Exception) -> ErrorReply:
-    """Return the reply that names an error."""
+    """Return the reply that carries the class and the text of an error."""
     if isinstance(error, ValidationError):
         problem = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in problem["loc"]) or "request"
@@ -23,7 +23,7 @@ def error_reply(error: Exception) -> ErrorReply:
 
 
 def error_text(payload: bytes) -> str:
-    """Return the sentence of an error reply."""
+    """Return the text of an error reply."""
     try:
         reply = ErrorReply.model_validate_json(payload)
     except ValidationError:

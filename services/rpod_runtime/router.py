@@ -1,4 +1,4 @@
-"""The router: the bus itself, with rules that keep the truth from the estimators."""
+"""The router service, with access rules that keep the truth from the estimators."""
 
 import logging
 from threading import Event

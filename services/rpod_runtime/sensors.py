@@ -1,8 +1,7 @@
-"""Publishing as a sensor: the one piece of code behind every driver and the emulator (ICD section 2).
+"""Publishers of a camera and of a LIDAR, used by every driver and by the emulator (ICD section 2).
 
-A sensor announces itself once, with its latched info and its mount; its frames follow, the parts of
-a frame under one stamp. The publisher names the frame of reference; the ``frame_id`` of what it is
-given does not matter.
+A sensor announces itself once, with its latched info and its mount. Its frames follow; all parts of a
+frame carry one stamp. The publisher sets the frame of reference and ignores a given ``frame_id``.
 """
 
 import numpy as np
@@ -38,7 +37,7 @@ _AMPLITUDE_ENCODING = {"uint8": "mono8", "uint16": "mono16", "float32": "32FC1"}
 
 
 class CameraPublisher:
-    """A PMD camera on the bus. Announces itself when made; lives as long as the node."""
+    """Publishes as a PMD camera. It announces itself when created and lives as long as the node."""
 
     def __init__(
         self, node: Node, name: str, *, T_chaser_sensor: RigidTransform, info: PmdInfo | None = None
@@ -55,7 +54,7 @@ class CameraPublisher:
         self._amplitude = node.publisher(AMPLITUDE.of(name))
 
     def announce(self, info: PmdInfo) -> None:
-        """Publish the latched info, for the first time or because it has changed."""
+        """Publish the latched info: at the start, and again when it has changed."""
         self._info = self._info or self._node.publisher(PMD_INFO.of(self._name))
         self._info.publish(write_pmd_info(self._node.clock.now_ns(), self.frame_id, info))
 
@@ -68,7 +67,7 @@ class CameraPublisher:
                 4) in the order of the info.
 
         Raises:
-            MessageRejectedError: the amplitude is of a type that images do not have.
+            MessageRejectedError: the amplitude has a data type for which there is no image encoding.
         """
         encoding = "" if frame.amplitude is None else _amplitude_encoding(frame.amplitude)
         self._camera_info.publish(write_camera(frame.stamp_ns, self.frame_id, frame.camera))
@@ -85,7 +84,7 @@ class CameraPublisher:
 
 
 class LidarPublisher:
-    """A LIDAR on the bus. Announces itself when made; lives as long as the node."""
+    """Publishes as a LIDAR. It announces itself when created and lives as long as the node."""
 
     def __init__(
         self, node: Node, name: str, *, T_chaser_sensor: RigidTransform, info: LidarInfo | None = None
@@ -99,12 +98,12 @@ class LidarPublisher:
         self._points = node.publisher(POINTS.of(name))
 
     def announce(self, info: LidarInfo) -> None:
-        """Publish the latched info, for the first time or because it has changed."""
+        """Publish the latched info: at the start, and again when it has changed."""
         self._info = self._info or self._node.publisher(LIDAR_INFO.of(self._name))
         self._info.publish(write_lidar_info(self._node.clock.now_ns(), self.frame_id, info))
 
     def publish(self, scan: LidarScan) -> None:
-        """Publish a scan; rows and columns are kept where it has them."""
+        """Publish a scan. An organised scan keeps its rows and columns."""
         x_m, y_m, z_m = np.moveaxis(scan.points_m, -1, 0)
         intensity = np.zeros_like(x_m) if scan.intensity is None else scan.intensity
         fields = {"x": x_m, "y": y_m, "z": z_m, "intensity": intensity}

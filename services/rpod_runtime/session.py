@@ -1,4 +1,4 @@
-"""Zenoh sessions as the facility needs them: client or router, no scouting, no shared memory.
+"""Opens Zenoh sessions as client or router, without scouting and without shared memory.
 
 Shared memory is off because each restart of a publisher locks another block in its receivers.
 """
@@ -19,8 +19,11 @@ from rpod_schemas.topics import TRUTH_TOPICS
 log = logging.getLogger(__name__)
 
 _QUEUED_BATCHES = 16
-"""Of 64 KiB each, the most that Zenoh takes, for bulky and for small messages each. By default they are two,
-and an image, or what a process that was held up sends at once, is dropped where the next one is slow."""
+"""Batches that may wait for a congested link, for bulky and for small messages each.
+
+A batch is 64 KiB, and 16 is the most that Zenoh takes. With its default of two an image is dropped as soon
+as the receiver is slow, and so is a burst from a process that was held up.
+"""
 _RETRY_S = 0.25
 _REMIND_S = 10.0
 
@@ -37,11 +40,11 @@ def _zenoh_config(**settings: Any) -> zenoh.Config:
 
 
 def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None) -> zenoh.Session:
-    """Open a client session to the router, under an identity of its own or a random one.
+    """Open a client session to the router, with a given identity or a random one.
 
     Raises:
-        NoRouterError: nobody answered in time, or ``stop`` was set while waiting. A router that refuses
-            an identity, since another client holds it, cannot be told from none.
+        NoRouterError: no router answered in time, or ``stop`` was set while waiting. A router that refuses
+            an identity because another client holds it looks like no router.
     """
     identity = {"id": zenoh_id} if zenoh_id else {}
     config = _zenoh_config(
@@ -67,10 +70,10 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
 
 
 def open_router(config: RouterConfig) -> zenoh.Session:
-    """Open the bus. Gossip stays on, so that peers of rmw_zenoh find each other.
+    """Open a router session. Gossip stays on, so that peers of rmw_zenoh find each other.
 
     Raises:
-        EndpointError: the endpoint is taken or not to be had.
+        EndpointError: the endpoint is in use or cannot be opened.
     """
     try:
         return zenoh.open(
@@ -88,8 +91,8 @@ def open_router(config: RouterConfig) -> zenoh.Session:
 def truth_rules(config: RouterConfig) -> dict[str, Any]:
     """Return Zenoh access rules that keep the truth from the estimators (ICD section 2).
 
-    They hold in every domain and namespace. Explicit ``@adv`` keys, since ``**`` does not match the
-    verbatim chunks of zenoh.ext's caches.
+    The rules hold in every domain and namespace. They name ``@adv`` keys explicitly, because ``**`` does not
+    match the verbatim chunks of zenoh.ext's caches.
     """
     if not config.estimators:
         return {"enabled": False}  # Zenoh refuses an empty list of subjects

@@ -8,20 +8,46 @@ triangles that share an edge compute the same product with opposite signs: no ra
 """
 
 from dataclasses import dataclass, field
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from rpod_geometry.kernels import kernel
 from rpod_geometry.lens import undistort
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Camera, Float32Array
 
 NEAR_M = 0.05
 """A triangle with a corner nearer than this along the boresight is tried on every ray."""
-GridArrays = tuple[FloatArray, tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+
+class Envelope(NamedTuple):
+    """Bounds of the slopes of a grid's lines, columns (x/z) or rows (y/z), neither of which decreases."""
+
+    lower: FloatArray
+    """No line from here on has a lesser slope, shape (lines,)."""
+    upper: FloatArray
+    """No line up to here has a greater slope, shape (lines,)."""
+
+
+class GridArrays(NamedTuple):
+    """The rays of a grid and their bounds, as the kernels take them."""
+
+    components: FloatArray
+    """x, y, z of the unit rays in sensor axes, shape (3, rows, columns), float64 or float32."""
+    columns: Envelope
+    rows: Envelope
+
+
+class RenderBuffers(NamedTuple):
+    """What each ray of a grid meets first, as the kernels take it."""
+
+    range_m: Float32Array
+    """Distance along the ray, shape (rows, columns), inf where it meets nothing."""
+    triangle: NDArray[np.int32]
+    """Index of the triangle, shape (rows, columns), -1 where it meets nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +61,8 @@ class RayGrid:
 
     components: FloatArray
     """x, y, z of the unit rays in sensor axes (x right, y down, z boresight), shape (3, rows, columns)."""
-    _columns: tuple[FloatArray, FloatArray] = field(init=False, repr=False)
-    _rows: tuple[FloatArray, FloatArray] = field(init=False, repr=False)
+    _columns: Envelope = field(init=False, repr=False)
+    _rows: Envelope = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         x, y, z = self.components
@@ -56,15 +82,19 @@ class RayGrid:
         return np.moveaxis(self.components, 0, -1)
 
     @property
-    def arrays(self) -> "GridArrays":
+    def arrays(self) -> GridArrays:
         """The rays and their bounds, as kernels take them."""
-        return self.components, self._columns, self._rows
+        return GridArrays(self.components, self._columns, self._rows)
 
-    def block(self, rows: slice, columns: slice) -> "GridArrays":
+    def block(self, rows: slice, columns: slice) -> GridArrays:
         """Return the rays of some neighbouring rows and columns, as kernels take them."""
         components = np.ascontiguousarray(self.components[:, rows, columns])
         across, down = self._columns, self._rows
-        return components, (across[0][columns], across[1][columns]), (down[0][rows], down[1][rows])
+        return GridArrays(
+            components,
+            Envelope(across.lower[columns], across.upper[columns]),
+            Envelope(down.lower[rows], down.upper[rows]),
+        )
 
     @classmethod
     def pinhole(cls, camera: Camera, samples: int = 1) -> Self:
@@ -108,6 +138,11 @@ class Hits:
         """Return buffers for the hits of a grid, without any hit."""
         return cls(np.full(grid.shape, np.inf, np.float32), np.full(grid.shape, -1, np.int32))
 
+    @property
+    def arrays(self) -> RenderBuffers:
+        """The same as the kernels take it."""
+        return RenderBuffers(self.range_m, self.triangle)
+
 
 def cast(
     grid: RayGrid,
@@ -133,28 +168,38 @@ def cast(
     return hits
 
 
-def _envelope(slope: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _envelope(slope: FloatArray) -> Envelope:
     """Return non-decreasing lower and upper bounds of the slopes in each line, shape (lines, rays)."""
     behind = np.isnan(slope).any(axis=1)
     lower = np.where(behind, -np.inf, slope.min(axis=1))
     upper = np.where(behind, np.inf, slope.max(axis=1))
-    return np.minimum.accumulate(lower[::-1])[::-1].copy(), np.maximum.accumulate(upper)
+    return Envelope(np.minimum.accumulate(lower[::-1])[::-1].copy(), np.maximum.accumulate(upper))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def cast_pose(grid, triangles, R, t, cull, range_m, triangle):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def cast_pose(  # noqa: PLR0917
+    grid: GridArrays,
+    triangles: FloatArray,
+    R: FloatArray,
+    t: FloatArray,
+    cull: bool,
+    range_m: Float32Array,
+    triangle: NDArray[np.int32],
+) -> None:
     """Fill ``range_m`` and ``triangle`` as ``cast`` does, for kernels that try many poses.
+
+    The module's docstring derives the equations.
 
     Args:
         grid: ``RayGrid.arrays``.
-        triangles: target axes, shape (T, 3, 3).
+        triangles: target axes, shape (T, 3, 3), m.
         R: of the target in the sensor, shape (3, 3).
         t: of the target in the sensor, shape (3,), m.
         cull: skip triangles seen from behind.
-        range_m: shape (rows, columns), out.
-        triangle: shape (rows, columns), out.
+        range_m: out, shape (rows, columns), m.
+        triangle: out, shape (rows, columns).
     """
-    rays, columns, rows = grid
+    rays = grid.components
     inverse = range_m  # 1 / range until the end: the largest wins, and nothing is divided
     inverse[:] = 0.0
     triangle[:] = -1
@@ -165,28 +210,43 @@ def cast_pose(grid, triangles, R, t, cull, range_m, triangle):  # type: ignore[n
             for k in range(3):
                 corner[i, k] = t[k] + R[k, 0] * x + R[k, 1] * y + R[k, 2] * z
         volume = _volume(corner)  # negative where seen from outside
-        if volume == 0.0 or (cull and volume > 0.0):
+        if volume == 0.0 or (cull and volume > 0.0):  # NaN is skipped too
             continue
-        top, bottom = _block(corner, 1, rows)
-        left, right = _block(corner, 0, columns)
+        top, bottom = _lines(corner, 1, grid.rows)
+        left, right = _lines(corner, 0, grid.columns)
         if top < bottom and left < right:
             _sides(corner, 1.0 if volume > 0.0 else -1.0, side)
-            _draw(rays, side, 1.0 / abs(volume), (top, bottom, left, right), index, inverse, triangle)
+            face = _Face(index, 1.0 / abs(volume), top, bottom, left, right)
+            _draw(rays, side, face, inverse, triangle)
     range_m[:] = 1.0 / inverse
 
 
-@njit(cache=True, nogil=True)
-def _volume(corner):  # type: ignore[no-untyped-def]
-    """Return v0 . (v1 x v2)."""
+class _Face(NamedTuple):
+    """One triangle on the block of the grid that it may cover."""
+
+    number: int
+    scale: float
+    """One over the absolute value of v0 . (v1 x v2), 1/m3."""
+    top: int
+    bottom: int
+    """Last row + 1."""
+    left: int
+    right: int
+    """Last column + 1."""
+
+
+@kernel
+def _volume(corner: FloatArray) -> float:
+    """Return v0 . (v1 x v2), m3, of a triangle's corners in sensor axes, shape (3, 3), m."""
     x = corner[1, 1] * corner[2, 2] - corner[1, 2] * corner[2, 1]
     y = corner[1, 2] * corner[2, 0] - corner[1, 0] * corner[2, 2]
     z = corner[1, 0] * corner[2, 1] - corner[1, 1] * corner[2, 0]
-    return corner[0, 0] * x + corner[0, 1] * y + corner[0, 2] * z
+    return float(corner[0, 0] * x + corner[0, 1] * y + corner[0, 2] * z)
 
 
-@njit(cache=True, nogil=True)
-def _sides(corner, sign, side):  # type: ignore[no-untyped-def]
-    """Fill the products v_i x v_j, so signed that a ray inside has none negative."""
+@kernel
+def _sides(corner: FloatArray, sign: float, side: Array) -> None:
+    """Fill the products v_i x v_j, m2, shape (3, 3), so signed that a ray inside has none negative."""
     for i in range(3):
         a, b = corner[i], corner[(i + 1) % 3]
         side[i, 0] = sign * (a[1] * b[2] - a[2] * b[1])
@@ -194,25 +254,33 @@ def _sides(corner, sign, side):  # type: ignore[no-untyped-def]
         side[i, 2] = sign * (a[0] * b[1] - a[1] * b[0])
 
 
-@njit(cache=True, nogil=True)
-def _block(corner, axis, bounds):  # type: ignore[no-untyped-def]
+@kernel
+def _lines(corner: FloatArray, axis: int, bounds: Envelope) -> tuple[int, int]:
     """Return the first and last + 1 of the lines that may meet a triangle: rows for axis 1, columns for 0."""
     if min(corner[0, 2], corner[1, 2], corner[2, 2]) < NEAR_M:
-        return 0, bounds[0].size
+        return 0, bounds.lower.size
     a, b, c = corner[0, axis] / corner[0, 2], corner[1, axis] / corner[1, 2], corner[2, axis] / corner[2, 2]
-    first = np.searchsorted(bounds[1], min(a, b, c), side="left")
-    return first, np.searchsorted(bounds[0], max(a, b, c), side="right")
+    first = np.searchsorted(bounds.upper, min(a, b, c), side="left")
+    return first, np.searchsorted(bounds.lower, max(a, b, c), side="right")
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _draw(rays, side, scale, block, index, inverse, triangle):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Let one triangle win the rays that it meets first; no branch in the inner loop, so it is vectorised."""
-    top, bottom, left, right = block
+@kernel
+def _draw(rays: Array, side: Array, face: _Face, inverse: Float32Array, triangle: NDArray[np.int32]) -> None:
+    """Let one triangle win the rays that it meets first; no branch in the inner loop, so it is vectorised.
+
+    Args:
+        rays: ``GridArrays.components``, shape (3, rows, columns).
+        side: as filled by ``_sides``, shape (3, 3).
+        face: the triangle.
+        inverse: one over the range, 1/m, shape (rows, columns), in and out.
+        triangle: index of the nearest triangle, same shape, in and out.
+    """
+    number, scale = face.number, face.scale
     a0, a1, a2 = side[0, 0], side[0, 1], side[0, 2]
     b0, b1, b2 = side[1, 0], side[1, 1], side[1, 2]
     c0, c1, c2 = side[2, 0], side[2, 1], side[2, 2]
-    for row in range(np.uint64(top), np.uint64(bottom)):
-        for column in range(np.uint64(left), np.uint64(right)):
+    for row in range(np.uint64(face.top), np.uint64(face.bottom)):
+        for column in range(np.uint64(face.left), np.uint64(face.right)):
             x, y, z = rays[0, row, column], rays[1, row, column], rays[2, row, column]
             s0 = a0 * x + a1 * y + a2 * z
             s1 = b0 * x + b1 * y + b2 * z
@@ -220,4 +288,4 @@ def _draw(rays, side, scale, block, index, inverse, triangle):  # type: ignore[n
             near = np.float32((s0 + s1 + s2) * scale)
             wins = (s0 >= 0.0) & (s1 >= 0.0) & (s2 >= 0.0) & (near > inverse[row, column])
             inverse[row, column] = near if wins else inverse[row, column]
-            triangle[row, column] = np.int32(index) if wins else triangle[row, column]
+            triangle[row, column] = np.int32(number) if wins else triangle[row, column]

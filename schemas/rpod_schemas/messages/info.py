@@ -3,12 +3,13 @@
 from typing import Any
 
 from rpod_schemas.cdr import message_class
-from rpod_schemas.messages.header import build, write_header
+from rpod_schemas.messages.header import build, read_stamp, write_header
 from rpod_schemas.types import LidarInfo, PmdInfo
 
 
 def read_pmd_info(message: Any) -> PmdInfo:
     """Read an rpod_msgs/PmdInfo."""
+    read_stamp(message.header)
     return build(
         PmdInfo,
         modulation_frequency_hz=message.modulation_frequency_hz,
@@ -25,6 +26,7 @@ def write_pmd_info(stamp_ns: int, frame_id: str, info: PmdInfo) -> Any:
 
 def read_lidar_info(message: Any) -> LidarInfo:
     """Read an rpod_msgs/LidarInfo."""
+    read_stamp(message.header)
     return build(
         LidarInfo,
         azimuth_rad=message.azimuth_rad,

@@ -22,7 +22,7 @@ from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 
 from rpod_analysis.errors import CannotWriteError, NoLogError, NotMcapError
-from rpod_analysis.log_file import RECOVERED, beside, summary_is_whole
+from rpod_analysis.log.log_file import RECOVERED, beside, summary_is_whole
 from rpod_analysis.recovery.salvage import DAMAGE, DamagedChunk, Found, Gap, is_mcap, scan
 from rpod_schemas.logs import PROFILE, RECOVERY, RecoveredTopic, Recovery
 

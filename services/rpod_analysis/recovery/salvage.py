@@ -38,7 +38,7 @@ from mcap.records import (
 )
 from mcap.stream_reader import breakup_chunk
 
-from rpod_analysis.log_file import MAGIC
+from rpod_analysis.log.log_file import MAGIC
 
 DAMAGE = (
     McapError,

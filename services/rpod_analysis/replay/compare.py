@@ -6,12 +6,12 @@ import numpy as np
 
 from rpod_analysis.errors import NoEstimatesError
 from rpod_analysis.log import Log, open_log
+from rpod_analysis.log.sensors import Sensor, find_sensors
 from rpod_analysis.replay.navigate import Replayed
-from rpod_analysis.run import Run, read_run
-from rpod_analysis.score import Track
-from rpod_analysis.sensors import Sensor, find_sensors
-from rpod_analysis.spool import Column
-from rpod_analysis.tally import Tally, summarise_size
+from rpod_analysis.scoring.row_store import Column
+from rpod_analysis.scoring.run import Run, read_run
+from rpod_analysis.scoring.score import Track
+from rpod_analysis.scoring.totals import Tally, summarise_size
 from rpod_schemas.logs import REPLAY
 from rpod_schemas.replay import Difference, Side
 

@@ -6,7 +6,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from rpod_analysis.log import Logged
-from rpod_estimator.intake import Arrived, Intake
+from rpod_analysis.log.unreadable import StampCheck
+from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_pose.measurement import Tick
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
@@ -40,10 +41,13 @@ def as_received(logged: Logged) -> Received:
 class Frames:
     """Takes a log's messages one by one, and returns what they make the estimator do.
 
-    The stamps are not judged: a log may be old, or of another clock. Other messages do nothing.
+    A log may be old, or of another clock: only stamps that differ by days from the log's others are refused.
+    Other messages do nothing.
     """
 
-    intake: Intake
+    intake: FrameReader
+    stamps: StampCheck | None = None
+    """Tells stamps that cannot be of the log; without it none is judged."""
     refused: Counter[str] = field(default_factory=Counter)
     """Messages that could not be used, by topic."""
     missing: int = 0
@@ -69,7 +73,10 @@ class Frames:
         try:
             if part := self.intake.parts.get(logged.topic):
                 sensor, name = part
-                for frame in self.intake.assemblers[sensor].add(name, peek_stamp(received.payload), received):
+                stamp_ns = peek_stamp(received.payload)
+                if self.stamps is not None:
+                    self.stamps.check(logged, stamp_ns)
+                for frame in self.intake.assemblers[sensor].add(name, stamp_ns, received):
                     yield sensor, frame
             elif logged.topic in self._latched:
                 self.intake.learn(received)

@@ -13,13 +13,14 @@ from pathlib import Path
 
 from rpod_analysis.errors import CannotWriteError, NoEstimatorError
 from rpod_analysis.log import Log, Logged
-from rpod_analysis.log_file import REPLAY, beside
+from rpod_analysis.log.log_file import REPLAY, beside
+from rpod_analysis.log.unreadable import StampCheck
 from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
 from rpod_analysis.replay.timeline import Timeline
-from rpod_analysis.run import estimate_prefix
+from rpod_analysis.scoring.run import estimate_prefix
 from rpod_estimator.estimator import Estimator
-from rpod_estimator.intake import Intake
+from rpod_estimator.frame_reader import FrameReader
 from rpod_pose.measurement import Tick
 from rpod_pose.navigation.state import Output
 from rpod_schemas.config.estimator import EstimatorConfig
@@ -95,9 +96,14 @@ def replay(
     target = out or beside(log.paths[0], REPLAY)
     if target.resolve() in {path.resolve() for path in log.paths}:
         raise CannotWriteError(target, "is the log itself")
-    estimator, intake = Estimator(config, load_target(config.target)), Intake(config.sensors)
+    estimator, intake = Estimator(config, load_target(config.target)), FrameReader(config.sensors)
     old = estimate_prefix(log)
-    frames = FramesAsLive(intake, status_topic=STATUS.under(old).name) if as_live else Frames(intake)
+    stamps = StampCheck(log)
+    frames = (
+        FramesAsLive(intake, stamps, status_topic=STATUS.under(old).name)
+        if as_live
+        else Frames(intake, stamps)
+    )
     feed = _Feed(estimator, intake, as_live=as_live)
     try:
         with EstimateLog(target, log, config) as written:
@@ -125,7 +131,7 @@ def _copied(prefix: str) -> set[str]:
 
 
 def _relevant(
-    log: Log, intake: Intake, prefix: str, *, start_s: float, end_s: float | None
+    log: Log, intake: FrameReader, prefix: str, *, start_s: float, end_s: float | None
 ) -> Iterator[Logged]:
     timeline = Timeline(log)
     start_ns = timeline.arrival_of(timeline.at(start_s)) if start_s else None
@@ -140,7 +146,7 @@ def _relevant(
 class _Feed:
     """Feeds the estimator, and lets time pass between the frames."""
 
-    def __init__(self, estimator: Estimator, intake: Intake, *, as_live: bool) -> None:
+    def __init__(self, estimator: Estimator, intake: FrameReader, *, as_live: bool) -> None:
         self.processing_s: list[float] = []
         self._estimator, self._intake, self._as_live = estimator, intake, as_live
 

@@ -157,5 +157,7 @@ class _Player:
 
     def _send(self, logged: Logged, shift_ns: int) -> None:
         moved = shift_ns and begins_with_stamp(logged.type)
-        self._publishers[logged.topic].put(restamped(logged.payload, shift_ns) if moved else logged.payload)
-        self._played.messages[logged.topic] += 1
+        with self._log.unreadable.left_out(logged):
+            payload = restamped(logged.payload, shift_ns) if moved else logged.payload
+            self._publishers[logged.topic].put(payload)
+            self._played.messages[logged.topic] += 1

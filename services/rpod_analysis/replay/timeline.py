@@ -3,6 +3,7 @@
 from bisect import bisect_left
 
 from rpod_analysis.log import Log, Logged
+from rpod_analysis.log.unreadable import StampCheck
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.topics import CLOCK
 
@@ -13,7 +14,7 @@ class Timeline:
     """The time of a log: that of its ``clock``, else that of the arrivals."""
 
     def __init__(self, log: Log) -> None:
-        self._log = log
+        self._log, self._stamps = log, StampCheck(log)
         self.recorded = CLOCK.name in log.topics and log.topics[CLOCK.name].count > 0
         self.now_ns = self._clock_from(log.start_ns) if self.recorded else log.start_ns
         self.start_ns = self.now_ns
@@ -27,7 +28,8 @@ class Timeline:
         if not self.recorded:
             self.now_ns = logged.log_ns
         elif logged.topic == CLOCK.name:
-            self.now_ns = max(peek_stamp(logged.payload), self.now_ns)
+            with self._log.unreadable.left_out(logged):
+                self.now_ns = max(self._told(logged), self.now_ns)
         return self.now_ns
 
     def arrival_of(self, time_ns: int) -> int:
@@ -39,5 +41,10 @@ class Timeline:
 
     def _clock_from(self, arrival_ns: int) -> int:
         """Return the first time that was told from an arrival on; that of the end beyond it."""
-        first = next(self._log.messages(CLOCK, start_ns=arrival_ns), None)
-        return _NEVER_NS if first is None else peek_stamp(first.payload)
+        for logged in self._log.messages(CLOCK, start_ns=arrival_ns):
+            with self._log.unreadable.left_out(logged):
+                return self._told(logged)
+        return _NEVER_NS
+
+    def _told(self, logged: Logged) -> int:
+        return self._stamps.check(logged, peek_stamp(logged.payload))

@@ -10,11 +10,12 @@ from math import radians
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.lidar.scan_alignment import settle, spread
+from rpod_pose.lidar.scan_alignment import FaceProblem, Returns, ScanErrors, settle, spread
 from rpod_pose.lidar.scan_fit import ScanModel
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Registration
-from rpod_pose.registration.field_alignment import draw_in
+from rpod_pose.registration.field_alignment import Points, field_aligned
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
@@ -54,6 +55,9 @@ class ProjectiveIcp:
         self.model = ScanModel(
             config.model, config.verdict, self.view, self.surface, sigma_range_m=sigma_range_m
         )
+        self._errors = ScanErrors(
+            self.model.sigma_range_m, config.model.slack_m, config.steep_cosine**2, 1.0 / config.outline_m
+        )
         middle_m = np.sqrt(config.widest_m * config.narrowest_m)
         self._far = np.geomspace(config.widest_m, middle_m, config.draw_in_steps)
         self._near = np.geomspace(middle_m, config.narrowest_m, config.settle_steps)
@@ -63,33 +67,25 @@ class ProjectiveIcp:
         seen = self.view.seen(measurement)
         if seen.returns < self._config.min_points:
             return _failed(f"{seen.returns} returns, {self._config.min_points} needed")
-        matrix = T_sensor_target.as_matrix()
-        R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()
-        if self.model.agreement(seen, R, t).share < self._config.near_share:
-            R, t = draw_in(seen.thinned(self._config.points), R, t, self.surface.coarse_field, self._far)
-        return self.finish(seen, R, t)
+        pose = PoseArrays.of(T_sensor_target)
+        if self.model.agreement(seen, *pose).share < self._config.near_share:
+            points = Points.equal(seen.thinned(self._config.points))
+            pose = field_aligned(points, pose, self.surface.coarse_field, self._far)
+        return self.finish(seen, *pose)
 
     def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
         """Return the registration from a pose R, t, sensor axes, that is nearly right."""
         config, hits = self._config, self.view.hits
-        settled_R, settled_t, information, squares, inliers = settle(
-            seen.points_m,
-            seen.rays,
-            R,
-            t,
+        problem = FaceProblem(
+            Returns(seen.points_m, seen.rays),
             self.view.grid.arrays,
             self.surface.faces,
             self.surface.coarse_field,
-            (
-                self.model.sigma_range_m,
-                config.model.slack_m,
-                config.steep_cosine**2,
-                1.0 / config.outline_m,
-            ),
+            self._errors,
             self._near,
-            hits.range_m,
-            hits.triangle,
+            hits.arrays,
         )
+        (settled_R, settled_t), information, squares, inliers = settle(problem, PoseArrays(R, t))
         if inliers < config.min_points:
             return _failed(f"{inliers} returns on faces, {config.min_points} needed")
         fit = self.model.fit(seen, settled_R, settled_t)

@@ -37,7 +37,7 @@ class ReturnDistances:
         sampling = spacing_rad(self.view.elevation_rad), spacing_rad(self.view.azimuth_rad)
         distance_rad = distance_transform_edt(seen.range_m == 0.0, sampling=sampling)
         squares = (distance_rad**2)[np.ix_(self.rows, self.columns)].astype(np.float32)
-        return squares, self.low[0], self.step[0], self.low[1], self.step[1]
+        return Image(squares, self.low[0], self.step[0], self.low[1], self.step[1])
 
 
 def _axis(angles_rad: FloatArray) -> tuple[NDArray[np.intp], float, float]:

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
-from rpod_pose.lidar.scan_alignment import settle
+from rpod_pose.lidar.scan_alignment import FaceProblem, Returns, ScanErrors, settle
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
-from rpod_pose.registration.field_alignment import draw_in
+from rpod_pose.registration.field_alignment import Points, field_aligned
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_pose.search.energy import NOTHING_IN_VIEW, energies
 from rpod_pose.search.turns import FEW_RETURNS, MORE_RETURNS, Turns
@@ -84,7 +85,7 @@ class ScanSearch:
         self._config, self._model, self._scanner, self.seen = config, model, scanner, seen
         self._image = scanner.distances.image(seen)
         self._centroid_m = seen.points_m.mean(axis=0)
-        self._few_m = seen.thinned(config.draw_in_points)
+        self._few = Points.equal(seen.thinned(config.draw_in_points))
         self._far_m = np.geomspace(*DRAW_IN_SCALES_M, config.draw_in_steps)
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
@@ -153,19 +154,16 @@ class ScanSearch:
     def settled(self, R: FloatArray, t: FloatArray, scales_m: FloatArray) -> Pose:
         """Return a nearly right pose after a step to the faces for each scale."""
         view, model = self._scanner.view, self._config.tracking.model
-        R, t, information, *_ = settle(
-            self.seen.points_m,
-            self.seen.rays,
-            R,
-            t,
+        problem = FaceProblem(
+            Returns(self.seen.points_m, self.seen.rays),
             view.grid.arrays,
             self._model.surface.faces,
             self._model.surface.coarse_field,
-            (self._scanner.statistics.sigma_range_m, model.slack_m, 0.0, 0.0),
+            ScanErrors(self._scanner.statistics.sigma_range_m, model.slack_m, 0.0, 0.0),
             scales_m,
-            view.hits.range_m,
-            view.hits.triangle,
+            view.hits.arrays,
         )
+        (R, t), information, *_ = settle(problem, PoseArrays(R, t))
         return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), information)
 
     def _there(self, R: FloatArray, t: FloatArray) -> Pose:
@@ -209,6 +207,7 @@ class ScanSearch:
         A scan that the field of view cuts off shows any region of the target: each is tried.
         """
         views = self._model.views
+        offsets_m: FloatArray | Float32Array
         if self.seen.cut_off:
             attitudes = np.repeat(attitudes, len(views.anchors_m), axis=0)
             offsets_m = np.tile(views.anchors_m, (len(attitudes) // len(views.anchors_m), 1))
@@ -255,14 +254,9 @@ class ScanSearch:
 
     def _drawn_in(self, R: Float32Array, t: Float32Array) -> Pose:
         """Return a rough pose drawn onto the scan."""
-        drawn_R, drawn_t = draw_in(
-            self._few_m,
-            R.astype(np.float64),
-            t.astype(np.float64),
-            self._model.surface.coarse_field,
-            self._far_m,
-        )
-        return self.settled(drawn_R, drawn_t, SETTLE_SCALES_M)
+        pose = PoseArrays(R.astype(np.float64), t.astype(np.float64))
+        aligned = field_aligned(self._few, pose, self._model.surface.coarse_field, self._far_m)
+        return self.settled(*aligned, SETTLE_SCALES_M)
 
     def _sharpened(self, pose: Pose) -> Pose:
         """Return a pose moved to where the outline is explained best too."""

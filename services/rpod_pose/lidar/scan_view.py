@@ -5,12 +5,12 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import Hits, RayGrid
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import LidarScan
+from rpod_schemas.types import Float32Array, LidarScan
 
 NEAREST_M, FARTHEST_M = 0.05, 1e5
 """Ranges beyond these are no returns: many sensors send a point in their origin for none."""
@@ -108,9 +108,13 @@ class ScanView:
         return np.where(beside | above, -1, row * self.azimuth_rad.size + column)
 
 
-@njit(cache=True, nogil=True)
-def returns_of(points):  # type: ignore[no-untyped-def]
-    """Return the points at a believable range, shape (N, 3), their places in the list and their ranges."""
+@kernel
+def returns_of(points: Float32Array) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """Return the points at a believable range, (N, 3), m, their indices, (N,), and their ranges, (N,), m.
+
+    Args:
+        points: all, sensor axes, shape (M, 3), m; NaN for none.
+    """
     places, range_m = np.empty(len(points), np.int64), np.empty(len(points))
     count = 0
     for n in range(len(points)):

@@ -16,10 +16,10 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.errors import DistortionError
+from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import RayGrid
 from rpod_pose.belief import undetermined
 from rpod_pose.pmd.camera_check import difference
@@ -229,12 +229,26 @@ def _cosines(
     return cosine
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _prepare(depth_m, cosine, unwrapping, corrections_m, out_m):  # type: ignore[no-untyped-def]
-    """Fill ``out_m``: by whole intervals into the sphere, less the correction; no depth stays none."""
-    range_m, reach_m, interval_m = unwrapping
-    turns_per_m = np.float32(1.0 / interval_m if interval_m > 0.0 else 0.0)
-    range_m, reach_m, interval_m = np.float32(range_m), np.float32(reach_m), np.float32(interval_m)
+@kernel
+def _prepare(
+    depth_m: Float32Array,
+    cosine: Float32Array,
+    unwrapping: tuple[float, float, float],
+    corrections_m: Float32Array,
+    out_m: Float32Array,
+) -> None:
+    """Fill ``out_m``: by whole intervals into the sphere, less the correction; no depth stays none.
+
+    Args:
+        depth_m: z-depth, shape (height, width).
+        cosine: z of the pixels' unit rays, same shape.
+        unwrapping: distance and radius of the sphere, and the interval, 0 for none, m.
+        corrections_m: to be taken off a distance, one each ``_STEP_M``.
+        out_m: out, same shape.
+    """
+    middle_m, radius_m, period_m = unwrapping
+    turns_per_m = np.float32(1.0 / period_m if period_m > 0.0 else 0.0)
+    range_m, reach_m, interval_m = np.float32(middle_m), np.float32(radius_m), np.float32(period_m)
     longest_m, nothing = interval_m * np.float32(_LONGEST), np.float32(0.0)
     steps_per_m, last = np.float32(1.0 / _STEP_M), np.float32(corrections_m.size - 1)
     depths, cosines, out = depth_m.ravel(), cosine.ravel(), out_m.ravel()

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.errors import DistortionError
+from rpod_geometry.kernels import kernel
 from rpod_geometry.lens import distort
 from rpod_geometry.rays import RayGrid, cast
 from rpod_schemas.arrays import FloatArray
@@ -167,12 +167,20 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
     return DepthImage(view, depth_m, thinned(depth_m, view.stride, view.offset))
 
 
-@njit(cache=True, nogil=True)
-def thinned(depth, stride, offset):  # type: ignore[no-untyped-def]
+@kernel
+def thinned(depth: Float32Array, stride: int, offset: int) -> Float32Array:
     """Return every ``stride``-th pixel of a depth image, each the median of itself and its eight neighbours.
 
     A pixel has depth where most of the nine have one: an outline stays where it is, and noise, which under
     the sun exceeds what model and measurement may differ by, is lower.
+
+    Args:
+        depth: z-depth, shape (height, width), m, NaN for none.
+        stride: from one pixel to the next, at least 1.
+        offset: of the first pixel, in the image.
+
+    Returns:
+        Shape (rows, columns), m, NaN where most of the nine have none.
     """
     height, width = depth.shape
     rows, columns = (height - offset - 1) // stride + 1, (width - offset - 1) // stride + 1

@@ -13,11 +13,13 @@ a surface is lacking is hardly ever seen under the right pose: fewer such pixels
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
-from rpod_pose.pmd.rendering import Rendering, around, facing
+from rpod_geometry.kernels import kernel
+from rpod_pose.pmd.rendering import Rendering, RenderingArrays, around, facing
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_check import PmdCheckConfig
 from rpod_schemas.types import Float32Array
@@ -89,8 +91,48 @@ class Contradictions:
         return ""
 
 
+class SeenPixels(NamedTuple):
+    """A frame's coarse pixels, shape (rows, columns) each; what is not above 0, or NaN, is not known."""
+
+    range_m: FloatArray
+    sigma_m: FloatArray
+    """Standard deviations of the ranges' noise."""
+    amplitude: FloatArray
+
+
+class Shades(NamedTuple):
+    """Amplitudes that tell dark pixels from bright ones."""
+
+    dark: float
+    """Up to which a pixel is as dark as the sky."""
+    bright: float
+    """Above which one shows a surface."""
+    glinting: float
+    """From which on it glints, or is beside a glint."""
+
+
+class Tolerated(NamedTuple):
+    """Errors that contradict nothing."""
+
+    range_m: float
+    """Of a range besides its noise."""
+    bias_m: float
+    """Of all ranges."""
+    place_px: float
+    """Of a place."""
+
+
+class PixelCounts(NamedTuple):
+    """How many pixels contradict a pose: the fields of ``Contradictions``."""
+
+    pixels: int
+    contrary: int
+    fullest: int
+    lacking: int
+
+
 def contradictions(
-    seen: tuple[FloatArray | Float32Array, ...],
+    seen: SeenPixels,
     rendered: Rendering,
     limits: PmdCheckConfig,
     *,
@@ -100,23 +142,27 @@ def contradictions(
     """Return what of a frame's coarse pixels contradicts a pose.
 
     Args:
-        seen: ranges, m, their standard deviations, m, and amplitudes, shape (rows, columns) each; what is
-            not above 0, or NaN, is not known.
+        seen: the frame's coarse pixels.
         rendered: the target at the pose, on the same pixels.
         limits: what is tolerated.
         typical: median amplitude of the target; 0 where none is known.
         bias_m: by which all ranges are too long.
     """
     bright, glinting = (share * typical for share in BRIGHT)
-    sky = sky_amplitude(seen[0], seen[2], rendered.triangle, typical)
-    shades = sky if sky < DIM * typical else 0.0, max(bright, sky), glinting
+    sky = sky_amplitude(seen.range_m, seen.amplitude, rendered.triangle, typical)
+    shades = Shades(sky if sky < DIM * typical else 0.0, max(bright, sky), glinting)
     reach_px = limits.reach_px + limits.place_m * rendered.px_per_m
-    tolerated = limits.tolerance_m, bias_m, reach_px
+    tolerated = Tolerated(limits.tolerance_m, bias_m, reach_px)
     return Contradictions(*count_contrary(seen, rendered.arrays, shades, tolerated, limits.patch_px))
 
 
-@njit(cache=True, nogil=True)
-def sky_amplitude(range_m, amplitude, owner, typical):  # type: ignore[no-untyped-def]
+@kernel
+def sky_amplitude(
+    range_m: FloatArray | Float32Array,
+    amplitude: FloatArray | Float32Array,
+    owner: NDArray[np.int32],
+    typical: float,
+) -> float:
     """Return the amplitude that the sky does not exceed, told by where nothing is measured nor rendered.
 
     Args:
@@ -136,23 +182,25 @@ def sky_amplitude(range_m, amplitude, owner, typical):  # type: ignore[no-untype
     if count == 0:
         return 0.0
     middle = np.median(dark[:count])
-    return middle + SKY_SPREADS * np.median(np.abs(dark[:count] - middle))
+    return float(middle + SKY_SPREADS * np.median(np.abs(dark[:count] - middle)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def count_contrary(seen, rendered, shades, tolerated, patch):  # type: ignore[no-untyped-def]
+@kernel
+def count_contrary(
+    seen: SeenPixels, rendered: RenderingArrays, shades: Shades, tolerated: Tolerated, patch: int
+) -> PixelCounts:
     """Return the numbers of pixels that say something, of contrary ones, and two of the fullest patches.
 
     They are the most contrary pixels in one patch, and the most that lack a surface.
 
     Args:
-        seen: as for ``contradictions``.
-        rendered: ``Rendering.arrays``.
-        shades: amplitude up to which a pixel is dark, and two between which it is bright.
-        tolerated: error of a range besides its noise, m; bias of all ranges, m; error of a place, px.
-        patch: side of a patch.
+        seen: the frame's coarse pixels.
+        rendered: the target at the pose, on the same pixels.
+        shades: what is dark and what is bright.
+        tolerated: errors that contradict nothing.
+        patch: side of a patch, pixels, at least 1.
     """
-    (range_m, sigma_m, amplitude), (nearest_m, owner) = seen, rendered[:2]
+    (range_m, sigma_m, amplitude), nearest_m, owner = seen, rendered.range_m, rendered.triangle
     dark, bright, glinting = shades
     tolerance, bias, reach = tolerated
     rows, columns = owner.shape
@@ -165,7 +213,7 @@ def count_contrary(seen, rendered, shades, tolerated, patch):  # type: ignore[no
                 measured, slack = range_m[i, j] - bias, max(tolerance, SIGMAS * sigma_m[i, j])
                 pixels += 1
                 if abs(measured - nearest_m[i, j]) <= slack or _is_near(
-                    rendered, i, j, reach, measured, slack
+                    rendered, (i, j), reach, measured, slack
                 ):
                     continue
             elif bright < shade < glinting:
@@ -180,17 +228,19 @@ def count_contrary(seen, rendered, shades, tolerated, patch):  # type: ignore[no
             contrary += 1
             full[0, i : i + patch, j : j + patch] += 1
             full[1, i : i + patch, j : j + patch] += lacks
-    return pixels, contrary, full[0].max(), full[1].max()
+    return PixelCounts(pixels, contrary, full[0].max(), full[1].max())
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _is_near(rendered, i, j, reach, range_m, slack):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return whether a range lies on what is rendered in and around a pixel, or between."""
-    low, high, _ = around(rendered, i, j, reach)
+@kernel
+def _is_near(
+    rendered: RenderingArrays, pixel: tuple[int, int], reach: float, range_m: float, slack: float
+) -> bool:
+    """Return whether a range, m, lies by a slack, m, on what is rendered within ``reach`` px of a pixel."""
+    low, high, _ = around(rendered, pixel[0], pixel[1], reach)
     return low - slack <= range_m <= high + slack
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _should_show(rendered, i, j, reach):  # type: ignore[no-untyped-def]
+@kernel
+def _should_show(rendered: RenderingArrays, i: int, j: int, reach: float) -> bool:
     """Return whether a pixel lies well on surface that would show whatever it is made of."""
     return facing(rendered, i, j) >= GRAZING and around(rendered, i, j, reach)[2] >= INSIDE

@@ -10,9 +10,10 @@ from scipy.stats import norm, qmc
 
 from rpod_pose.pmd.fit import PmdFit, PmdFitter
 from rpod_pose.pmd.scene import PmdScene
-from rpod_pose.registration.distance_field import field_arrays
-from rpod_pose.registration.field_alignment import draw_in
-from rpod_pose.registration.surface_model import Field, SurfaceModel
+from rpod_pose.registration.distance_field import FieldArrays, field_arrays
+from rpod_pose.registration.field_alignment import Points, field_aligned
+from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_pose.search.attitude_grid import within
 from rpod_pose.search.energy import NOTHING_IN_VIEW, energies
 from rpod_pose.search.turns import FEW_POINTS, FEW_RETURNS, MORE_RETURNS, Turns
@@ -53,7 +54,7 @@ class Model:
     target: Target
     views: ViewModel
     surface: SurfaceModel
-    field: Field
+    field: FieldArrays
     turns: Turns
 
     @classmethod
@@ -83,8 +84,8 @@ class FrameSearch:
         self._config, self._model, self._scene, self._fitter = config, model, scene, fitter
         self._image = scene.distances()
         self._centroid_m = scene.middle_m()
-        self._few_m = scene.thinned(config.draw_in_points)
-        self._fine_m = scene.thinned(config.fine_points)
+        self._few = Points.equal(scene.thinned(config.draw_in_points))
+        self._fine = Points.equal(scene.thinned(config.fine_points))
 
     def search(self, attitudes: Float32Array, around: FloatArray | None) -> list[Pose]:
         """Return distinct poses, best first; empty where no attitude shows the target to the sensor.
@@ -158,11 +159,13 @@ class FrameSearch:
 
     def _drawn_in(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a rough pose drawn to some of the points."""
-        return self._there(*draw_in(self._few_m, R, t, self._model.surface.coarse_field, DRAW_IN_SCALES_M))
+        field = self._model.surface.coarse_field
+        return self._there(*field_aligned(self._few, PoseArrays(R, t), field, DRAW_IN_SCALES_M))
 
     def _refined(self, pose: Pose) -> Pose:
         """Return a pose drawn to more of the points, but where that explains the frame worse."""
-        refined = self._there(*draw_in(self._fine_m, pose.R, pose.t, self._model.field, FINE_SCALES_M))
+        start = PoseArrays(pose.R, pose.t)
+        refined = self._there(*field_aligned(self._fine, start, self._model.field, FINE_SCALES_M))
         return min(refined, pose, key=lambda one: one.fit.loss)
 
     def _sharpened(self, pose: Pose) -> Pose:

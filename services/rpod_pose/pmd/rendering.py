@@ -5,13 +5,16 @@ two beside it is asked of a few more rays there, on no more triangles than the p
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import RayGrid
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
 
 NEAREST_M = 0.3
 """Lengths are not seen from nearer than this."""
@@ -46,24 +49,51 @@ class Rendering:
         return self.focal_px / max(float(np.linalg.norm(self.t)), NEAREST_M)
 
     @property
-    def arrays(self) -> tuple[object, ...]:
-        """As the kernels take them."""
-        return (
-            self.range_m, self.triangle, self.grid.components, self.stride, self.triangles_m, self.R, self.t,
-        )  # fmt: skip
+    def arrays(self) -> "RenderingArrays":
+        """The same as the kernels take it."""
+        rays, pose = self.grid.components, PoseArrays(self.R, self.t)
+        return RenderingArrays(self.range_m, self.triangle, rays, self.stride, self.triangles_m, pose)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def around(rendered, i, j, reach):  # type: ignore[no-untyped-def]
+class RenderingArrays(NamedTuple):
+    """``Rendering``, as the kernels take it."""
+
+    range_m: Float32Array
+    """inf where there is nothing, shape (rows, columns)."""
+    triangle: NDArray[np.int32]
+    """-1 where there is nothing, same shape."""
+    rays: FloatArray
+    """Unit rays of the coarse pixels, shape (3, rows, columns), two rows and columns or more."""
+    stride: int
+    """Pixels from one coarse pixel to the next, at least 1."""
+    triangles_m: FloatArray
+    """Target axes, shape (T, 3, 3)."""
+    pose: PoseArrays
+
+
+class Around(NamedTuple):
+    """What nine rays in and around a coarse pixel meet."""
+
+    low: float
+    """Least range, m, inf where none meets anything."""
+    high: float
+    """Greatest range, m, 0 where none meets anything."""
+    hits: int
+    """How many rays meet something."""
+
+
+@kernel
+def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
     """Return the least and greatest range in and around a coarse pixel, and how many of nine rays hit.
 
     Args:
-        rendered: ``Rendering.arrays``.
+        rendered: the target at a pose.
         i: row of the coarse pixel.
         j: its column.
         reach: to the eight rays around it, along rows and columns, px.
     """
-    _, owner, rays, stride, triangles, R, t = rendered
+    owner, rays, stride, triangles = rendered.triangle, rendered.rays, rendered.stride, rendered.triangles_m
+    R, t = rendered.pose
     rows, columns = owner.shape
     below, beside = (i + 1 if i + 1 < rows else i - 1), (j + 1 if j + 1 < columns else j - 1)
     down, across = reach / stride * (below - i), reach / stride * (beside - j)
@@ -87,13 +117,13 @@ def around(rendered, i, j, reach):  # type: ignore[no-untyped-def]
     for n in range(NINE):
         if inverse[n] > 0.0:
             low, high, hits = min(low, 1.0 / inverse[n]), max(high, 1.0 / inverse[n]), hits + 1
-    return low, high, hits
+    return Around(low, high, hits)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def facing(rendered, i, j):  # type: ignore[no-untyped-def]
+@kernel
+def facing(rendered: RenderingArrays, i: int, j: int) -> float:
     """Return the cosine of incidence at a coarse pixel that shows the target; arguments as for ``around``."""
-    _, owner, rays, _, triangles, R, _ = rendered
+    owner, rays, triangles, R = rendered.triangle, rendered.rays, rendered.triangles_m, rendered.pose.R
     a, b, c = triangles[owner[i, j]]
     squares, along = 0.0, 0.0
     for n in range(3):
@@ -102,23 +132,27 @@ def facing(rendered, i, j):  # type: ignore[no-untyped-def]
         ray = R[0, n] * rays[0, i, j] + R[1, n] * rays[1, i, j] + R[2, n] * rays[2, i, j]
         squares += normal * normal
         along += normal * ray
-    return -along / np.sqrt(squares)
+    return float(-along / np.sqrt(squares))
 
 
-@njit(cache=True, nogil=True)
-def _place(triangle, R, t, corner):  # type: ignore[no-untyped-def]
-    """Fill in a triangle's corners in sensor axes."""
+@kernel
+def _place(triangle: FloatArray, R: FloatArray, t: FloatArray, corner: FloatArray) -> None:
+    """Fill in the corners, shape (3, 3), m, of a triangle, shape (3, 3), m, in sensor axes at a pose R, t."""
     for n in range(3):
         x, y, z = triangle[n]
         for m in range(3):
             corner[n, m] = t[m] + R[m, 0] * x + R[m, 1] * y + R[m, 2] * z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _per_range(corner, ray):  # type: ignore[no-untyped-def]
+@kernel
+def _per_range(corner: FloatArray, ray: FloatArray) -> float:
     """Return one over the range at which a ray meets a triangle seen from outside, 0 where it does not.
 
     By the products of ``rpod_geometry.rays``; the ray's length is taken for one.
+
+    Args:
+        corner: of the triangle, sensor axes, shape (3, 3), m.
+        ray: sensor axes, shape (3,).
     """
     total = 0.0
     for n in range(3):
@@ -129,10 +163,10 @@ def _per_range(corner, ray):  # type: ignore[no-untyped-def]
     return total / _product(corner[0], corner[1], corner[2])
 
 
-@njit(cache=True, nogil=True)
-def _product(a, b, c):  # type: ignore[no-untyped-def]
-    """Return (a x b) . c."""
+@kernel
+def _product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    """Return (a x b) . c of three vectors, shape (3,) each."""
     x = a[1] * b[2] - a[2] * b[1]
     y = a[2] * b[0] - a[0] * b[2]
     z = a[0] * b[1] - a[1] * b[0]
-    return x * c[0] + y * c[1] + z * c[2]
+    return float(x * c[0] + y * c[1] + z * c[2])

@@ -9,11 +9,11 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from rpod_geometry.errors import DistortionError
+from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView, thinned
 from rpod_pose.search.energy import CELLS, Image
 from rpod_schemas.arrays import FloatArray
@@ -79,7 +79,7 @@ class PmdScene:
         distance_rad = distance_transform_edt(~(self.lit | self.blind), sampling=rad_per_px[::-1])
         pixel, low, step = _cells(view)
         squares = (distance_rad**2).astype(np.float32).ravel()[pixel]
-        return squares, low[0], step[0], low[1], step[1]
+        return Image(squares, low[0], step[0], low[1], step[1])
 
 
 @lru_cache(maxsize=8)
@@ -215,9 +215,16 @@ def _around(rays: FloatArray, range_m: Float32Array, radius_m: float) -> NDArray
     return kept
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def spread(depth, stride, offset, shape):  # type: ignore[no-untyped-def]
-    """Return the standard deviation of the medians of ``depth_view.thinned``, 0 where there is none."""
+@kernel
+def spread(depth: Float32Array, stride: int, offset: int, shape: tuple[int, int]) -> Float32Array:
+    """Return the standard deviation of the medians of ``depth_view.thinned``, m, 0 where there is none.
+
+    Args:
+        depth: as for ``thinned``, shape (height, width), m.
+        stride: as for ``thinned``.
+        offset: as for ``thinned``.
+        shape: rows and columns of what that returned.
+    """
     sigma = np.zeros(shape, np.float32)
     height, width = depth.shape
     for i in range(shape[0]):

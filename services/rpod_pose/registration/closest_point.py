@@ -5,16 +5,29 @@ lets most others be passed over by their bounding spheres.
 """
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rpod_geometry.kernels import kernel
 from rpod_schemas.arrays import FloatArray
 
 EDGE_M2 = 1e-9
 """So much outside (distance times length of the edge) counts as inside: no foot falls between two faces."""
+
+
+class Triangles(NamedTuple):
+    """Triangles with what bounds them, as the kernels take them."""
+
+    triangles_m: FloatArray
+    """Shape (T, 3, 3)."""
+    centres_m: FloatArray
+    """Of the bounding spheres, shape (T, 3)."""
+    radii_m: FloatArray
+    """Of the bounding spheres, shape (T,)."""
+    usable: NDArray[np.bool_]
+    """Which triangles count, shape (T,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +66,7 @@ class Surface:
             nearest: in: a guess of each point's triangle, shape (N,); out: the triangle.
         """
         closest_m: FloatArray = closest_points(
-            points_m, self.triangles_m, self.centres_m, self.radii_m, usable, nearest
+            Triangles(self.triangles_m, self.centres_m, self.radii_m, usable), points_m, nearest
         )
         return closest_m
 
@@ -72,9 +85,18 @@ class Surface:
         return projected_m
 
 
-@njit(cache=True, nogil=True)
-def projected_points(points, triangles, normals, usable, nearest):  # type: ignore[no-untyped-def]
-    """Return ``Surface.projected``."""
+@kernel
+def projected_points(
+    points: FloatArray,
+    triangles: FloatArray,
+    normals: FloatArray,
+    usable: NDArray[np.bool_],
+    nearest: NDArray[np.int32],
+) -> FloatArray:
+    """Return ``Surface.projected`` of points, shape (N, 3), m; arguments as there and in ``Surface``.
+
+    The foot of the normal on a triangle's plane is p - n (n . (p - v0)).
+    """
     projected = points.copy()
     for n in range(points.shape[0]):
         best, height = np.inf, 0.0
@@ -92,9 +114,9 @@ def projected_points(points, triangles, normals, usable, nearest):  # type: igno
     return projected
 
 
-@njit(cache=True, nogil=True)
-def is_above(p, triangle, normal):  # type: ignore[no-untyped-def]
-    """Return whether the foot of p, shape (3,), on a triangle's plane lies in it, or on an edge."""
+@kernel
+def is_above(p: FloatArray, triangle: FloatArray, normal: FloatArray) -> bool:
+    """Return whether the foot of p, (3,), on a triangle's plane lies in it, (3, 3), or on an edge; m."""
     for i in range(3):
         a, b = triangle[i], triangle[(i + 1) % 3]
         x, y, z = p[0] - a[0], p[1] - a[1], p[2] - a[2]
@@ -105,14 +127,23 @@ def is_above(p, triangle, normal):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
-def closest_points(points, triangles, centres, radii, usable, nearest):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return ``Surface.closest``."""
+@kernel
+def closest_points(surface: Triangles, points: FloatArray, nearest: NDArray[np.int32]) -> FloatArray:
+    """Return the closest points of the usable triangles, shape (N, 3), m.
+
+    A triangle whose bounding sphere is farther than the best so far is passed over.
+
+    Args:
+        surface: T triangles, of which at least one is usable.
+        points: shape (N, 3), m.
+        nearest: in: a guess of each point's triangle, shape (N,); out: the triangle.
+    """
+    triangles, centres, radii, usable = surface
     closest = np.empty(points.shape)
     for n in range(points.shape[0]):
         p = points[n]
         best2, best = np.inf, np.inf
-        if usable[nearest[n]]:
+        if 0 <= nearest[n] < len(usable) and usable[nearest[n]]:
             q0, q1, q2 = on_triangle(p, triangles[nearest[n]])
             best2 = (p[0] - q0) ** 2 + (p[1] - q1) ** 2 + (p[2] - q2) ** 2
             best = np.sqrt(best2)
@@ -131,8 +162,8 @@ def closest_points(points, triangles, centres, radii, usable, nearest):  # type:
     return closest
 
 
-@njit(cache=True, nogil=True)
-def on_triangle(p, triangle):  # type: ignore[no-untyped-def]
+@kernel
+def on_triangle(p: FloatArray, triangle: FloatArray) -> tuple[float, float, float]:
     """Return the point of a triangle, shape (3, 3), closest to p, shape (3,), as three numbers.
 
     Source: C. Ericson, Real-Time Collision Detection (2005), section 5.1.5: the regions of the corners,

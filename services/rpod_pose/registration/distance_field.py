@@ -1,22 +1,58 @@
 """The distance field of a target, as compiled code reads it: trilinear, with its gradient."""
 
-from numba import njit
+from typing import NamedTuple
 
+import numpy as np
+
+from rpod_geometry.kernels import kernel
+from rpod_pose.registration.lie_group import Vector
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
-from rpod_target import Target
+from rpod_target import Target, TargetError
+
+FEWEST_NODES = 2
+"""Along each axis of a field: one cell."""
 
 
-@njit(cache=True, nogil=True)
-def distance_and_gradient(x, y, z, values):  # type: ignore[no-untyped-def]
+class FieldArrays(NamedTuple):
+    """Values on the nodes of a regular grid, as the kernels take them; ``checked`` holds them."""
+
+    origin_m: FloatArray
+    """Place of the node [0, 0, 0], target axes, shape (3,), m."""
+    spacing_m: float
+    """From node to node along each axis."""
+    values: Float32Array
+    """Distances, m, or what is made of them, shape (X, Y, Z), two nodes or more along each axis."""
+
+
+class FieldSample(NamedTuple):
+    """The field at one place."""
+
+    distance: float
+    """Signed, positive outside; m, where the gradient is a metre."""
+    gradient: Vector
+    """Of the distance, target axes; a cell or a metre, as the function says."""
+
+
+@kernel
+def distance_and_gradient(x: float, y: float, z: float, values: Float32Array) -> FieldSample:
     """Return the trilinear distance and its gradient a cell, at a place in cells of the field.
 
-    Outside the grid, both are those of its border.
+    The distance is interpolated along x, then y, then z between the eight nodes around the place; the
+    gradient is the derivative of that polynomial. Outside the grid, both are those of its border. A place
+    that is NaN counts as the border's first node, so that no index is ever outside of the grid.
+
+    Args:
+        x: cells from the first node along the first axis.
+        y: along the second axis.
+        z: along the third axis.
+        values: ``FieldArrays.values``, shape (X, Y, Z).
     """
     nx, ny, nz = values.shape
-    cx = min(max(x, 0.0), nx - 1.001)
-    cy = min(max(y, 0.0), ny - 1.001)
-    cz = min(max(z, 0.0), nz - 1.001)
+    # max(0.0, NaN) is 0.0, as in Python, while max(NaN, 0.0) is NaN, of which int makes any number
+    cx = min(max(0.0, x), nx - 1.001)
+    cy = min(max(0.0, y), ny - 1.001)
+    cz = min(max(0.0, z), nz - 1.001)
     i, j, k = int(cx), int(cy), int(cz)
     u, v, w = cx - i, cy - j, cz - k
     c000, c001 = values[i, j, k], values[i, j, k + 1]
@@ -30,15 +66,44 @@ def distance_and_gradient(x, y, z, values):  # type: ignore[no-untyped-def]
         c100 - c000 + v * (c110 - c010 - c100 + c000),
         c101 - c001 + v * (c111 - c011 - c101 + c001),
     )
-    return (
-        c0 + w * (c1 - c0),
-        across_0 + w * (across_1 - across_0),
-        c10 - c00 + w * (c11 - c01 - c10 + c00),
-        c1 - c0,
+    gradient = Vector(across_0 + w * (across_1 - across_0), c10 - c00 + w * (c11 - c01 - c10 + c00), c1 - c0)
+    return FieldSample(c0 + w * (c1 - c0), gradient)
+
+
+@kernel
+def field_at(field: FieldArrays, place: Vector) -> FieldSample:
+    """Return the distance, m, and its gradient a metre at a place in target axes, m."""
+    origin, per_m = field.origin_m, 1.0 / field.spacing_m
+    sample = distance_and_gradient(
+        (place.x - origin[0]) * per_m,
+        (place.y - origin[1]) * per_m,
+        (place.z - origin[2]) * per_m,
+        field.values,
     )
+    g = sample.gradient
+    return FieldSample(sample.distance, Vector(g.x * per_m, g.y * per_m, g.z * per_m))
 
 
-def field_arrays(target: Target) -> tuple[FloatArray, float, Float32Array]:
-    """Return origin, spacing and values of a target's distance field, as the kernels take them."""
+def field_arrays(target: Target) -> FieldArrays:
+    """Return a target's distance field as the kernels take it.
+
+    Raises:
+        rpod_target.TargetError: the target has no distance field, or one with too few nodes.
+    """
     field = target.require_field()
-    return field.origin_m, field.spacing_m, field.values
+    return checked(target, FieldArrays(field.origin_m, float(field.spacing_m), field.values))
+
+
+def checked(target: Target, field: FieldArrays) -> FieldArrays:
+    """Return a field of a target as it is, if every place lies in one of its cells.
+
+    Raises:
+        rpod_target.TargetError: the field has fewer than two nodes along an axis, or no positive spacing.
+    """
+    if min(field.values.shape) < FEWEST_NODES or not 0.0 < field.spacing_m < np.inf:
+        nodes = " x ".join(str(count) for count in field.values.shape)
+        reason = (
+            f"{nodes} nodes {field.spacing_m:g} m apart, {FEWEST_NODES} or more are needed along each axis"
+        )
+        raise TargetError(target.source, "distance_field", f"{reason}: give the target a smaller spacing")
+    return field

@@ -1,105 +1,134 @@
-"""Alignment of points with a target in its distance field, from afar: no correspondences are searched.
+"""Alignment of points with a target in its distance field: no correspondences are searched.
 
-Each point is moved along the gradient of the distance field. The unknowns are those of
-``normal_equations``; outliers fade by Geman-McClure weights.
+A measured point p, in sensor axes, lies at q = R^T (p - t) in target axes; its residual is the signed
+distance d(q), trilinear in the grid, along its gradient (``normal_equations``). Outliers fade by
+Geman-McClure weights, whose scale narrows from step to step.
 """
 
-import numpy as np
-from numba import njit
+from typing import NamedTuple
 
-from rpod_pose.registration.distance_field import distance_and_gradient
-from rpod_pose.registration.lie_group import in_target, turned
+import numpy as np
+
+from rpod_geometry.kernels import kernel
+from rpod_pose.registration.distance_field import FieldArrays, distance_and_gradient
+from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
+from rpod_pose.registration.lie_group import PoseArrays, Vector, in_target
+from rpod_pose.registration.normal_equations import (
+    UNKNOWNS,
+    add_residual,
+    geman_mcclure,
+    no_sums,
+)
+from rpod_schemas.arrays import FloatArray
 
 AWAY = 0.5
 """A face turned from the ray by more than this cosine cannot have sent it back."""
 REACH_M, REACH_RAD = 0.5, 0.1
 """Standard deviation of a step that no return asks for: what they do not determine stays where it is."""
+SPREAD = 0.1
+"""Standard deviation of the residuals, as a share of the Geman-McClure scale, that steps are weighed by."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def add_upper(information, gradient, normal, place, residual, weight):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Add a distance along a normal at a place, target axes; of the symmetric sum only the upper half."""
-    n0, n1, n2 = normal
-    x, y, z = place
-    j0, j1, j2, j3, j4, j5 = -n0, -n1, -n2, n1 * z - n2 * y, n2 * x - n0 * z, n0 * y - n1 * x
-    w0, w1, w2, w3, w4, w5 = weight * j0, weight * j1, weight * j2, weight * j3, weight * j4, weight * j5
-    information[0, 0] += w0 * j0
-    information[0, 1] += w0 * j1
-    information[0, 2] += w0 * j2
-    information[0, 3] += w0 * j3
-    information[0, 4] += w0 * j4
-    information[0, 5] += w0 * j5
-    information[1, 1] += w1 * j1
-    information[1, 2] += w1 * j2
-    information[1, 3] += w1 * j3
-    information[1, 4] += w1 * j4
-    information[1, 5] += w1 * j5
-    information[2, 2] += w2 * j2
-    information[2, 3] += w2 * j3
-    information[2, 4] += w2 * j4
-    information[2, 5] += w2 * j5
-    information[3, 3] += w3 * j3
-    information[3, 4] += w3 * j4
-    information[3, 5] += w3 * j5
-    information[4, 4] += w4 * j4
-    information[4, 5] += w4 * j5
-    information[5, 5] += w5 * j5
-    gradient[0] += w0 * residual
-    gradient[1] += w1 * residual
-    gradient[2] += w2 * residual
-    gradient[3] += w3 * residual
-    gradient[4] += w4 * residual
-    gradient[5] += w5 * residual
+class Points(NamedTuple):
+    """Measured points."""
+
+    places_m: FloatArray
+    """Sensor axes, shape (N, 3)."""
+    trust: FloatArray
+    """Weight of each point, 0 to 1, shape (N,)."""
+
+    @classmethod
+    def equal(cls, places_m: FloatArray) -> "Points":
+        """Return points of equal weight, sensor axes, shape (N, 3), m."""
+        return cls(places_m, np.ones(len(places_m)))
 
 
-@njit(cache=True, nogil=True)
-def mirror(information):  # type: ignore[no-untyped-def]
-    """Fill the lower half of a symmetric sum."""
-    for i in range(6):
-        for j in range(i):
-            information[i, j] = information[j, i]
+class FieldEvidence(NamedTuple):
+    """What points say in a distance field."""
+
+    weight: float
+    """Sum of the weights."""
+    squares_m2: float
+    """Sum of the inliers' squared distances, times their trust."""
+    inliers: int
+    """Points within the Geman-McClure scale."""
+    trusted: float
+    """Sum of the inliers' trust."""
 
 
-@njit(cache=True, nogil=True)
-def held(information, gradient, variance):  # type: ignore[no-untyped-def]
-    """Return the Gauss-Newton step of residuals of a variance, held back where they say little."""
-    held_back = information.copy()
-    for i in range(3):
-        held_back[i, i] += variance / REACH_M**2
-        held_back[i + 3, i + 3] += variance / REACH_RAD**2
-    return np.linalg.solve(held_back, -gradient)
+class FieldProblem(NamedTuple):
+    """Points to be aligned with a target's distance field."""
+
+    points: Points
+    field: FieldArrays
+    scales_m: FloatArray
+    """Geman-McClure scale of each step, shape (steps,)."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def draw_in(points, R, t, field, scales):  # type: ignore[no-untyped-def]
-    """Return R and t after one step in the distance field for each Geman-McClure scale, m.
+@kernel
+def add_field_points(  # noqa: PLR0917
+    sums: FloatArray, points: Points, state: State, field: FieldArrays, scale: float, biased: bool
+) -> FieldEvidence:
+    """Add the factors of points in a distance field to the sums, shape (35,); return their evidence.
+
+    A range too long by the bias b puts a point at q - b d, d its ray in target axes, so that the residual's
+    derivative by b is minus the gradient along the ray. A point whose nearest face is turned away from the
+    sensor has no residual.
 
     Args:
-        points: returns, sensor axes, shape (N, 3), m.
-        R: of the target in the sensor, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        field: ``SurfaceModel.field``.
-        scales: shape (steps,), m.
+        sums: information and gradient, in and out.
+        points: N measured points.
+        state: pose and bias to linearise at.
+        field: the target's distance field.
+        scale: of Geman and McClure, m, above 0.
+        biased: whether the bias is an unknown; else it stays as it is.
     """
-    origin, spacing, values = field
-    per_m = 1.0 / spacing
-    for scale in scales:
-        information, gradient, weights, c2 = np.zeros((6, 6)), np.zeros(6), 0.0, scale * scale
-        for n in range(points.shape[0]):
-            px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-            x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
-            d, gx, gy, gz = distance_and_gradient(
-                (x - origin[0]) * per_m, (y - origin[1]) * per_m, (z - origin[2]) * per_m, values
-            )
-            gx, gy, gz = gx * per_m, gy * per_m, gz * per_m
-            dx, dy, dz = in_target(R, px, py, pz)
-            if gx * dx + gy * dy + gz * dz > AWAY * np.sqrt(px * px + py * py + pz * pz):
-                continue
-            weight = (c2 / (c2 + d * d)) ** 2
-            weights += weight
-            add_upper(information, gradient, (gx, gy, gz), (x, y, z), d, weight)
-        mirror(information)
-        step = held(information, gradient, 0.01 * c2)
-        t = t + R @ step[:3]
-        R = turned(R, step[3:])
-    return R, t
+    R, t, bias = state.pose.R, state.pose.t, state.bias_m
+    places, trust, c2 = points.places_m, points.trust, scale * scale
+    origin, per_m, values = field.origin_m, 1.0 / field.spacing_m, field.values
+    weights, squares, inliers, trusted = 0.0, 0.0, 0, 0.0
+    for n in range(places.shape[0]):
+        px, py, pz = places[n, 0], places[n, 1], places[n, 2]
+        ray, range_m = in_target(R, px, py, pz), np.sqrt(px * px + py * py + pz * pz)
+        x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
+        if bias != 0.0:  # the look-up below waits for the division, which most problems do not need
+            back = bias / range_m
+            x, y, z = x - back * ray.x, y - back * ray.y, z - back * ray.z
+        distance, slope = distance_and_gradient(
+            (x - origin[0]) * per_m, (y - origin[1]) * per_m, (z - origin[2]) * per_m, values
+        )
+        g, place = Vector(slope.x * per_m, slope.y * per_m, slope.z * per_m), Vector(x, y, z)
+        along = g.x * ray.x + g.y * ray.y + g.z * ray.z
+        if along > AWAY * range_m:
+            continue
+        d2 = distance * distance
+        weight = trust[n] * geman_mcclure(d2, c2)
+        weights += weight
+        add_residual(sums, g, place, -along / range_m if biased else 0.0, distance, weight)
+        inlier = 1 if d2 < c2 else 0  # no branch, since it would be guessed wrong half the time
+        inliers += inlier
+        squares += inlier * trust[n] * d2
+        trusted += inlier * trust[n]
+    return FieldEvidence(weights, squares, inliers, trusted)
+
+
+@linearises(FieldProblem)
+@kernel
+def field_equations(problem: FieldProblem, state: State, step: int) -> Linear[FieldEvidence]:
+    """Return the normal equations of points in a distance field, of the pose alone."""
+    scale = problem.scales_m[step]
+    sums, hold = no_sums(), np.ones(UNKNOWNS)
+    evidence = add_field_points(sums, problem.points, state, problem.field, scale, False)
+    variance = (SPREAD * scale) ** 2
+    hold[:3] = variance / REACH_M**2
+    hold[3:6] = variance / REACH_RAD**2
+    return Linear(sums, hold, True, evidence)
+
+
+@kernel
+def field_aligned(points: Points, pose: PoseArrays, field: FieldArrays, scales_m: FloatArray) -> PoseArrays:
+    """Return the pose after one step in the field for each Geman-McClure scale, shape (steps,), m."""
+    if scales_m.size == 0:
+        return pose
+    problem = FieldProblem(points, field, scales_m)
+    return minimised(problem, State(pose, 0.0), scales_m.size).state.pose

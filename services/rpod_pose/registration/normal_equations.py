@@ -1,16 +1,27 @@
-"""The Gauss-Newton step that all depth methods share, and what it says of its own accuracy.
+"""Sums over residuals: the information and the gradient of a least-squares step, of all methods.
 
 The unknowns are a right perturbation R <- R Exp(dtheta), t <- t + R dtau in target axes, ordered
-(dtau, dtheta). A residual r with the row J adds w J^T J to the information and w J^T r to the gradient.
+(dtau, dtheta), and, where a sensor's ranges may all be too long by the same length, that length as a seventh.
+A residual r with the row J of derivatives and the weight w adds w J^T J to the information and w J^T r to the
+gradient; the step that minimises the sum of w (r + J step)^2 solves information step = -gradient.
+
+Every residual of the methods here is a length (or an angle) along a normal n at a place q in target axes:
+r = n . (q - what it is compared with), where q = R^T (p - t) is where a measured point p lies. A step moves q
+by -dtau - dtheta x q, so that J = (-n, -(q x n)) = (-n, n x q).
+
+The sums are kept in one flat array, shape (35,): of each unknown in turn the upper half of its row of the
+information, then its entry of the gradient. Constant places in one row of memory are what compilers make
+vectors of. Six unknowns leave what belongs to the seventh zero.
 """
 
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numba import njit
 from scipy.spatial.transform import RigidTransform
 
+from rpod_geometry.kernels import kernel
+from rpod_pose.registration.lie_group import Vector
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_methods import DepthErrorConfig
 
@@ -18,6 +29,10 @@ DAMPING = 1e-6
 """Information added a residual, so that an unobservable direction stays where it is."""
 DEGENERATE = 1e-4
 """Least information of the worst direction, as a share of what one fully determined by every residual has."""
+UNKNOWNS = 7
+"""Of the sums: six of the pose, and the length by which all ranges are too long."""
+SUMS = 35
+"""Entries of the sums: 8 + 7 + 6 + 5 + 4 + 3 + 2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +49,11 @@ class NormalEquations:
     """Sum of the inliers' squared residuals."""
     inliers: int
     """Residuals within the Geman-McClure scale."""
+
+    @classmethod
+    def of(cls, sums: FloatArray, *, weight: float, squares_m2: float, inliers: int) -> Self:
+        """Return the sums of a kernel, shape (35,), over residuals that six unknowns explain."""
+        return cls(information_of(sums, 6), gradient_of(sums, 6), weight, squares_m2, inliers)
 
     @classmethod
     def none(cls) -> Self:
@@ -56,7 +76,8 @@ class NormalEquations:
 
     def step(self) -> FloatArray:
         """Return (dtau, dtheta), shape (6,)."""
-        step: FloatArray = solve(self.information, self.gradient, self.weight)
+        damped = self.information + (DAMPING * self.weight + 1e-12) * np.eye(6)
+        step: FloatArray = np.linalg.solve(damped, -self.gradient).astype(np.float64, copy=False)
         return step
 
     def degenerate(self, radius_m: float) -> bool:
@@ -84,16 +105,115 @@ class NormalEquations:
         return covariance
 
 
-@njit(cache=True, nogil=True)
-def solve(information, gradient, weight):  # type: ignore[no-untyped-def]
-    """Return the damped Gauss-Newton step."""
-    return np.linalg.solve(information + (DAMPING * weight + 1e-12) * np.eye(6), -gradient)
+@kernel
+def no_sums() -> FloatArray:
+    """Return the sums over no residual, shape (35,)."""
+    return np.zeros(SUMS)
 
 
-@njit(cache=True, nogil=True)
-def add_residual(information, gradient, row, residual, weight):  # type: ignore[no-untyped-def]
-    """Add one residual and its derivatives, shape (6,), to the sums."""
-    for i in range(6):
-        gradient[i] += weight * row[i] * residual
-        for j in range(6):
-            information[i, j] += weight * row[i] * row[j]
+@kernel
+def add_residual(  # noqa: PLR0917
+    sums: FloatArray, normal: Vector, place: Vector, slope: float, residual: float, weight: float
+) -> None:
+    """Add a residual along a normal at a place to the sums, shape (35,); its row is derived above.
+
+    Args:
+        sums: information and gradient, in and out.
+        normal: of the residual, target axes, its unit over m.
+        place: of the measured point, target axes, m.
+        slope: derivative by the length by which all ranges are too long, 0 for six unknowns.
+        residual: in its unit (m, px).
+        weight: of its square.
+    """
+    n0, n1, n2 = normal.x, normal.y, normal.z
+    x, y, z = place.x, place.y, place.z
+    j0, j1, j2, j6 = -n0, -n1, -n2, slope
+    j3, j4, j5 = n1 * z - n2 * y, n2 * x - n0 * z, n0 * y - n1 * x
+    w0, w1, w2, w3, w4, w5 = weight * j0, weight * j1, weight * j2, weight * j3, weight * j4, weight * j5
+    w6 = weight * j6
+    sums[0] += w0 * j0
+    sums[1] += w0 * j1
+    sums[2] += w0 * j2
+    sums[3] += w0 * j3
+    sums[4] += w0 * j4
+    sums[5] += w0 * j5
+    sums[6] += w0 * j6
+    sums[7] += w0 * residual
+    sums[8] += w1 * j1
+    sums[9] += w1 * j2
+    sums[10] += w1 * j3
+    sums[11] += w1 * j4
+    sums[12] += w1 * j5
+    sums[13] += w1 * j6
+    sums[14] += w1 * residual
+    sums[15] += w2 * j2
+    sums[16] += w2 * j3
+    sums[17] += w2 * j4
+    sums[18] += w2 * j5
+    sums[19] += w2 * j6
+    sums[20] += w2 * residual
+    sums[21] += w3 * j3
+    sums[22] += w3 * j4
+    sums[23] += w3 * j5
+    sums[24] += w3 * j6
+    sums[25] += w3 * residual
+    sums[26] += w4 * j4
+    sums[27] += w4 * j5
+    sums[28] += w4 * j6
+    sums[29] += w4 * residual
+    sums[30] += w5 * j5
+    sums[31] += w5 * j6
+    sums[32] += w5 * residual
+    sums[33] += w6 * j6
+    sums[34] += w6 * residual
+
+
+@kernel
+def information_of(sums: FloatArray, unknowns: int) -> FloatArray:
+    """Return the symmetric information about the first unknowns, shape (unknowns, unknowns), of sums."""
+    information, entry = np.empty((unknowns, unknowns)), 0
+    for i in range(unknowns):
+        for j in range(i, unknowns):
+            information[i, j] = information[j, i] = sums[entry + j - i]
+        entry += UNKNOWNS + 1 - i
+    return information
+
+
+@kernel
+def gradient_of(sums: FloatArray, unknowns: int) -> FloatArray:
+    """Return the gradient by the first unknowns, shape (unknowns,), of sums, shape (35,)."""
+    gradient, entry = np.empty(unknowns), 0
+    for i in range(unknowns):
+        entry += UNKNOWNS + 1 - i
+        gradient[i] = sums[entry - 1]
+    return gradient
+
+
+@kernel
+def held_step(sums: FloatArray, hold: FloatArray) -> FloatArray:
+    """Return the Gauss-Newton step, shape (7,), of sums, shape (35,).
+
+    Args:
+        sums: information and gradient.
+        hold: information, above 0, that no step is needed, added to the diagonal, shape (7,): what the
+            residuals do not determine stays where it is.
+    """
+    held = information_of(sums, UNKNOWNS)
+    for i in range(UNKNOWNS):
+        held[i, i] += hold[i]
+    return np.linalg.solve(held, -gradient_of(sums, UNKNOWNS))
+
+
+@kernel
+def geman_mcclure(square: float, scale2: float) -> float:
+    """Return the weight of a squared residual by Geman and McClure, (c^2 / (c^2 + r^2))^2.
+
+    Source: S. Geman, D. McClure, Statistical Methods for Tomographic Image Reconstruction, Bulletin of the
+    ISI 52, 1987; as the weight of iteratively reweighted least squares of the loss c^2 r^2 / (c^2 + r^2) / 2.
+
+    Args:
+        square: r^2.
+        scale2: c^2, in the same unit, above 0.
+    """
+    share = scale2 / (scale2 + square)
+    return share * share

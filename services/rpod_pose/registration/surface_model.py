@@ -1,21 +1,30 @@
 """What the LIDAR's kernels know of the target: its faces, and its distance field."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from rpod_pose.registration.brightness import albedos
-from rpod_pose.registration.distance_field import field_arrays
+from rpod_pose.registration.distance_field import FieldArrays, checked, field_arrays
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
 COARSE_CELLS = 3
 """Cells of the distance field that make one of the coarse field."""
 
-Faces = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-Field = tuple[FloatArray, float, Float32Array]
+
+class Faces(NamedTuple):
+    """The target's triangles, as the kernels take them."""
+
+    triangles_m: FloatArray
+    """Target axes, shape (T, 3, 3)."""
+    normals: FloatArray
+    """Outward, target axes, shape (T, 3)."""
+    offsets_m: FloatArray
+    """Of their planes, n . v0, shape (T,)."""
+    albedo: FloatArray
+    """Of the class of each triangle's material, shape (T,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,9 +32,8 @@ class SurfaceModel:
     """A target's faces and field, as the kernels take them."""
 
     faces: Faces
-    """Triangles (T, 3, 3), normals (T, 3), offsets of their planes (T,), albedos of their classes (T,)."""
-    coarse_field: Field
-    """Origin, spacing and values of the distance field, at every few nodes: it stays in a cache."""
+    coarse_field: FieldArrays
+    """The distance field at every few nodes: it stays in a processor's cache."""
 
     @classmethod
     def of(cls, target: Target) -> Self:
@@ -40,6 +48,6 @@ class SurfaceModel:
         origin_m, spacing_m, values = field_arrays(target)
         coarse = values[::COARSE_CELLS, ::COARSE_CELLS, ::COARSE_CELLS].copy()
         return cls(
-            (triangles_m, normals, offsets_m, albedos(target)),
-            (origin_m, COARSE_CELLS * spacing_m, coarse),
+            Faces(triangles_m, normals, offsets_m, albedos(target)),
+            checked(target, FieldArrays(origin_m, COARSE_CELLS * spacing_m, coarse)),
         )

@@ -10,12 +10,14 @@ both directions are compared, since what is missing counts as much as what is th
 Both are truncated, and averaged over returns and over weights.
 """
 
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
-from rpod_pose.registration.surface_model import Field
+from rpod_geometry.kernels import kernel
+from rpod_pose.registration.distance_field import FieldArrays
+from rpod_pose.registration.lie_group import Vector
 from rpod_pose.search.view_model import Points, view_of
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -27,7 +29,23 @@ NEAREST_M = np.float32(0.5)
 NOTHING_IN_VIEW = 1e9
 """Energy of an attitude that shows nothing."""
 
-Image = tuple[Float32Array, float, float, float, float]
+
+Real = float | np.floating[Any]
+
+
+class Image(NamedTuple):
+    """Squared angles from what was measured, even in tan(azimuth) and tan(elevation)."""
+
+    squares: Float32Array
+    """Shape (CELLS, CELLS), rad2."""
+    first_column: Real
+    """Edge of the first column, x/z."""
+    column_step: Real
+    """Above 0."""
+    first_row: Real
+    """Edge of the first row, y/hypot(x, z)."""
+    row_step: Real
+    """Above 0."""
 
 
 class Returns(Protocol):
@@ -49,7 +67,7 @@ def energies(
     *,
     seen: Returns,
     points: Points,
-    squares: Field,
+    squares: FieldArrays,
     image: Image,
     detection: tuple[float, FloatArray],
     returns: int,
@@ -73,33 +91,81 @@ def energies(
         truncation_m: of both distances; that of the field.
     """
     energy = np.empty(len(attitudes), np.float32)
-    angles, *bounds = image
-    origin_m, spacing_m, distances = squares
-    steps, table = detection
-    _energies(
-        attitudes,
-        places_m,
+    sight = _Sight(
         np.ascontiguousarray(seen.thinned(returns).T, np.float32),
         seen.points_m.mean(axis=0).astype(np.float32),
-        points,
-        (origin_m.astype(np.float32), np.float32(spacing_m), distances),
-        (angles, *(np.float32(bound) for bound in bounds)),
-        (np.float32(steps), table.astype(np.float32)),
-        rounds,
+        Image(image.squares, *(np.float32(bound) for bound in image[1:])),
+        _Echoes(np.float32(detection[0]), detection[1].astype(np.float32)),
         np.float32(truncation_m**2),
-        energy,
     )
+    field = FieldArrays(
+        squares.origin_m.astype(np.float32),
+        np.float32(squares.spacing_m),  # type: ignore[arg-type]
+        squares.values,
+    )
+    _energies(attitudes, places_m, sight, points, field, rounds, energy)
     return energy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _energies(  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    attitudes, places, returns, centroid, points, field, image, detection, rounds, most, energy
-):
-    """Fill ``energy`` and replace ``places``; all in single precision."""
+class _Echoes(NamedTuple):
+    """What comes back of a surface."""
+
+    steps: np.float32
+    """Of the table a unit of echo, rho cos(theta) / R^2."""
+    table: Float32Array
+    """Probability of detection, shape (steps,)."""
+
+
+class _Sight(NamedTuple):
+    """A measurement in single precision, as the kernels take it."""
+
+    returns: Float32Array
+    """Sensor axes, shape (3, N), m."""
+    centroid: Float32Array
+    """Of all returns, shape (3,), m."""
+    image: Image
+    echoes: _Echoes
+    most: np.float32
+    """Squared distance that costs most, m2."""
+
+
+class _Sums(NamedTuple):
+    """Sums over the points in view."""
+
+    weight: np.float32
+    cost: np.float32
+    """Times the weights, m2."""
+    x: np.float32
+    """Of the places, times the weights, sensor axes, m."""
+    y: np.float32
+    z: np.float32
+
+
+@kernel
+def _energies(  # noqa: PLR0917
+    attitudes: Float32Array,
+    places: Float32Array,
+    sight: _Sight,
+    points: Points,
+    field: FieldArrays,
+    rounds: int,
+    energy: Float32Array,
+) -> None:
+    """Fill ``energy``, shape (M,), m2, and replace ``places``; all in single precision.
+
+    Args:
+        attitudes: R_sensor_target, shape (M, 3, 3).
+        places: of the target in the sensor, shape (M, 3), m, in and out.
+        sight: the measurement.
+        points: of the target.
+        field: squared distances from the target, m2.
+        rounds: how often the centroids are aligned.
+        energy: out.
+    """
+    centroid, image = sight.centroid, sight.image
     columns, seen_from, cube = points
     rays = np.empty((6, columns.shape[1]), np.float32)
-    cells = np.empty(returns.shape[1], np.int32)
+    cells = np.empty(sight.returns.shape[1], np.int32)
     for m in range(attitudes.shape[0]):
         R, t = attitudes[m], places[m]
         cost, weight = np.float32(0.0), np.float32(0.0)
@@ -107,23 +173,38 @@ def _energies(  # type: ignore[no-untyped-def]  # noqa: PLR0917
             vx = -(R[0, 0] * t[0] + R[1, 0] * t[1] + R[2, 0] * t[2])
             vy = -(R[0, 1] * t[0] + R[1, 1] * t[1] + R[2, 1] * t[2])
             vz = -(R[0, 2] * t[0] + R[1, 2] * t[1] + R[2, 2] * t[2])
-            _project(R, t, (vx, vy, vz), columns, image, rays)
+            _project(R, t, Vector(vx, vy, vz), columns, image, rays)
             seen = seen_from[view_of(vx, vy, vz, cube)]
-            weight, cost, x, y, z = _compare(rays, seen, columns, image[0], detection, most)
+            weight, cost, x, y, z = _compare(rays, seen, columns, sight)
             if turn < rounds and weight > 0.0:
                 t[0] += centroid[0] - x / weight
                 t[1] += centroid[1] - y / weight
                 t[2] += centroid[2] - z / weight
         energy[m] = NOTHING_IN_VIEW
         if weight > 0.0:
-            energy[m] = cost / weight + _off_surface(R, t, returns, field, cells)
+            energy[m] = cost / weight + _off_surface(R, t, sight.returns, field, cells)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _project(R, t, viewpoint, columns, image, rays):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def _project(  # noqa: PLR0917
+    R: Float32Array,
+    t: Float32Array,
+    viewpoint: Vector,
+    columns: Float32Array,
+    image: Image,
+    rays: Float32Array,
+) -> None:
     """Fill x, y, z, the cells of the image, and the echo of the points, 0 where not in view.
 
     Short loops of few arrays each, since only those are vectorised.
+
+    Args:
+        R: R_sensor_target, shape (3, 3).
+        t: of the target in the sensor, shape (3,), m.
+        viewpoint: of the sensor, target axes, m.
+        columns: ``Points.columns``, shape (9, K).
+        image: of what was measured.
+        rays: out, shape (6, K); cells of points that are not in view are no cells.
     """
     squares, u0, du, v0, dv = image
     q, count = columns, columns.shape[1]
@@ -153,33 +234,51 @@ def _project(R, t, viewpoint, columns, image, rays):  # type: ignore[no-untyped-
         rays[5, k] = rays[5, k] / (range2 * np.sqrt(range2)) if in_view else none
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _compare(rays, seen, columns, squares, detection, most):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def _compare(rays: Float32Array, seen: NDArray[np.bool_], columns: Float32Array, sight: _Sight) -> _Sums:
     """Return the sums of weights, of weighted costs, and of weighted places, over the points in view.
 
     The echo, cos(theta) / R^2, also says how many rays a unit of area catches.
+
+    Args:
+        rays: filled by ``_project``, shape (6, K).
+        seen: which points face the sensor and are not hidden, shape (K,).
+        columns: ``Points.columns``, shape (9, K).
+        sight: the measurement.
     """
-    steps, table = detection
-    last = table.size - 1
+    (steps, table), squares, most = sight.echoes, sight.image.squares, sight.most
+    last = np.float32(table.size - 1)
     zero = np.float32(0.0)
     weights, cost, sx, sy, sz = zero, zero, zero, zero, zero
     for k in range(columns.shape[1]):
         echo = rays[5, k]
-        if echo <= 0.0 or not seen[k]:
+        if not echo > zero or not seen[k]:  # NaN is not
             continue
         x, y, z = rays[0, k], rays[1, k], rays[2, k]
-        weight = columns[7, k] * echo * table[min(int(echo * columns[8, k] * steps), last)]
+        weight = columns[7, k] * echo * table[int(min(max(zero, echo * columns[8, k] * steps), last))]
         weights += weight
         cost += weight * min(squares[int(rays[4, k]), int(rays[3, k])] * (x * x + y * y + z * z), most)
         sx += weight * x
         sy += weight * y
         sz += weight * z
-    return weights, cost, sx, sy, sz
+    return _Sums(weights, cost, sx, sy, sz)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _off_surface(R, t, returns, field, cells):  # type: ignore[no-untyped-def]
-    """Return the mean squared distance of returns, shape (3, N), from the surface, by the nearest nodes."""
+@kernel
+def _off_surface(
+    R: Float32Array, t: Float32Array, returns: Float32Array, field: FieldArrays, cells: NDArray[np.int32]
+) -> np.float32:
+    """Return the mean squared distance of returns from the surface, m2, by the nearest nodes.
+
+    ``max(0, NaN)`` is 0, so that no node is outside of the field.
+
+    Args:
+        R: R_sensor_target, shape (3, 3).
+        t: of the target in the sensor, shape (3,), m.
+        returns: sensor axes, shape (3, N), m.
+        field: squared distances from the target, m2.
+        cells: buffer, shape (N,).
+    """
     origin, spacing, squares = field
     nx, ny, nz = squares.shape
     per_m, zero = np.float32(1.0) / spacing, np.float32(0.0)
@@ -193,9 +292,9 @@ def _off_surface(R, t, returns, field, cells):  # type: ignore[no-untyped-def]
     a1, b1, c1 = np.float32(nx) - half, np.float32(ny) - half, np.float32(nz) - half
     for n in range(returns.shape[1]):
         x, y, z = returns[0, n], returns[1, n], returns[2, n]
-        i = np.int32(min(max(ax * x + ay * y + az * z + a0, zero), a1))
-        j = np.int32(min(max(bx * x + by * y + bz * z + b0, zero), b1))
-        k = np.int32(min(max(cx * x + cy * y + cz * z + c0, zero), c1))
+        i = np.int32(min(max(zero, ax * x + ay * y + az * z + a0), a1))
+        j = np.int32(min(max(zero, bx * x + by * y + bz * z + b0), b1))
+        k = np.int32(min(max(zero, cx * x + cy * y + cz * z + c0), c1))
         cells[n] = (i * np.int32(ny) + j) * np.int32(nz) + k
     flat, cost = squares.reshape(-1), zero
     for n in range(returns.shape[1]):

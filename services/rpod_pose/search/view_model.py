@@ -5,19 +5,19 @@ depends on its direction alone, roughly; that is tabulated once, over directions
 """
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.closest_point import Surface
-from rpod_pose.registration.surface_model import Field
+from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.search.attitude_grid import BORESIGHT, even_directions
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import make_pose
@@ -37,7 +37,16 @@ ANCHORS = 5
 AREA = 7
 """Row of the points' areas."""
 
-Points = tuple[Float32Array, NDArray[np.bool_], NDArray[np.int32]]
+
+class Points(NamedTuple):
+    """Surface points of a target, as the kernels take them."""
+
+    columns: Float32Array
+    """Place, normal, normal times place, area and albedo in rows, shape (9, K)."""
+    seen_from: NDArray[np.bool_]
+    """Which points show from each direction, shape (VIEWS, K)."""
+    cube: NDArray[np.int32]
+    """Indices of directions, for ``view_of``, shape (6, CUBE, CUBE)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +54,6 @@ class ViewModel:
     """A target's surface points, and its distance field for rough comparisons."""
 
     points: Points
-    """Place, normal, normal times place, area and albedo in rows, shape (9, K); seen from each
-    direction, shape (VIEWS, K); and the cube of indices of directions."""
     few_points: Points
     """The same of fewer points."""
     cube: NDArray[np.int32]
@@ -55,11 +62,13 @@ class ViewModel:
     """Of what is seen from far away in each direction, shape (VIEWS, 3)."""
     anchors_m: FloatArray
     """The origin, and centres of the surface's regions, shape (1 + ANCHORS, 3)."""
-    squares: Field
+    squares: FieldArrays
     """Origin, spacing, and values of the squared distance field, truncated."""
 
     @classmethod
-    def of(cls, target: Target, coarse_field: Field, *, count: int, few: int, truncation_m: float) -> Self:
+    def of(
+        cls, target: Target, coarse_field: FieldArrays, *, count: int, few: int, truncation_m: float
+    ) -> Self:
         """Return the model of a target with at most ``count`` points, and ``few``."""
         origin_m, spacing_m, distances_m = coarse_field
         scale_m = np.sqrt(spacing_m * target.radius_m) / 4.0  # so that both sides of a panel are kept
@@ -74,13 +83,14 @@ class ViewModel:
             areas = np.bincount(owner, minlength=len(chosen[:number])) / len(lifted)
             offsets_m = (places_m[:number] * normals[:number]).sum(axis=1)
             rows = (places_m[:number].T, normals[:number].T, offsets_m, areas, albedo[:number])
-            return np.ascontiguousarray(np.vstack(rows), np.float32), seen[:, :number].copy(), cube
+            columns = np.ascontiguousarray(np.vstack(rows), np.float32)
+            return Points(columns, seen[:, :number].copy(), cube)
 
         squares = np.full(distances_m.shape, truncation_m**2, np.float32)  # its border stands for all outside
         inner = (slice(1, -1),) * 3
         squares[inner] = np.minimum(distances_m[inner] ** 2, truncation_m**2)
         every = first(count)
-        weights = np.maximum(directions @ normals.T, 0.0) * seen * every[0][AREA]
+        weights = np.maximum(directions @ normals.T, 0.0) * seen * every.columns[AREA]
         centroids_m = weights @ places_m / weights.sum(axis=1, keepdims=True)
         regions_m, _ = kmeans2(target.model_points_m, ANCHORS, minit="++", seed=0)
         return cls(
@@ -89,7 +99,7 @@ class ViewModel:
             cube,
             centroids_m,
             np.vstack((np.zeros(3), regions_m)),
-            (origin_m, spacing_m, squares),
+            FieldArrays(origin_m, spacing_m, squares),
         )
 
 
@@ -147,9 +157,19 @@ def _cube(directions: FloatArray) -> NDArray[np.int32]:
     return np.asarray(nearest, np.int32)
 
 
-@njit(cache=True, nogil=True)
-def view_of(x, y, z, cube):  # type: ignore[no-untyped-def]
-    """Return the index of the tabulated direction nearest to (x, y, z), target axes."""
+@kernel
+def view_of(x: float, y: float, z: float, cube: NDArray[np.int32]) -> int:
+    """Return the index of the tabulated direction nearest to (x, y, z), target axes; any for NaN.
+
+    The largest component chooses the face of a cube, the other two over it choose the cell. ``max(0.0, NaN)``
+    is 0.0, so that no index is outside of the cube.
+
+    Args:
+        x: of the direction, of any length.
+        y: see ``x``.
+        z: see ``x``.
+        cube: ``ViewModel.cube``, shape (6, CUBE, CUBE).
+    """
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:
         face, u, v, w = (1 if x > 0.0 else 0), y, z, ax
@@ -161,12 +181,22 @@ def view_of(x, y, z, cube):  # type: ignore[no-untyped-def]
         return 0
     half = 0.5 * cube.shape[1]
     last = cube.shape[1] - 1
-    return cube[face, min(int((u / w + 1.0) * half), last), min(int((v / w + 1.0) * half), last)]
+    i, j = int(min(max(0.0, (u / w + 1.0) * half), last)), int(min(max(0.0, (v / w + 1.0) * half), last))
+    return int(cube[face, i, j])
 
 
-@njit(cache=True, nogil=True)
-def centroids_in_view(attitudes, place, centroids, cube):  # type: ignore[no-untyped-def]
-    """Return the centroid, target axes, that each attitude, (M, 3, 3), shows from a place, shape (M, 3)."""
+@kernel
+def centroids_in_view(
+    attitudes: Float32Array, place: FloatArray, centroids: FloatArray, cube: NDArray[np.int32]
+) -> Float32Array:
+    """Return the centroid that each attitude shows, target axes, shape (M, 3), m.
+
+    Args:
+        attitudes: R_sensor_target, shape (M, 3, 3).
+        place: of the target in the sensor, shape (3,), m.
+        centroids: ``ViewModel.centroids_m``, shape (VIEWS, 3).
+        cube: ``ViewModel.cube``.
+    """
     seen = np.empty((attitudes.shape[0], 3), np.float32)
     for m in range(attitudes.shape[0]):
         R = attitudes[m]

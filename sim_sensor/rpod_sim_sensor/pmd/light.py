@@ -11,10 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import constants
 
+from rpod_geometry.kernels import kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.types import Float32Array
@@ -122,16 +122,46 @@ def collect(
         modulated_e: out, sum of S [cos(phi - theta_k) + h3 cos 3(phi - theta_k)], electrons, shape (K, H, W).
         charge_e: out, all electrons of a sub-exposure, S + B, shape (H, W).
     """
-    _collect(owners, rays, centres, surfaces, lights, fragments, modulated_e, charge_e)
+    _collect(_Rays(owners, rays, centres), surfaces, lights, fragments, modulated_e, charge_e)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _collect(owners, rays, centres, surfaces, lights, fragments, modulated_e, charge_e):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+class _Rays(NamedTuple):
+    """The rays of all pixels, n x n each."""
+
+    owners: NDArray[np.int32]
+    """Triangle that each meets in the middle of the exposure, -1 for none, shape (n H, n W)."""
+    directions: FloatArray
+    """Unit rays, optical axes, shape (3, n H, n W)."""
+    centres: FloatArray
+    """Unit rays through the pixels' centres, shape (3, H, W)."""
+
+
+class _Pixel(NamedTuple):
+    """One pixel's block of rays."""
+
+    top: int
+    """First row of rays."""
+    left: int
+    """First column of rays."""
+    n: int
+    """Rows and columns of rays."""
+
+
+@kernel
+def _collect(  # noqa: PLR0917
+    every: _Rays,
+    surfaces: Surfaces,
+    lights: Lights,
+    fragments: Fragments,
+    modulated_e: Float32Array,
+    charge_e: Float32Array,
+) -> None:
+    """Fill in what each pixel collects; arguments as those of ``collect``."""
     modulated_e[:] = 0.0
     charge_e[:] = 0.0
     columns = fragments.columns
     for row in range(charge_e.shape[0]):
-        count = _list(owners, rays, centres, row, surfaces, fragments)
+        count = _list(every, row, surfaces, fragments)
         if count:
             _look_up(fragments, count, surfaces)
             _shade(fragments, count, lights)
@@ -143,9 +173,10 @@ def _collect(owners, rays, centres, surfaces, lights, fragments, modulated_e, ch
                     modulated_e[k, row, columns[f]] += fragments.modulated_e[f]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _list(owners, rays, centres, row, surfaces, fragments):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def _list(every: _Rays, row: int, surfaces: Surfaces, fragments: Fragments) -> int:
     """List which parts of a row's pixels see which triangle, and place the triangles; return how many."""
+    owners, _, centres = every
     width = centres.shape[2]
     n = owners.shape[1] // width
     placed, frame = surfaces.placed, surfaces.frame
@@ -160,7 +191,7 @@ def _list(owners, rays, centres, row, surfaces, fragments):  # type: ignore[no-u
                     ray[axis, count] = centres[axis, row, column]
                 count += 1
         else:
-            count = _mixed(owners, rays, row * n, column * n, n, count, index, ray, weight)
+            count = _mixed(every, _Pixel(row * n, column * n, n), count, fragments)
         for f in range(first, count):
             columns[f] = column
             if placed[index[f]] != frame:
@@ -168,8 +199,9 @@ def _list(owners, rays, centres, row, surfaces, fragments):  # type: ignore[no-u
     return count
 
 
-@njit(cache=True, nogil=True)
-def _is_uniform(owners, top, left, n):  # type: ignore[no-untyped-def]
+@kernel
+def _is_uniform(owners: NDArray[np.int32], top: int, left: int, n: int) -> bool:
+    """Return whether all rays of a pixel, n x n from a first one on, meet the same triangle, or none."""
     for i in range(top, top + n):
         for j in range(left, left + n):
             if owners[i, j] != owners[top, left]:
@@ -177,9 +209,11 @@ def _is_uniform(owners, top, left, n):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _mixed(owners, rays, top, left, n, count, index, ray, weight):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def _mixed(every: _Rays, pixel: _Pixel, count: int, fragments: Fragments) -> int:
     """Add a fragment for each triangle in a pixel, the mean of the rays that meet it; return the count."""
+    owners, rays, (top, left, n) = every.owners, every.directions, pixel
+    index, ray, weight = fragments.triangle, fragments.ray, fragments.weight
     first, share = count, 1.0 / (n * n)
     for i in range(top, top + n):
         for j in range(left, left + n):
@@ -202,8 +236,8 @@ def _mixed(owners, rays, top, left, n, count, index, ray, weight):  # type: igno
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _look_up(fragments, count, surfaces):  # type: ignore[no-untyped-def]
+@kernel
+def _look_up(fragments: Fragments, count: int, surfaces: Surfaces) -> None:
     """Fill in distance, normal and material of a row's fragments."""
     index, inverse, material = fragments.triangle, fragments.inverse, fragments.material
     x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]
@@ -224,8 +258,8 @@ def _look_up(fragments, count, surfaces):  # type: ignore[no-untyped-def]
             n_x[f], n_y[f], n_z[f] = _unit(n_x[f] + a, n_y[f] + b, n_z[f] + c)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _shade(fragments, count, lights):  # type: ignore[no-untyped-def]
+@kernel
+def _shade(fragments: Fragments, count: int, lights: Lights) -> None:
     """Fill in the electrons of a row's fragments; nothing is looked up, so that the loops are vectorised."""
     weight, inverse = fragments.weight, fragments.inverse
     lamp_e, charge_e = fragments.lamp_e, fragments.charge_e
@@ -250,8 +284,8 @@ def _shade(fragments, count, lights):  # type: ignore[no-untyped-def]
         charge_e[f] += weight[f] * sun_e * share if n_l > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _correlate(k, fragments, count, planes, lights):  # type: ignore[no-untyped-def]
+@kernel
+def _correlate(k: int, fragments: Fragments, count: int, planes: Float32Array, lights: Lights) -> None:
     """Fill in the modulation of a row's fragments in one sub-exposure."""
     index, inverse = fragments.triangle, fragments.inverse
     lamp_e, modulated_e = fragments.lamp_e, fragments.modulated_e
@@ -269,17 +303,18 @@ def _correlate(k, fragments, count, planes, lights):  # type: ignore[no-untyped-
         modulated_e[f] = lamp_e[f] * now * now * (wave + h3 * third)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _unit(x, y, z):  # type: ignore[no-untyped-def]
+@kernel
+def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a vector of length 1 along (x, y, z)."""
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
 
 
-@njit(cache=True, nogil=True)
-def _cosine(turns):  # type: ignore[no-untyped-def]
+@kernel
+def _cosine(turns: float) -> float:
     """Return cos(2 pi turns) to 4e-9: a fitted odd polynomial for the sine of the rest to a quarter turn."""
     y = 0.25 - abs(turns - np.floor(turns + 0.5))
     y2 = y * y
     odd = -76.54965682009066 + y2 * 39.53581370784004
     odd = 6.283185159611162 + y2 * (-41.341654929342994 + y2 * (81.60099818259727 + y2 * odd))
-    return y * odd
+    return float(y * odd)

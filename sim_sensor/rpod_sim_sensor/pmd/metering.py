@@ -5,8 +5,9 @@ order frames are asked for, and whichever are left out.
 """
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
+from rpod_geometry.kernels import kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.types import Float32Array
@@ -45,8 +46,14 @@ def exposure_share(
     return float(2.0 ** (-0.5 * half_stops))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _meter(modulated_e, charge_e, electronics, limits_e, changes):  # type: ignore[no-untyped-def]
+@kernel
+def _meter(
+    modulated_e: Float32Array,
+    charge_e: Float32Array,
+    electronics: Electronics,
+    limits_e: tuple[float, float],
+    changes: NDArray[np.int64],
+) -> int:
     """Note at which half stop each pixel begins to fit and at which it is too dark; return the lit ones."""
     count, height, width = modulated_e.shape
     least_e, most_e = limits_e

@@ -8,9 +8,9 @@ remains in a tap is clipped at the full well, and the difference of the taps is 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rpod_geometry.kernels import kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import SAMPLE_OFFSET, SAMPLES, PmdConfig
 from rpod_schemas.types import Float32Array
@@ -80,8 +80,28 @@ def convert(
     _convert(light, noise, electronics, samples, full)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _convert(light, noise, electronics, samples, full):  # type: ignore[no-untyped-def]
+class _Taken(NamedTuple):
+    """What a row of pixels takes in one sub-exposure."""
+
+    signal: Float32Array
+    """Correlation of the light with the modulation in the full time, electrons, shape (W,)."""
+    stray: float
+    """The same of stray light."""
+    normal: Float32Array
+    """Standard normal noise, shape (W,)."""
+    share: float
+    """Of the full time."""
+
+
+@kernel
+def _convert(
+    light: Light,
+    noise: Noise,
+    electronics: Electronics,
+    samples: NDArray[np.uint16],
+    full: NDArray[np.bool_],
+) -> None:
+    """Fill in samples and full pixels; arguments as those of ``convert``."""
     modulated_e, charge_e, stray_e, share = light
     count, height, width = modulated_e.shape
     charge, sigma, fullest = np.empty(width), np.empty(width), np.empty(width)
@@ -95,16 +115,25 @@ def _convert(light, noise, electronics, samples, full):  # type: ignore[no-untyp
             first = noise.starts[row] + k * width
             normal = noise.pool[first : first + width]
             signal = modulated_e[k, row]
-            _fill(signal, stray_e[k], charge, sigma, normal, share, electronics, fullest, counts)
+            taken = _Taken(signal, stray_e[k], normal, share)
+            _fill(taken, charge, sigma, electronics, fullest, counts)
             for column in range(width):  # apart, so that the above is vectorised
                 samples[k // SAMPLES, row, column, k % SAMPLES] = counts[column]
         for column in range(width):
             full[row, column] = fullest[column] >= electronics.full_well_e
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill(signal, stray, charge, sigma, normal, share, electronics, fullest, counts):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def _fill(  # noqa: PLR0917
+    taken: _Taken,
+    charge: FloatArray,
+    sigma: FloatArray,
+    electronics: Electronics,
+    fullest: FloatArray,
+    counts: NDArray[np.int32],
+) -> None:
     """Fill both taps of a row's pixels in one sub-exposure, and convert what is kept of their difference."""
+    signal, stray, normal, share = taken
     suppression_e, full_well_e = share * electronics.suppression_e, electronics.full_well_e
     gain, counts_per_e = share * electronics.contrast, 1.0 / electronics.electrons_per_count
     for column in range(signal.size):

@@ -8,11 +8,11 @@ from enum import IntFlag
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import constants
 
-from rpod_schemas.arrays import Array
+from rpod_geometry.kernels import kernel
+from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.config.pmd import SAMPLE_OFFSET, PmdConfig
 from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.pmd.unwrapping import Turns, unwrap_pixel
@@ -61,10 +61,12 @@ def _phase(q1: Any, q2: Any, q3: Any, q4: Any) -> Any:
 
 
 def _amplitude(q1: Any, q2: Any, q3: Any, q4: Any) -> Any:
+    """Return half the length of (Q1 - Q2, Q3 - Q4) (Eq. 3), in the unit of the samples, of any shape."""
     return 0.5 * np.sqrt((q1 - q2) ** 2 + (q3 - q4) ** 2)
 
 
 def _asymmetry(q1: Any, q2: Any, q3: Any, q4: Any) -> Any:
+    """Return the greater of |Q1 + Q2| and |Q3 + Q4|, in the unit of the samples, of any shape."""
     return np.maximum(np.abs(q1 + q2), np.abs(q3 + q4))
 
 
@@ -154,14 +156,20 @@ class _Limits(NamedTuple):
         )
 
 
-_amplitude_of, _asymmetry_of = (
-    njit(cache=True, nogil=True, error_model="numpy")(equation) for equation in (_amplitude, _asymmetry)
-)
+_amplitude_of, _asymmetry_of = kernel(_amplitude), kernel(_asymmetry)
 _TOO_DARK, _SATURATED, _INCONSISTENT = int(Lost.TOO_DARK), int(Lost.SATURATED), int(Lost.INCONSISTENT)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _reconstruct(samples, full, cosine, limits, turns, images):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def _reconstruct(  # noqa: PLR0917
+    samples: NDArray[np.uint16],
+    full: NDArray[np.bool_],
+    cosine: Array,
+    limits: _Limits,
+    turns: Turns,
+    images: Reconstruction,
+) -> None:
+    """Fill in the images of a frame; arguments as those of ``reconstruct``, samples of shape (F, H, W, 4)."""
     frequencies, height, width, _ = samples.shape
     depth_m, strengths, losses = images
     wrapped, strength, lost = np.empty((2, width)), np.empty(width), np.empty(width, np.int64)
@@ -182,8 +190,14 @@ def _reconstruct(samples, full, cosine, limits, turns, images):  # type: ignore[
             losses[row, column] = lost[column]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _judge(samples, limits, wrapped, strength, lost):  # type: ignore[no-untyped-def]
+@kernel
+def _judge(
+    samples: NDArray[np.uint16],
+    limits: _Limits,
+    wrapped: FloatArray,
+    strength: FloatArray,
+    lost: NDArray[np.int64],
+) -> None:
     """Fill in a row's phases in turns, add its amplitudes, and note which pixels give no depth."""
     offset = np.float64(SAMPLE_OFFSET)
     for column in range(wrapped.size):
@@ -200,8 +214,8 @@ def _judge(samples, limits, wrapped, strength, lost):  # type: ignore[no-untyped
         wrapped[column] = phase_turns(q1, q2, q3, q4)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def phase_turns(q1, q2, q3, q4):  # type: ignore[no-untyped-def]
+@kernel
+def phase_turns(q1: float, q2: float, q3: float, q4: float) -> float:
     """Return ``phase`` (Eq. 1) in turns, 0 to 1, to 2e-8: a fitted polynomial, which is vectorised."""
     across, along = q3 - q4, q1 - q2
     less, more = min(abs(across), abs(along)), max(abs(across), abs(along))

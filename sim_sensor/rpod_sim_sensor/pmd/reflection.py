@@ -9,11 +9,13 @@ Karis, SIGGRAPH course, 2013).
 
 import math
 
-from numba import njit
+from rpod_geometry.kernels import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def reflected_share(n_l, n_v, l_v, diffuse, f0, alpha2):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def reflected_share(  # noqa: PLR0917
+    n_l: float, n_v: float, l_v: float, diffuse: float, f0: float, alpha2: float
+) -> float:
     """Return BRDF times n.l, 1/sr: radiance over the irradiance of a surface that faces the light.
 
     Args:

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_geometry.kernels import kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
@@ -97,9 +97,9 @@ class Scene:
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def place(index, surfaces):  # type: ignore[no-untyped-def]
-    """Work out the planes of one triangle."""
+@kernel
+def place(index: int, surfaces: Surfaces) -> None:
+    """Work out the planes of one triangle, an index below T, at the poses of the exposure."""
     normal, R, t = surfaces.normals[index], surfaces.rotations, surfaces.positions_m
     plane = surfaces.planes[index]
     for k in range(R.shape[0]):
@@ -115,8 +115,10 @@ def place(index, surfaces):  # type: ignore[no-untyped-def]
     surfaces.placed[index] = surfaces.frame
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def crinkled(x, y, z, R, t, per_m, tilt_rad):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def crinkled(  # noqa: PLR0917
+    x: float, y: float, z: float, R: FloatArray, t: FloatArray, per_m: float, tilt_rad: float
+) -> tuple[float, float, float]:
     """Return what a patch adds to its normal, optical axes, before the sum is normalised.
 
     Args:

@@ -8,9 +8,9 @@ both frequencies begin a turn at once: what lies beyond reads 14.98 m less, and 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy import constants
 
+from rpod_geometry.kernels import kernel
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.config.pmd import PmdConfig
 
@@ -58,14 +58,17 @@ def unwrap(first_m: Array, second_m: Array, config: PmdConfig) -> tuple[FloatArr
     return distance_m, disagreement
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _unwrap(first_m, second_m, turns, distance_m, disagreement):  # type: ignore[no-untyped-def]
+@kernel
+def _unwrap(
+    first_m: FloatArray, second_m: FloatArray, turns: Turns, distance_m: FloatArray, disagreement: FloatArray
+) -> None:
+    """Fill in distances and disagreements, shape (N,) each, as ``unwrap`` does."""
     for index in range(first_m.size):
         distance_m[index], disagreement[index] = unwrap_pixel(first_m[index], second_m[index], turns)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def unwrap_pixel(first_m, second_m, turns):  # type: ignore[no-untyped-def]
+@kernel
+def unwrap_pixel(first_m: float, second_m: float, turns: Turns) -> tuple[float, float]:
     """Return the distance and the disagreement of one pixel, as ``unwrap`` does."""
     least_m, near_m, other_m = np.inf, 0.0, 0.0
     for turn in range(turns.number):

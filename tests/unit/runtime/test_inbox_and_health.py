@@ -1,5 +1,5 @@
 from rpod_runtime.health import HealthBook
-from rpod_runtime.received import Inbox, Received
+from rpod_runtime.inbox import Inbox, Received
 from rpod_schemas.errors import Reason
 from rpod_schemas.topics import TRUTH
 from rpod_schemas.types import Health

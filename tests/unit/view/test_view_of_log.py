@@ -16,7 +16,7 @@ from synthetic_log import (
 )
 
 from rpod_analysis import open_log
-from rpod_analysis.log_view import Part, show_log
+from rpod_analysis.replay.log_view import Part, show_log
 from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.types import Camera, Mode
 from rpod_target import load_target

@@ -5,10 +5,13 @@ blocks with bounding boxes; pairs of blocks are passed over where the boxes are 
 found. Differences, squares and sums are rounded monotonically, so the squares are those of all pairs exactly.
 """
 
-import numpy as np
-from numba import njit
+from typing import NamedTuple
 
-from rpod_geometry.rays import cast_pose
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_geometry.kernels import kernel, reassociated_kernel
+from rpod_geometry.rays import GridArrays, cast_pose
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
@@ -16,6 +19,30 @@ BLOCK = 32
 """Scan points in a block: a few vector registers."""
 SEGMENT = 8
 """Most template points in a block, neighbours in one row of the scan pattern."""
+
+
+class PackedScan(NamedTuple):
+    """A scan, as the kernels take it."""
+
+    centroid_m: FloatArray
+    """Shape (3,)."""
+    blocks_m: Float32Array
+    """``packed`` points about the centroid, shape (blocks, 3, BLOCK)."""
+    points: int
+    """Their number."""
+    spread_m: float
+    """D_BOR (Eq. 2)."""
+
+
+class Correlation(NamedTuple):
+    """What each of K templates is like."""
+
+    costs_m2: FloatArray
+    """C of Eq. 1, shape (K,), inf where not correlated or given up."""
+    centroids_m: FloatArray
+    """Shape (K, 3)."""
+    spreads_m: FloatArray
+    """D_BOR, shape (K,), NaN for a template without any point."""
 
 
 def packed(points_m: FloatArray) -> Float32Array:
@@ -33,25 +60,26 @@ def packed(points_m: FloatArray) -> Float32Array:
     return np.ascontiguousarray(blocks.swapaxes(1, 2))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def match_templates(grid, triangles, rotations, centroid, scan, scan_count, spread, tau, best_only):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def match_templates(  # noqa: PLR0917
+    grid: GridArrays,
+    triangles: FloatArray,
+    rotations: FloatArray,
+    scan: PackedScan,
+    tau: float,
+    best_only: bool,
+) -> Correlation:
     """Return what each template is like: mean squared distance, centroid and spread about the boresight.
 
     Args:
         grid: ``RayGrid.arrays``.
         triangles: target axes, shape (T, 3, 3), closed.
         rotations: of the target in the sensor, shape (K, 3, 3).
-        centroid: of the scan, where the target is put, shape (3,), m.
-        scan: ``packed`` points of the scan about its centroid.
-        scan_count: number of points.
-        spread: D_BOR of the scan, m (Eq. 2).
+        scan: the scan; the target is put at its centroid.
         tau: templates whose D_BOR differs by a larger share are not correlated (Eq. 3).
         best_only: give a template up as soon as it is worse than the best before it.
-
-    Returns:
-        C of Eq. 1, m2, shape (K,), inf where not correlated or given up; centroids, shape (K, 3), m;
-        D_BOR, shape (K,), m, NaN for a template without any point.
     """
+    centroid, blocks, scan_count, spread = scan
     rows, columns = grid[0].shape[1:]
     range_m, triangle = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.int32)
     points, ends = np.empty((rows * columns, 3)), np.empty(rows * columns, np.int64)
@@ -59,7 +87,7 @@ def match_templates(grid, triangles, rotations, centroid, scan, scan_count, spre
         np.empty((rows * columns, 3, SEGMENT), np.float32),
         np.empty((6, rows * columns), np.float32),
     )
-    scan_box, gaps = _scan_boxes(scan), np.empty(rows * columns, np.float32)
+    scan_box, gaps = _scan_boxes(blocks), np.empty(rows * columns, np.float32)
     nearest = np.empty(BLOCK, np.float32)
     count = rotations.shape[0]
     costs, centroids, spreads = np.full(count, np.inf), np.zeros((count, 3)), np.full(count, np.nan)
@@ -74,24 +102,26 @@ def match_templates(grid, triangles, rotations, centroid, scan, scan_count, spre
             continue
         _pack(points, centroids[k], ends[:segments], template, box)
         total = 0.0
-        for block in range(scan.shape[0]):
+        for block in range(blocks.shape[0]):
             if total > limit:
                 break
             _gaps(scan_box[block], box, gaps[:segments])
-            _nearest_squares(scan[block], template, gaps[:segments], nearest)
+            _nearest_squares(blocks[block], template, gaps[:segments], nearest)
             for n in range(min(BLOCK, scan_count - block * BLOCK)):
                 total += nearest[n]
         if total <= limit:
             costs[k] = total / scan_count
             limit = total if best_only else limit
-    return costs, centroids, spreads
+    return Correlation(costs, centroids, spreads)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def cast_covariances(grid, triangles, rotations, position):  # type: ignore[no-untyped-def]
+@kernel
+def cast_covariances(
+    grid: GridArrays, triangles: FloatArray, rotations: FloatArray, position: FloatArray
+) -> FloatArray:
     """Return the covariances of the templates' points, shape (K, 3, 3), m2; zero where there is none.
 
-    Arguments as those of ``match_templates``, the target at ``position``.
+    Arguments as those of ``match_templates``; the target is at ``position``, shape (3,), m.
     """
     rows, columns = grid[0].shape[1:]
     range_m, triangle = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.int32)
@@ -107,9 +137,23 @@ def cast_covariances(grid, triangles, rotations, position):  # type: ignore[no-u
     return covariances
 
 
-@njit(cache=True, nogil=True)
-def _collect(rays, range_m, triangle, points, ends):  # type: ignore[no-untyped-def]
-    """Fill in the hits' points, row by row, and the ends of the segments; return the numbers of both."""
+@kernel
+def _collect(
+    rays: FloatArray,
+    range_m: Float32Array,
+    triangle: NDArray[np.int32],
+    points: FloatArray,
+    ends: NDArray[np.int64],
+) -> tuple[int, int]:
+    """Fill in the hits' points, row by row, and the ends of the segments; return the numbers of both.
+
+    Args:
+        rays: unit rays, shape (3, rows, columns).
+        range_m: of the hits, shape (rows, columns).
+        triangle: of the hits, -1 for none, same shape.
+        points: out, shape (rows columns, 3), m.
+        ends: out, index after the last point of each segment, shape (rows columns,).
+    """
     size, segments = 0, 0
     for row in range(range_m.shape[0]):
         start = size
@@ -128,9 +172,9 @@ def _collect(rays, range_m, triangle, points, ends):  # type: ignore[no-untyped-
     return size, segments
 
 
-@njit(cache=True, nogil=True)
-def _spread(points, size, centroid):  # type: ignore[no-untyped-def]
-    """Fill in the centroid of a template's points; return D_BOR (Eq. 2)."""
+@kernel
+def _spread(points: FloatArray, size: int, centroid: FloatArray) -> float:
+    """Fill in the centroid, shape (3,), of the first points, shape (N, 3); return D_BOR (Eq. 2); m."""
     spread = 0.0
     centroid[:] = 0.0
     for m in range(size):
@@ -141,8 +185,8 @@ def _spread(points, size, centroid):  # type: ignore[no-untyped-def]
     return spread / size
 
 
-@njit(cache=True, nogil=True)
-def _scan_boxes(scan):  # type: ignore[no-untyped-def]
+@kernel
+def _scan_boxes(scan: Float32Array) -> Float32Array:
     """Return least and greatest coordinates of each block of a packed scan, shape (blocks, 6)."""
     boxes = np.empty((scan.shape[0], 6), np.float32)
     for block in range(scan.shape[0]):
@@ -152,9 +196,23 @@ def _scan_boxes(scan):  # type: ignore[no-untyped-def]
     return boxes
 
 
-@njit(cache=True, nogil=True)
-def _pack(points, centroid, ends, template, box):  # type: ignore[no-untyped-def]
-    """Fill in the segments about the centroid, their last points repeated, and their boxes, (6, segments)."""
+@kernel
+def _pack(
+    points: FloatArray,
+    centroid: FloatArray,
+    ends: NDArray[np.int64],
+    template: Float32Array,
+    box: Float32Array,
+) -> None:
+    """Fill in the segments about the centroid, their last points repeated, and their boxes.
+
+    Args:
+        points: of the template, shape (N, 3), m.
+        centroid: of the points, shape (3,), m.
+        ends: index after the last point of each segment, shape (segments,).
+        template: out, shape (segments, 3, SEGMENT), m.
+        box: out, least and greatest coordinates, shape (6, segments), m.
+    """
     for segment in range(ends.size):
         start, end = ends[segment - 1] if segment else 0, ends[segment]
         for axis in range(3):
@@ -166,9 +224,9 @@ def _pack(points, centroid, ends, template, box):  # type: ignore[no-untyped-def
             box[axis, segment], box[3 + axis, segment] = least, greatest
 
 
-@njit(cache=True, nogil=True)
-def _gaps(scan_box, box, gaps):  # type: ignore[no-untyped-def]
-    """Fill in the squared distances from a block's box to those of the segments."""
+@kernel
+def _gaps(scan_box: Float32Array, box: Float32Array, gaps: Float32Array) -> None:
+    """Fill in the squared distances, (segments,), m2, from a box, (6,), to the segments', (6, segments)."""
     zero = np.float32(0.0)
     for segment in range(gaps.size):
         gap = zero
@@ -180,9 +238,18 @@ def _gaps(scan_box, box, gaps):  # type: ignore[no-untyped-def]
         gaps[segment] = gap
 
 
-@njit(cache=True, nogil=True)
-def _nearest_squares(points, template, gaps, nearest):  # type: ignore[no-untyped-def]
-    """Fill in the squared distances of points, shape (3, BLOCK), to their nearest in the template."""
+@kernel
+def _nearest_squares(
+    points: Float32Array, template: Float32Array, gaps: Float32Array, nearest: Float32Array
+) -> None:
+    """Fill in the squared distances of points to their nearest in the template.
+
+    Args:
+        points: shape (3, BLOCK), m.
+        template: shape (segments, 3, SEGMENT), m.
+        gaps: of the segments' boxes from that of the points, shape (segments,), m2.
+        nearest: out, shape (BLOCK,), m2.
+    """
     closest = 0
     for segment in range(1, gaps.size):
         if gaps[segment] < gaps[closest]:
@@ -194,8 +261,8 @@ def _nearest_squares(points, template, gaps, nearest):  # type: ignore[no-untype
             farthest = _add_segment(points, template[segment], nearest)
 
 
-@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})  # so that the largest is found by vectors
-def _add_segment(points, segment, nearest):  # type: ignore[no-untyped-def]
+@reassociated_kernel
+def _add_segment(points: Float32Array, segment: Float32Array, nearest: Float32Array) -> float:
     """Lower the squared distances where a segment, shape (3, SEGMENT), is nearer; return the largest."""
     x, y, z = points[0], points[1], points[2]
     for m in range(0, SEGMENT, 4):  # four at a time, for as few loads and stores
@@ -213,4 +280,4 @@ def _add_segment(points, segment, nearest):  # type: ignore[no-untyped-def]
     farthest = nearest[0]
     for n in range(1, BLOCK):
         farthest = nearest[n] if nearest[n] > farthest else farthest
-    return farthest
+    return farthest  # type: ignore[no-any-return]

@@ -24,15 +24,21 @@ from dataclasses import dataclass
 from math import radians
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_geometry.kernels import kernel
 from rpod_pose.acceptance import accepted_by_residuals
 from rpod_pose.lidar.paper_2015.scan_check import ScanComparison
 from rpod_pose.ports import Registration
 from rpod_pose.registration.closest_point import Surface
-from rpod_pose.registration.normal_equations import add_residual, solve
+from rpod_pose.registration.lie_group import Vector
+from rpod_pose.registration.normal_equations import (
+    NormalEquations,
+    add_residual,
+    information_of,
+    no_sums,
+)
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig
 from rpod_schemas.types import LidarScan, Source
@@ -83,42 +89,43 @@ class Matches:
         lines = np.where(
             distance_m > ON_SURFACE_M, offsets_m / np.maximum(distance_m, ON_SURFACE_M), self.normals
         )
-        information, gradient = plane_equations(self.points_m, offsets_m, lines, self.inlier, resistance)
-        step = solve(information, gradient, self.inliers)
+        sums = plane_equations(self.points_m, offsets_m, lines, self.inlier, resistance)
+        equations = NormalEquations.of(sums, weight=self.inliers, squares_m2=0.0, inliers=self.inliers)
+        step = equations.step()
         return RigidTransform.from_components(step[:3], Rotation.from_rotvec(step[3:]))
 
     def information(self) -> FloatArray:
         """Return the information about (dtau, dtheta) of distances along the normals, unit sigma, (6, 6)."""
         zeros = np.zeros_like(self.points_m)
-        information: FloatArray = plane_equations(self.points_m, zeros, self.normals, self.inlier, 0.0)[0]
-        return information
+        return information_of(plane_equations(self.points_m, zeros, self.normals, self.inlier, 0.0), 6)
 
 
-@njit(cache=True, nogil=True)
-def plane_equations(points, offsets, lines, inlier, resistance):  # type: ignore[no-untyped-def]
-    """Return information, shape (6, 6), and gradient, shape (6,), of the offsets along lines.
+@kernel
+def plane_equations(
+    points: FloatArray, offsets: FloatArray, lines: FloatArray, inlier: NDArray[np.bool_], resistance: float
+) -> FloatArray:
+    """Return the sums, shape (35,), of the offsets along lines.
 
     Args:
-        points: target axes, (N, 3).
-        offsets: from the closest points to them, (N, 3).
+        points: target axes, (N, 3), m.
+        offsets: from the closest points to them, (N, 3), m.
         lines: unit vectors, (N, 3).
         inlier: which points count, (N,).
         resistance: weight with which each point's own motion, along any axis, counts against a step.
     """
-    information, gradient, row, axes = np.zeros((6, 6)), np.zeros(6), np.empty(6), np.eye(3)
+    sums = no_sums()
+    x_axis, y_axis, z_axis = Vector(1.0, 0.0, 0.0), Vector(0.0, 1.0, 0.0), Vector(0.0, 0.0, 1.0)
     for n in range(points.shape[0]):
         if not inlier[n]:
             continue
-        s, e = points[n], offsets[n]
-        for k in range(4):
-            u, weight = (lines[n], 1.0) if k == 3 else (axes[k], resistance)
-            row[0], row[1], row[2] = -u[0], -u[1], -u[2]
-            row[3] = u[1] * s[2] - u[2] * s[1]
-            row[4] = u[2] * s[0] - u[0] * s[2]
-            row[5] = u[0] * s[1] - u[1] * s[0]
-            residual = u[0] * e[0] + u[1] * e[1] + u[2] * e[2] if k == 3 else 0.0
-            add_residual(information, gradient, row, residual, weight)
-    return information, gradient
+        place = Vector(points[n, 0], points[n, 1], points[n, 2])
+        line = Vector(lines[n, 0], lines[n, 1], lines[n, 2])
+        residual = line.x * offsets[n, 0] + line.y * offsets[n, 1] + line.z * offsets[n, 2]
+        add_residual(sums, x_axis, place, 0.0, 0.0, resistance)
+        add_residual(sums, y_axis, place, 0.0, 0.0, resistance)
+        add_residual(sums, z_axis, place, 0.0, 0.0, resistance)
+        add_residual(sums, line, place, 0.0, residual, 1.0)
+    return sums
 
 
 class Progress:

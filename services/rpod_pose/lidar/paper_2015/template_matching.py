@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.rays import RayGrid
-from rpod_pose.lidar.paper_2015.correlation import match_templates, packed
+from rpod_pose.lidar.paper_2015.correlation import PackedScan, match_templates, packed
 from rpod_pose.lidar.paper_2015.covariance_cue import CovarianceCue
 from rpod_pose.ports import Candidate, Candidates
 from rpod_schemas.arrays import FloatArray
@@ -90,10 +90,7 @@ class OnlineTemplateMatching:
             self._grid.arrays,
             self._target.triangles_m,
             self._rotations if which is None else self._rotations[which],
-            centroid_m,
-            packed(points_m - centroid_m),
-            len(points_m),
-            spread_m,
+            PackedScan(centroid_m, packed(points_m - centroid_m), len(points_m), spread_m),
             self._tau,
             best_only,
         )

@@ -1,8 +1,8 @@
 """The brightness of a target in an amplitude image, and the noise, told by the image itself."""
 
 import numpy as np
-from numba import njit
 
+from rpod_geometry.kernels import kernel
 from rpod_schemas.types import Float32Array
 
 SAMPLES = 3000
@@ -15,8 +15,8 @@ ROUNDS = 4
 """In which that median settles."""
 
 
-@njit(cache=True, nogil=True)
-def noise_of(image, least):  # type: ignore[no-untyped-def]
+@kernel
+def noise_of(image: Float32Array, least: float) -> float:
     """Return the standard deviation of a pixel's noise where an image, shape (H, W), exceeds ``least``.
 
     The second difference along a row knows nothing of brightness and slope, its median nothing of edges
@@ -30,7 +30,7 @@ def noise_of(image, least):  # type: ignore[no-untyped-def]
         if 0 < j < columns - 1 and image[i, j] > least:
             differences[count] = abs(image[i, j + 1] - 2.0 * image[i, j] + image[i, j - 1])
             count += 1
-    return np.median(differences[:count]) / SECOND_DIFFERENCE if count else 0.0
+    return float(np.median(differences[:count]) / SECOND_DIFFERENCE) if count else 0.0
 
 
 def noise_of_change(blur_px: float) -> float:

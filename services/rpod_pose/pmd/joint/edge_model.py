@@ -10,6 +10,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_pose.pmd.joint.edge_search import EdgeArrays
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
 from rpod_target.topology import edges
@@ -47,9 +48,9 @@ class EdgeModel:
         return cls(places_m, directions, np.ascontiguousarray(normals[index]))
 
     @property
-    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As the kernels take them."""
-        return self.places_m, self.directions, self.normals
+    def arrays(self) -> EdgeArrays:
+        """The same as the kernels take it."""
+        return EdgeArrays(self.places_m, self.directions, self.normals)
 
 
 def _edges_of_part(target: Target, triangles: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:

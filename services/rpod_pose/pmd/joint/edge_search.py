@@ -6,10 +6,15 @@ preferred, to sub-pixels by a parabola. How far that is from the projection is t
 T. Drummond, R. Cipolla, Real-Time Visual Tracking of Complex Structures, IEEE PAMI 24(7), 2002).
 """
 
-import numpy as np
-from numba import njit
+from typing import NamedTuple
 
-from rpod_pose.registration.lie_group import in_target
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_geometry.kernels import kernel
+from rpod_pose.registration.lie_group import PoseArrays, in_sensor, in_target
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
 
 NEAR_M = 0.05
 HIDDEN_SHARE = 0.02
@@ -22,35 +27,121 @@ MIDDLE = 2
 """Pixels both ways of a line's middle."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def imaged(x, y, lens):  # type: ignore[no-untyped-def]
-    """Return column, row and their derivatives by the slopes x and y; lens is fx, fy, cx, cy, k1 ... k3."""
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
+class Lens(NamedTuple):
+    """A camera's matrix and distortion (plumb_bob, as in CameraInfo), px and slopes."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+
+class EdgeArrays(NamedTuple):
+    """Samples of the target's edges, as the kernels take them."""
+
+    places_m: FloatArray
+    """Target axes, shape (N, 3)."""
+    directions: FloatArray
+    """Unit vectors along the edges, target axes, shape (N, 3)."""
+    normals: FloatArray
+    """Of the faces on both sides, target axes, shape (N, 2, 3)."""
+
+
+class CoarsePixels(NamedTuple):
+    """Which pixels are rendered."""
+
+    stride: int
+    """From one to the next, px, at least 1."""
+    offset: int
+    """Of the first, px."""
+
+
+class Patch(NamedTuple):
+    """The part of an amplitude image that edges are looked for in."""
+
+    image: Float32Array
+    """Smoothed amplitude, shape (rows, columns)."""
+    column: float
+    """Of its first pixel."""
+    row: float
+    """Of its first pixel."""
+    least: float
+    """Change of amplitude over two pixels that counts."""
+    noise: float
+    """Standard deviation of a change of amplitude over two pixels."""
+
+
+class Imaged(NamedTuple):
+    """Where slopes are imaged, and the derivatives, px."""
+
+    column: float
+    row: float
+    column_by_x: float
+    column_by_y: float
+    row_by_x: float
+    row_by_y: float
+
+
+class Profile(NamedTuple):
+    """A line across the image."""
+
+    column: float
+    """Of its middle."""
+    row: float
+    """Of its middle."""
+    across: float
+    """Component of its unit vector along columns."""
+    down: float
+    """Component of its unit vector along rows."""
+
+
+class Step(NamedTuple):
+    """The steepest change along a line."""
+
+    place: float
+    """From the line's middle, px."""
+    change: float
+    """Of amplitude over two pixels; 0 where none counts, negative where there was nothing to look at."""
+
+
+@kernel
+def imaged(x: float, y: float, lens: Lens) -> Imaged:
+    """Return where a lens images the slopes x / z and y / z, and the derivatives by them.
+
+    Source: the plumb_bob model of OpenCV's camera calibration; derivatives by the product rule, with
+    d r^2 = 2 x dx + 2 y dy.
+    """
+    k1, k2, p1, p2, k3 = lens.k1, lens.k2, lens.p1, lens.p2, lens.k3
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     growth = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-    column = fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + cx
-    row = fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + cy
+    column = lens.fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + lens.cx
+    row = lens.fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + lens.cy
     across = growth * x * y + 2.0 * p1 * x + 2.0 * p2 * y
     xx = radial + growth * x * x + 2.0 * p1 * y + 6.0 * p2 * x
     yy = radial + growth * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-    return column, row, fx * xx, fx * across, fy * across, fy * yy
+    return Imaged(column, row, lens.fx * xx, lens.fx * across, lens.fy * across, lens.fy * yy)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def showing(edges, R, t, lens, coarse, range_m):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return the indices of the samples that show at a pose.
+@kernel
+def showing(
+    edges: EdgeArrays, pose: PoseArrays, lens: Lens, coarse: CoarsePixels, range_m: Float32Array
+) -> NDArray[np.int64]:
+    """Return the indices of the samples that show at a pose, shape (M,).
 
     Args:
-        edges: ``EdgeModel.arrays``.
-        R: of the target in the sensor, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        lens: as for ``imaged``.
-        coarse: stride and offset of the rendered pixels.
-        range_m: what is rendered at the pose, shape (rows, columns), inf where nothing is.
+        edges: N samples.
+        pose: of the target.
+        lens: of the camera.
+        coarse: which pixels are rendered.
+        range_m: what is rendered at the pose, shape (rows, columns), m, inf where nothing is.
     """
-    places, _, normals = edges
-    stride, offset = coarse
+    places, normals, R, t = edges.places_m, edges.normals, pose.R, pose.t
     rows, columns = range_m.shape
     found, count = np.empty(len(places), np.int64), 0
     sx, sy, sz = in_target(R, -t[0], -t[1], -t[2])  # the sensor, target axes
@@ -61,16 +152,18 @@ def showing(edges, R, t, lens, coarse, range_m):  # type: ignore[no-untyped-def]
         other = normals[n, 1, 0] * vx + normals[n, 1, 1] * vy + normals[n, 1, 2] * vz > 0.0
         if not (one or other):
             continue
-        px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
-        py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
-        pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+        px, py, pz = in_sensor(R, x, y, z)
+        px, py, pz = px + t[0], py + t[1], pz + t[2]
         if pz < NEAR_M:
             continue
         projected = imaged(px / pz, py / pz, lens)
-        column, row = projected[0], projected[1]
-        i, j = int((row - offset) // stride), int((column - offset) // stride)
-        if not (0 <= i < rows - 1 and 0 <= j < columns - 1):
+        u, v = (
+            (projected.column - coarse.offset) / coarse.stride,
+            (projected.row - coarse.offset) / coarse.stride,
+        )
+        if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):  # nor NaN, nor what no integer holds
             continue
+        i, j = int(v), int(u)
         before = max(range_m[i, j], range_m[i + 1, j], range_m[i, j + 1], range_m[i + 1, j + 1])
         distance = np.sqrt(px * px + py * py + pz * pz)
         if distance <= (1.0 + HIDDEN_SHARE) * before:
@@ -79,29 +172,28 @@ def showing(edges, R, t, lens, coarse, range_m):  # type: ignore[no-untyped-def]
     return found[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def steepest(image, column, row, across, down, reach, least):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return where along a line the image changes most, px from its middle, and by how much over two pixels.
+@kernel
+def steepest(image: Float32Array, line: Profile, reach: float, least: float) -> Step:
+    """Return where along a line the image changes most, and by how much.
 
-    The change is 0 where none exceeds ``least``, and negative where there was nothing to look at: the line
-    leaves the image, is dark in its middle, or is clipped all along.
+    There is nothing to look at where the line leaves the image, is dark in its middle or clipped all along.
 
     Args:
-        image: float32, shape (rows, columns).
-        column: middle of the line.
-        row: middle of the line.
-        across: of the line's unit vector.
-        down: of the line's unit vector.
-        reach: pixels searched both ways.
+        image: shape (rows, columns).
+        line: where to look.
+        reach: pixels searched both ways, at most ``MOST_REACH``.
         least: change that counts.
     """
-    most = min(int(reach), MOST_REACH) + 2
+    if not reach >= 0.0:
+        return Step(0.0, -1.0)
+    column, row, across, down = line
+    most = int(min(reach, MOST_REACH)) + 2
     rows, columns = image.shape
     far_column, far_row = most * abs(across) + 1.0, most * abs(down) + 1.0
     inside = far_column <= column < columns - 1.0 - far_column and far_row <= row < rows - 1.0 - far_row
     profile = np.empty(2 * MOST_REACH + 5)
     if not inside:
-        return 0.0, -1.0
+        return Step(0.0, -1.0)
     lowest, highest, brightest = np.inf, -np.inf, 0.0
     for k in range(-most, most + 1):
         u, v = column + k * across, row + k * down
@@ -114,7 +206,7 @@ def steepest(image, column, row, across, down, reach, least):  # type: ignore[no
         if abs(k) <= MIDDLE:
             brightest = max(brightest, profile[k + most])
     if highest - lowest < FLAT * least or brightest < FLAT * least:
-        return 0.0, -1.0
+        return Step(0.0, -1.0)
     best, place, change = 0.0, 0, 0.0
     width = 0.5 * reach + 1.0
     for k in range(2, 2 * most - 1):
@@ -124,8 +216,8 @@ def steepest(image, column, row, across, down, reach, least):  # type: ignore[no
         if here >= least and score > best and peak:
             best, place, change = score, k, here
     if best == 0.0:
-        return 0.0, 0.0
+        return Step(0.0, 0.0)
     before, after = abs(profile[place] - profile[place - 2]), abs(profile[place + 2] - profile[place])
     bend = before - 2.0 * change + after
     shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-    return place - most + shift, change
+    return Step(place - most + shift, change)

@@ -6,15 +6,36 @@ range they correct the depth, and where they do not its standard deviation enter
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
-from rpod_geometry.rays import cast_pose
-from rpod_pose.pmd.joint.edge_search import imaged, showing, steepest
-from rpod_pose.registration.distance_field import distance_and_gradient
-from rpod_pose.registration.field_alignment import AWAY
-from rpod_pose.registration.lie_group import in_target, turned
+from rpod_geometry.kernels import kernel
+from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
+from rpod_pose.pmd.joint.edge_search import (
+    CoarsePixels,
+    EdgeArrays,
+    Lens,
+    Patch,
+    Profile,
+    imaged,
+    showing,
+    steepest,
+)
+from rpod_pose.registration.distance_field import FieldArrays
+from rpod_pose.registration.field_alignment import FieldEvidence, Points, add_field_points
+from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
+from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
+from rpod_pose.registration.normal_equations import (
+    SUMS,
+    UNKNOWNS,
+    add_residual,
+    geman_mcclure,
+    information_of,
+    no_sums,
+)
+from rpod_schemas.arrays import FloatArray
 
 REACH_M, REACH_RAD = 0.5, 0.2
 """Standard deviation of a step that nothing asks for."""
@@ -22,234 +43,287 @@ SCALE = 0.2
 """Geman-McClure scale of an edge's place over the reach of its search."""
 BLUNTNESS_PX = 1.4
 """Times the noise of its change over the change itself: standard deviation of an edge's place by noise."""
+SHORTEST = 1e-9
+"""Pixels a metre: an edge that is seen from its end has no direction in the image."""
 NEAREST_M = 0.3
 """Edges are not weighed for being nearer than this."""
 
 
-@njit(cache=True, nogil=True)
-def add(sums, row, residual, weight):  # type: ignore[no-untyped-def]
-    """Add a residual and its derivatives, shape (7,), to information and gradient, shape (7, 8)."""
-    for i in range(7):
-        scaled = weight * row[i]
-        if scaled != 0.0:
-            for j in range(i, 7):
-                sums[i, j] += scaled * row[j]
-            sums[i, 7] += scaled * residual
+class JointModel(NamedTuple):
+    """The target, as the joint fit takes it."""
+
+    triangles_m: FloatArray
+    """Target axes, shape (T, 3, 3)."""
+    field: FieldArrays
+    edges: EdgeArrays
+    """N samples."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def depth_sums(points, trust, R, t, bias, field, scale):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return the sums of depth residuals, the inliers' squares, their number and weight.
+class JointView(NamedTuple):
+    """The camera, as the joint fit takes it."""
+
+    grid: GridArrays
+    """Rays of the coarse pixels, shape (rows, columns)."""
+    coarse: CoarsePixels
+    lens: Lens
+
+
+class DepthErrors(NamedTuple):
+    """What is assumed of the depth, m."""
+
+    noise_m: float
+    """Least standard deviation of a residual."""
+    most_points: float
+    """So many residuals count at most: neighbours share their errors."""
+    bias_m: float
+    """Standard deviation of the length by which all ranges are too long."""
+    uneven_m: float
+    """Standard deviation of what differs from that across the target."""
+    slack_m: float
+    """Standard deviation of the model's own error; of edges too."""
+
+
+class EdgeErrors(NamedTuple):
+    """What is assumed of edges."""
+
+    noise_px: float
+    """Least standard deviation of an edge's place."""
+    most_edges: float
+    """So many samples count at most."""
+
+
+class EdgeSight(NamedTuple):
+    """Edges and the image in which they are looked for."""
+
+    edges: EdgeArrays
+    lens: Lens
+    patch: Patch
+    noise_px: float
+    """Standard deviation of an edge's place."""
+
+
+class JointProblem(NamedTuple):
+    """Points and edges of a frame to be aligned with the target."""
+
+    points: Points
+    patch: Patch
+    model: JointModel
+    camera: JointView
+    depth_errors: DepthErrors
+    edge_errors: EdgeErrors
+    schedule: FloatArray
+    """Geman-McClure scale of the points, m, and reach of the edges' search, px, by step, shape (S, 2)."""
+    buffers: RenderBuffers
+    """Of the coarse pixels, shape (rows, columns)."""
+    shown: NDArray[np.int64]
+    """Buffer: how many samples of edges show, and their indices, shape (N + 1,)."""
+
+
+class EdgeEvidence(NamedTuple):
+    """What samples of edges say."""
+
+    squares_px2: float
+    """Sum of the inliers' squared residuals."""
+    inliers: int
+    """Samples within the Geman-McClure scale."""
+    asked: int
+    """Samples whose place could be looked at."""
+    expected: float
+    """Samples that show a change and that the right pose should have within the scale."""
+
+
+class JointEvidence(NamedTuple):
+    """What points and edges say."""
+
+    points: FieldEvidence
+    edges: EdgeEvidence
+
+
+class JointFit(NamedTuple):
+    """A pose aligned with a frame."""
+
+    pose: PoseArrays
+    bias_m: float
+    """Length by which all ranges are too long."""
+    information: FloatArray
+    """About (dtau, dtheta, bias) in the last step, shape (7, 7)."""
+    evidence: JointEvidence
+    """Of the last step."""
+
+
+@kernel
+def add_edge_points(
+    sums: FloatArray,
+    sight: EdgeSight,
+    pose: PoseArrays,
+    shown: NDArray[np.int64],
+    reach: float,
+) -> EdgeEvidence:
+    """Add the factors of samples of edges, residuals in px, to the sums, shape (35,); return their evidence.
+
+    The residual is how far across the projected edge the image changes most. With (a, d) the unit vector
+    across the edge in the image, U the lens's derivatives by the slopes and z the sample's depth, a step of
+    the sample in sensor axes moves it across the edge by h = (g_x, g_y, -g . s) / z with g = (a, d) U and s
+    the slopes; in target axes that is k = R^T h, the normal of the residual -place is -k.
 
     Args:
-        points: sensor axes, shape (N, 3), m.
-        trust: weight of each point, 0 to 1, shape (N,).
-        R: of the target in the sensor, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        bias: by which all ranges are too long, m.
-        field: ``signed_distance.field_arrays``.
-        scale: of Geman and McClure, m.
-    """
-    origin, spacing, values = field
-    per_m, c2 = 1.0 / spacing, scale * scale
-    sums, row = np.zeros((7, 8)), np.empty(7)
-    squares, inliers, weight_in = 0.0, 0, 0.0
-    for n in range(points.shape[0]):
-        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-        per_range = 1.0 / np.sqrt(px * px + py * py + pz * pz)
-        dx, dy, dz = in_target(R, px * per_range, py * per_range, pz * per_range)
-        x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
-        x, y, z = x - bias * dx, y - bias * dy, z - bias * dz
-        d, gx, gy, gz = distance_and_gradient(
-            (x - origin[0]) * per_m, (y - origin[1]) * per_m, (z - origin[2]) * per_m, values
-        )
-        gx, gy, gz = gx * per_m, gy * per_m, gz * per_m
-        along = gx * dx + gy * dy + gz * dz
-        if along > AWAY:
-            continue
-        weight = trust[n] * (c2 / (c2 + d * d)) ** 2
-        row[0], row[1], row[2] = -gx, -gy, -gz
-        row[3], row[4], row[5] = gy * z - gz * y, gz * x - gx * z, gx * y - gy * x
-        row[6] = -along
-        add(sums, row, d, weight)
-        if d * d < c2:
-            inliers += 1
-            squares += trust[n] * d * d
-            weight_in += trust[n]
-    return sums, squares, inliers, weight_in
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def edge_sums(edges, seen, R, t, lens, image, corner, reach, least, noise):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return the sums of edge residuals, px, the inliers' squares, px2, and three numbers of samples.
-
-    They are the inliers, those asked, and how many of those that show a change the right pose should have in.
-
-    Args:
-        edges: ``EdgeModel.arrays``.
-        seen: indices of the samples that show.
-        R: of the target in the sensor, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        lens: as for ``imaged``.
-        image: part of the amplitude image, smoothed, float32.
-        corner: column and row of its first pixel.
+        sums: information and gradient, in and out.
+        sight: edges, lens, image and noise.
+        pose: to linearise at.
+        shown: indices of the samples that show, shape (M,).
         reach: of the search, px.
-        least: change of amplitude over two pixels that counts.
-        noise: standard deviation of an edge's place, px, and of a change of amplitude over two pixels.
     """
-    places, directions = edges[0], edges[1]
-    sums, row = np.zeros((7, 8)), np.zeros(7)
+    edges, lens, patch, noise_px = sight
+    places, directions = edges.places_m, edges.directions
+    R, t = pose.R, pose.t
     squares, inliers, asked, expected = 0.0, 0, 0, 0.0
     c2 = (SCALE * reach) ** 2
-    for n in seen:
+    for n in shown:
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
-        ax, ay, az = directions[n, 0], directions[n, 1], directions[n, 2]
-        px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
-        py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
-        pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+        px, py, pz = in_sensor(R, x, y, z)
+        px, py, pz = px + t[0], py + t[1], pz + t[2]
         per_z = 1.0 / pz
         sx, sy = px * per_z, py * per_z
-        column, line, ux, uy, vx, vy = imaged(sx, sy, lens)
-        bx = R[0, 0] * ax + R[0, 1] * ay + R[0, 2] * az
-        by = R[1, 0] * ax + R[1, 1] * ay + R[1, 2] * az
-        bz = R[2, 0] * ax + R[2, 1] * ay + R[2, 2] * az
+        at = imaged(sx, sy, lens)
+        bx, by, bz = in_sensor(R, directions[n, 0], directions[n, 1], directions[n, 2])
         mx, my = (bx - sx * bz) * per_z, (by - sy * bz) * per_z
-        tu, tv = ux * mx + uy * my, vx * mx + vy * my
+        tu, tv = at.column_by_x * mx + at.column_by_y * my, at.row_by_x * mx + at.row_by_y * my
         length = np.sqrt(tu * tu + tv * tv)
-        if length < 1e-9:
+        if not length > SHORTEST:
             continue
         across, down = -tv / length, tu / length
-        place, change = steepest(image, column - corner[0], line - corner[1], across, down, reach, least)
+        line = Profile(at.column - patch.column, at.row - patch.row, across, down)
+        place, change = steepest(patch.image, line, reach, patch.least)
         asked += change >= 0.0
         if change <= 0.0:
             continue
-        expected += share_within(SCALE * reach, noise[0], BLUNTNESS_PX * noise[1] / change)
+        expected += share_within(SCALE * reach, noise_px, BLUNTNESS_PX * patch.noise / change)
         e2 = place * place
-        weight = (c2 / (c2 + e2)) ** 2
-        gx, gy = across * ux + down * vx, across * uy + down * vy  # by the slopes
-        hx, hy, hz = gx * per_z, gy * per_z, -(gx * sx + gy * sy) * per_z
-        kx, ky, kz = in_target(R, hx, hy, hz)
-        row[0], row[1], row[2] = kx, ky, kz
-        row[3], row[4], row[5] = y * kz - z * ky, z * kx - x * kz, x * ky - y * kx
-        add(sums, row, -place, weight)
+        gx = across * at.column_by_x + down * at.row_by_x
+        gy = across * at.column_by_y + down * at.row_by_y
+        kx, ky, kz = in_target(R, gx * per_z, gy * per_z, -(gx * sx + gy * sy) * per_z)
+        add_residual(sums, Vector(-kx, -ky, -kz), Vector(x, y, z), 0.0, -place, geman_mcclure(e2, c2))
         if e2 < c2:
             inliers += 1
             squares += e2
-    return sums, squares, inliers, asked, expected
+    return EdgeEvidence(squares, inliers, asked, expected)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def share_within(reach, sharp, noisy):  # type: ignore[no-untyped-def]
+@kernel
+def share_within(reach: float, own: float, noisy: float) -> float:
     """Return the share of normal errors within a reach, whose variance is the sum of two squares."""
-    return math.erf(reach / math.sqrt(2.0 * (sharp * sharp + noisy * noisy)))
+    return math.erf(reach / math.sqrt(2.0 * (own * own + noisy * noisy)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def align(points, trust, R, t, model, image, camera, schedule, depth_errors, edge_errors, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return R, t, information (7, 7), points matched, their squares, edges found, asked, expected, and bias.
+@kernel
+def note_shown(problem: JointProblem, pose: PoseArrays) -> None:
+    """Render the target at a pose into the problem's buffers and note which samples of edges show."""
+    buffers, camera, shown = problem.buffers, problem.camera, problem.shown
+    triangles = problem.model.triangles_m
+    cast_pose(camera.grid, triangles, pose.R, pose.t, True, buffers.range_m, buffers.triangle)
+    seen = showing(problem.model.edges, pose, camera.lens, camera.coarse, buffers.range_m)
+    shown[0] = seen.size
+    shown[1 : 1 + seen.size] = seen
 
-    Args:
-        points: sensor axes, shape (N, 3), m.
-        trust: weight of each point, shape (N,).
-        R: of the target in the sensor, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        model: triangles, ``field_arrays``, ``EdgeModel.arrays``.
-        image: part of the amplitude image, its first pixel, change that counts, noise of a change.
-        camera: coarse ``RayGrid.arrays``, (stride, offset), lens as for ``imaged``.
-        schedule: scale, m, and reach, px, of each step, shape (steps, 2).
-        depth_errors: noise, m, effective points, sigmas, m, of the bias, of what differs from it, and of
-            the model's own error.
-        edge_errors: noise, px, effective samples.
-        buffers: ranges and triangles of the coarse pixels.
+
+@linearises(JointProblem)
+@kernel
+def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[JointEvidence]:
+    """Return the normal equations of points and edges, each weighed by its own residuals' variance.
+
+    The sums of the points are divided by their weight and by the variance of one of them, so that they count
+    as at most ``most_points`` independent ones; those of the edges likewise, less as long as the search is
+    wide. The bias has a prior of its own.
     """
-    triangles, field, edges = model
-    patch, corner, least, noise_change = image
-    grid, coarse, lens = camera
-    noise, most_points, bias_sigma, uneven, slack = depth_errors
-    noise_px, most_edges = edge_errors
-    range_m, owner = buffers
-    bias, held = 0.0, np.zeros(7)
-    held[:3], held[3:6] = 1.0 / REACH_M**2, 1.0 / REACH_RAD**2
-    steps = schedule.shape[0]
-    seen = np.empty(0, np.int64)
-    total = np.zeros((7, 8))
-    inliers, squares, found, squares_px, asked, expected = 0, 0.0, 0, 0.0, 0, 0.0
-    for step in range(steps):
-        if step == 0 or step == steps - 2:
-            cast_pose(grid, triangles, R, t, True, range_m, owner)
-            seen = showing(edges, R, t, lens, coarse, range_m)
-        scale, reach = schedule[step]
-        total = np.zeros((7, 8))
-        sums, squares, inliers, weight = depth_sums(points, trust, R, t, bias, field, scale)
-        if inliers > 0:
-            variance = max(squares / weight, noise * noise) / min(most_points, weight)
-            total += sums / (weight * (variance + uneven * uneven + slack * slack))
-        sums, squares_px, found, asked, expected = edge_sums(
-            edges, seen, R, t, lens, patch, corner, reach, least, (noise_px, noise_change)
-        )
-        if found > 0:
-            per_m = lens[0] / max(t[2], NEAREST_M)
-            variance = max(squares_px / found, noise_px * noise_px) / min(most_edges, found)
-            widened = (reach / schedule[steps - 1, 1]) ** 4
-            total += sums / (found * widened * (variance + (slack * per_m) ** 2))
-        total[6, 6] += 1.0 / (bias_sigma * bias_sigma)
-        total[6, 7] += bias / (bias_sigma * bias_sigma)
-        for i in range(7):
-            for j in range(i):
-                total[i, j] = total[j, i]
-        delta = np.linalg.solve(total[:, :7] + np.diag(held), -total[:, 7])
-        t = t + R @ delta[:3]
-        R = turned(R, delta[3:6])
-        bias += delta[6]
-    return R, t, total[:, :7].copy(), inliers, squares, found, asked, expected, bias
+    depth, edge_errors, patch = problem.depth_errors, problem.edge_errors, problem.patch
+    steps, pose = problem.schedule.shape[0], state.pose
+    if step == 0 or step == steps - 2:
+        note_shown(problem, pose)
+    scale, reach = problem.schedule[step]
+    total, sums, hold = no_sums(), no_sums(), np.zeros(UNKNOWNS)
+    points = add_field_points(sums, problem.points, state, problem.model.field, scale, True)
+    if points.inliers > 0:
+        squares, weight = points.squares_m2, points.trusted
+        variance = max(squares / weight, depth.noise_m**2) / min(depth.most_points, weight)
+        total += sums / (weight * (variance + depth.uneven_m**2 + depth.slack_m**2))
+    sums = no_sums()
+    sight = EdgeSight(problem.model.edges, problem.camera.lens, patch, edge_errors.noise_px)
+    edges = add_edge_points(sums, sight, pose, problem.shown[1 : 1 + problem.shown[0]], reach)
+    if edges.inliers > 0:
+        px_per_m = problem.camera.lens.fx / max(pose.t[2], NEAREST_M)
+        variance = max(edges.squares_px2 / edges.inliers, edge_errors.noise_px**2)
+        variance /= min(edge_errors.most_edges, edges.inliers)
+        widened = (reach / problem.schedule[steps - 1, 1]) ** 4
+        total += sums / (edges.inliers * widened * (variance + (depth.slack_m * px_per_m) ** 2))
+    total[SUMS - 2] += 1.0 / depth.bias_m**2
+    total[SUMS - 1] += state.bias_m / depth.bias_m**2
+    hold[:3] = REACH_M**-2
+    hold[3:6] = REACH_RAD**-2
+    return Linear(total, hold, True, JointEvidence(points, edges))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def agreement(measured, sigma, grid, triangles, R, t, tolerance, missing, buffers):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def align(problem: JointProblem, pose: PoseArrays) -> JointFit:
+    """Return the pose after one step for each row of the problem's schedule."""
+    fit = minimised(problem, State(pose, 0.0), problem.schedule.shape[0])
+    information = information_of(fit.linear.sums, UNKNOWNS)
+    return JointFit(fit.state.pose, fit.state.bias_m, information, fit.linear.evidence)
+
+
+class Measured(NamedTuple):
+    """Ranges of the coarse pixels, and when they agree with rendered ones."""
+
+    range_m: FloatArray
+    """Shape (rows, columns), NaN for none."""
+    sigma_m: FloatArray
+    """Standard deviation of their noise, same shape."""
+    tolerance_m: float
+    """Within which ranges agree; twice their noise where that is more."""
+    missing: float
+    """Weight of a predicted pixel without a measurement."""
+
+
+@kernel
+def agreement(
+    measured: Measured, grid: GridArrays, triangles: FloatArray, pose: PoseArrays, buffers: RenderBuffers
+) -> tuple[float, float]:
     """Return the weight of the coarse pixels that agree with a pose, and that of all that say "surface".
 
     Args:
-        measured: range, shape (rows, columns), m, NaN for none.
-        sigma: standard deviation of its noise, m, same shape.
-        grid: coarse ``RayGrid.arrays``.
-        triangles: of the target, shape (T, 3, 3).
-        R: of the target in the sensor, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        tolerance: within which ranges agree, m; twice their noise where that is more.
-        missing: weight of a predicted pixel without a measurement.
-        buffers: ranges and triangles of the coarse pixels.
+        measured: the frame.
+        grid: rays of the coarse pixels.
+        triangles: of the target, shape (T, 3, 3), m.
+        pose: of the target.
+        buffers: out, the target rendered at the pose.
     """
     range_m, owner = buffers
-    cast_pose(grid, triangles, R, t, True, range_m, owner)
+    cast_pose(grid, triangles, pose.R, pose.t, True, range_m, owner)
     agreeing, asked = 0.0, 0.0
     for i in range(range_m.shape[0]):
         for j in range(range_m.shape[1]):
-            m = measured[i, j]
+            m = measured.range_m[i, j]
             if np.isnan(m):
-                asked += missing if owner[i, j] >= 0 else 0.0
+                asked += measured.missing if owner[i, j] >= 0 else 0.0
                 continue
             asked += 1.0
-            if owner[i, j] >= 0 and abs(m - range_m[i, j]) < max(tolerance, 2.0 * sigma[i, j]):
+            tolerance = max(measured.tolerance_m, 2.0 * measured.sigma_m[i, j])
+            if owner[i, j] >= 0 and abs(m - range_m[i, j]) < tolerance:
                 agreeing += 1.0
     return agreeing, asked
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def in_place(edges, R, t, lens, coarse, range_m, image, reach, sigma):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return the samples of edges that are where a pose has them, those that should be, and those asked.
+@kernel
+def edges_at(
+    sight: EdgeSight, coarse: CoarsePixels, pose: PoseArrays, buffers: RenderBuffers, reach: float
+) -> EdgeEvidence:
+    """Return what the samples of edges that show at a pose, as it was rendered, say of it.
 
     Args:
-        edges: ``EdgeModel.arrays``.
-        R: of the target in the sensor, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        lens: as for ``imaged``.
-        coarse: stride and offset of the rendered pixels.
-        range_m: what is rendered at the pose, shape (rows, columns).
-        image: part of the amplitude image, its first pixel, change that counts, noise of a change.
+        sight: edges, lens, image and noise.
+        coarse: which pixels are rendered.
+        pose: of the target.
+        buffers: what is rendered at the pose.
         reach: of the search, px.
-        sigma: standard deviation of an edge's place, px.
     """
-    patch, corner, least, noise = image
-    seen = showing(edges, R, t, lens, coarse, range_m)
-    found = edge_sums(edges, seen, R, t, lens, patch, corner, reach, least, (sigma, noise))
-    return found[2], found[4], found[3]
+    shown = showing(sight.edges, pose, sight.lens, coarse, buffers.range_m)
+    return add_edge_points(no_sums(), sight, pose, shown, reach)

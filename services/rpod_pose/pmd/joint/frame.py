@@ -2,18 +2,20 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
+from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
-from rpod_schemas.arrays import FloatArray
+from rpod_pose.pmd.joint.edge_search import CoarsePixels, Lens, Patch
+from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.config.pmd_joint import JointConfig, JointEdgeConfig
-from rpod_schemas.types import Camera, PmdFrame
+from rpod_schemas.types import Camera, Float32Array, PmdFrame
 
 MARGIN_PX = 16
 """Around the target's sphere."""
@@ -29,9 +31,7 @@ LIT_SHARE = 0.25
 """Of the median amplitude: darker pixels do not tell the noise."""
 CHANGE_SIGMAS = 3.0
 """Of the noise: a lesser change of amplitude does not count as an edge."""
-_NO_PATCH = np.zeros((1, 1), np.float32), np.zeros(2), 1.0, 0.0
-Patch = tuple[NDArray[np.float32], FloatArray, float, float]
-"""As ``JointFrame.patch``."""
+_NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0)
 _Window = tuple[slice, slice]
 """Rows and columns."""
 OUTER = 4
@@ -62,8 +62,7 @@ class JointFrame:
     trust: FloatArray
     """Weight of each point, 0 to 1: less for one that is dark for the frame's noise, shape (N,)."""
     patch: Patch
-    """Smoothed amplitude around the target, column and row of its first pixel, change that counts, and the
-    noise of a change."""
+    """Smoothed amplitude around the target."""
 
     @classmethod
     def of(
@@ -83,9 +82,8 @@ class JointFrame:
         sparse = slice(None, None, SPARSE)
         lit = np.where(frame.depth_m[sparse, sparse] > 0.0, amplitude[sparse, sparse], 0.0)
         least = config.ghost_share * float(lit.mean())
-        range_m, sigma_m, strengths, shade = coarse_ranges(
-            frame.depth_m, amplitude, least, view.coarse.components[2], view.stride, view.offset
-        )
+        images, pixels = DepthImages(frame.depth_m, amplitude, least), CoarsePixels(view.stride, view.offset)
+        range_m, sigma_m, strengths, shade = coarse_ranges(images, view.coarse.components[2], pixels)
         range_m[sigma_m > config.check.most_noise_m] = np.nan
         measured = np.flatnonzero(np.isfinite(range_m))
         if len(measured) > config.depth.points:
@@ -104,15 +102,15 @@ class JointFrame:
         return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch)
 
     @property
-    def lens(self) -> FloatArray:
-        """Focal lengths, centre and distortion of the camera as for ``edge_search.imaged``."""
+    def lens(self) -> Lens:
+        """The camera, as the kernels take it."""
         camera = self.view.camera
-        return np.array((camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion))
+        return Lens(camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion.tolist())
 
     @property
-    def grid(self) -> tuple[int, int]:
-        """Stride and offset of the coarse pixels, px."""
-        return self.view.stride, self.view.offset
+    def pixels(self) -> CoarsePixels:
+        """Which pixels are the coarse ones."""
+        return CoarsePixels(self.view.stride, self.view.offset)
 
 
 def _trust(sigma_m: FloatArray, strength: FloatArray, other_m: float) -> FloatArray:
@@ -163,36 +161,59 @@ def _patch(
     np.minimum(part, config.clip * typical, out=part)
     smooth: NDArray[np.float32] = cv2.GaussianBlur(part, (0, 0), config.blur_px)  # type: ignore[assignment]
     least = max(config.least_contrast * typical, CHANGE_SIGMAS * noise)
-    return smooth, np.array((columns.start, rows.start), float), least, noise
+    return Patch(smooth, float(columns.start), float(rows.start), least, noise)
 
 
-@njit(cache=True, nogil=True)
-def coarse_ranges(depth, amplitude, least, rays_z, stride, offset):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return what every ``stride``-th pixel and its neighbours show, four arrays of shape (rows, columns).
+class DepthImages(NamedTuple):
+    """A frame's images, as the kernel takes them."""
 
-    They are the middle range, m, NaN where fewer than ``FEWEST`` of the nine have depth or the amplitude is
-    too low; its standard deviation, m, told by how the nine differ; the pixel's own amplitude where it has a
-    range, else 0; and the nine's mean amplitude.
+    depth_m: Float32Array
+    """z-depth, shape (height, width); NaN or 0 for none."""
+    amplitude: Array
+    """Same shape."""
+    least: float
+    """Amplitude below which depth does not count."""
+
+
+class CoarseRanges(NamedTuple):
+    """What the coarse pixels show, each with its eight neighbours; shape (rows, columns) each."""
+
+    range_m: FloatArray
+    """Middle range of the nine; NaN where fewer than ``FEWEST`` have depth or the amplitude is too low."""
+    sigma_m: FloatArray
+    """Its standard deviation, told by how the nine differ."""
+    strength: FloatArray
+    """The pixel's own amplitude where it has a range, else 0."""
+    shade: FloatArray
+    """The nine's mean amplitude."""
+
+
+@kernel
+def coarse_ranges(images: DepthImages, rays_z: FloatArray, pixels: CoarsePixels) -> CoarseRanges:
+    """Return what every ``stride``-th pixel and its neighbours show.
+
+    Of the nine ranges, sorted, a quarter is left out at each end and the others are averaged, so that a mixed
+    pixel at an outline does not move the result; the noise is that mean's standard deviation.
 
     Args:
-        depth: z-depth, shape (height, width), m; NaN or 0 for none.
-        amplitude: shape (height, width).
-        least: amplitude below which depth does not count.
+        images: of the frame.
         rays_z: z of the coarse pixels' unit rays, shape (rows, columns).
-        stride: px.
-        offset: of the first coarse pixel, px.
+        pixels: which pixels are the coarse ones; all lie in the image.
     """
+    depth, amplitude, least = images
     height, width = depth.shape
     ranges, sigmas = np.full(rays_z.shape, np.nan), np.zeros(rays_z.shape)
     strengths, shades = np.zeros(rays_z.shape), np.zeros(rays_z.shape)
     nine = np.empty(9)
     for i in range(rays_z.shape[0]):
         for j in range(rays_z.shape[1]):
-            row, column = offset + i * stride, offset + j * stride
-            count, pixels, light, total, squares = 0, 0, 0.0, 0.0, 0.0
+            row, column = pixels.offset + i * pixels.stride, pixels.offset + j * pixels.stride
+            if row >= height or column >= width:
+                continue
+            count, seen, light, total, squares = 0, 0, 0.0, 0.0, 0.0
             for v in range(max(row - 1, 0), min(row + 2, height)):
                 for u in range(max(column - 1, 0), min(column + 2, width)):
-                    pixels += 1
+                    seen += 1
                     light += amplitude[v, u]
                     z = np.float64(depth[v, u])
                     if not NEAR_M < z < FARTHEST_M:
@@ -205,7 +226,7 @@ def coarse_ranges(depth, amplitude, least, rays_z, stride, offset):  # type: ign
                     count += 1
                     total += z
                     squares += z * z
-            shades[i, j] = light / pixels
+            shades[i, j] = light / seen
             if count >= FEWEST and amplitude[row, column] >= least:
                 outer = count // OUTER
                 middle = nine[outer : count - outer].mean()
@@ -213,4 +234,4 @@ def coarse_ranges(depth, amplitude, least, rays_z, stride, offset):  # type: ign
                 ranges[i, j] = middle / rays_z[i, j]
                 sigmas[i, j] = MIDDLE_OVER_MEAN * math.sqrt(variance / count)
                 strengths[i, j] = amplitude[row, column]
-    return ranges, sigmas, strengths, shades
+    return CoarseRanges(ranges, sigmas, strengths, shades)

@@ -13,21 +13,33 @@ from collections.abc import Iterator
 from math import radians
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.rays import Hits, cast_pose
+from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.depth_view import DepthView
-from rpod_pose.pmd.frame_check import Contradictions, contradictions
+from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
 from rpod_pose.pmd.joint.edge_model import EdgeModel
-from rpod_pose.pmd.joint.fit import NEAREST_M, agreement, align, in_place
+from rpod_pose.pmd.joint.fit import (
+    NEAREST_M,
+    DepthErrors,
+    EdgeErrors,
+    EdgeSight,
+    JointModel,
+    JointProblem,
+    JointView,
+    Measured,
+    agreement,
+    align,
+    edges_at,
+)
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.rendering import Rendering
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
-from rpod_pose.registration.field_alignment import draw_in
+from rpod_pose.registration.field_alignment import Points, field_aligned
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_joint import JointConfig
@@ -55,7 +67,7 @@ class JointTracker:
         self._config, self._target = config, target
         self._ranges = config.depth.calibrated if calibrated else config.depth.raw
         edges = EdgeModel.of(target, spacing_m=config.edges.spacing_share * target.radius_m)
-        self._model = np.ascontiguousarray(target.triangles_m), field_arrays(target), edges.arrays
+        self._model = JointModel(np.ascontiguousarray(target.triangles_m), field_arrays(target), edges.arrays)
         weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
         self._weak = np.diag(np.append(weak**-2, 0.0))
         scales_m = np.geomspace(config.depth.scale_m, config.depth.final_scale_m, config.iterations)
@@ -66,60 +78,59 @@ class JointTracker:
         self._fair = np.vstack((coarse, self._sharp))
         self._far = np.geomspace(config.far_scale_m, config.depth.scale_m, config.far_iterations)
         self._coarse = SurfaceModel.of(target).coarse_field
-        self._buffers: dict[tuple[int, int], Hits] = {}
+        self._depth_errors = DepthErrors(
+            config.depth.noise_m,
+            float(config.depth.effective_points),
+            self._ranges.bias_m,
+            self._ranges.uneven_m,
+            config.slack_m,
+        )
+        self._edge_errors = EdgeErrors(config.edges.sigma_px, float(config.edges.effective_edges))
+        self._shown = np.zeros(len(edges.places_m) + 1, np.int64)
+        self._buffers: dict[tuple[int, int], RenderBuffers] = {}
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why there is none."""
-        matrix = T_sensor_target.as_matrix()
-        R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()
-        seen = JointFrame.of(measurement, t, radius_m=self._target.radius_m, config=self._config)
+        pose = PoseArrays.of(T_sensor_target)
+        seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, config=self._config)
         if isinstance(seen, str):
             return Registration.none(Source.PMD_JOINT, seen)
         registration = Registration.none(Source.PMD_JOINT, "nothing to see")
-        for start in self._starts(seen, R, t):
-            registration = self._registered(seen, *start)
+        for start, schedule in self._starts(seen, pose):
+            registration = self._registered(seen, start, schedule)
             if registration.continues_track:
                 break
         return registration
 
-    def _starts(
-        self, seen: JointFrame, R: FloatArray, t: FloatArray
-    ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    def _starts(self, seen: JointFrame, pose: PoseArrays) -> Iterator[tuple[PoseArrays, FloatArray]]:
         """Yield poses to start from and the steps to do there, the fewest that may do first."""
         config = self._config
-        share, in_place = self._explained(seen, R, t), self._in_place(seen, R, t)
+        share, in_place = self._explained(seen, pose), self._in_place(seen, pose)
         if in_place >= config.near_share:
-            yield R, t, self._sharp if in_place >= config.sharp_share else self._near
+            yield pose, self._sharp if in_place >= config.sharp_share else self._near
         if share >= config.fair_share or len(seen.points_m) < config.verdict.min_points:
-            yield R, t, self._fair
+            yield pose, self._fair
         if len(seen.points_m) >= config.verdict.min_points:
             every = max(1, round(len(seen.points_m) / config.far_points))
-            few_m = np.ascontiguousarray(seen.points_m[::every])
-            yield *draw_in(few_m, R, t, self._coarse, self._far), self._fair
+            few = Points.equal(np.ascontiguousarray(seen.points_m[::every]))
+            yield field_aligned(few, pose, self._coarse, self._far), self._fair
 
-    def _registered(
-        self, seen: JointFrame, R: FloatArray, t: FloatArray, schedule: FloatArray
-    ) -> Registration:
+    def _registered(self, seen: JointFrame, start: PoseArrays, schedule: FloatArray) -> Registration:
         config, view = self._config, seen.view
-        R, t, information, points, squares, edges, asked, expected, bias = align(
-            seen.points_m,
-            seen.trust,
-            R,
-            t,
-            self._model,
+        problem = JointProblem(
+            Points(seen.points_m, seen.trust),
             seen.patch,
-            (view.coarse.arrays, seen.grid, seen.lens),
+            self._model,
+            JointView(view.coarse.arrays, seen.pixels, seen.lens),
+            self._depth_errors,
+            self._edge_errors,
             schedule,
-            (
-                config.depth.noise_m,
-                float(config.depth.effective_points),
-                self._ranges.bias_m,
-                self._ranges.uneven_m,
-                config.slack_m,
-            ),
-            (config.edges.sigma_px, float(config.edges.effective_edges)),
             self._buffers_of(view),
+            self._shown,
         )
+        (R, t), bias, information, (depth, found) = align(problem, start)
+        points, squares = depth.inliers, depth.squares_m2
+        edges, asked, expected = found.inliers, found.asked, found.expected
         if points < config.verdict.min_points and asked < config.verdict.min_edges:
             reason = f"nothing to see: {points} points on the target, {asked} places of edges"
             return Registration.none(Source.PMD_JOINT, reason)
@@ -144,44 +155,34 @@ class JointTracker:
             iterations=len(schedule),
         )
 
-    def _explained(self, seen: JointFrame, R: FloatArray, t: FloatArray) -> float:
+    def _explained(self, seen: JointFrame, pose: PoseArrays) -> float:
         """Return the share of the pixels that agree with a predicted pose."""
-        agreeing, asked = agreement(
-            seen.range_m,
-            seen.sigma_m,
-            seen.view.coarse.arrays,
-            self._model[0],
-            R,
-            t,
-            self._config.near_m,
-            self._config.missing_weight,
-            self._buffers_of(seen.view),
-        )
+        config, view = self._config, seen.view
+        measured = Measured(seen.range_m, seen.sigma_m, config.near_m, config.missing_weight)
+        triangles_m = self._model.triangles_m
+        agreeing, asked = agreement(measured, view.coarse.arrays, triangles_m, pose, self._buffers_of(view))
         return agreeing / asked if asked else 0.0
 
-    def _in_place(self, seen: JointFrame, R: FloatArray, t: FloatArray) -> float:
+    def _in_place(self, seen: JointFrame, pose: PoseArrays) -> float:
         """Return the share of the edges that lie where a predicted pose, as rendered, has them."""
-        config, view = self._config, seen.view
-        agreeing, expected, asked = in_place(
-            self._model[2],
-            R,
-            t,
-            seen.lens,
-            seen.grid,
-            self._buffers_of(view)[0],
-            seen.patch,
-            config.edges.final_search_px * float(np.clip(2.0 * self._fills(seen, t), 1.0, MOST_WIDER)),
-            config.edges.sigma_px,
-        )
-        return agreeing / max(expected, 1.0) if asked >= config.verdict.min_edges else 0.0
+        config = self._config
+        sight = EdgeSight(self._model.edges, seen.lens, seen.patch, config.edges.sigma_px)
+        wider = float(np.clip(2.0 * self._fills(seen, pose.t), 1.0, MOST_WIDER))
+        reach_px = config.edges.final_search_px * wider
+        found = edges_at(sight, seen.pixels, pose, self._buffers_of(seen.view), reach_px)
+        if found.asked < config.verdict.min_edges:
+            return 0.0
+        return found.inliers / max(found.expected, 1.0)
 
     def _contradictions(
         self, seen: JointFrame, R: FloatArray, t: FloatArray, bias_m: float
     ) -> Contradictions:
         view, buffers = seen.view, self._buffers_of(seen.view)
-        cast_pose(view.coarse.arrays, self._model[0], R, t, True, *buffers)
-        rendered = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._model[0], R, t)
-        images = seen.range_m, seen.sigma_m, seen.shade
+        cast_pose(view.coarse.arrays, self._model.triangles_m, R, t, True, *buffers)
+        rendered = Rendering(
+            *buffers, view.coarse, view.stride, view.camera.fx, self._model.triangles_m, R, t
+        )
+        images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
         return contradictions(images, rendered, self._config.check, typical=seen.typical, bias_m=bias_m)
 
     def _fills(self, seen: JointFrame, t: FloatArray) -> float:
@@ -210,8 +211,8 @@ class JointTracker:
             return doubtful(f"only {in_place:.0%} of the edges are in their place", **evidence)
         return Belief(evidence=evidence)
 
-    def _buffers_of(self, view: DepthView) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    def _buffers_of(self, view: DepthView) -> RenderBuffers:
         shape = view.coarse.shape
         if shape not in self._buffers:
-            self._buffers[shape] = Hits.of(view.coarse)
-        return self._buffers[shape].range_m, self._buffers[shape].triangle
+            self._buffers[shape] = Hits.of(view.coarse).arrays
+        return self._buffers[shape]

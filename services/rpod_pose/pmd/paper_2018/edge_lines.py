@@ -9,8 +9,8 @@ here neighbouring lines are intersected, after all edge pixels along them have m
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.paper_2018.edge_image import Edges
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_amplitude import LineMatchConfig
@@ -79,8 +79,10 @@ def measured_line(
     return ImageLine(normal, float(normal @ middle)) if members >= config.min_pixels else None
 
 
-@njit(cache=True, nogil=True)
-def line_along(places, across, segment, ends, limits):  # type: ignore[no-untyped-def]
+@kernel
+def line_along(
+    places: FloatArray, across: FloatArray, segment: FloatArray, ends: FloatArray, limits: tuple[float, float]
+) -> tuple[FloatArray, FloatArray, int]:
     """Return a point and the normal of the line through the edge pixels along a segment, and their number.
 
     Total least squares; fitted again to the pixels beside the fitted line.

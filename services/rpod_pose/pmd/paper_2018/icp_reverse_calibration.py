@@ -18,21 +18,28 @@ from step to step.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.depth_result import Progress, conclude
 from rpod_pose.pmd.depth_view import DepthImage, DepthView, usable_image
 from rpod_pose.pmd.signed_distance import measured_equations
 from rpod_pose.ports import Registration
-from rpod_pose.registration.lie_group import moved, step_between, step_length_m
-from rpod_pose.registration.normal_equations import NormalEquations, add_residual
+from rpod_pose.registration.field_alignment import FieldEvidence
+from rpod_pose.registration.lie_group import Vector, moved, step_between, step_length_m
+from rpod_pose.registration.normal_equations import (
+    NormalEquations,
+    add_residual,
+    geman_mcclure,
+    no_sums,
+)
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig
-from rpod_schemas.types import PmdFrame, Source
+from rpod_schemas.types import Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 NO_MATCH, DIRECT, NEAREST = 0, 1, 2
@@ -47,9 +54,29 @@ NARROWING = 0.75
 """Radius and scale shrink by this from iteration to iteration."""
 
 
-@njit(cache=True, nogil=True)
-def mean_beneath(point, column, row, image, near):  # type: ignore[no-untyped-def]
-    """Return the mean of the points near ``point`` under a pixel and its neighbours; zeros if few are."""
+class DepthPixels(NamedTuple):
+    """A depth image, as the kernels take it."""
+
+    depth_m: Float32Array
+    """z-depth, NaN for none, shape (height, width)."""
+    slopes: FloatArray
+    """x/z and y/z of the pixels' rays, shape (height, width, 2)."""
+
+
+@kernel
+def mean_beneath(point: FloatArray, column: int, row: int, image: DepthPixels, near: float) -> Vector:
+    """Return the mean of the measured points under a pixel and its neighbours that lie near a point.
+
+    Args:
+        point: model point, sensor axes, shape (3,), m.
+        column: of the pixel, in the image.
+        row: of the pixel, in the image.
+        image: what was measured.
+        near: distance from ``point`` below which a measured point counts, m.
+
+    Returns:
+        The mean, sensor axes, m; zeros where fewer than ``FEWEST_BENEATH`` count.
+    """
     depth, slopes = image
     top, bottom = max(row - 1, 0), min(row + 2, depth.shape[0])
     left, right = max(column - 1, 0), min(column + 2, depth.shape[1])
@@ -61,32 +88,49 @@ def mean_beneath(point, column, row, image, near):  # type: ignore[no-untyped-de
             if (px - point[0]) ** 2 + (py - point[1]) ** 2 + (d - point[2]) ** 2 < near * near:
                 x, y, z, count = x + px, y + py, z + d, count + 1
     if count < FEWEST_BENEATH:
-        return 0.0, 0.0, 0.0
-    return x / count, y / count, z / count
+        return Vector(0.0, 0.0, 0.0)
+    return Vector(x / count, y / count, z / count)
 
 
-@njit(cache=True, nogil=True)
-def find_matches(points, pixels, image, radius, near):  # type: ignore[no-untyped-def]
-    """Return the measured point of each model point, shape (N, 3), and how it was found, shape (N,).
+class MatchReach(NamedTuple):
+    """How far a match may be."""
+
+    radius_px: int
+    """Of the neighbour search."""
+    direct_m: float
+    """Points under a pixel and its neighbours nearer than this make a direct match; 0 always searches."""
+    gate_m: float
+    """No match is longer than this."""
+
+
+@kernel
+def find_matches(
+    points: FloatArray, pixels: FloatArray, image: DepthPixels, reach: MatchReach
+) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """Return the measured point of each model point, shape (N, 3), m, and how it was found, shape (N,).
+
+    Source: Klionovska et al. 2018, section 3.2.1, Figs. 5 and 6.
 
     Args:
-        points: model points in sensor axes, (N, 3).
-        pixels: their projections, column and row, (N, 2).
-        image: z-depth with NaN, (height, width), and x/z and y/z of the pixels, (height, width, 2).
-        radius: of the neighbour search, px.
-        near: points under a pixel and its neighbours that are nearer than the first, m: their mean is the
-            match (0 always searches); no match is longer than the second, m.
+        points: model points in sensor axes, (N, 3), m.
+        pixels: their projections, column and row, (N, 2); one that is not in the image has no match.
+        image: what was measured.
+        reach: how far matches are looked for.
     """
-    (depth, slopes), (direct, gate) = image, near
+    depth, slopes = image
+    radius, gate = reach.radius_px, reach.gate_m
     height, width = depth.shape
     matched, kind = np.zeros(points.shape), np.zeros(points.shape[0], np.uint8)
     for n in range(points.shape[0]):
-        column, row = round(pixels[n, 0]), round(pixels[n, 1])
+        u0, v0 = pixels[n, 0], pixels[n, 1]
+        if not (-1.0 < u0 < width and -1.0 < v0 < height):  # NaN and what no integer holds
+            continue
+        column, row = round(u0), round(v0)
         if not (0 <= column < width and 0 <= row < height):
             continue
         x, y, z = points[n]
-        beneath = mean_beneath(points[n], column, row, image, direct)
-        if beneath[2] > 0.0:
+        beneath = mean_beneath(points[n], column, row, image, reach.direct_m)
+        if beneath.z > 0.0:
             matched[n, 0], matched[n, 1], matched[n, 2] = beneath
             kind[n] = DIRECT
             continue
@@ -105,40 +149,48 @@ def find_matches(points, pixels, image, radius, near):  # type: ignore[no-untype
     return matched, kind
 
 
-@njit(cache=True, nogil=True)
-def match_equations(model, normals, matched, kind, weighting):  # type: ignore[no-untyped-def]
-    """Return the sums of ``NormalEquations``: residuals along the normal, or the match.
+class Matches(NamedTuple):
+    """Model points and what was measured of them, as the kernels take them."""
+
+    model_m: FloatArray
+    """Target axes, shape (N, 3)."""
+    normals: FloatArray
+    """Of the model points, shape (N, 3)."""
+    measured_m: FloatArray
+    """Target axes, shape (N, 3)."""
+    kind: NDArray[np.uint8]
+    """NO_MATCH, DIRECT or NEAREST, shape (N,)."""
+
+
+@kernel
+def match_equations(
+    matches: Matches, scale: float, outline_weight: float
+) -> tuple[FloatArray, FieldEvidence]:
+    """Return the sums, shape (35,), of residuals along the normal, or along the match, and their evidence.
 
     Args:
-        model: model points, target axes, (N, 3).
-        normals: of the model points, (N, 3).
-        matched: the measured points in target axes, (N, 3).
-        kind: how each was found, (N,).
-        weighting: Geman-McClure scale, m, and the weight of a nearest match beside a direct one.
+        matches: of N model points.
+        scale: of Geman and McClure, m, above 0.
+        outline_weight: weight of a nearest match beside a direct one.
     """
-    scale, outline_weight = weighting
-    information, gradient, row = np.zeros((6, 6)), np.zeros(6), np.empty(6)
-    weights, squares, inliers, c2 = 0.0, 0.0, 0, scale * scale
-    for n in range(model.shape[0]):
-        if kind[n] == NO_MATCH:
+    sums, weights, squares, inliers, c2 = no_sums(), 0.0, 0.0, 0, scale * scale
+    for n in range(matches.model_m.shape[0]):
+        if matches.kind[n] == NO_MATCH:
             continue
-        s, axis = matched[n], normals[n]
-        e = s - model[n]
+        s, axis = matches.measured_m[n], matches.normals[n]
+        e = s - matches.model_m[n]
         relative = 1.0
-        if kind[n] == NEAREST:
+        if matches.kind[n] == NEAREST:
             axis, relative = e / max(np.sqrt((e * e).sum()), 1e-9), outline_weight
         residual = (axis * e).sum()
-        weight = relative * (c2 / (c2 + residual * residual)) ** 2
-        row[0], row[1], row[2] = -axis[0], -axis[1], -axis[2]
-        row[3] = axis[1] * s[2] - axis[2] * s[1]
-        row[4] = axis[2] * s[0] - axis[0] * s[2]
-        row[5] = axis[0] * s[1] - axis[1] * s[0]
-        add_residual(information, gradient, row, residual, weight)
+        weight = relative * geman_mcclure(residual * residual, c2)
+        normal, place = Vector(axis[0], axis[1], axis[2]), Vector(s[0], s[1], s[2])
+        add_residual(sums, normal, place, 0.0, residual, weight)
         weights += weight
         if residual * residual < c2:
             inliers += 1
             squares += residual * residual
-    return information, gradient, weights, squares, inliers
+    return sums, FieldEvidence(weights, squares, inliers, float(inliers))
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,8 +213,12 @@ class Pairs:
         self, T_sensor_target: RigidTransform, *, scale_m: float, outline_weight: float
     ) -> NormalEquations:
         """Return the normal equations at a pose."""
-        measured_m, weighting = T_sensor_target.inv().apply(self.measured_m), (scale_m, outline_weight)
-        return NormalEquations(*match_equations(self.model_m, self.normals, measured_m, self.kind, weighting))
+        measured_m = T_sensor_target.inv().apply(self.measured_m)
+        matches = Matches(self.model_m, self.normals, measured_m, self.kind)
+        sums, found = match_equations(matches, scale_m, outline_weight)
+        return NormalEquations.of(
+            sums, weight=found.weight, squares_m2=found.squares_m2, inliers=found.inliers
+        )
 
     def best_motion(self) -> RigidTransform:
         """Return the pose with the least sum of the pairs' squared distances (Eq. 4; Kabsch's solution)."""
@@ -255,12 +311,11 @@ class ReverseCalibrationIcp:
         config = self._config
         model_m = self._target.model_points_m[shown]
         points_m = T_sensor_target.apply(model_m)
-        near_m = (width * config.direct_m if self._slides else 0.0, config.gate_m)
+        direct_m = width * config.direct_m if self._slides else 0.0
         measured_m, kind = find_matches(
             points_m,
             image.view.project(points_m),
-            (image.depth_m, image.view.slopes),
-            round(width * config.radius_px),
-            near_m,
+            DepthPixels(image.depth_m, image.view.slopes),
+            MatchReach(round(width * config.radius_px), direct_m, config.gate_m),
         )
         return Pairs(model_m, self._target.model_normals[shown], measured_m, kind)

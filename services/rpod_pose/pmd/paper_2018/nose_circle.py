@@ -10,10 +10,10 @@ from typing import Self
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.paper_2018.edge_image import EdgeImage, bent
 from rpod_pose.pmd.paper_2018.wireframe_view import plane_axes
 from rpod_schemas.arrays import FloatArray
@@ -156,8 +156,8 @@ LEAST_STEP = 0.01
 """Between two places of a spoke, as a share of white: below there is no edge."""
 
 
-@njit(cache=True, nogil=True)
-def circle_through(points):  # type: ignore[no-untyped-def]
+@kernel
+def circle_through(points: FloatArray) -> tuple[FloatArray, float]:
     """Return centre, (2,), and radius of the circle through points, (N, 2): least squares (Kasa, 1976).
 
     Fitted again without those farther off than twice the median.

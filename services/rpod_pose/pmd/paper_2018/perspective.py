@@ -6,20 +6,29 @@ minimises the reprojection error by Gauss-Newton steps with the perturbation of 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.registration.lie_group import turned
-from rpod_pose.registration.normal_equations import add_residual, solve
+from rpod_geometry.kernels import kernel
+from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target, stepped
+from rpod_pose.registration.normal_equations import (
+    UNKNOWNS,
+    add_residual,
+    held_step,
+    information_of,
+    no_sums,
+)
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import Camera
 
 SETTLED = 1e-6
 """A step of less, m and rad, ends the refinement."""
+LEAST_HOLD = 1e-12
+"""Information that no step is needed, 1/m2 or 1/rad2 times px2: next to none."""
 BEHIND_M = 1e-3
 PRIOR_RESIDUALS = 4.0
 """The assumed noise counts as so many residuals: six or seven points say little about their own spread."""
@@ -108,51 +117,83 @@ def fitted(
     points: Correspondences, camera: Camera, T_sensor_target: RigidTransform, *, iterations: int
 ) -> Fit | None:
     """Return the pose with the least squared reprojection error near another; None if it leaves the view."""
-    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
-    R, t = T_sensor_target.rotation.as_matrix(), T_sensor_target.translation
-    R, t = refine(points.points_m, points.pixels, intrinsics, R, t, iterations)
-    errors_px, information, _, before = reproject(points.points_m, points.pixels, intrinsics, R, t)
-    return Fit(pose_of(R, t), errors_px, information) if before else None
+    pinhole = Pinhole(camera.fx, camera.fy, camera.cx, camera.cy)
+    start = PoseArrays.of(T_sensor_target)
+    R, t = refine(points.points_m, points.pixels, pinhole, start, iterations)
+    errors_px, sums, before = reproject(points.points_m, points.pixels, pinhole, PoseArrays(R, t))
+    return Fit(pose_of(R, t), errors_px, information_of(sums, 6)) if before else None
 
 
-@njit(cache=True, nogil=True)
-def reproject(points, pixels, intrinsics, R, t):  # type: ignore[no-untyped-def]
-    """Return errors, (N, 2), px, J^T J, J^T errors, and whether all points lie before the camera."""
-    fx, fy, cx, cy = intrinsics
-    information, gradient, row = np.zeros((6, 6)), np.zeros(6), np.empty(6)
-    errors, by_place = np.empty(pixels.shape), np.zeros((2, 3))
+class Pinhole(NamedTuple):
+    """A camera's matrix, px."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+class Reprojection(NamedTuple):
+    """Where points of a model are imaged."""
+
+    errors_px: FloatArray
+    """From where they were seen to where the pose has them, shape (N, 2)."""
+    sums: FloatArray
+    """Of the errors, weight 1, shape (35,)."""
+    before: bool
+    """Whether all points lie before the camera; else the others are not filled in."""
+
+
+@kernel
+def reproject(points: FloatArray, pixels: FloatArray, pinhole: Pinhole, pose: PoseArrays) -> Reprojection:
+    """Return how points reproject at a pose.
+
+    A pixel u = fx x / z + cx moves by (fx / z, 0, -fx x / z^2) times a step of the point in sensor axes, so
+    that the residual's normal is minus that, turned into target axes; v likewise.
+
+    Args:
+        points: target axes, shape (N, 3), m.
+        pixels: where they were seen, column and row, shape (N, 2).
+        pinhole: the camera.
+        pose: of the target.
+    """
+    sums, errors, R = no_sums(), np.empty(pixels.shape), pose.R
     for n in range(points.shape[0]):
-        q = points[n]
-        p = R @ q + t
-        if not p[2] > BEHIND_M:
-            return errors, information, gradient, False
-        u, v = p[0] / p[2], p[1] / p[2]
-        errors[n, 0], errors[n, 1] = fx * u + cx - pixels[n, 0], fy * v + cy - pixels[n, 1]
-        by_place[0, 0], by_place[0, 2] = fx / p[2], -fx * u / p[2]
-        by_place[1, 1], by_place[1, 2] = fy / p[2], -fy * v / p[2]
-        by_tau = by_place @ R
-        for i in range(2):
-            a = by_tau[i]
-            row[0], row[1], row[2] = a[0], a[1], a[2]
-            row[3], row[4], row[5] = (
-                q[1] * a[2] - q[2] * a[1],
-                q[2] * a[0] - q[0] * a[2],
-                q[0] * a[1] - q[1] * a[0],
-            )
-            add_residual(information, gradient, row, errors[n, i], 1.0)
-    return errors, information, gradient, True
+        place = Vector(points[n, 0], points[n, 1], points[n, 2])
+        p = in_sensor(R, place.x, place.y, place.z)
+        x, y, z = p.x + pose.t[0], p.y + pose.t[1], p.z + pose.t[2]
+        if not z > BEHIND_M:
+            return Reprojection(errors, sums, False)
+        u, v = x / z, y / z
+        errors[n, 0] = pinhole.fx * u + pinhole.cx - pixels[n, 0]
+        errors[n, 1] = pinhole.fy * v + pinhole.cy - pixels[n, 1]
+        across = in_target(R, -pinhole.fx / z, 0.0, pinhole.fx * u / z)
+        down = in_target(R, 0.0, -pinhole.fy / z, pinhole.fy * v / z)
+        add_residual(sums, across, place, 0.0, errors[n, 0], 1.0)
+        add_residual(sums, down, place, 0.0, errors[n, 1], 1.0)
+    return Reprojection(errors, sums, True)
 
 
-@njit(cache=True, nogil=True)
-def refine(points, pixels, intrinsics, R, t, iterations):  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    """Return R and t after Gauss-Newton steps on the reprojection error."""
+@kernel
+def refine(
+    points: FloatArray, pixels: FloatArray, pinhole: Pinhole, start: PoseArrays, iterations: int
+) -> PoseArrays:
+    """Return the pose after at most so many Gauss-Newton steps on the reprojection error.
+
+    Args:
+        points: target axes, shape (N, 3), m.
+        pixels: where they were seen, column and row, shape (N, 2).
+        pinhole: the camera.
+        start: pose to begin with.
+        iterations: most steps; fewer where a step is shorter than ``SETTLED``.
+    """
+    pose, hold = start, np.full(UNKNOWNS, LEAST_HOLD)
     for _ in range(iterations):
-        _, information, gradient, before = reproject(points, pixels, intrinsics, R, t)
-        if not before:
+        seen = reproject(points, pixels, pinhole, pose)
+        if not (seen.before and np.isfinite(seen.sums).all()):
             break
-        step = solve(information, gradient, 0.0)
-        t = t + R @ step[:3]
-        R = turned(R, step[3:])
+        step = held_step(seen.sums, hold)
+        pose = stepped(pose, step[:6])
         if np.abs(step).max() < SETTLED:
             break
-    return R, t
+    return pose

@@ -18,7 +18,8 @@ from lidar_scans import (
 
 from rpod_geometry.rays import cast
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
-from rpod_pose.registration.field_alignment import draw_in
+from rpod_pose.registration.field_alignment import Points, field_aligned
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
 from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
 from rpod_schemas.poses import make_pose, pose_of
@@ -36,10 +37,9 @@ def test_a_rough_pose_is_drawn_in_by_the_distance_field(target, range_m):
     for seed in range(12):
         T = random_pose(seed, range_m)
         seen, guess = tracker(target).view.seen(scan_at(T, target, frame=seed)), off(T, 15.0, 1.0, seed)
-        R, t = draw_in(
-            seen.thinned(128),
-            guess.rotation.as_matrix(),
-            guess.translation,
+        R, t = field_aligned(
+            Points.equal(seen.thinned(128)),
+            PoseArrays.of(guess),
             tracker(target).surface.coarse_field,
             np.geomspace(1.0, 0.15, 6),
         )

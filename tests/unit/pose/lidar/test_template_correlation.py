@@ -6,7 +6,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.rays import RayGrid, cast
-from rpod_pose.lidar.paper_2015.correlation import BLOCK, cast_covariances, match_templates, packed
+from rpod_pose.lidar.paper_2015.correlation import (
+    BLOCK,
+    PackedScan,
+    cast_covariances,
+    match_templates,
+    packed,
+)
 from rpod_target import load_target
 
 ANGLES_RAD = np.deg2rad(np.linspace(-20.0, 20.0, 41))
@@ -33,10 +39,7 @@ def matched(points_m, tau=np.inf, *, best_only=False):
         GRID.arrays,
         TARGET.triangles_m,
         ATTITUDES.as_matrix(),
-        centroid_m,
-        packed(points_m - centroid_m),
-        len(points_m),
-        spread_m(points_m),
+        PackedScan(centroid_m, packed(points_m - centroid_m), len(points_m), spread_m(points_m)),
         tau,
         best_only,
     )

@@ -9,20 +9,20 @@ from tests.pmd_frames import CAMERA
 from rpod_geometry.lens import distort
 from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_pose.pmd.joint.edge_model import EdgeModel
-from rpod_pose.pmd.joint.edge_search import imaged, showing, steepest
+from rpod_pose.pmd.joint.edge_search import CoarsePixels, Lens, Profile, imaged, showing, steepest
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.poses import make_pose
 from rpod_target import load_target
 
 HEXAGON, MOCKUP = load_target("hexagonal-body"), load_target("mockup")
-PINHOLE = np.array((CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, 0.0, 0.0, 0.0, 0.0, 0.0))
+PINHOLE = Lens(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
 SLOPES = st.floats(-0.25, 0.25)
 
 
 @given(SLOPES, SLOPES)
 def test_a_slope_is_imaged_as_the_lens_does_with_its_derivatives(x: float, y: float) -> None:
-    lens = PINHOLE.copy()
-    lens[4:] = 0.2, -0.1, 0.01, -0.02, 0.05
-    camera = CAMERA.model_copy(update={"distortion": lens[4:]})
+    lens = PINHOLE._replace(k1=0.2, k2=-0.1, p1=0.01, p2=-0.02, k3=0.05)
+    camera = CAMERA.model_copy(update={"distortion": np.array(lens[4:])})
     column, row, *derivatives = imaged(x, y, lens)
     u, v = distort(np.array((x, y)), camera)
     assert (column, row) == pytest.approx((u * CAMERA.fx + CAMERA.cx, v * CAMERA.fy + CAMERA.cy))
@@ -38,19 +38,19 @@ def test_a_step_is_found_to_a_tenth_of_a_pixel(place: float, direction: float) -
     columns, rows = np.meshgrid(np.arange(40.0), np.arange(40.0))
     along = (columns - 20.0) * across + (rows - 20.0) * down - place
     image = (100.0 + 50.0 * np.tanh(along)).astype(np.float32)
-    found, change = steepest(image, 20.0, 20.0, across, down, 5.0, 5.0)
+    found, change = steepest(image, Profile(20.0, 20.0, across, down), 5.0, 5.0)
     assert found == pytest.approx(place, abs=0.1)
     assert change > 50.0
 
 
 @pytest.mark.parametrize(("image", "column"), [(np.full((40, 40), 7.0), 20.0), (np.eye(40), 1.0)])
 def test_a_clipped_area_and_the_image_border_are_not_asked(image: np.ndarray, column: float) -> None:
-    assert steepest(image.astype(np.float32), column, 20.0, 1.0, 0.0, 5.0, 0.5)[1] < 0.0
+    assert steepest(image.astype(np.float32), Profile(column, 20.0, 1.0, 0.0), 5.0, 0.5)[1] < 0.0
 
 
 def test_noise_below_the_least_contrast_is_no_edge() -> None:
     image = np.random.default_rng(1).normal(100.0, 1.0, (40, 40)).astype(np.float32)
-    assert steepest(image, 20.0, 20.0, 1.0, 0.0, 5.0, 20.0) == (0.0, 0.0)
+    assert steepest(image, Profile(20.0, 20.0, 1.0, 0.0), 5.0, 20.0) == (0.0, 0.0)
 
 
 def lengths_m(model: EdgeModel, spacing_m: float) -> float:
@@ -79,8 +79,8 @@ def test_what_stands_before_an_edge_hides_it() -> None:
     model, T = EdgeModel.of(HEXAGON, spacing_m=0.02), make_pose(translation_m=(0.0, 0.0, 4.0))
     grid = RayGrid.pinhole(CAMERA)
     hits = cast(grid, HEXAGON.triangles_m, T, out=Hits.of(grid))
-    pose = T.rotation.as_matrix(), T.translation
-    seen = showing(model.arrays, *pose, PINHOLE, (1, 0), hits.range_m)
+    pose = PoseArrays.of(T)
+    seen = showing(model.arrays, pose, PINHOLE, CoarsePixels(1, 0), hits.range_m)
     facing = ((model.normals @ (-T.translation)) > (model.places_m[:, None] * model.normals).sum(-1)).any(1)
     assert 0 < len(seen) <= facing.sum() < len(model.places_m)
-    assert not len(showing(model.arrays, *pose, PINHOLE, (1, 0), np.full_like(hits.range_m, 1.0)))
+    assert not len(showing(model.arrays, pose, PINHOLE, CoarsePixels(1, 0), np.full_like(hits.range_m, 1.0)))

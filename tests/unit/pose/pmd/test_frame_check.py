@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.rays import RayGrid, cast
-from rpod_pose.pmd.frame_check import Contradictions, contradictions
+from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.rendering import Rendering
 from rpod_schemas.config.motion import FACING
@@ -44,7 +44,7 @@ def seen(*, noise_m: float = 0.0, T: RigidTransform = POSE, target: Target = TAR
 
 
 def compared(images, **kwargs) -> Contradictions:
-    return contradictions(images, rendered(), LIMITS, typical=LIT, **kwargs)
+    return contradictions(SeenPixels(*images), rendered(), LIMITS, typical=LIT, **kwargs)
 
 
 def without(part: str) -> Target:
@@ -109,7 +109,7 @@ def test_foil_that_is_seen_obliquely_may_be_as_dark_as_the_sky(angle_deg, contra
     front &= TARGET.triangle_part[there.triangle] == TARGET.parts.index("body")
     range_m, sigma_m, shade = seen(T=pose)
     range_m[front], shade[front] = np.nan, SKY
-    found = contradictions((range_m, sigma_m, shade), there, LIMITS, typical=LIT)
+    found = contradictions(SeenPixels(range_m, sigma_m, shade), there, LIMITS, typical=LIT)
     assert bool(found.reason(LIMITS)) is contradicts
 
 

@@ -14,10 +14,11 @@ from rpod_pose.pmd.paper_2018.icp_reverse_calibration import (
     DIRECT,
     NEAREST,
     NO_MATCH,
+    DepthPixels,
+    MatchReach,
     Pairs,
     ReverseCalibrationIcp,
     find_matches,
-    match_equations,
 )
 from rpod_pose.registration.lie_group import moved
 from rpod_schemas.config.motion import FACING
@@ -226,7 +227,9 @@ SLOPES = np.stack(np.meshgrid(np.arange(20) / 100.0 - 0.1, np.arange(20) / 100.0
 def matches(depth, *, at=(0.0, 0.0, 5.0), radius=3, direct=0.2, gate=10.0):
     point = np.array([at])
     pixel = 100.0 * (point[:, :2] / point[:, 2:] + 0.1)
-    measured, kind = find_matches(point, pixel, (depth.astype(np.float32), SLOPES), radius, (direct, gate))
+    measured, kind = find_matches(
+        point, pixel, DepthPixels(depth.astype(np.float32), SLOPES), MatchReach(radius, direct, gate)
+    )
     return measured[0], kind[0]
 
 
@@ -283,6 +286,6 @@ def test_the_gradient_is_the_derivative_of_half_the_squared_residuals(kind):
         residual = (e * normals).sum(axis=1) if kind == DIRECT else np.linalg.norm(e, axis=1)
         return 0.5 * (residual**2).sum()
 
-    _, gradient, _, _, _ = match_equations(model, normals, T.inv().apply(measured), kinds, (equal, 1.0))
+    gradient = Pairs(model, normals, measured, kinds).equations(T, scale_m=equal, outline_weight=1.0).gradient
     numeric = [(half_cost(1e-6 * row) - half_cost(-1e-6 * row)) / 2e-6 for row in np.eye(6)]
     assert np.allclose(gradient, numeric, rtol=1e-5, atol=1e-6)

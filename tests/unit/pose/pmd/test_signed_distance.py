@@ -9,7 +9,7 @@ from pmd_frames import depth_frame, strange_frames
 from pydantic import ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.pmd.signed_distance import SignedDistanceTracker, field_equations
+from rpod_pose.pmd.signed_distance import SignedDistanceTracker, measured_equations
 from rpod_pose.registration.distance_field import distance_and_gradient, field_arrays
 from rpod_pose.registration.lie_group import moved, turned
 from rpod_schemas.config.motion import FACING
@@ -27,13 +27,15 @@ def test_a_linear_field_is_interpolated_exactly(x, y, z):
     i, j, k = np.indices((6, 6, 6))
     values = (0.5 * i - 0.25 * j + 2.0 * k + 1.0).astype(np.float32)
     found = distance_and_gradient(x, y, z, values)
-    assert np.allclose(found, (0.5 * x - 0.25 * y + 2.0 * z + 1.0, 0.5, -0.25, 2.0), atol=1e-5)
+    assert np.allclose(
+        (found.distance, *found.gradient), (0.5 * x - 0.25 * y + 2.0 * z + 1.0, 0.5, -0.25, 2.0), atol=1e-5
+    )
 
 
 def test_the_gradient_is_that_of_the_interpolation():
     values = np.random.default_rng(1).normal(size=(4, 4, 4)).astype(np.float32)
     at = np.array([1.3, 2.6, 0.4])
-    gradient = distance_and_gradient(*at, values)[1:]
+    gradient = distance_and_gradient(*at, values).gradient
     numeric = [
         (distance_and_gradient(*(at + h), values)[0] - distance_and_gradient(*(at - h), values)[0]) / 2e-5
         for h in 1e-5 * np.eye(3)
@@ -44,7 +46,12 @@ def test_the_gradient_is_that_of_the_interpolation():
 def test_outside_the_grid_the_border_answers():
     values = np.arange(27, dtype=np.float32).reshape(3, 3, 3)
     assert distance_and_gradient(-5.0, 1.0, 1.0, values)[0] == pytest.approx(4.0)
-    assert np.isfinite(distance_and_gradient(1e9, 1e9, 1e9, values)).all()
+    assert distance_and_gradient(1e300, np.inf, 1e9, values).distance == pytest.approx(26.0, abs=0.1)
+
+
+def test_a_place_that_is_not_a_number_is_in_the_first_cell():
+    values = np.arange(27, dtype=np.float32).reshape(3, 3, 3)
+    assert distance_and_gradient(np.nan, np.nan, np.nan, values).distance == 0.0
 
 
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3))
@@ -62,17 +69,16 @@ def test_the_gradient_of_the_equations_is_the_derivative_of_half_the_squared_dis
         q = (moved(POSE, step).inv().apply(points) - field[0]) / field[1]
         return 0.5 * sum(distance_and_gradient(*place, field[2])[0] ** 2 for place in q)
 
-    gradient = field_equations(points, POSE.rotation.as_matrix(), POSE.translation, field, 1e6)[1]
+    gradient = measured_equations(mockup(), points, POSE, 1e6).gradient
     numeric = [(half_cost(1e-5 * row) - half_cost(-1e-5 * row)) / 2e-5 for row in np.eye(6)]
     assert np.allclose(gradient, numeric, rtol=1e-3, atol=1e-6)
 
 
 def test_a_face_turned_away_from_the_camera_is_not_matched():
-    R, t = FACING.as_matrix(), np.array([0.0, 0.0, 4.0])
-    rear = make_pose(rotation=FACING, translation_m=t).apply(np.array([[-0.81, 0.0, 0.0]]))
-    _, _, weight, _, inliers, robust = field_equations(rear, R, t, field_arrays(mockup()), 0.1)
-    assert (weight, inliers) == (0.0, 0)
-    assert robust == pytest.approx(0.01)
+    pose = make_pose(rotation=FACING, translation_m=np.array([0.0, 0.0, 4.0]))
+    sums = measured_equations(mockup(), pose.apply(np.array([[-0.81, 0.0, 0.0]])), pose, 0.1)
+    assert (sums.weight, sums.inliers) == (0.0, 0)
+    assert not sums.information.any()
 
 
 @pytest.mark.parametrize(("degrees", "metres"), [(2.0, 0.03), (10.0, 0.15)])

@@ -1,0 +1,1 @@
+"""Calibration of a PMD camera's distances from logged frames with truth."""

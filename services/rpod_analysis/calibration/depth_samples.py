@@ -1,0 +1,220 @@
+"""What a logged PMD camera measured beside what it should have: pixels on faces, with truth.
+
+The target is rendered at the true pose along every pixel's ray. A pixel counts where its surroundings see the
+same plane, not at a grazing angle, in sufficient light and below saturation: at outlines the light of two
+surfaces mixes, and what is dark measures the lens's stray light.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.spatial.transform import RigidTransform
+
+from rpod_analysis.errors import CalibrationError
+from rpod_analysis.log import Log
+from rpod_analysis.log.sensors import configured_sensors, find_sensors, pmd_frames, pmd_info
+from rpod_analysis.scoring.score import BoolArray, Track, interpolate
+from rpod_geometry.errors import DistortionError
+from rpod_geometry.rays import Hits, RayGrid, cast
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.depth_calibration import unambiguous_range_m
+from rpod_schemas.topics import CHASER, TRUTH
+from rpod_schemas.types import Camera, PmdFrame
+from rpod_target import Target, TargetError, load_target
+
+_MOST_IN_FRAME = 400
+"""Pixels taken of a frame, evenly: near frames, which have many, shall not outweigh far ones."""
+_SAME_PLANE_PX = 5
+"""Side of the square around a pixel in which all rays meet its plane."""
+_LEAST_COSINE = 0.35
+"""Of the angle of incidence: beyond 70 deg an error of the pose is tripled."""
+_LEAST_AMPLITUDE = 0.3
+"""Share of the median amplitude of the target's pixels."""
+_MOST_SATURATION = 0.9
+"""Share of the saturated amplitude."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthSamples:
+    """N pixels of a camera."""
+
+    modulation_frequency_hz: tuple[float, ...]
+    target: str
+    logs: tuple[str, ...]
+    true_m: FloatArray
+    """Radial distance of the surface, shape (N,)."""
+    error_m: FloatArray
+    """Measured minus true radial distance, to the nearest multiple of c / 2f, shape (N,)."""
+    frame: NDArray[np.int64]
+    """Number of the pixel's frame over all logs, shape (N,), rising."""
+
+    @property
+    def frames(self) -> int:
+        """Frames that contribute."""
+        return int(np.unique(self.frame).size)
+
+
+def collect(logs: list[Log], camera: str) -> DepthSamples:
+    """Return the pixels of a camera in one or several runs.
+
+    Raises:
+        CalibrationError: a log lacks the camera, its mount, its frequency, the target or the truth; or two
+            are of different cameras or targets.
+    """
+    parts = [_of_log(log, camera) for log in logs]
+    for field in ("modulation_frequency_hz", "target"):
+        told = {getattr(part, field) for part in parts}
+        if len(told) > 1:
+            raise CalibrationError(f"the logs differ in {field}: {' and '.join(map(str, sorted(told)))}")
+    firsts = np.cumsum([0, *(part.frame.max() + 1 for part in parts)])
+    return DepthSamples(
+        modulation_frequency_hz=parts[0].modulation_frequency_hz,
+        target=parts[0].target,
+        logs=tuple(name for part in parts for name in part.logs),
+        true_m=np.concatenate([part.true_m for part in parts]),
+        error_m=np.concatenate([part.error_m for part in parts]),
+        frame=np.concatenate([part.frame + first for part, first in zip(parts, firsts, strict=False)]),
+    )
+
+
+def _of_log(log: Log, camera: str) -> DepthSamples:
+    name = log.paths[0].name
+    sensor = find_sensors(log).get(camera)
+    if sensor is None or sensor.kind != "pmd":
+        raise CalibrationError(f"{name}: no frames of a PMD camera called {camera!r}")
+    if sensor.T_chaser_sensor is None:
+        raise CalibrationError(
+            f"{name}: neither tf_static nor the configuration tells the mount of {camera!r}"
+        )
+    frequencies_hz = _frequencies(log, camera)
+    target = _target(log)
+    reference = _Reference(target, sensor.T_chaser_sensor, _truth(log), frequencies_hz)
+    try:
+        pixels = [
+            (number, *found)
+            for number, frame in enumerate(pmd_frames(log, camera))
+            if (found := reference.compare(frame)) is not None
+        ]
+    except DistortionError as error:
+        raise CalibrationError(f"{name}: {error}") from error
+    if not pixels:
+        raise CalibrationError(
+            f"{name}: no frame of {camera!r} shows a face of the target where it should be"
+        )
+    number, true_m, error_m = zip(*pixels, strict=True)
+    return DepthSamples(
+        modulation_frequency_hz=frequencies_hz,
+        target=target.name,
+        logs=(name,),
+        true_m=np.concatenate(true_m),
+        error_m=np.concatenate(error_m),
+        frame=np.repeat(np.array(number, np.int64), [part.size for part in true_m]),
+    )
+
+
+def _frequencies(log: Log, camera: str) -> tuple[float, ...]:
+    info = pmd_info(log, camera)
+    if info is not None and info.modulation_frequency_hz.size:
+        return tuple(info.modulation_frequency_hz.tolist())
+    for entry in _configured_sensors(log, camera):
+        field = "dual_frequencies_hz" if entry.get("profile") == "dual" else "modulation_frequency_hz"
+        if told := entry.get(field):
+            return tuple(np.atleast_1d(told).tolist())
+    raise CalibrationError(
+        f"{log.paths[0].name}: neither {camera}/info nor the configuration tells modulation_frequency_hz"
+    )
+
+
+def _configured_sensors(log: Log, camera: str) -> Iterator[dict[str, Any]]:
+    for service in log.configuration.values():
+        yield from (entry for entry in configured_sensors(service) if entry.get("name") == camera)
+
+
+def _target(log: Log) -> Target:
+    names = [service["target"] for service in log.configuration.values() if service.get("target")]
+    if not names:
+        raise CalibrationError(f"{log.paths[0].name}: the log does not say which target it is")
+    try:
+        return load_target(names[0])
+    except TargetError as error:
+        raise CalibrationError(f"{log.paths[0].name}: {error}") from error
+
+
+def _truth(log: Log) -> Track:
+    odometry = sorted(log.odometry(TRUTH), key=lambda entry: entry.stamp_ns)
+    if not odometry:
+        raise CalibrationError(f"{log.paths[0].name}: no truth in the log ({TRUTH.name})")
+    if foreign := {entry.frame_id for entry in odometry} - {CHASER}:
+        raise CalibrationError(
+            f"{log.paths[0].name}: the truth is in frame {foreign.pop()!r}, not {CHASER!r}"
+        )
+    poses = RigidTransform.concatenate([entry.pose for entry in odometry])
+    return Track(np.array([entry.stamp_ns for entry in odometry], np.int64), poses)
+
+
+class _Reference:
+    """What every pixel should have measured."""
+
+    def __init__(
+        self, target: Target, T_chaser_sensor: RigidTransform, truth: Track, frequencies_hz: tuple[float, ...]
+    ) -> None:
+        self._target, self._T_sensor_chaser, self._truth = target, T_chaser_sensor.inv(), truth
+        self._plane = _planes(target)
+        one = len(frequencies_hz) == 1  # else the camera has unwrapped
+        self._interval_m = unambiguous_range_m(frequencies_hz[0]) if one else np.inf
+        self._seen: tuple[Camera, RayGrid] | None = None
+
+    def compare(self, frame: PmdFrame) -> tuple[FloatArray, FloatArray] | None:
+        """Return true distance and error of a frame's good pixels; None where there are none, or no truth."""
+        poses, known = interpolate(self._truth, np.array([frame.stamp_ns]))
+        if not known[0]:
+            return None
+        rays = self._rays(frame.camera)
+        T_sensor_target = self._T_sensor_chaser * poses[0]
+        hits = cast(rays, self._target.triangles_m, T_sensor_target)
+        good = np.flatnonzero(self._on_a_face(hits, rays, T_sensor_target) & _well_lit(frame, hits))
+        if not good.size:
+            return None
+        good = good[np.linspace(0, good.size - 1, min(good.size, _MOST_IN_FRAME)).astype(np.intp)]
+        true_m = hits.range_m.ravel()[good].astype(np.float64)
+        error_m = frame.depth_m.ravel()[good] / rays.components[2].ravel()[good] - true_m
+        if np.isfinite(self._interval_m):
+            error_m -= self._interval_m * np.rint(error_m / self._interval_m)
+        return true_m, error_m
+
+    def _rays(self, camera: Camera) -> RayGrid:
+        if self._seen is None or repr(self._seen[0]) != repr(camera):
+            self._seen = camera, RayGrid.pinhole(camera)
+        return self._seen[1]
+
+    def _on_a_face(self, hits: Hits, rays: RayGrid, T_sensor_target: RigidTransform) -> BoolArray:
+        met = hits.triangle >= 0
+        plane = np.where(met, self._plane[hits.triangle], -1)
+        least = minimum_filter(plane, _SAME_PLANE_PX, mode="constant", cval=-1)
+        most = maximum_filter(plane, _SAME_PLANE_PX, mode="constant", cval=-1)
+        normals = T_sensor_target.rotation.apply(self._target.normals)
+        cosine = -np.einsum("kij,ijk->ij", rays.components, normals[hits.triangle])
+        square_on: BoolArray = met & (least == most) & (cosine >= _LEAST_COSINE)
+        return square_on
+
+
+def _planes(target: Target) -> NDArray[np.intp]:
+    """Return the number of each triangle's plane, shape (T,)."""
+    distance_m = np.einsum("ij,ij->i", target.normals, target.triangles_m[:, 0])
+    plane = np.round(np.column_stack((target.normals, distance_m)), 3)
+    return np.unique(plane, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _well_lit(frame: PmdFrame, hits: Hits) -> BoolArray:
+    lit: BoolArray = np.isfinite(frame.depth_m) & (frame.depth_m > 0.0)
+    on_target = lit & (hits.triangle >= 0)
+    if frame.amplitude is None or not on_target.any():
+        return lit
+    lit &= frame.amplitude >= _LEAST_AMPLITUDE * np.median(frame.amplitude[on_target])
+    if frame.info is not None:
+        lit &= frame.amplitude <= _MOST_SATURATION * frame.info.saturation_count
+    return lit

@@ -1,0 +1,130 @@
+"""How many messages there were, how many the log holds, and what the services counted."""
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+
+from rpod_analysis.log.log import Logged
+from rpod_schemas.summary import FrameCount
+from rpod_schemas.topics import SENSOR_CACHE
+from rpod_schemas.types import Diagnostic, Health
+
+_PUBLISHED = "published/"
+_DROPPED = "dropped"
+_INCOMPLETE = "incomplete"
+_PASSED_OVER = (f"{_DROPPED}/", f"{_INCOMPLETE}/")
+"""By sensor: complete but not the newest, and never complete before a newer one was."""
+_COMMANDS = "commands/"
+_MOST_COMMANDS = 12
+_MOST_ALARMS = 100
+"""Kinds of alarms that are told apart."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A service was asked for something, and accepted."""
+
+    stamp_ns: int
+    service: str
+    verb: str
+    request: str
+    """JSON."""
+
+
+@dataclass(frozen=True)
+class SensorFlow:
+    """What became of a sensor's frames at the estimator."""
+
+    sensor: str
+    published: int
+    accepted: int
+    rejected: int
+    dropped: int
+    """Complete, and passed over in favour of a newer one."""
+    incomplete: int
+    """Never complete before a newer one was."""
+
+    @property
+    def rest(self) -> int:
+        """Of which nothing is told: before the estimator listened, after it, or lost on the way to it."""
+        told = self.accepted + self.rejected + self.dropped + self.incomplete
+        return max(self.published - told, 0)
+
+
+@dataclass
+class Account:
+    """Takes a log's messages and diagnostics, in the order of arrival."""
+
+    logged: Counter[str] = field(default_factory=Counter)
+    first: dict[str, int] = field(default_factory=dict)
+    """Lowest sequence number, by topic."""
+    last: dict[str, int] = field(default_factory=dict)
+    """Highest sequence number, by topic."""
+    counters: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+    """Last value of every counter, by service; the lives of a service that was restarted add up."""
+    alarms: Counter[str] = field(default_factory=Counter)
+    """Diagnostics of level ERROR, by service and what it said; of many kinds the first."""
+    commands: list[Command] = field(default_factory=list)
+    """What services were asked and accepted; of many the first."""
+    command_count: int = 0
+    _lives: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+
+    def take(self, logged: Logged) -> None:
+        """Count a message."""
+        name, sequence = logged.topic, logged.sequence
+        self.logged[name] += 1
+        self.first[name] = min(sequence, self.first.get(name, sequence))
+        self.last[name] = max(sequence, self.last.get(name, sequence))
+
+    def hear(self, diagnostic: Diagnostic) -> None:
+        """Take a service's counters, and its alarm where it raises one."""
+        if diagnostic.level == Health.ERROR:
+            alarm = f"{diagnostic.name}: {diagnostic.message}"
+            known = alarm in self.alarms or len(self.alarms) < _MOST_ALARMS
+            self.alarms[alarm if known else f"{diagnostic.name}: other errors"] += 1
+        now, ended = self.counters[diagnostic.name], self._lives[diagnostic.name]
+        for name, text in diagnostic.values.items():
+            if text.isdecimal():
+                value = int(text)
+                if value + ended[name] < now[name]:
+                    ended[name] = now[name]
+                if name.startswith(_COMMANDS) and value + ended[name] > now[name]:
+                    self._take_command(diagnostic, name.removeprefix(_COMMANDS))
+                now[name] = value + ended[name]
+
+    def _take_command(self, diagnostic: Diagnostic, verb: str) -> None:
+        self.command_count += 1
+        if len(self.commands) < _MOST_COMMANDS:
+            request = diagnostic.values.get(f"command/{verb}", "")
+            self.commands.append(Command(diagnostic.stamp_ns, diagnostic.name, verb, request))
+
+    def frames(self) -> dict[str, FrameCount]:
+        """Return the counts of every topic in the log.
+
+        Published is what the publishers counted, else the highest sequence number. What a publisher had sent
+        before it could still be recovered (its cache is 90 messages) was before the log's time.
+        """
+        counts: dict[str, FrameCount] = {}
+        for topic, logged in sorted(self.logged.items()):
+            counted = sum(counters[_PUBLISHED + topic] for counters in self.counters.values())
+            before = self.first[topic] - 1 if self.first[topic] > SENSOR_CACHE else 0
+            numbered = self.last[topic] + (self.first[topic] == 0)  # numbers may start at 0
+            published = max((counted or numbered) - before, logged)
+            counts[topic] = FrameCount(published=published, logged=logged, missed=published - logged)
+        return counts
+
+    def dropped(self, status_topic: str) -> int:
+        """Return the frames that the estimator passed over: the one that publishes this status."""
+        total = 0
+        for counters in self.counters.values():
+            if _PUBLISHED + status_topic in counters:
+                by_sensor = [value for name, value in counters.items() if name.startswith(_PASSED_OVER)]
+                total += sum(by_sensor) if by_sensor else counters[_DROPPED]
+        return total
+
+    def passed_over(self, status_topic: str, sensor: str) -> tuple[int, int]:
+        """Return a sensor's frames that were dropped and incomplete at the estimator of this status."""
+        mine = [counters for counters in self.counters.values() if _PUBLISHED + status_topic in counters]
+        dropped, incomplete = (
+            sum(counters[f"{kind}/{sensor}"] for counters in mine) for kind in (_DROPPED, _INCOMPLETE)
+        )
+        return dropped, incomplete

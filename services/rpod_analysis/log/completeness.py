@@ -1,0 +1,133 @@
+"""What a log says of its own completeness, held against what is in it (ICD section 5)."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+from pydantic import TypeAdapter
+
+from rpod_analysis.log.log import Log
+from rpod_analysis.log.log_file import LogFile
+from rpod_schemas.logs import (
+    COMPLETENESS,
+    COUNTS,
+    PUBLISHERS,
+    RECOVERY,
+    Numbers,
+    Recovery,
+    TopicCount,
+    check_completeness,
+)
+from rpod_schemas.summary import LogCompleteness
+
+_NUMBERS = TypeAdapter(list[Numbers])
+
+
+@dataclass(frozen=True)
+class FileStatement:
+    """Of one file of a log."""
+
+    name: str
+    messages: int
+    complete: bool | None
+    """None where the file says nothing: it is not of this project's logger, or of an old one."""
+    reasons: tuple[str, ...]
+    """What speaks against it, a sentence each."""
+    continues: str | None = None
+    """Name of the file at whose last message this one begins."""
+    clock_jumps_s: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Of a log, over all its files."""
+
+    files: tuple[FileStatement, ...]
+    between: tuple[str, ...]
+    """Where a file does not begin at the end of the one before it, a sentence each."""
+
+    @property
+    def complete(self) -> bool | None:
+        """Whether all that was published while the log was open is in it; None where nothing says so."""
+        said = [file.complete for file in self.files]
+        if False in said or self.between:
+            return False
+        return None if None in said else True
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What speaks against it, a sentence each, the file named where there are several."""
+        one = len(self.files) == 1
+        told = (reason if one else f"{file.name}: {reason}" for file in self.files for reason in file.reasons)
+        return (*told, *self.between)
+
+    def summary(self) -> LogCompleteness:
+        """Return it as it stands in ``summary.json``."""
+        return LogCompleteness(complete=self.complete, reasons=self.reasons)
+
+
+def find_statement(log: Log) -> Statement:
+    """Return what a log says of itself; what contradicts it speaks against it."""
+    files = tuple(_of_file(file) for file in log.files)
+    between = [
+        f"nothing says that {after.name} begins where {before.name} ends"
+        for before, after in pairwise(files)
+        if after.complete is not None and after.continues != before.name
+    ]
+    if files[0].continues:
+        between.insert(0, f"{files[0].name} goes on from {files[0].continues}, which is not here")
+    return Statement(files, tuple(between))
+
+
+def _of_file(file: LogFile) -> FileStatement:
+    name, messages = file.path.name, file.statistics.message_count
+    if record := file.metadata(RECOVERY):
+        reasons = _of_recovery(Recovery.model_validate_json(record["recovery"]))
+        return FileStatement(name, messages, not reasons, reasons)
+    statement = file.metadata(COMPLETENESS)
+    if not statement:
+        return FileStatement(name, messages, None, ())
+    try:
+        counts = file.metadata(COUNTS)
+        said = check_completeness(statement, counts, _counted(file))
+        said = said.with_reasons(tuple(_count_again(file.metadata(PUBLISHERS), counts)))
+    except ValueError:
+        return FileStatement(name, messages, False, ("its statement cannot be read",))
+    return FileStatement(
+        name, messages, said.complete, said.reasons, said.continues, clock_jumps_s=said.clock_jumps_s
+    )
+
+
+def _of_recovery(recovery: Recovery) -> tuple[str, ...]:
+    """Return what recovery could not bring back."""
+    reasons = [] if recovery.closed else ["recovered from a log that was not closed: its end is not known"]
+    if recovery.unreadable_bytes:
+        reasons.append(
+            f"{recovery.unreadable_bytes} bytes of the damaged log could not be read, "
+            f"in {recovery.damaged_places} places"
+        )
+    if recovery.without_definition:
+        reasons.append(f"{recovery.without_definition} messages left out for want of their definition")
+    reasons += [f"{name}: about {topic.lost} lost" for name, topic in recovery.topics.items() if topic.lost]
+    return tuple(reasons)
+
+
+def _count_again(publishers: Mapping[str, str], counts: Mapping[str, str]) -> Iterator[str]:
+    """Tell where the publishers' sequence numbers contradict the account. Raises ``ValueError``."""
+    for topic, text in publishers.items():
+        runs, count = _NUMBERS.validate_json(text), TopicCount.model_validate_json(counts.get(topic, "{}"))
+        held = sum(run.messages for run in runs)
+        gaps = sum(run.last - run.first + 1 - run.messages for run in runs)
+        told = count.missed + count.lost + count.rejected
+        if held != count.written:
+            yield f"{topic}: {held} written by its publishers' numbers, {count.written} by its account"
+        if gaps > told:
+            yield f"{topic}: {gaps} missing in its publishers' numbers, {told} by its account"
+
+
+def _counted(file: LogFile) -> Counter[str]:
+    counts: Counter[str] = Counter()
+    for channel, number in file.statistics.channel_message_counts.items():
+        counts[file.summary.channels[channel].topic] += number
+    return counts

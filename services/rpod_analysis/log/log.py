@@ -1,0 +1,270 @@
+"""Opening a log: topics, messages and metadata of one or several MCAP files (ICD section 5).
+
+Nothing is read before it is asked for; a slice of time costs only the chunks that it touches.
+Several files, or those of a folder, are the parts of one run: they are read as one log, in the order
+of arrival.
+"""
+
+import heapq
+import json
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from mcap.records import Statistics
+from scipy.spatial.transform import RigidTransform
+
+from rpod_analysis.log.log_file import LogFile, files_of, open_file, reading
+from rpod_analysis.log.unreadable import Unreadable
+from rpod_schemas.cdr import decode
+from rpod_schemas.errors import Reason
+from rpod_schemas.logs import CONFIGURATION, COUNTS, TopicCount
+from rpod_schemas.messages import read_odometry, read_status, read_transforms
+from rpod_schemas.topics import ESTIMATE, STATUS, TF_STATIC, TOPICS, Topic
+from rpod_schemas.types import EstimatorStatus, Odometry
+
+_MOST_LATCHED = 64
+"""Latched messages of a topic, one of each publisher, that may come again at the beginning of a file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Logged:
+    """One message of a log."""
+
+    topic: str
+    type: str
+    """ROS 2 type, as ``sensor_msgs/msg/Image``."""
+    log_ns: int
+    """Arrival at the logger."""
+    publish_ns: int
+    """Source stamp of the attachment."""
+    sequence: int
+    """Sequence number of the attachment."""
+    payload: bytes
+
+    def decode(self) -> Any:
+        """Return the ROS message, its arrays views of the payload; raises ``MessageRejectedError``."""
+        return decode(memoryview(self.payload), self.type)
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """A topic of a log."""
+
+    type: str
+    count: int
+    """Messages in the log's files."""
+
+
+def open_log(path: Path | str, *more: Path | str, namespace: str = "") -> "Log":
+    """Open a log: a file, a folder, or several of either that are read as one.
+
+    Nothing but the files' summaries is read. Logs of others, as rosbag2 writes them, have the same topics.
+
+    Args:
+        path: MCAP file, or a folder of them, in which a recovered log stands for the damaged one, and
+            replays are left out.
+        more: further files or folders.
+        namespace: ROS namespace of the topics, where the log's own configuration does not tell.
+
+    Raises:
+        AnalysisError: a file is missing, no MCAP, or truncated.
+    """
+    return Log(path, *more, namespace=namespace)
+
+
+class Log:
+    """A log that is open; close it by ``with``."""
+
+    def __init__(self, *paths: Path | str, namespace: str = "") -> None:
+        self.unreadable = Unreadable()
+        """Messages that could not be read so far, by whoever asked for them."""
+        self._given_namespace = namespace.strip("/")
+        with ExitStack() as stack:
+            files = [file for path in paths for file in files_of(Path(path))]
+            parts = [open_file(file, stack) for file in files]
+            # By their ends: a part may open with latched messages from before the one before it.
+            self._parts = sorted(parts, key=lambda part: part.statistics.message_end_time)
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The log's files, in the order of time."""
+        return tuple(part.path for part in self._parts)
+
+    @property
+    def files(self) -> tuple[LogFile, ...]:
+        """The files themselves, open, in the order of time."""
+        return tuple(self._parts)
+
+    # --- what is there ---
+
+    @cached_property
+    def topics(self) -> dict[str, TopicInfo]:
+        """Topics by name, without the ROS namespace."""
+        counts: dict[str, TopicInfo] = {}
+        for part in self._parts:
+            messages = part.statistics.channel_message_counts
+            for channel in part.summary.channels.values():
+                name = self._name(channel.topic)
+                before = counts[name].count if name in counts else 0
+                counts[name] = TopicInfo(
+                    part.type_of(channel.schema_id), before + messages.get(channel.id, 0)
+                )
+        return dict(sorted(counts.items()))
+
+    @cached_property
+    def start_ns(self) -> int:
+        """Arrival of the first message; 0 in a log without any."""
+        return min((part.message_start_time for part in self._filled), default=0)
+
+    @cached_property
+    def end_ns(self) -> int:
+        """Arrival of the last message; 0 in a log without any."""
+        return max((part.message_end_time for part in self._filled), default=0)
+
+    @property
+    def _filled(self) -> list[Statistics]:
+        return [part.statistics for part in self._parts if part.statistics.message_count]
+
+    @cached_property
+    def configuration(self) -> dict[str, dict[str, Any]]:
+        """The resolved configuration of every service, by instance; what is no JSON object is left out."""
+        found: dict[str, dict[str, Any]] = {}
+        for name, text in self.metadata(CONFIGURATION).items():
+            try:
+                model = json.loads(text)
+            except ValueError:
+                model = None
+            if isinstance(model, dict):
+                found[name] = model
+            else:
+                self.unreadable.note(CONFIGURATION, Reason.MALFORMED, f"{name}: is no JSON object")
+        return found
+
+    def metadata(self, record: str) -> dict[str, str]:
+        """Return a metadata record, empty where there is none; what was written later counts."""
+        values: dict[str, str] = {}
+        for part in self._parts:
+            values |= part.metadata(record)
+        return values
+
+    @cached_property
+    def counts(self) -> dict[str, TopicCount]:
+        """The logger's account by topic, over all files that were closed."""
+        totals: dict[str, Counter[str]] = defaultdict(Counter)
+        for part in self._parts:
+            for topic, text in part.metadata(COUNTS).items():
+                totals[self._name(topic)].update(json.loads(text))
+        return {topic: TopicCount(**counter) for topic, counter in totals.items()}
+
+    @cached_property
+    def extrinsics(self) -> dict[str, tuple[str, RigidTransform]]:
+        """Parent and T_parent_child of every static transform, by child; the last one counts."""
+        transforms: dict[str, tuple[str, RigidTransform]] = {}
+        for logged in self.messages(TF_STATIC):
+            with self.unreadable.left_out(logged):
+                for _, parent, child, T_parent_child in read_transforms(logged.decode()):
+                    transforms[child] = parent, T_parent_child
+        return transforms
+
+    # --- messages ---
+
+    def messages(
+        self, *topics: Topic | str, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[Logged]:
+        """Iterate over messages in the order of arrival.
+
+        Args:
+            topics: of which topics; of all where none is named.
+            start_ns: arrival of the first message.
+            end_ns: all messages arrived before this.
+
+        Raises:
+            DamagedLogError: the file cannot be read there.
+        """
+        names = {topic.name if isinstance(topic, Topic) else topic for topic in topics}
+        latched: dict[str, deque[tuple[int, int]]] = {}  # each file opens with the latched messages again
+        parts = [self._messages_of(part, names, start_ns, end_ns) for part in self._parts]
+        for logged in heapq.merge(*parts, key=lambda logged: logged.log_ns):
+            if is_latched(logged.topic):
+                before = latched.setdefault(logged.topic, deque(maxlen=_MOST_LATCHED))
+                identity = logged.sequence, logged.publish_ns
+                if identity in before:
+                    continue
+                before.append(identity)
+            yield logged
+
+    def _messages_of(
+        self, part: LogFile, names: set[str], start_ns: int | None, end_ns: int | None
+    ) -> Iterator[Logged]:
+        channels = {
+            channel.topic: (self._name(channel.topic), part.type_of(channel.schema_id))
+            for channel in part.summary.channels.values()
+            if not names or self._name(channel.topic) in names
+        }
+        if not channels:
+            return
+        found = part.reader.iter_messages(list(channels), starting_at=start_ns, ending_before=end_ns)
+        while True:
+            with reading(part.path):
+                item = next(found, None)
+            if item is None:
+                return
+            _, channel, message = item
+            name, type_name = channels[channel.topic]
+            yield Logged(
+                name, type_name, message.log_time, message.publish_time, message.sequence, message.data
+            )
+
+    def odometry(
+        self, topic: Topic | str = ESTIMATE, *, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[Odometry]:
+        """Iterate over a nav_msgs/Odometry topic; ``unreadable`` counts messages that are left out."""
+        for logged in self.messages(topic, start_ns=start_ns, end_ns=end_ns):
+            with self.unreadable.left_out(logged):
+                yield read_odometry(logged.decode())
+
+    def statuses(
+        self, topic: Topic | str = STATUS, *, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[EstimatorStatus]:
+        """Iterate over the estimator's status; ``unreadable`` counts messages that are left out."""
+        for logged in self.messages(topic, start_ns=start_ns, end_ns=end_ns):
+            with self.unreadable.left_out(logged):
+                yield read_status(logged.decode())
+
+    def _name(self, channel_topic: str) -> str:
+        """Return a topic's name as the ICD writes it: no leading slash, no namespace."""
+        return channel_topic.removeprefix("/").removeprefix(self._namespace)
+
+    @cached_property
+    def _namespace(self) -> str:
+        if self._given_namespace:
+            return f"{self._given_namespace}/"
+        for service in self.configuration.values():
+            bus = service.get("bus")
+            if isinstance(bus, dict) and (namespace := bus.get("namespace")):
+                return f"{namespace}/"
+        return ""
+
+
+def is_latched(name: str) -> bool:
+    """Return whether the ICD has a topic latched."""
+    kind = name.split("/", 1)[-1]
+    return any(
+        topic.latched and (topic.name == name or topic.name in (f"<camera>/{kind}", f"<lidar>/{kind}"))
+        for topic in TOPICS
+    )

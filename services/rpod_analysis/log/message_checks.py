@@ -1,0 +1,79 @@
+"""Whether a logged message can be read, told as cheaply as its type allows.
+
+A report goes through every message of a log. Poses at 250 Hz and images are checked by their bare numbers;
+what is small or rare is read as a service reads it.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from rpod_analysis.log.log import Logged
+from rpod_schemas.bounds import POSITION_M
+from rpod_schemas.cdr import is_known
+from rpod_schemas.messages import (
+    read_camera,
+    read_image,
+    read_lidar_info,
+    read_pmd_info,
+    read_points,
+    read_pose,
+    read_stamp,
+    read_transforms,
+    read_vector_stamped,
+)
+from rpod_schemas.topics import (
+    CAMERA_INFO,
+    CLOCK,
+    DEPTH,
+    ESTIMATE_POSE,
+    LIDAR_INFO,
+    PMD_INFO,
+    POINTS,
+    SUN,
+    TF,
+    TRUTH,
+)
+
+_UNIT = 1e-3
+"""Largest distance of a squared quaternion's norm from 1 that needs no closer look."""
+
+
+def check_message(logged: Logged) -> None:
+    """Raise ``MessageRejectedError`` where a message of the ICD's types cannot be read."""
+    if is_known(logged.type):
+        message = logged.decode()
+        if read := _READERS.get(logged.type):
+            read(message)
+
+
+def pose_numbers(pose: Any) -> tuple[float, float, float, float, float, float, float]:
+    """Return x, y, z and the quaternion x, y, z, w of a geometry_msgs/Pose.
+
+    Raises:
+        MessageRejectedError: it is no pose.
+    """
+    p, q = pose.position, pose.orientation
+    norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    if not (abs(norm - 1.0) < _UNIT and max(abs(p.x), abs(p.y), abs(p.z)) <= POSITION_M.high):
+        read_pose(pose)  # says what is wrong
+    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+
+
+def _check_pose(message: Any) -> None:
+    read_stamp(message.header)
+    pose_numbers(message.pose.pose)
+
+
+_READERS: dict[str, Callable[[Any], Any]] = {
+    TRUTH.type: _check_pose,
+    ESTIMATE_POSE.type: _check_pose,
+    SUN.type: read_vector_stamped,
+    TF.type: read_transforms,
+    CLOCK.type: read_stamp,
+    DEPTH.type: read_image,
+    CAMERA_INFO.type: read_camera,
+    PMD_INFO.type: read_pmd_info,
+    POINTS.type: read_points,
+    LIDAR_INFO.type: read_lidar_info,
+}
+"""By type."""

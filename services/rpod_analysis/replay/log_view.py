@@ -1,0 +1,124 @@
+"""A log through the live view: the same drawing, as fast as it goes."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import chain, islice
+
+from rpod_analysis.log import Log, Logged
+from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.replay.frames import as_received
+from rpod_schemas.cdr import NANOSECONDS, peek_stamp
+from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.topics import TF, TF_STATIC, TRUTH, Topic
+from rpod_view.scene import SENSOR_TOPICS, pose_topics
+from rpod_view.view import View
+
+_MOST_MOMENTS = 1200
+"""Drawn of a log, so that a long one does not fill the viewer's memory."""
+_AGAIN_NS = NANOSECONDS
+"""A stamp so much before the last ones is of a clock that began again."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What of a log is shown; by arrival, ns, the end excluded."""
+
+    start_ns: int | None = None
+    end_ns: int | None = None
+
+
+class _Pace:
+    """Moments at even distances in the time of the stamps, which need not be that of the arrival."""
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._next_ns: int | None = None
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Return whether a moment lies before this stamp."""
+        if self._next_ns is None or self._next_ns - stamp_ns > self._period_ns + _AGAIN_NS:
+            self._next_ns = stamp_ns + self._period_ns
+        if stamp_ns < self._next_ns:
+            return False
+        self._next_ns += self._period_ns * (1 + (stamp_ns - self._next_ns) // self._period_ns)
+        return True
+
+
+def show_log(
+    log: Log,
+    view: View,
+    *,
+    prefix: str,
+    rate_hz: float,
+    part: Part = Part(),
+    drawn: Callable[[], bool] = lambda: True,
+) -> None:
+    """Draw a log in the order of arrival.
+
+    Args:
+        log: an open log.
+        view: where it is drawn.
+        prefix: first part of the topics of the estimates.
+        rate_hz: in each second of the stamps the newest is drawn so often, in a long log less often.
+        part: what of the log.
+        drawn: called after each moment, waits until the viewer has it; false ends the drawing.
+
+    Raises:
+        AnalysisError: the log cannot be read there.
+    """
+    topics = _topics(log, prefix)
+    pace = _Pace(round(max(NANOSECONDS / rate_hz, _span_ns(log, topics, part) / _MOST_MOMENTS)))
+
+    mounts = log.messages(TF_STATIC, end_ns=part.start_ns) if part.start_ns else ()
+    stamps = StampCheck(log)
+    for logged in chain(mounts, log.messages(*topics, start_ns=part.start_ns, end_ns=part.end_ns)):
+        if not _of_this_log(log, stamps, logged):
+            continue
+        if _is_due(pace, logged):
+            view.draw()
+            if not drawn():
+                return
+        view.take(as_received(logged))
+    view.draw()
+    drawn()
+
+
+def _of_this_log(log: Log, stamps: StampCheck, logged: Logged) -> bool:
+    """Return whether a message's stamp can be of the log; others are left out and counted."""
+    with log.unreadable.left_out(logged):
+        stamps.peek(logged)
+        return True
+    return False
+
+
+def _is_due(pace: _Pace, logged: Logged) -> bool:
+    """Return whether a moment lies before a message; transforms carry their stamps elsewhere."""
+    if logged.type == TF.type:
+        return False
+    with suppress(MessageRejectedError):
+        return pace.is_due(peek_stamp(logged.payload))
+    return False
+
+
+def _span_ns(log: Log, topics: list[str], part: Part) -> int:
+    """Return from which stamp to which the part reaches, to the last second of its arrival."""
+    stamped = [name for name in topics if log.topics[name].type != TF.type]
+    end_ns = log.end_ns + 1 if part.end_ns is None else part.end_ns
+    stamps_ns: list[int] = []
+    for start_ns, most in ((part.start_ns, 1), (end_ns - NANOSECONDS, None)):
+        for logged in islice(log.messages(*stamped, start_ns=start_ns, end_ns=part.end_ns), most):
+            with suppress(MessageRejectedError):
+                stamps_ns.append(peek_stamp(logged.payload))
+    return max(stamps_ns, default=0) - min(stamps_ns, default=0)
+
+
+def _topics(log: Log, prefix: str) -> list[str]:
+    """Return the topics of a log that are drawn; the truth's own where it is there, else its transforms."""
+    truth = TRUTH if TRUTH.name in log.topics else TF
+    wanted = (truth, *pose_topics(prefix), *SENSOR_TOPICS)
+    return [
+        name
+        for name, info in log.topics.items()
+        if any(topic.covers(Topic(name, info.type)) for topic in wanted)
+    ]

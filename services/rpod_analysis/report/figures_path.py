@@ -1,0 +1,119 @@
+"""The way of the target through the chaser's axes: in three dimensions, from above and from the side."""
+
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from rpod_analysis.report.downsampling import Samples
+from rpod_analysis.report.figures import ACCENT, QUIET, styled, with_gaps
+from rpod_analysis.report.plot_data import Digest
+from rpod_schemas.arrays import FloatArray
+
+_AXES = "xyz"
+_CAMERA = {"eye": {"x": 1.5, "y": 1.5, "z": 1.0}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}}
+
+
+def path_figure(digest: Digest) -> go.Figure | None:
+    """Position of the target's origin in chaser axes, truth and estimate; None where neither is known.
+
+    The plane projections need no WebGL, which a browser may not have.
+    """
+    paths: list[tuple[str, Samples, dict[str, Any]]] = [
+        ("truth", digest.true_path, {"color": QUIET, "width": 4}),
+        ("estimate", digest.path, {"color": ACCENT, "width": 1.4}),
+    ]
+    known = [(name, _with_gaps(digest, path), line) for name, path, line in paths if len(path.rows)]
+    if not known:
+        return None
+    figure = make_subplots(
+        rows=2,
+        cols=2,
+        column_widths=[0.56, 0.44],
+        specs=[[{"type": "scene", "rowspan": 2}, {"type": "xy"}], [None, {"type": "xy"}]],
+        horizontal_spacing=0.07,
+        vertical_spacing=0.16,
+    )
+    everything = np.concatenate([rows for _, rows, _ in known])
+    first, second, third = _by_extent(everything)
+    ranges = _ranges(everything)
+    for name, rows, line in known:
+        x, y, z = rows.T
+        figure.add_trace(
+            go.Scatter3d(
+                x=x, y=y, z=z, mode="lines", name=name, line=line | {"width": 1.6 * line["width"]},
+                hovertemplate="x %{x:.3f}, y %{y:.3f}, z %{z:.3f} m<extra>" + name + "</extra>",
+            ),
+            row=1, col=1,
+        )  # fmt: skip
+        for row, across in ((1, second), (2, third)):
+            _projection(figure, rows, (first, across), line, row=row, name=name)
+    _ends(figure, known[-1][1], (first, second, third))
+    title: dict[str, Any] = {
+        f"{axis}axis": {"title": {"text": f"{axis} [m]"}, "range": ranges[index]}
+        for index, axis in enumerate(_AXES)
+    }
+    grid = {
+        "gridcolor": "#c5ccd3",
+        "showbackground": False,
+        "zeroline": False,
+        "showline": True,
+        "linecolor": QUIET,
+    }
+    figure.update_scenes(
+        **{name: axis | grid for name, axis in title.items()},
+        aspectmode="cube",
+        dragmode="turntable",
+        camera=_CAMERA,
+    )
+    for row, across in ((1, second), (2, third)):
+        figure.update_xaxes(title_text=f"{_AXES[first]} [m]", range=ranges[first], row=row, col=2)
+        figure.update_yaxes(title_text=f"{_AXES[across]} [m]", range=ranges[across], row=row, col=2)
+    figure.update_layout(legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0})
+    return styled(figure, height=520, top=34, legend=True)
+
+
+def _with_gaps(digest: Digest, path: Samples) -> FloatArray:
+    time_s = digest.seconds(path.stamp_ns)
+    return np.column_stack([with_gaps(time_s, column)[1] for column in path.rows.T])
+
+
+def _by_extent(rows: FloatArray) -> tuple[int, int, int]:
+    """Return the axes by how far the path goes along them, the longest first."""
+    first, second, third = np.argsort(np.nanmin(rows, axis=0) - np.nanmax(rows, axis=0), kind="stable")
+    return int(first), int(second), int(third)
+
+
+def _ranges(rows: FloatArray) -> list[list[float]]:
+    """Return from where to where each axis goes: a short way is not blown up to look like a long one."""
+    low, high = np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)
+    half = np.maximum(0.55 * (high - low), 0.1 * (high - low).max())
+    half = np.maximum(half, 1e-3)
+    middle = (low + high) / 2.0
+    return np.column_stack([middle - half, middle + half]).tolist()  # type: ignore[no-any-return]
+
+
+def _projection(
+    figure: go.Figure, rows: FloatArray, axes: tuple[int, int], line: dict[str, Any], *, row: int, name: str
+) -> None:
+    figure.add_trace(
+        go.Scatter(
+            x=rows[:, axes[0]], y=rows[:, axes[1]], mode="lines", line=line, showlegend=False,
+            hovertemplate="%{x:.3f}, %{y:.3f} m<extra>" + name + "</extra>",
+        ),
+        row=row, col=2,
+    )  # fmt: skip
+
+
+def _ends(figure: go.Figure, rows: FloatArray, axes: tuple[int, int, int]) -> None:
+    """Mark where the path begins and ends."""
+    for row, across in ((1, axes[1]), (2, axes[2])):
+        figure.add_trace(
+            go.Scatter(
+                x=rows[[0, -1], axes[0]], y=rows[[0, -1], across], mode="markers+text", text=["begin", "end"],
+                marker={"color": ACCENT, "size": 8, "symbol": ["circle-open", "circle"]},
+                textposition="top center", showlegend=False, hoverinfo="skip", cliponaxis=False,
+            ),
+            row=row, col=2,
+        )  # fmt: skip

@@ -1,0 +1,114 @@
+"""The report: one HTML file that opens without a network, ``summary.json`` and tables beside it.
+
+Several logs are reported one by one, and then side by side in one more file.
+"""
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from plotly.offline import get_plotlyjs
+
+from rpod_analysis.log import open_log
+from rpod_analysis.log.log_file import RECOVERED
+from rpod_analysis.report.comparison import ROWS, comparison_figure
+from rpod_analysis.report.content import Story, figure_html, tell
+from rpod_analysis.report.tables import write_tables
+from rpod_analysis.scoring.run import stream_run
+from rpod_schemas.summary import Comparison
+
+_PART = re.compile(r"_\d{4}$")
+
+
+@dataclass(frozen=True)
+class ReportPaths:
+    """What was written."""
+
+    html: Path
+    summary: Path
+    """JSON: a ``Summary``; of several runs a ``Comparison``."""
+
+
+def write_report(logs: Sequence[Path], out: Path | None = None) -> ReportPaths:
+    """Write ``report.html`` and ``summary.json`` of a run, and its tables and trajectories beside them.
+
+    Args:
+        logs: the run's log, or its parts.
+        out: directory to write to; beside the log where left out.
+
+    Raises:
+        AnalysisError: a log cannot be read, or no estimator spoke in it.
+    """
+    paths, _ = _report_one(logs, out, name="")
+    return paths
+
+
+def write_comparison(runs: Sequence[Sequence[Path]], out: Path | None = None) -> ReportPaths:
+    """Report several runs, each as ``write_report`` does, and beside each other in ``comparison.html``.
+
+    Args:
+        runs: the log of each, or its parts.
+        out: directory to write to, with a folder of each log; where left out beside the logs, in a folder of
+            each where several are in one, and the comparison into the folder that holds them all.
+
+    Raises:
+        AnalysisError: a log cannot be read, or no estimator spoke in it.
+    """
+    names, stories = tell_apart([logs[0] for logs in runs]), []
+    folders = [logs[0].absolute().parent for logs in runs]
+    for logs, name, folder in zip(runs, names, folders, strict=True):
+        alone = out is None and folders.count(folder) == 1
+        stories.append(_report_one(logs, None if alone else (out or folder) / name, name=name)[1])
+    directory = out or Path(os.path.commonpath(folders))
+    paths = ReportPaths(directory / "comparison.html", directory / "comparison.json")
+    page = _template("comparison.html.j2").render(
+        stories=stories, rows=ROWS, figure=figure_html(comparison_figure(stories), "figure-comparison"),
+        plotly=get_plotlyjs(),
+    )  # fmt: skip
+    paths.html.write_text(page, encoding="utf-8")
+    comparison = Comparison(report=str(paths.html), runs=tuple(story.summary for story in stories))
+    paths.summary.write_text(comparison.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    return paths
+
+
+def group_parts(paths: Sequence[Path]) -> list[list[Path]]:
+    """Return logs by the run that they are of: ``run.mcap`` and ``run_0002.mcap`` of one folder are parts."""
+    runs: dict[tuple[Path, str], list[Path]] = {}
+    for path in paths:
+        stem = path.name if path.is_dir() else path.stem.removesuffix(RECOVERED)
+        runs.setdefault((path.absolute().parent, _PART.sub("", stem)), []).append(path)
+    return list(runs.values())
+
+
+def tell_apart(paths: Sequence[Path]) -> list[str]:
+    """Return a name of each log: its file's, where two are the same its folder's, else with a number."""
+    absolute = [path.absolute() for path in paths]
+    choices = (
+        [path.stem for path in absolute],
+        [path.parent.name for path in absolute],
+        [f"{path.parent.name}-{number}" for number, path in enumerate(absolute, start=1)],
+    )
+    return next(names for names in choices if len(set(names)) == len(names))
+
+
+def _report_one(logs: Sequence[Path], out: Path | None, *, name: str) -> tuple[ReportPaths, Story]:
+    with open_log(*logs) as log:
+        run = stream_run(log)
+        directory = out or log.paths[0].parent
+        paths = ReportPaths(directory / "report.html", directory / "summary.json")
+        story = tell(log, run, name=name, report=paths.html)
+    directory.mkdir(parents=True, exist_ok=True)
+    write_tables(directory, run)
+    page = _template("report.html.j2").render(story=story, plotly=get_plotlyjs())
+    paths.html.write_text(page, encoding="utf-8")
+    paths.summary.write_text(story.summary.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    return paths, story
+
+
+def _template(name: str) -> Template:
+    return Environment(
+        loader=PackageLoader("rpod_analysis"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    ).get_template(name)

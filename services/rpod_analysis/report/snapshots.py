@@ -1,0 +1,207 @@
+"""Sample frames of a run, with the target's wireframe at the estimate and at the truth over them."""
+
+import base64
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_analysis.log import Log
+from rpod_analysis.log.sensors import Sensor, lidar_scans, pmd_frames
+from rpod_analysis.report.plot_data import Digest
+from rpod_analysis.report.wireframe import svg_path
+from rpod_analysis.scoring.run import Run, StreamedRun
+from rpod_analysis.scoring.score import Track, interpolate
+from rpod_geometry.wireframe import project, visible_pieces
+from rpod_schemas.arrays import Array, FloatArray
+from rpod_schemas.types import Camera, LidarScan, PmdFrame
+from rpod_target import Target
+
+_SAMPLES = 4
+"""Frames shown of each sensor."""
+_SLICE_NS = 200_000_000
+"""The parts of a frame arrive within this of each other."""
+_ASPECT = 4.0 / 3.0
+_MARGIN = 1.25
+_MOST_POINTS = 4000
+_SHADES = 10
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One image with its overlay; lengths are a camera's pixels, else x/z and y/z in thousandths."""
+
+    title: str
+    view: tuple[float, float, float, float]
+    """What is shown: left, top, width, height."""
+    image: str
+    """Data URI; empty where points are drawn."""
+    size: tuple[int, int]
+    """Width and height of the image."""
+    points: tuple[tuple[str, str], ...]
+    """Colour and SVG path of points, near to far."""
+    low: str
+    high: str
+    """What the ends of the scale mean."""
+    scale: str
+    """Which scale: ``depth`` or ``grey``."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A frame of a sensor at a time."""
+
+    sensor: str
+    time_s: float
+    note: str
+    pictures: tuple[Picture, ...]
+    estimate_path: str
+    """SVG path of the wireframe at the estimate; empty where there is none."""
+    truth_path: str
+
+
+def take_snapshots(log: Log, run: StreamedRun, digest: Digest, target: Target | None) -> list[Snapshot]:
+    """Return about four frames of each sensor, evenly over the run, estimated ones first of all."""
+    return [
+        snapshot
+        for sensor in run.sensors.values()
+        for stamp_ns in _sample_stamps(digest, sensor)
+        for frame in _read_frame(log, run.at(stamp_ns), sensor, stamp_ns)
+        if (snapshot := _snapshot(run.at(stamp_ns), sensor, frame, target))
+    ]
+
+
+def _sample_stamps(digest: Digest, sensor: Sensor) -> list[int]:
+    estimated = digest.frames[sensor.name].stamp_ns
+    choice = estimated if estimated.size else digest.any_frames[sensor.name].stamp_ns
+    if not choice.size:
+        return []
+    places = np.quantile(np.arange(choice.size), np.linspace(0.02, 0.98, _SAMPLES), method="nearest")
+    return [int(stamp_ns) for stamp_ns in choice[np.unique(places).astype(np.int64)]]
+
+
+def _read_frame(log: Log, run: Run, sensor: Sensor, stamp_ns: int) -> Iterator[PmdFrame | LidarScan]:
+    frames = run.frames[sensor.name]
+    log_ns = int(frames.log_ns[np.argmax(frames.stamp_ns == stamp_ns)])
+    read = pmd_frames if sensor.kind == "pmd" else lidar_scans
+    near = read(log, sensor.name, start_ns=log_ns - _SLICE_NS, end_ns=log_ns + _SLICE_NS)
+    yield from (frame for frame in near if frame.stamp_ns == stamp_ns)
+
+
+def _snapshot(
+    run: Run, sensor: Sensor, frame: PmdFrame | LidarScan, target: Target | None
+) -> Snapshot | None:
+    camera = frame.camera if isinstance(frame, PmdFrame) else None
+    index = _index_of(run.estimates, frame.stamp_ns)
+    drawn = [
+        _outline(sensor, target, camera, pose)
+        for pose in (None if index is None else run.estimates.poses[index], _truth_at(run, frame.stamp_ns))
+    ]
+    outline = np.concatenate([segments.reshape(-1, 2) for segments in drawn])
+    if isinstance(frame, PmdFrame):
+        pictures = camera_pictures(frame, outline)
+    else:
+        pictures = _lidar_pictures(frame, outline)
+    return Snapshot(
+        sensor=sensor.name,
+        time_s=float(run.seconds(np.array([frame.stamp_ns]))[0]),
+        note=_note(run, index),
+        pictures=pictures,
+        estimate_path=svg_path(drawn[0]),
+        truth_path=svg_path(drawn[1]),
+    )
+
+
+def _index_of(track: Track, stamp_ns: int) -> int | None:
+    found = np.flatnonzero(track.stamp_ns == stamp_ns)
+    return int(found[-1]) if found.size else None
+
+
+def _truth_at(run: Run, stamp_ns: int) -> RigidTransform | None:
+    poses, known = interpolate(run.truth, np.array([stamp_ns]))
+    return poses[0] if known[0] else None
+
+
+def _outline(
+    sensor: Sensor, target: Target | None, camera: Camera | None, T_chaser_target: RigidTransform | None
+) -> FloatArray:
+    if target is None or T_chaser_target is None or sensor.T_chaser_sensor is None:
+        return np.zeros((0, 2, 2))
+    pieces = visible_pieces(target, sensor.T_chaser_sensor.inv() * T_chaser_target)
+    return project(pieces, camera)
+
+
+def _note(run: Run, index: int | None) -> str:
+    if index is None:
+        return "no estimate"
+    if not run.errors.scored[index]:
+        return "no truth"
+    return f"{np.rad2deg(run.errors.angle_rad[index]):.2f}°, {100 * run.errors.distance_m[index]:.1f} cm"
+
+
+def camera_pictures(frame: PmdFrame, outline: FloatArray) -> tuple[Picture, ...]:
+    """Return depth and, where it is sent, amplitude, with the window on an outline, pixels, shape (N, 2)."""
+    size = frame.camera.width, frame.camera.height
+    rows, columns = np.nonzero(np.isfinite(frame.depth_m))
+    view = _view(outline if len(outline) else np.column_stack([columns, rows]).astype(np.float64), size)
+    near, far = _span(frame.depth_m[rows, columns])
+    shade = _shade(frame.depth_m, far, near)
+    opaque = np.where(np.isfinite(frame.depth_m), 255, 0).astype(np.uint8)
+    depth = np.dstack([cv2.applyColorMap(shade, cv2.COLORMAP_VIRIDIS), opaque]).astype(np.uint8)
+    pictures = [Picture("depth", view, _data_uri(depth), size, (), f"{near:.2f} m", f"{far:.2f} m", "depth")]
+    if frame.amplitude is not None:
+        low, high = _span(frame.amplitude)
+        grey = (255.0 * (_shade(frame.amplitude, low, high) / 255.0) ** 0.6).astype(np.uint8)
+        uri = _data_uri(grey)
+        pictures.append(Picture("amplitude", view, uri, size, (), f"{high:.0f}", f"{low:.0f}", "grey"))
+    return tuple(pictures)
+
+
+def _lidar_pictures(scan: LidarScan, outline: FloatArray) -> tuple[Picture, ...]:
+    points = scan.returns_m[:: len(scan.returns_m) // _MOST_POINTS + 1].astype(np.float64)
+    points = points[points[:, 2] > 0.0]
+    if not len(points):
+        return ()
+    image = project(points, None)
+    range_m = np.linalg.norm(points, axis=1)
+    near, far = _span(range_m)
+    shade = _shade(range_m, far, near) // (256 // _SHADES + 1)
+    layers = []
+    for level in range(_SHADES):
+        colour = cv2.applyColorMap(
+            np.array([[level * 255 // (_SHADES - 1)]], np.uint8), cv2.COLORMAP_VIRIDIS
+        )[0, 0]
+        path = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in image[shade == level])
+        layers.append((f"rgb({colour[2]},{colour[1]},{colour[0]})", path))
+    view = _view(np.concatenate([image, outline]), None)
+    return (Picture("returns", view, "", (0, 0), tuple(layers), f"{near:.2f} m", f"{far:.2f} m", "depth"),)
+
+
+def _view(points: FloatArray, size: tuple[int, int] | None) -> tuple[float, float, float, float]:
+    """Return the window on what is to be seen, with a margin, in the pictures' aspect."""
+    if not len(points):
+        return (0.0, 0.0, *size) if size else (0.0, 0.0, 1.0, 1.0)
+    low, high = points.min(axis=0), points.max(axis=0)
+    width, height = np.maximum((high - low) * _MARGIN, 1e-3)
+    width, height = max(width, height * _ASPECT), max(height, width / _ASPECT)
+    left, top = (low + high - (width, height)) / 2.0
+    return float(left), float(top), float(width), float(height)
+
+
+def _span(values: Array) -> tuple[float, float]:
+    low, high = np.percentile(values, (1, 99))
+    return float(low), float(max(high, low + 1e-6))
+
+
+def _shade(values: Array, black: float, white: float) -> NDArray[np.uint8]:
+    """Return values as 0 to 255 between two ends, NaN as 0."""
+    share = np.nan_to_num((values.astype(np.float64) - black) / (white - black))
+    return (255.0 * share.clip(0.0, 1.0)).astype(np.uint8)
+
+
+def _data_uri(image: NDArray[np.uint8]) -> str:
+    _, encoded = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, 92])
+    return f"data:image/webp;base64,{base64.b64encode(encoded.tobytes()).decode()}"

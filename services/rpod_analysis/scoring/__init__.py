@@ -1,0 +1,1 @@
+"""Scoring a run: estimates against truth, totals, the summary, and whether the run went well."""

@@ -1,0 +1,285 @@
+"""A run as its log tells it: everything that is scored and drawn, read in one pass.
+
+The pass keeps what it finds by the minute (``StreamedRun``), so that a run of any length is scored minute by
+minute in bounded memory; ``read_run`` gives all of it at once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_analysis.errors import FramesDifferError, NoEstimatesError
+from rpod_analysis.log import Log
+from rpod_analysis.log.accounting import Account
+from rpod_analysis.log.sensors import Sensor, find_sensors
+from rpod_analysis.scoring.row_store import BLOCK_NS, Row
+from rpod_analysis.scoring.run_reader import Found, Reader
+from rpod_analysis.scoring.score import MAX_TRUTH_GAP_NS, BoolArray, Errors, IntArray, Track, find_errors
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.topics import STATUS
+from rpod_schemas.types import Mode
+
+DEFAULT_PREFIX = STATUS.name.split("/")[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Statuses:
+    """What the estimator said of N frames, in the order of their stamps."""
+
+    stamp_ns: IntArray
+    mode: IntArray
+    source: IntArray
+    accepted: BoolArray
+    nis: FloatArray
+    """Normalised innovation squared, six degrees of freedom; NaN where nothing was compared."""
+    processing_s: FloatArray
+    sensor: NDArray[np.str_]
+    reason: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return self.stamp_ns.size
+
+
+@dataclass(frozen=True, eq=False)
+class SensorFrames:
+    """When the frames of a sensor were taken and when they came, each shape (N,)."""
+
+    stamp_ns: IntArray
+    log_ns: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run, or a minute of it, in the order of the stamps."""
+
+    start_ns: int
+    """First stamp of truth and estimator, of the whole run."""
+    end_ns: int
+    """Last stamp of truth and estimator, of the whole run."""
+    truth: Track
+    estimates: Track
+    covariance: FloatArray
+    """Of (dp, dtheta) in chaser axes, shape (N, 6, 6)."""
+    latency_s: FloatArray
+    """Stamp to publication of the estimates, shape (N,); NaN where the clock is not the wall's."""
+    tracked: BoolArray
+    """Whether an estimate's frame was in TRACKING, shape (N,)."""
+    sensor_of: NDArray[np.str_]
+    """The sensor behind each estimate, shape (N,); empty where unknown."""
+    R_chaser_sensor: Rotation
+    """Attitude of that sensor, N of them."""
+    T_truth: RigidTransform
+    """The truth at the estimates' stamps, N poses; without meaning where they are not scored."""
+    errors: Errors
+    statuses: Statuses
+    sensors: dict[str, Sensor]
+    frames: dict[str, SensorFrames]
+    """By sensor."""
+    account: Account
+    """Of the whole run."""
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last stamp of truth and estimator."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+    def seconds(self, stamp_ns: IntArray) -> FloatArray:
+        """Return stamps as seconds from the start of the run."""
+        return (stamp_ns - self.start_ns) * np.float64(1e-9)
+
+
+class StreamedRun:
+    """A run of any length, minute by minute; on disk as far as it is long."""
+
+    def __init__(self, found: Found) -> None:
+        self._found = found
+        spools = (found.truth, found.estimates, found.statuses)
+        self.minutes: list[int] = sorted(
+            {minute for spool in (*spools, found.frames) for minute in spool.minutes}
+        )
+        """Minutes of UTC in which anything happened."""
+        self.start_ns = min(spool.first_ns for spool in spools if spool.first_ns is not None)
+        """First stamp of truth and estimator."""
+        self.end_ns = max(spool.last_ns for spool in spools if spool.last_ns is not None)
+        """Last stamp of truth and estimator."""
+        self.sensors, self.account = found.sensors, found.account
+        self.status_topic = found.status_topic
+        self.clock = found.clock
+        """Whether time comes from the topic ``clock``."""
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last stamp of truth and estimator."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+    def __iter__(self) -> Iterator[Run]:
+        """Iterate over the minutes, in the order of time."""
+        return (self.minute(minute) for minute in self.minutes)
+
+    def at(self, stamp_ns: int) -> Run:
+        """Return the minute that holds a stamp."""
+        return self.minute(stamp_ns // BLOCK_NS)
+
+    def minute(self, minute: int) -> Run:
+        """Return a minute, scored as it would be within the whole."""
+        return self._build([minute], self._truth_around(minute), self._status_before(minute))
+
+    def whole(self) -> Run:
+        """Return all minutes as one."""
+        return self._build(self.minutes, [], [])
+
+    def _truth_around(self, minute: int) -> list[Row]:
+        """Truth is interpolated between neighbours that are this near, wherever a minute ends."""
+        start_ns = minute * BLOCK_NS
+        before = [row for row in self._found.truth.rows(minute - 1) if row[0] >= start_ns - MAX_TRUTH_GAP_NS]
+        end_ns = start_ns + BLOCK_NS + MAX_TRUTH_GAP_NS
+        return before + [row for row in self._found.truth.rows(minute + 1) if row[0] < end_ns]
+
+    def _status_before(self, minute: int) -> list[Row]:
+        earlier = [other for other in self._found.statuses.minutes if other < minute]
+        return self._found.statuses.rows(earlier[-1])[-1:] if earlier else []
+
+    def _build(self, minutes: list[int], truth_around: list[Row], status_before: list[Row]) -> Run:
+        found = self._found
+        truth_rows, estimate_rows, status_rows, frame_rows = (
+            [row for minute in minutes for row in spool.rows(minute)]
+            for spool in (found.truth, found.estimates, found.statuses, found.frames)
+        )
+        truth, estimates, statuses = _track(truth_rows), _track(estimate_rows), _statuses(status_rows)
+        tracked, sensor_of = _behind(estimates, _statuses(status_before + status_rows))
+        covariance = np.frombuffer(b"".join(row[2] for row in estimate_rows)).reshape(-1, 6, 6)
+        R_chaser_sensor = _sensor_axes(sensor_of, self.sensors)
+        errors, T_truth = find_errors(
+            estimates,
+            _track(sorted(truth_rows + truth_around, key=lambda row: row[0])) if truth_around else truth,
+            covariance=covariance,
+            R_chaser_sensor=R_chaser_sensor,
+        )
+        delay_ns = np.array([row[3] for row in estimate_rows], np.int64) - estimates.stamp_ns
+        return Run(
+            start_ns=self.start_ns,
+            end_ns=self.end_ns,
+            truth=truth,
+            estimates=estimates,
+            covariance=covariance,
+            latency_s=np.full(len(estimates), np.nan) if found.clock else delay_ns * np.float64(1e-9),
+            tracked=tracked,
+            sensor_of=sensor_of,
+            R_chaser_sensor=R_chaser_sensor,
+            T_truth=T_truth,
+            errors=errors,
+            statuses=statuses,
+            sensors=self.sensors,
+            frames={name: _sensor_frames(name, frame_rows) for name in self.sensors},
+            account=self.account,
+        )
+
+
+def read_run(
+    log: Log,
+    *,
+    prefix: str | None = None,
+    sensors: dict[str, Sensor] | None = None,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> Run:
+    """Read a log and score its estimates against its truth, all at once; as ``stream_run``."""
+    return stream_run(log, prefix=prefix, sensors=sensors, start_ns=start_ns, end_ns=end_ns).whole()
+
+
+def stream_run(
+    log: Log,
+    *,
+    prefix: str | None = None,
+    sensors: dict[str, Sensor] | None = None,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> StreamedRun:
+    """Read a log, in memory that does not grow with its length.
+
+    Args:
+        log: with estimates.
+        prefix: first part of the estimates' topics, where the log has several; found where left out.
+        sensors: in whose axes errors are told, where the log has not their data; found where left out.
+        start_ns: arrival of the first message.
+        end_ns: all messages arrived before this.
+
+    Raises:
+        NoEstimatesError: there is neither an estimate nor a status in the log.
+        FramesDifferError: truth and estimates are of different frames.
+    """
+    prefix = prefix or estimate_prefix(log)
+    reader = Reader(log, prefix, find_sensors(log) if sensors is None else sensors)
+    for logged in log.messages(start_ns=start_ns, end_ns=end_ns):
+        reader.take(logged)
+    found = reader.found
+    if not found.estimates.count and not found.statuses.count:
+        raise NoEstimatesError(log.paths[0], prefix)
+    if len(found.parents) > 1:
+        raise FramesDifferError(log.paths[0], *sorted(found.parents)[:2])
+    return StreamedRun(found)
+
+
+def estimate_prefix(log: Log) -> str:
+    """Return the first part of the estimator's topics; ``estimate`` where there are several or none."""
+    suffix = STATUS.name.removeprefix(DEFAULT_PREFIX)
+    found = [name for name, info in log.topics.items() if info.type == STATUS.type and name.endswith(suffix)]
+    return found[0].removesuffix(suffix) if len(found) == 1 else DEFAULT_PREFIX
+
+
+def _track(rows: list[Row]) -> Track:
+    poses = np.array([row[1] for row in rows], np.float64).reshape(-1, 7)
+    return Track(
+        np.array([row[0] for row in rows], np.int64),
+        RigidTransform.from_components(poses[:, :3], Rotation.from_quat(poses[:, 3:])),
+    )
+
+
+def _statuses(rows: list[Row]) -> Statuses:
+    columns = list(zip(*rows, strict=True)) if rows else [()] * 8
+    stamp_ns, mode, source, accepted, nis, processing_s, sensor, reason = columns
+    return Statuses(
+        stamp_ns=np.array(stamp_ns, np.int64),
+        mode=np.array(mode, np.int64),
+        source=np.array(source, np.int64),
+        accepted=np.array(accepted, bool),
+        nis=np.array(nis, np.float64),
+        processing_s=np.array(processing_s, np.float64),
+        sensor=np.array(sensor, np.str_),
+        reason=np.array(reason, np.str_),
+    )
+
+
+def _behind(estimates: Track, statuses: Statuses) -> tuple[BoolArray, NDArray[np.str_]]:
+    """Return whether estimates are of tracked frames, and their sensors: by the last status up to each.
+
+    One before which there is none counts as tracked; its sensor is not known.
+    """
+    last = np.searchsorted(statuses.stamp_ns, estimates.stamp_ns, side="right") - 1
+    if not len(statuses):
+        return last < 0, np.full(len(estimates), "", np.str_)
+    return (
+        (last < 0) | (statuses.mode[last] == Mode.TRACKING),
+        np.where(last >= 0, statuses.sensor[last], ""),
+    )
+
+
+def _sensor_frames(sensor: str, rows: list[Row]) -> SensorFrames:
+    table = np.array([(row[0], row[2]) for row in rows if row[1] == sensor], np.int64).reshape(-1, 2)
+    return SensorFrames(table[:, 0], table[:, 1])
+
+
+def _sensor_axes(sensor_of: NDArray[np.str_], sensors: dict[str, Sensor]) -> Rotation:
+    """Return the attitude of the sensor behind each estimate.
+
+    The only sensor's where none is named; the chaser's where the mount is not known.
+    """
+    quaternions = np.tile((0.0, 0.0, 0.0, 1.0), (sensor_of.size, 1))
+    for sensor in sensors.values():
+        if sensor.T_chaser_sensor is not None:
+            mine = sensor_of == sensor.name if len(sensors) > 1 else slice(None)
+            quaternions[mine] = sensor.T_chaser_sensor.rotation.as_quat()
+    return Rotation.from_quat(quaternions)

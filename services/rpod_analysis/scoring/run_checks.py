@@ -1,0 +1,149 @@
+"""Whether a run went well: a few questions with thresholds, answered from its summary."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rpod_analysis.scoring.totals import Tally
+from rpod_schemas.summary import Summary
+
+MIN_TRACKING_SHARE = 0.99
+"""Of the frames after the first acquisition."""
+MAX_OFF_TARGET_SHARE = 0.01
+"""Of the tracked frames, worse than 10 degrees or 0.3 m."""
+MIN_NEES_SHARE = 0.80
+"""Of the tracked frames within the 95 % bound: below it the covariance is too small to be used."""
+MAX_DROPPED_SHARE = 0.05
+"""Of the frames that reached the estimator."""
+
+_COMPLETE = {
+    True: "the log is complete",
+    False: "the log is not complete",
+    None: "the log does not say whether it is complete",
+}
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question, its answer, and whether that is good; None where it cannot be told."""
+
+    question: str
+    answer: str
+    limit: str
+    good: bool | None
+
+
+def verdict(checks: list[Check]) -> str:
+    """Return the run in one sentence."""
+    failed = [check.question.lower() for check in checks if check.good is False]
+    if not failed:
+        return "The run went well."
+    if checks[0].good is False:
+        return "The target was not acquired."
+    return f"The run has findings: {', '.join(failed)}."
+
+
+def headline(summary: Summary, tally: Tally) -> str:
+    """Return what is to be known first, in one line: acquired, lost, worst errors, log complete."""
+    told = []
+    if summary.modes.first_tracking_s is None:
+        told.append("Never acquired")
+    else:
+        lost_s = summary.estimates.lost_s
+        told.append(f"Acquired after {summary.modes.first_tracking_s:.2f} s")
+        told.append(f"lost for {lost_s:.3g} s" if lost_s else "never lost")
+    if tally.worst_deg and tally.worst_m:
+        told.append(
+            f"worst errors {tally.worst_deg.value:.2f}° (at {tally.worst_deg.time_s:.1f} s) "
+            f"and {100.0 * tally.worst_m.value:.1f} cm (at {tally.worst_m.time_s:.1f} s)"
+        )
+    else:
+        told.append("errors not known")
+    complete = summary.completeness.complete if summary.completeness else None
+    told.append(_COMPLETE[complete])
+    return ", ".join(told) + "."
+
+
+def find_checks(summary: Summary, alarms: int) -> list[Check]:
+    """Return the checks of a run; ``alarms`` is the number of errors that services reported."""
+    return [
+        *_estimation(summary),
+        _kept_up(summary),
+        *_recorded(summary),
+        Check("Services", f"{_count(alarms, 'error')} reported", "no error reported", alarms == 0),
+    ]
+
+
+def _estimation(summary: Summary) -> Iterator[Check]:
+    modes, consistency = summary.modes, summary.consistency
+    acquired = modes.first_tracking_s
+    yield Check(
+        "Acquisition",
+        "never tracked" if acquired is None else f"tracking after {acquired:.2f} s",
+        "tracked at some time",
+        acquired is not None,
+    )
+    share = modes.tracking_share
+    yield Check(
+        "Tracking",
+        "no frame tracked"
+        if share is None
+        else f"{_percent(share)} of frames, {summary.estimates.lost_s:.1f} s lost",
+        f"at least {_percent(MIN_TRACKING_SHARE)} of frames after the first acquisition",
+        None if share is None else share >= MIN_TRACKING_SHARE,
+    )
+    off = modes.worse_than_10deg_or_0_3m_share
+    yield Check(
+        "Accuracy",
+        "nothing scored" if off is None else f"{_percent(off)} of frames off by more than 10° or 0.3 m",
+        f"at most {_percent(MAX_OFF_TARGET_SHARE)}",
+        None if off is None else off <= MAX_OFF_TARGET_SHARE,
+    )
+    within = consistency.nees_share_in_95 if consistency else None
+    yield Check(
+        "Covariance",
+        "nothing scored" if within is None else f"{_percent(within)} of errors within the 95 % bound",
+        f"at least {_percent(MIN_NEES_SHARE)}",
+        None if within is None else within >= MIN_NEES_SHARE,
+    )
+
+
+def _kept_up(summary: Summary) -> Check:
+    dropped = summary.estimates.dropped
+    processed = summary.estimates.accepted + summary.estimates.rejected
+    share = dropped / max(dropped + processed, 1)
+    return Check(
+        "Pace",
+        f"{_count(dropped, 'frame')} dropped ({_percent(share)})",
+        f"at most {_percent(MAX_DROPPED_SHARE)}",
+        share <= MAX_DROPPED_SHARE,
+    )
+
+
+def _recorded(summary: Summary) -> Iterator[Check]:
+    missed = summary.missed
+    yield Check("Log", f"{_count(missed, 'message')} missed", "no message missed", missed == 0)
+    yield _readable(summary)
+    said = summary.completeness
+    if said is None or said.complete is None:
+        answer = "the log does not say"
+    else:
+        first = f"no: {said.reasons[0]}" if said.reasons else "no"
+        more = f" and {_count(len(said.reasons) - 1, 'other reason')}" if len(said.reasons) > 1 else ""
+        answer = "complete, by its own account" if said.complete else first + more
+    complete = said.complete if said else None
+    yield Check("Completeness", answer, "the log's own statement, checked against its content", complete)
+
+
+def _readable(summary: Summary) -> Check:
+    total = sum(count for reasons in summary.unreadable.values() for count in reasons.values())
+    where = f" ({', '.join(sorted(summary.unreadable))})" if total else ""
+    answer = f"{_count(total, 'message')} cannot be read{where}" if total else "every message can be read"
+    return Check("Messages", answer, "every message readable", total == 0)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.4g} %"

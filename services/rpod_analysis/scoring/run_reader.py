@@ -1,0 +1,101 @@
+"""One pass over a log: its messages sorted by what they are for, as bare numbers.
+
+The domain types cost ten times as much as the decoding.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from rpod_analysis.log import Log, Logged
+from rpod_analysis.log.accounting import Account
+from rpod_analysis.log.message_checks import check_message, pose_numbers
+from rpod_analysis.log.sensors import Sensor
+from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.scoring.row_store import Spool
+from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.messages import read_diagnostics, read_odometry, read_stamp, read_status
+from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE, POINTS, STATUS, TRUTH
+
+
+@dataclass(eq=False)
+class Found:
+    """What a log has of a run; rows begin with their stamp, ns."""
+
+    sensors: dict[str, Sensor]
+    status_topic: str
+    truth: Spool = field(default_factory=Spool)
+    """Pose as x, y, z, qx, qy, qz, qw."""
+    estimates: Spool = field(default_factory=Spool)
+    """Pose, covariance as bytes, time of publication."""
+    statuses: Spool = field(default_factory=Spool)
+    """Mode, source, accepted, nis, processing_s, sensor, reason."""
+    frames: Spool = field(default_factory=Spool)
+    """Sensor, arrival."""
+    parents: set[str] = field(default_factory=set)
+    """Frames of truth and estimates."""
+    account: Account = field(default_factory=Account)
+    clock: bool = False
+    """Whether time comes from the topic ``clock``."""
+
+
+class Reader:
+    """Takes the messages of a log, in the order of arrival; those that cannot be read are left out."""
+
+    def __init__(self, log: Log, prefix: str, sensors: dict[str, Sensor]) -> None:
+        self._unreadable, self._stamps = log.unreadable, StampCheck(log)
+        status_topic = STATUS.under(prefix).name
+        self.found = Found(sensors, status_topic)
+        self._takers: dict[str, Callable[[Logged], None]] = {
+            TRUTH.name: self._take_truth,
+            ESTIMATE.under(prefix).name: self._take_estimate,
+            status_topic: self._take_status,
+            DIAGNOSTICS.name: self._take_diagnostics,
+            CLOCK.name: self._take_clock,
+        }
+        for sensor in sensors.values():
+            topic = (DEPTH if sensor.kind == "pmd" else POINTS).of(sensor.name)
+            self._takers[topic.name] = self._frame_taker(sensor.name)
+
+    def take(self, logged: Logged) -> None:
+        """Take a message, whatever it is."""
+        self.found.account.take(logged)
+        with self._unreadable.left_out(logged):
+            self._stamps.peek(logged)
+            self._takers.get(logged.topic, check_message)(logged)
+
+    def _take_truth(self, logged: Logged) -> None:
+        message = logged.decode()
+        self.found.truth.add((read_stamp(message.header), pose_numbers(message.pose.pose)))
+        self.found.parents.add(message.header.frame_id)
+
+    def _take_estimate(self, logged: Logged) -> None:
+        message = logged.decode()
+        read_odometry(message)
+        pose, covariance = pose_numbers(message.pose.pose), message.pose.covariance.tobytes()
+        self.found.estimates.add((read_stamp(message.header), pose, covariance, logged.publish_ns))
+        self.found.parents.add(message.header.frame_id)
+
+    def _take_status(self, logged: Logged) -> None:
+        status = logged.decode()
+        read_status(status)
+        self.found.statuses.add(
+            (
+                read_stamp(status.header), status.mode, status.source, status.accepted, status.nis,
+                status.processing_s, status.sensor, status.reason,
+            )
+        )  # fmt: skip
+
+    def _take_diagnostics(self, logged: Logged) -> None:
+        for diagnostic in read_diagnostics(logged.decode()):
+            self.found.account.hear(diagnostic)
+
+    def _take_clock(self, logged: Logged) -> None:
+        read_stamp(logged.decode())
+        self.found.clock = True
+
+    def _frame_taker(self, sensor: str) -> Callable[[Logged], None]:
+        def take(logged: Logged) -> None:
+            check_message(logged)
+            self.found.frames.add((peek_stamp(logged.payload), sensor, logged.log_ns))
+
+        return take

@@ -1,0 +1,238 @@
+"""What a run adds up to, taken minute by minute: exact, whatever its length, in bounded memory.
+
+Source: ICD section 1 ("Errors") and section 6 (``summary.json``).
+"""
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from rpod_analysis.scoring.row_store import Column
+from rpod_analysis.scoring.run import Run, Statuses
+from rpod_analysis.scoring.score import NEES_95, Errors, IntArray
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.summary import (
+    Consistency,
+    Durations,
+    ErrorSize,
+    ErrorSummary,
+    Innovation,
+    Tracking,
+)
+from rpod_schemas.types import Mode
+
+_NUMBER = re.compile(r"(?<![A-Za-z])-?\d+(\.\d+)?(e-?\d+)?")
+_MOST_KINDS = 200
+_MOST_CHANGES = 12
+_OTHERS = "other reasons"
+_AXES = ("roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m")
+
+
+@dataclass(frozen=True)
+class Change:
+    """The navigator went from one state to another."""
+
+    time_s: float
+    """From the start of the run."""
+    before: Mode
+    after: Mode
+    reason: str
+    """Of the frame in which it happened; empty where its measurement was accepted."""
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The largest error of the tracked frames."""
+
+    value: float
+    time_s: float
+    """From the start of the run."""
+
+
+class Kinds:
+    """How often each kind of text came, whatever the numbers in it."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+
+    def add(self, text: str) -> None:
+        """Count a text."""
+        kind = _NUMBER.sub("…", text)
+        known = kind in self._counts or len(self._counts) < _MOST_KINDS
+        self._counts[kind if known else _OTHERS] += 1
+
+    def __len__(self) -> int:
+        return self._counts.total()
+
+    def most_common(self, number: int) -> list[tuple[str, int]]:
+        """Return the most frequent kinds with their numbers."""
+        return self._counts.most_common(number)
+
+
+class Tally:
+    """Takes the minutes of a run in their order; of a whole run, that."""
+
+    def __init__(self) -> None:
+        self.estimates = self.accepted = self.rejected = self.unscored = 0
+        self.lost_ns = 0
+        """Time in LOST or ACQUIRING after the first TRACKING; a mode holds until the next status."""
+        self.latency_s, self.processing_s, self.nis = Column(), Column(), Column()
+        self.nees = Column()
+        """Of the tracked frames, as all errors."""
+        self.reasons = Kinds()
+        """Of the rejected frames."""
+        self.changes: list[Change] = []
+        """The first ones."""
+        self.change_count = 0
+        self.by_sensor: dict[str, Counter[str]] = {}
+        """Accepted and rejected frames."""
+        self.worst_deg: Worst | None = None
+        self.worst_m: Worst | None = None
+        self._first_tracking_s: float | None = None
+        self._since = self._tracking_since = 0
+        self._scored = self._off_target = 0
+        self._angle_deg, self._distance_m = Column(), Column()
+        self._axes = {name: Column() for name in _AXES}
+        self._last: tuple[int, int] | None = None
+
+    @classmethod
+    def of(cls, *runs: Run) -> "Tally":
+        """Return what runs, minutes of one in their order, come to."""
+        tally = cls()
+        for run in runs:
+            tally.take(run)
+        return tally
+
+    @property
+    def statuses(self) -> int:
+        """Frames of which the estimator told."""
+        return self.accepted + self.rejected
+
+    def take(self, run: Run) -> None:
+        """Take a minute."""
+        self.estimates += len(run.estimates)
+        self.unscored += int((~run.errors.scored).sum())
+        self.latency_s.extend(run.latency_s)
+        self.processing_s.extend(run.statuses.processing_s)
+        self.nis.extend(run.statuses.nis)
+        self._take_outcomes(run.statuses)
+        self._take_modes(run)
+        self._take_errors(run)
+
+    def _take_outcomes(self, statuses: Statuses) -> None:
+        accepted = statuses.accepted
+        self.accepted += int(accepted.sum())
+        self.rejected += int((~accepted).sum())
+        for reason in statuses.reason[~accepted]:
+            self.reasons.add(str(reason) or "no reason given")
+        for sensor in np.unique(statuses.sensor):
+            mine = accepted[statuses.sensor == sensor]
+            counts = self.by_sensor.setdefault(str(sensor), Counter())
+            counts["accepted"] += int(mine.sum())
+            counts["rejected"] += int((~mine).sum())
+
+    def _take_modes(self, run: Run) -> None:
+        statuses = run.statuses
+        if not len(statuses):
+            return
+        tracking = statuses.mode == Mode.TRACKING
+        if self._first_tracking_s is None and tracking.any():
+            first = int(np.argmax(tracking))
+            self._first_tracking_s = float(run.seconds(statuses.stamp_ns)[first])
+            tracking = tracking[first:]
+        if self._first_tracking_s is not None:
+            self._since += tracking.size
+            self._tracking_since += int(tracking.sum())
+        earlier = [self._last] if self._last else []
+        stamp_ns = np.array([stamp for stamp, _ in earlier] + statuses.stamp_ns.tolist(), np.int64)
+        mode = np.array([mode for _, mode in earlier] + statuses.mode.tolist(), np.int64)
+        self._last = int(stamp_ns[-1]), int(mode[-1])
+        self._take_lost(run.seconds(stamp_ns)[:-1], np.diff(stamp_ns), mode[:-1])
+        for index in np.flatnonzero(np.diff(mode)) + 1:
+            self.change_count += 1
+            if len(self.changes) < _MOST_CHANGES:
+                self.changes.append(
+                    Change(
+                        time_s=float(run.seconds(stamp_ns)[index]),
+                        before=Mode(mode[index - 1]),
+                        after=Mode(mode[index]),
+                        reason=str(statuses.reason[index - len(earlier)]),
+                    )
+                )
+
+    def _take_lost(self, time_s: FloatArray, held_ns: IntArray, mode: IntArray) -> None:
+        if self._first_tracking_s is not None:
+            lost = np.isin(mode, (Mode.LOST, Mode.ACQUIRING)) & (time_s >= self._first_tracking_s)
+            self.lost_ns += int(held_ns[lost].sum())
+
+    def _take_errors(self, run: Run) -> None:
+        tracked = run.tracked & run.errors.scored
+        errors = run.errors.at(tracked)
+        angle_deg, distance_m = np.rad2deg(errors.angle_rad), errors.distance_m
+        self.nees.extend(run.errors.nees[run.tracked])
+        self._scored += len(errors.nees)
+        self._off_target += int(errors.off_target.sum())
+        self._angle_deg.extend(angle_deg)
+        self._distance_m.extend(distance_m)
+        for column, values in zip(self._axes.values(), _by_axis(errors), strict=True):
+            column.extend(values)
+        time_s = run.seconds(run.estimates.stamp_ns[tracked])
+        self.worst_deg = _worse(self.worst_deg, angle_deg, time_s)
+        self.worst_m = _worse(self.worst_m, distance_m, time_s)
+
+    # --- what it comes to ---
+
+    def modes(self) -> Tracking:
+        """Return how well the run held the target."""
+        return Tracking(
+            first_tracking_s=self._first_tracking_s,
+            tracking_share=self._tracking_since / self._since if self._since else None,
+            worse_than_10deg_or_0_3m_share=self._off_target / self._scored if self._scored else None,
+        )
+
+    def error(self) -> ErrorSummary | None:
+        """Return the sizes of the errors over the tracked frames; None where there are none."""
+        if not self._scored:
+            return None
+        return ErrorSummary(
+            attitude_deg=summarise_size(self._angle_deg),
+            position_m=summarise_size(self._distance_m),
+            **{f"{name}_rms": column.rms for name, column in self._axes.items()},
+        )
+
+    def consistency(self) -> Consistency | None:
+        """Return whether the covariance tells the truth about the errors; None where no NEES is known."""
+        if not self.nees.count:
+            return None
+        return Consistency(nees_mean=self.nees.mean, nees_share_in_95=self.nees.share_up_to(NEES_95))
+
+    def innovation(self) -> Innovation | None:
+        """Return whether it tells the truth about the measurements; None where no NIS is known."""
+        if not self.nis.count:
+            return None
+        return Innovation(nis_mean=self.nis.mean, nis_share_in_95=self.nis.share_up_to(NEES_95))
+
+
+def summarise_size(values: Column) -> ErrorSize:
+    """Return how large errors are; of one at least."""
+    return ErrorSize(rms=values.rms, p95=values.quantile(0.95), max=values.max)
+
+
+def summarise_durations(seconds: Column) -> Durations | None:
+    """Return median, 99th percentile and maximum of durations; None where there are none."""
+    if not seconds.count:
+        return None
+    return Durations(p50=seconds.quantile(0.5), p99=seconds.quantile(0.99), max=seconds.max)
+
+
+def _by_axis(errors: Errors) -> list[FloatArray]:
+    return [*np.rad2deg(errors.attitude_rad).T, *errors.position_m.T]
+
+
+def _worse(before: Worst | None, values: FloatArray, time_s: FloatArray) -> Worst | None:
+    if not values.size or (before and values.max() <= before.value):
+        return before
+    index = int(np.argmax(values))
+    return Worst(float(values[index]), float(time_s[index]))

@@ -1,0 +1,70 @@
+"""All campaigns by name: those of this package, and those that other packages bring.
+
+A package brings a campaign by an entry point of the group ``rpod.campaigns`` whose object is a ``Campaign``::
+
+    [project.entry-points."rpod.campaigns"]
+    my-campaign = "my_package.my_campaign:CAMPAIGN"
+"""
+
+from functools import lru_cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+
+from rpod_campaign.engine.campaign import AnyCampaign
+from rpod_campaign.engine.errors import CampaignUnknownError
+from rpod_campaign.engine.options import Options
+
+GROUP = "rpod.campaigns"
+BUILT_IN = (
+    "lidar-acquisition",
+    "lidar-trajectory",
+    "lidar-verdict",
+    "lidar-tracking",
+    "lidar-robustness",
+    "lidar-range",
+    "template-tau",
+    "pmd-tracking",
+    "pmd-sun",
+    "pmd-robustness",
+    "pmd-acquisition",
+    "pmd-verdict",
+)
+"""Each stands in the folder of its name, with underscores."""
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all campaigns; a built-in one cannot be replaced."""
+    return (*BUILT_IN, *(name for name in sorted(_brought()) if name not in BUILT_IN))
+
+
+@lru_cache(maxsize=64)
+def find(name: str) -> AnyCampaign:
+    """Return a campaign. Raises ``CampaignUnknownError``."""
+    if name in BUILT_IN:
+        found: AnyCampaign = import_module(f"{_folder(name)}.campaign").CAMPAIGN
+        return found
+    brought = _brought()
+    if name not in brought:
+        raise CampaignUnknownError(name, names())
+    campaign: AnyCampaign = brought[name].load()
+    return campaign
+
+
+def options_of(name: str) -> type[Options]:
+    """Return the model of a campaign's options, without what its trials need.
+
+    Raises:
+        CampaignUnknownError: no campaign has the name.
+    """
+    if name in BUILT_IN:
+        model: type[Options] = import_module(f"{_folder(name)}.options").Options
+        return model
+    return find(name).options
+
+
+def _folder(name: str) -> str:
+    return f"rpod_campaign.{name.replace('-', '_')}"
+
+
+def _brought() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=GROUP)}

@@ -1,0 +1,72 @@
+"""What can go wrong with a campaign. Each message is one line that says what to do."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+
+class CampaignError(Exception):
+    """Root of the errors that this package raises."""
+
+
+class ForeignFolderError(CampaignError):
+    """The folder belongs to something else."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        self.path, self.reason = path, reason
+        super().__init__(f"{path}: {reason}; give another --out, or remove the folder")
+
+    def __reduce__(self) -> tuple[type["ForeignFolderError"], tuple[Path, str]]:
+        return type(self), (self.path, self.reason)
+
+
+class TrialFailedError(CampaignError):
+    """A trial raised an exception, in whatever process it ran."""
+
+    def __init__(self, place: str, kind: str, message: str, *, expected: bool, trace: str = "") -> None:
+        """Compose the message.
+
+        Args:
+            place: campaign, cell, trial and seed.
+            kind: class of the exception.
+            message: its text.
+            expected: whether it is an error that names its own remedy, such as a target's.
+            trace: the worker's traceback.
+        """
+        self.kind, self.expected, self.trace = kind, expected, trace
+        super().__init__(f"{place}: {kind}: {message}")
+
+
+class WorkerDiedError(CampaignError):
+    """A process of the trials ended before its trial did."""
+
+    def __init__(self, how: str, trials: Sequence[str]) -> None:
+        """Compose the message.
+
+        Args:
+            how: signal or exit code, with what it usually means.
+            trials: the trials that were under way.
+        """
+        running = f" while it ran one of: {'; '.join(trials)}" if trials else ""
+        super().__init__(f"a process of the trials {how}{running}")
+
+
+class NoWorkersError(CampaignError):
+    """The cluster has no worker that may run the trials."""
+
+    def __init__(self, address: str, waited_s: float, refused: Sequence[str]) -> None:
+        because = f"; refused: {'; '.join(refused)}" if refused else "; start workers, or use --jobs"
+        super().__init__(f"{address}: no worker to run the trials after {waited_s:g} s{because}")
+
+
+class NoSchedulerError(CampaignError):
+    """The scheduler of the cluster does not answer."""
+
+    def __init__(self, address: str, waited_s: float, reason: str) -> None:
+        super().__init__(f"{address}: no scheduler answers after {waited_s:g} s ({reason}); is it running?")
+
+
+class CampaignUnknownError(CampaignError):
+    """No campaign of this name is installed."""
+
+    def __init__(self, name: str, known: Sequence[str]) -> None:
+        super().__init__(f"campaign {name!r} is unknown; known are {', '.join(known)}")

@@ -1,0 +1,86 @@
+"""The trials that are still to be run, as batches of about a second for the workers of a cluster."""
+
+from collections import Counter, deque
+from collections.abc import Iterable
+
+from rpod_campaign.engine.executor.port import Task
+
+_BATCH_S = 1.0
+"""A batch takes about so long: much more than its way to the worker, little enough to run again."""
+_MOST = 500
+"""Trials in a batch."""
+_SHARES = 4
+"""A batch has at most this part of what is left for each worker, so that all end together."""
+
+Batch = tuple[Task, ...]
+"""Trials of one cell."""
+
+
+class Batches:
+    """Hands out batches and counts the workers that ended while they ran a trial."""
+
+    def __init__(self, tasks: Iterable[Task]) -> None:
+        self._waiting = deque(tasks)
+        self._alone: deque[Task] = deque()
+        """Trials whose worker ended: they run one by one, so that the one to blame is known."""
+        self._unfinished = set(self._waiting)
+        self._trial_s: dict[int, float] = {}
+        """Time of a trial, by cell."""
+        self._ended: Counter[Task] = Counter()
+
+    @property
+    def left(self) -> int:
+        """Number of trials that are not finished."""
+        return len(self._unfinished)
+
+    def take(self, workers: int) -> Batch:
+        """Return the next batch, empty if all trials are under way.
+
+        Args:
+            workers: number of workers that share what is left.
+        """
+        while self._alone:
+            task = self._alone.popleft()
+            if task in self._unfinished:
+                return (task,)
+        taken: list[Task] = []
+        while self._waiting and len(taken) < self._size(workers, taken):
+            if taken and self._waiting[0].cell != taken[0].cell:
+                break
+            task = self._waiting.popleft()
+            if task in self._unfinished:
+                taken.append(task)
+        return tuple(taken)
+
+    def give_back(self, batch: Batch) -> None:
+        """Put a batch back that was not run."""
+        self._waiting.extendleft(reversed(batch))
+
+    def worker_ended(self, batch: Batch) -> tuple[Task, int]:
+        """Put a batch back whose worker ended; return the trial that saw most workers end, and how many."""
+        self._alone.extend(batch)
+        self._ended.update(batch)
+        return max(((task, self._ended[task]) for task in batch), key=lambda pair: pair[1])
+
+    def finish(self, batch: Batch, done: Iterable[int], took_s: float) -> tuple[int, ...]:
+        """Return the numbers of the trials that are finished for the first time.
+
+        Args:
+            batch: that came back.
+            done: numbers of its trials that finished.
+            took_s: time of the whole batch.
+        """
+        finished = [Task(batch[0].cell, number) for number in done]
+        new = tuple(task.trial for task in finished if task in self._unfinished)
+        self._unfinished.difference_update(finished)
+        if finished:
+            each_s, cell = took_s / len(finished), batch[0].cell
+            self._trial_s[cell] = 0.5 * (self._trial_s.get(cell, each_s) + each_s)
+        return new
+
+    def _size(self, workers: int, taken: list[Task]) -> int:
+        cell = (taken or self._waiting)[0].cell
+        if cell not in self._trial_s:
+            return 1
+        fair = self.left // (_SHARES * max(workers, 1))
+        return max(1, min(_MOST, fair, int(_BATCH_S / max(self._trial_s[cell], 1e-6))))

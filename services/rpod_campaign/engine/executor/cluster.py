@@ -1,0 +1,150 @@
+"""Trials on the workers of a Dask cluster (distributed), for who has outgrown one machine.
+
+The client gives each worker that it has accepted up to two batches of its own. A worker that ends, a
+scheduler that is started again and a client that is lost cost what was under way and nothing that was
+finished: rows are in the folder before a batch counts as finished, and a trial counts once.
+"""
+
+import io
+import logging
+import re
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
+from typing import Any
+
+import polars as pl
+from dask import config as dask_config
+from distributed import Client, LocalCluster
+
+from rpod_campaign.engine.errors import NoSchedulerError
+from rpod_campaign.engine.executor.batches import Batches
+from rpod_campaign.engine.executor.cluster_worker import Job, cells_digest
+from rpod_campaign.engine.executor.dispatch import Arrived, Dispatch, SchedulerLostError
+from rpod_campaign.engine.executor.pool import ONE_THREAD
+from rpod_campaign.engine.executor.port import Finished, Task, Work
+from rpod_campaign.engine.software import identity
+from rpod_schemas.errors import ConfigurationError
+
+_LOCAL = re.compile(r"local:([1-9]\d{0,3})")
+_REMOTE = re.compile(r"(tcp|tls|ws|wss)://\S+:\d+")
+PATIENCE_S = 60.0
+"""How long to wait for a scheduler, or for a worker."""
+_CONNECT_S = 5.0
+
+
+def check_address(address: str) -> None:
+    """Raise ConfigurationError for an address that cannot be one."""
+    if not _LOCAL.fullmatch(address) and not _REMOTE.fullmatch(address):
+        raise ConfigurationError(
+            "--cluster", "", f"needs tcp://HOST:PORT of a Dask scheduler, or local:N, not {address!r}"
+        )
+
+
+class Cluster:
+    """Executor on the workers of a Dask scheduler, or of one that it starts on this machine."""
+
+    def __init__(
+        self, address: str, *, note: Callable[[str], None] = lambda _: None, patience_s: float = PATIENCE_S
+    ) -> None:
+        """Set the executor up; nothing is connected before trials are run.
+
+        Args:
+            address: tcp://host:port of a scheduler, or ``local:N`` for N workers on this machine.
+            note: is told of workers that are refused or lost.
+            patience_s: how long to wait for a scheduler that does not answer, and for a worker.
+        """
+        check_address(address)
+        self._address, self._note, self._patience_s = address, note, patience_s
+
+    def described(self) -> Mapping[str, str]:
+        """Return where trials run."""
+        return {"cluster": self._address}
+
+    def run(self, work: Work, tasks: Iterable[Task]) -> Generator[Finished]:
+        """Yield trials as they finish; see the port. Their rows are in the folder.
+
+        Raises:
+            TrialFailedError: a trial raised an exception.
+            WorkerDiedError: several workers ended while they ran the same trial.
+            NoSchedulerError, NoWorkersError: nobody answered for too long.
+        """
+        batches = Batches(tasks)
+        if not batches.left:
+            return
+        job = _job(work)
+        with _quiet(), _scheduler(self._address) as address:
+            while batches.left:
+                with closing(self._connected(address)) as client, suppress(SchedulerLostError):
+                    dispatch = Dispatch(client, work, job, batches, note=self._note)
+                    for arrived in dispatch.run(address, patience_s=self._patience_s):
+                        _keep(work, arrived)
+                        if arrived.new:
+                            yield Finished(arrived.batch[0].cell, arrived.new, None)
+                        if arrived.failure is not None:
+                            raise arrived.failure.raised(work, arrived.batch[0].cell)
+                    continue
+                self._note(f"{address}: the scheduler does not answer; trying again")
+
+    def _connected(self, address: str) -> Client:
+        begin_s = time.monotonic()
+        while True:
+            try:
+                return Client(address, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+            except (OSError, TimeoutError) as error:
+                waited_s = time.monotonic() - begin_s
+                if waited_s > self._patience_s:
+                    raise NoSchedulerError(address, self._patience_s, str(error)) from error
+                time.sleep(0.2)
+
+
+def _job(work: Work) -> Job:
+    return Job(
+        campaign=work.campaign.name,
+        options=work.options.model_dump_json(),
+        cells=cells_digest(work.cells),
+        software=identity(work.campaign),
+        targets=dict(work.targets),
+        folder=str(work.folder.path.resolve()),
+        manifest=work.folder.manifest_digest(),
+    )
+
+
+def _keep(work: Work, arrived: Arrived) -> None:
+    """Write rows that a worker could not write itself."""
+    if arrived.rows is not None:
+        work.folder.write_part(arrived.part, pl.read_parquet(io.BytesIO(arrived.rows)))
+
+
+@contextmanager
+def _scheduler(address: str) -> Iterator[str]:
+    """Give the address of the scheduler, started here for ``local:N``."""
+    local = _LOCAL.fullmatch(address)
+    if local is None:
+        yield address
+        return
+    environment = dict.fromkeys(ONE_THREAD, "1")
+    start: Any = LocalCluster  # its annotations are incomplete
+    with (
+        dask_config.set({"distributed.nanny.pre-spawn-environ": environment}),
+        start(
+            n_workers=int(local[1]),
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+    ):
+        yield str(cluster.scheduler_address)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask's log from the terminal: what matters of it is told by notes and errors."""
+    logger = logging.getLogger("distributed")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)

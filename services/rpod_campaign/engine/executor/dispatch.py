@@ -1,0 +1,219 @@
+"""Batches to the workers of a cluster and back, over one connection to the scheduler."""
+
+import time
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from threading import Event
+from typing import Any, NamedTuple
+
+from distributed import Client, Future, KilledWorker
+
+from rpod_campaign.engine.errors import CampaignError, NoWorkersError, WorkerDiedError
+from rpod_campaign.engine.executor import cluster_worker
+from rpod_campaign.engine.executor.batches import Batch, Batches
+from rpod_campaign.engine.executor.cluster_worker import Answer, Delivery, Job, part_name
+from rpod_campaign.engine.executor.outcome import Failure
+from rpod_campaign.engine.executor.port import Work
+from rpod_campaign.engine.trial.targets import cached_target
+
+_WAITING = 2
+"""Batches of a worker: one that it runs, and the next."""
+_LOOK_S = 0.5
+"""How often to look which workers there are."""
+_RESULT_S = 10.0
+"""How long an answer may take that the scheduler says is there."""
+_MOST_ENDED = 4
+"""Workers that may end while they run a trial before the trial is to blame."""
+
+
+class SchedulerLostError(Exception):
+    """The connection to the scheduler is gone, and with it all that was under way."""
+
+
+class Arrived(NamedTuple):
+    """A batch that came back."""
+
+    batch: Batch
+    new: tuple[int, ...]
+    """Numbers of the trials that finished for the first time."""
+    part: str
+    """Name of the part of the folder for the rows."""
+    rows: bytes | None
+    """Parquet, if the worker could not write them into the folder."""
+    failure: Failure | None
+
+
+class _Stage(Enum):
+    ASKED = "asked"
+    """Whether it may run the trials."""
+    READY = "ready"
+    REFUSED = "refused"
+
+
+@dataclass
+class _Worker:
+    """A worker as the client sees it."""
+
+    address: str
+    name: str
+    question: Future[Answer]
+    stage: _Stage = _Stage.ASKED
+    running: list[tuple[Future[Delivery], Batch]] = field(default_factory=list)
+
+
+class Dispatch:
+    """Feeds the workers until all trials are finished, or the scheduler is lost."""
+
+    def __init__(
+        self, client: Client, work: Work, job: Job, batches: Batches, *, note: Callable[[str], None]
+    ) -> None:
+        self._client, self._work, self._job, self._batches, self._note = client, work, job, batches, note
+        self._workers: dict[str, _Worker] = {}
+        self._refusals: list[str] = []
+        self._wake = Event()
+        self._looked_s = self._useful_s = time.monotonic()
+
+    def run(self, address: str, *, patience_s: float) -> Generator[Arrived]:
+        """Yield batches as they come back.
+
+        Args:
+            address: of the scheduler, for messages.
+            patience_s: how long there may be no worker that may run the trials.
+
+        Raises:
+            SchedulerLostError: the connection is gone; what was under way is put back.
+            WorkerDiedError, NoWorkersError, CampaignError: the trials cannot be run any further.
+        """
+        try:
+            self._look()
+            while self._batches.left:
+                self._feed()
+                self._wake.wait(_LOOK_S)
+                self._wake.clear()
+                yield from self._collect()
+                if time.monotonic() - self._looked_s > _LOOK_S:
+                    self._look()
+                    self._require_workers(address, patience_s)
+        finally:
+            self._give_all_back()
+
+    def _look(self) -> None:
+        """Find the workers that came and went."""
+        self._looked_s = time.monotonic()
+        try:
+            info = self._client.scheduler_info(n_workers=-1)["workers"]
+        except (OSError, TimeoutError) as error:
+            raise SchedulerLostError from error
+        self._require_connection()
+        for address in self._workers.keys() - info.keys():
+            self._ended(self._workers.pop(address))
+        for address in info.keys() - self._workers.keys():
+            question = self._submit(address, cluster_worker.hello, self._job)
+            self._workers[address] = _Worker(address, str(info[address].get("name", address)), question)
+
+    def _require_connection(self) -> None:
+        if self._client.status != "running":
+            raise SchedulerLostError
+
+    def _require_workers(self, address: str, patience_s: float) -> None:
+        if any(worker.stage is not _Stage.REFUSED for worker in self._workers.values()):
+            self._useful_s = time.monotonic()
+        elif time.monotonic() - self._useful_s > patience_s:
+            raise NoWorkersError(address, patience_s, self._refusals)
+
+    def _feed(self) -> None:
+        ready = [worker for worker in self._workers.values() if worker.stage is _Stage.READY]
+        for _ in range(_WAITING):
+            for worker in ready:
+                if len(worker.running) < _WAITING and (batch := self._batches.take(len(ready))):
+                    numbers = tuple(task.trial for task in batch)
+                    future = self._submit(
+                        worker.address, cluster_worker.run, self._job, batch[0].cell, numbers
+                    )
+                    worker.running.append((future, batch))
+
+    def _submit(self, address: str, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        future: Future[Any] = self._client.submit(
+            function, *arguments, workers=[address], allow_other_workers=False, pure=False
+        )
+        future.add_done_callback(lambda _: self._wake.set())  # type: ignore[no-untyped-call]
+        return future
+
+    def _collect(self) -> Iterator[Arrived]:
+        self._require_connection()
+        for worker in list(self._workers.values()):
+            if worker.stage is _Stage.ASKED and worker.question.status != "pending":
+                self._hear(worker)
+            for future, batch in list(worker.running):
+                if future.status == "pending":
+                    continue
+                worker.running.remove((future, batch))
+                delivery = self._delivery(worker, future, batch)
+                if delivery is not None:
+                    yield self._arrived(batch, delivery)
+
+    def _hear(self, worker: _Worker) -> None:
+        """Take a worker's answer whether it may run the trials."""
+        try:
+            answer: Answer = worker.question.result(timeout=_RESULT_S)
+        except TimeoutError:
+            worker.question = self._submit(worker.address, cluster_worker.hello, self._job)
+            return
+        except Exception as error:  # noqa: BLE001 - whatever keeps a worker from answering
+            if worker.question.status == "cancelled":
+                self._require_connection()
+            answer = Answer(f"it cannot answer: {type(error).__name__}: {error}", ())
+        if answer.missing and not answer.refusal:
+            targets = {name: cached_target(name) for name in answer.missing}
+            sent = self._client.scatter(targets, workers=[worker.address], hash=False)  # type: ignore[no-untyped-call]
+            worker.question = self._submit(worker.address, cluster_worker.take_targets, self._job, sent)
+        elif answer.refusal:
+            worker.stage = _Stage.REFUSED
+            refusal = f"worker {worker.name} at {worker.address}: {answer.refusal}"
+            self._refusals.append(refusal)
+            self._note(f"refused: {refusal}")
+        else:
+            worker.stage = _Stage.READY
+
+    def _delivery(self, worker: _Worker, future: Future[Delivery], batch: Batch) -> Delivery | None:
+        """Return what came back; None if it was lost on its way, and the batch is put back."""
+        if future.status == "finished":
+            try:
+                delivery: Delivery = future.result(timeout=_RESULT_S)
+            except Exception:  # noqa: BLE001 - the worker ended before its answer was fetched
+                self._batches.give_back(batch)
+                return None
+            return delivery
+        self._require_connection()
+        error = future.exception() if future.status == "error" else None  # type: ignore[no-untyped-call]
+        if error is not None and not isinstance(error, KilledWorker):
+            raise CampaignError(f"worker {worker.name} at {worker.address}: {type(error).__name__}: {error}")
+        self._batches.give_back(batch)
+        return None
+
+    def _arrived(self, batch: Batch, delivery: Delivery) -> Arrived:
+        new = self._batches.finish(batch, delivery.trials, delivery.took_s)
+        part = part_name(batch[0].cell, delivery.trials) if delivery.trials else ""
+        return Arrived(batch, new, part, delivery.rows, delivery.failure)
+
+    def _ended(self, worker: _Worker) -> None:
+        """Put back what a worker had that ended."""
+        for index, (future, batch) in enumerate(worker.running):
+            future.cancel()  # type: ignore[no-untyped-call]
+            if index:
+                self._batches.give_back(batch)
+                continue
+            task, times = self._batches.worker_ended(batch)
+            if times >= _MOST_ENDED:
+                how = f"ended {times} times in a row, for want of memory or by a fault in compiled code,"
+                raise WorkerDiedError(how, [self._work.place(*task)])
+        if worker.running:
+            self._note(f"worker {worker.name} at {worker.address} ended; its trials go to others")
+        worker.running.clear()
+
+    def _give_all_back(self) -> None:
+        for worker in self._workers.values():
+            for _, batch in worker.running:
+                self._batches.give_back(batch)
+            worker.running.clear()

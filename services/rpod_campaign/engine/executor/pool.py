@@ -1,0 +1,141 @@
+"""Trials on this machine's cores: processes that are started afresh, each with one thread of its own."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import islice
+from multiprocessing.process import BaseProcess
+
+from rpod_campaign.engine.errors import WorkerDiedError
+from rpod_campaign.engine.executor.outcome import Outcome, run_batch
+from rpod_campaign.engine.executor.port import Finished, Task, Work
+
+ONE_THREAD = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "POLARS_MAX_THREADS",
+)
+_WAITING = 2
+"""Trials in the queue for each process: enough to keep it busy, few to give up."""
+_EXIT_S = 5.0
+"""How long to wait for the exit code of a process that ended."""
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass
+class _Processes:
+    """A pool and its processes, which keep their exit codes when the pool has forgotten them."""
+
+    executor: ProcessPoolExecutor
+    foreign: frozenset[BaseProcess]
+    started: set[BaseProcess] = field(default_factory=set)
+
+    def submit(self, work: Work, task: Task) -> Future[Outcome]:
+        """Return the future of a trial."""
+        cell = work.cells[task.cell]
+        future = self.executor.submit(
+            run_batch, work.campaign.trial, cell, task.cell, work.options.seed, (task.trial,)
+        )
+        self.started |= set(multiprocessing.active_children()) - self.foreign
+        return future
+
+    def why_ended(self) -> str:
+        """Return how the first process ended that did not end by itself."""
+        for process in self.started:
+            process.join(_EXIT_S)
+        codes = [process.exitcode for process in self.started if process.exitcode]
+        first = next((code for code in codes if code != -signal.SIGTERM), None)
+        return how_ended(first if first is not None else next(iter(codes), None))
+
+
+@dataclass(frozen=True)
+class ProcessPool:
+    """Executor on the cores of this machine."""
+
+    jobs: int
+    """Number of processes; 1 is one process beside this one, too."""
+
+    def described(self) -> Mapping[str, str]:
+        """Return where trials run."""
+        return {"processes": f"{self.jobs} on {cores()} cores"}
+
+    def run(self, work: Work, tasks: Iterable[Task]) -> Generator[Finished]:
+        """Yield trials as they finish; see the port. Raises WorkerDiedError if a process ends early."""
+        remaining = iter(tasks)
+        first = list(islice(remaining, _WAITING * self.jobs))
+        if not first:
+            return
+        with _processes(min(self.jobs, len(first))) as processes:
+            pending = {processes.submit(work, task): task for task in first}
+            try:
+                while pending:
+                    done, _ = wait(pending, return_when=FIRST_COMPLETED)
+                    for future in sorted(done, key=_broken):  # what is done is told before what failed
+                        yield from _finished(work, future.result())
+                        del pending[future]
+                    for task in islice(remaining, len(done)):
+                        pending[processes.submit(work, task)] = task
+            except BrokenProcessPool as error:
+                running = [work.place(*task) for task in list(pending.values())[: self.jobs]]
+                raise WorkerDiedError(processes.why_ended(), running) from error
+
+
+def _finished(work: Work, outcome: Outcome) -> Iterator[Finished]:
+    if outcome.trials:
+        yield Finished(outcome.cell, outcome.trials, outcome.rows)
+    if outcome.failure is not None:
+        raise outcome.failure.raised(work, outcome.cell)
+
+
+def _broken(future: Future[Outcome]) -> bool:
+    return future.exception() is not None or future.result().failure is not None
+
+
+def how_ended(exit_code: int | None) -> str:
+    """Return an exit code in words, and what it usually means."""
+    if exit_code is None:
+        return "ended, and its exit code is not known"
+    if exit_code >= 0:
+        return f"ended with exit code {exit_code}"
+    number = -exit_code
+    name = signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}"
+    if number == signal.SIGKILL:
+        return f"was killed by {name}, by the kernel if memory ran out: try fewer --jobs"
+    if number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGABRT, signal.SIGFPE):
+        return f"crashed by {name}, a fault in compiled code"
+    return f"was ended by {name}"
+
+
+@contextmanager
+def _processes(jobs: int) -> Iterator[_Processes]:
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    executor = ProcessPoolExecutor(
+        jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_leave_interrupts_to_the_parent
+    )
+    processes = _Processes(executor, frozenset(multiprocessing.active_children()))
+    try:
+        yield processes
+    except BaseException:
+        for child in processes.started:
+            child.terminate()
+        raise
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+
+
+def _leave_interrupts_to_the_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,0 +1,45 @@
+"""The options of a campaign: one frozen model, from which the command line and its help are made.
+
+A campaign's model is the only place where an option, its type, default, bounds and help sentence stand. The
+sentence is the docstring under the field, or the ``description`` of a type that several campaigns share.
+"""
+
+from typing import Annotated, Any, ClassVar, Literal, get_args
+
+from pydantic import Field
+
+from rpod_schemas.config.base import Config, Positive
+
+Trials = Annotated[int, Field(gt=0, description="Number of trials of each cell.")]
+Names = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
+Ranges = Annotated[
+    tuple[Positive, ...], Field(min_length=1, description="Ranges of the target's origin from the sensor, m.")
+]
+
+
+class Provided:
+    """Marks a field that the program fills in; the command line has no option for it."""
+
+
+class Options(Config):
+    """What the user chooses of every campaign."""
+
+    title: ClassVar[str] = ""
+    """What the campaign tries, in one line."""
+
+    trials: Trials = 1
+    seed: Annotated[int, Field(ge=0)] = 1
+    """Seed of all random numbers."""
+
+
+def either(chosen: str, two: tuple[str, str]) -> tuple[str, ...]:
+    """Return the values that an option stands for: itself, or the two that ``both`` stands for."""
+    return two if chosen == "both" else (chosen,)
+
+
+def choices(annotation: Any) -> tuple[str, ...]:
+    """Return the values of a ``Literal``, also inside a tuple or beside None; nothing of other types."""
+    if getattr(annotation, "__origin__", None) is Literal:
+        return get_args(annotation)
+    inner = [choices(argument) for argument in get_args(annotation)]
+    return next((found for found in inner if found), ())

@@ -1,0 +1,142 @@
+"""A campaign from its options to its results."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from rpod_campaign.engine.campaign import CELL, TRIAL, AnyCampaign, CellResult, Row
+from rpod_campaign.engine.executor.port import Executor, Task, Work
+from rpod_campaign.engine.folder import CampaignFolder, cell_parameters
+from rpod_campaign.engine.options import Options
+from rpod_campaign.engine.software import software_digest
+from rpod_campaign.engine.trial.targets import cached_target
+
+_FLUSH_ROWS, _FLUSH_S = 500, 5.0
+"""A batch is kept when it has so many rows, or is so old."""
+
+Told = Callable[[int], None]
+"""Called for each trial that is done, with the index of its cell."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A campaign with its cells and its folder, ready to run or to resume."""
+
+    work: Work
+    done: tuple[tuple[int, int], ...]
+    """Cell and trial of those that the folder has already and that count."""
+
+    @property
+    def campaign(self) -> AnyCampaign:
+        """The campaign."""
+        return self.work.campaign
+
+    @property
+    def cells(self) -> tuple[Any, ...]:
+        """The campaign's cells of these options."""
+        return self.work.cells
+
+    @property
+    def trials(self) -> int:
+        """Number of trials of each cell."""
+        return self.work.options.trials
+
+    @property
+    def seed(self) -> int:
+        """Seed of all random numbers."""
+        return self.work.options.seed
+
+    @property
+    def folder(self) -> CampaignFolder:
+        """Where the trials are kept."""
+        return self.work.folder
+
+    @property
+    def total(self) -> int:
+        """Number of trials of all cells."""
+        return len(self.cells) * self.trials
+
+    def tasks(self) -> Iterator[Task]:
+        """Return what is still to be run, cell by cell."""
+        done = set(self.done)
+        for index in range(len(self.cells)):
+            for number in range(self.trials):
+                if (index, number) not in done:
+                    yield Task(index, number)
+
+
+def prepare(campaign: AnyCampaign, options: Options, *, out: Path, version: str) -> Prepared:
+    """Check the options, build the targets, and open the campaign's folder.
+
+    Trials are not part of what names the folder: more of them add to those that are there.
+
+    Raises:
+        ConfigurationError: names the option and the reason.
+        rpod_target.TargetError: a target cannot be built.
+        CampaignError, OSError: the folder cannot be used.
+    """
+    campaign.require(options)
+    cells = tuple(campaign.cells(options))
+    targets = {name: cached_target(name).digest for name in _targets(cells)}
+    manifest = {
+        "campaign": campaign.name,
+        "version": version,
+        "software": software_digest(campaign),
+        "targets": targets,
+        "seed": options.seed,
+        "cells": [cell_parameters(cell) for cell in cells],
+    }
+    folder = CampaignFolder.open(out, manifest, campaign.schema, keys=campaign.keys)
+    there = folder.read().filter(pl.col(TRIAL) < options.trials).select(CELL, TRIAL).unique().rows()
+    return Prepared(Work(campaign, options, cells, targets, folder), tuple(there))
+
+
+def run_campaign(
+    prepared: Prepared, executor: Executor, *, told: Told = lambda _: None
+) -> list[CellResult[Any]]:
+    """Run what is still to be run and return the results of all cells.
+
+    Whatever ends it early, the trials that are done are in the folder.
+    """
+    folder, batch, kept_s = prepared.folder, list[Row](), -math.inf
+    try:
+        with closing(executor.run(prepared.work, prepared.tasks())) as finished:
+            for cell, trials, rows in finished:
+                batch += rows or ()
+                for _ in trials:
+                    told(cell)
+                if len(batch) >= _FLUSH_ROWS or time.monotonic() - kept_s > _FLUSH_S:
+                    folder.add(batch)
+                    folder.compact()
+                    batch, kept_s = [], time.monotonic()
+    finally:
+        folder.add(batch)
+    return results(prepared, folder.close())
+
+
+def results(prepared: Prepared, rows: pl.DataFrame) -> list[CellResult[Any]]:
+    """Return each cell with its rows and its summary."""
+    counted = rows.filter(pl.col(TRIAL) < prepared.trials)
+    campaign = prepared.campaign
+    found = []
+    for index, cell in enumerate(prepared.cells):
+        mine = counted.filter(pl.col(CELL) == index).sort(TRIAL, *campaign.keys)
+        found.append(CellResult(cell, mine, campaign.summarise(cell, mine)))
+    return found
+
+
+def _targets(cells: tuple[Any, ...]) -> list[str]:
+    """Return the targets that the cells name in fields called target or ending so."""
+    names = {
+        value
+        for cell in cells
+        for field, value in cell_parameters(cell).items()
+        if (field == "target" or field.endswith("_target")) and value
+    }
+    return sorted(names)

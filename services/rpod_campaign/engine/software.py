@@ -1,0 +1,98 @@
+"""Which software runs a trial: a digest of the code that decides its outcome, and versions of libraries."""
+
+import hashlib
+import platform
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from importlib.util import find_spec
+from pathlib import Path
+
+from rpod_campaign.engine.campaign import AnyCampaign
+
+_DECISIVE = (
+    "rpod_schemas",
+    "rpod_target",
+    "rpod_sim_sensor",
+    "rpod_motion",
+    "rpod_geometry",
+    "rpod_pose",
+    "rpod_campaign.engine.trial",
+    "rpod_campaign.lidar",
+    "rpod_campaign.pmd",
+)
+_OURS = "rpod_campaign"
+_REPORTS = ("report", "options.py")
+"""Folders and files that decide no row."""
+_LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless")
+"""Packages whose version may change a row in its last bit."""
+
+
+def software_digest(campaign: AnyCampaign) -> str:
+    """Return SHA-256 over the sources that a campaign's trial runs; tables and figures are not among them.
+
+    Of a campaign that another package brings, all of that package's sources count.
+    """
+    return _digest(campaign.trial.__module__)
+
+
+def identity(campaign: AnyCampaign) -> dict[str, str]:
+    """Return what has to be the same in all processes that run a campaign's trials, by name."""
+    return {
+        "rpod": _version("rpod"),
+        "code": software_digest(campaign)[:12],
+        "python": ".".join(platform.python_version_tuple()[:2]),
+        "machine": platform.machine(),
+        **{library: _version(library) for library in _LIBRARIES},
+    }
+
+
+def differences(mine: dict[str, str], theirs: dict[str, str]) -> list[str]:
+    """Return in words where two identities differ."""
+    return [
+        f"{name} is {theirs.get(name, 'unknown')}, not {value}"
+        for name, value in mine.items()
+        if theirs.get(name) != value
+    ]
+
+
+@lru_cache(maxsize=32)
+def _digest(trial_module: str) -> str:
+    digest = hashlib.sha256()
+    for name, source in _all_sources(trial_module):
+        digest.update(f"{name}\0".encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+def _all_sources(trial_module: str) -> list[tuple[str, Traversable]]:
+    found = [source for package in _DECISIVE for source in _sources(files(package), package)]
+    package, _, name = trial_module.rpartition(".")
+    if trial_module.startswith(f"{_OURS}."):
+        return [*found, (trial_module, files(package) / f"{name}.py")]
+    top = trial_module.partition(".")[0]
+    spec = find_spec(top)
+    if spec is not None and spec.origin and not spec.submodule_search_locations:
+        return [*found, (top, Path(spec.origin))]  # one module, no package
+    return [*found, *_sources(files(top), top)]
+
+
+def _sources(folder: Traversable, name: str) -> list[tuple[str, Traversable]]:
+    found = []
+    for child in sorted(folder.iterdir(), key=lambda child: child.name):
+        path = f"{name}/{child.name}"
+        if child.name in _REPORTS:
+            continue
+        if child.is_dir():
+            found += _sources(child, path)
+        elif child.name.endswith(".py"):
+            found.append((path, child))
+    return found
+
+
+def _version(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,1 @@
+"""What every trial may use: targets, streams of random numbers, poses as columns of a row."""

@@ -1,0 +1,1 @@
+"""What the LIDAR campaigns share: scenes, methods under trial, columns of a row."""

@@ -1,0 +1,1 @@
+"""Acquisition in LIDAR scans at random attitudes."""

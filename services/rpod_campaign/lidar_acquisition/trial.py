@@ -1,0 +1,49 @@
+"""A trial of acquisition: one scan of the target at a random attitude (2015 paper, section 4.3)."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.acquiring import SCHEMA, acquired
+from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
+from rpod_campaign.lidar.scene import emulator_of, random_pose
+from rpod_sim_sensor.lidar import LidarEmulator
+
+__all__ = ["SCHEMA", "AcquisitionCell", "run"]
+
+
+@dataclass(frozen=True)
+class AcquisitionCell:
+    """A target that is scanned, and the method that looks for it."""
+
+    target: str
+    method: str
+    eq4: str
+    """Reading of Eq. 4: usual or printed."""
+    sampling: str
+    """Distribution of the attitudes: euler or so3."""
+    centroid: str | None
+    """Position of template matching: plain or offset; None for other methods."""
+    matcher: str | None
+    """ICP after template matching; None for other methods."""
+    range_m: float
+    step_deg: float | None
+    """Step of the template grid; None for other methods."""
+
+
+def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
+    """Return the row of one trial."""
+    emulator, acquiring = _bench(cell, seed)
+    drawn = random_pose(cell.target, range_m=cell.range_m, sampling=cell.sampling, seed=seed, trial=trial)
+    return acquired(acquiring, emulator, drawn, trial=trial)
+
+
+@lru_cache(maxsize=4)
+def _bench(cell: AcquisitionCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
+    lidar = lidar_config(eq4=cell.eq4)
+    sensor = lidar_input(
+        cell.method, step_deg=cell.step_deg, centroid=cell.centroid, matcher=cell.matcher, eq4=cell.eq4
+    )
+    acquiring = Acquiring(sensor, cached_target(cell.target), pattern_of(lidar))
+    return emulator_of(cell.target, lidar, seed), acquiring

@@ -1,0 +1,1 @@
+"""Acquisition in LIDAR scans over range and scan step."""

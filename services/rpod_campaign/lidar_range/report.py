@@ -1,0 +1,101 @@
+"""``lidar-range``: how far acquisition reaches at which scan step, beside OBB-TM's published figures."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import polars as pl
+
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import rate_figure
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import milliseconds, number, printed, word
+from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
+from rpod_campaign.lidar_range.trial import RangeCell, lidar_of
+
+Results = Sequence[CellResult[RangeCell]]
+OBB_TM_1_DEG = {
+    20.0: "about 0.69",
+    30.0: "0.96",
+    40.0: "0.975",
+    50.0: "0.95",
+    60.0: "0.95",
+    80.0: "0.72",
+    120.0: "0.43",
+}
+"""Success of OBB-TM at a scan step of 1 deg, by range in m, with a detailed CAD model and no detection model.
+Taken from a report on it; the publication itself was not at hand."""
+
+
+CRITERION_DEG, CRITERION_M = 5.0, 0.2
+"""Its criterion of success."""
+
+
+def close(rows: pl.DataFrame) -> Rate:
+    """Return the share within 5 deg and 0.2 m."""
+    near = (pl.col("attitude_error_deg") < CRITERION_DEG) & (pl.col("position_error_m") < CRITERION_M)
+    return rate(int(rows.select(near.fill_null(value=False).sum()).item()), rows.height)
+
+
+def summarise(cell: RangeCell, rows: pl.DataFrame) -> dict[str, Any]:
+    """Return what is said of a cell."""
+    share, lidar = close(rows), lidar_of(cell)
+    return {
+        **asdict(cell),
+        "window_deg": lidar.pattern.azimuth_span_deg,
+        "scan_time_s": lidar.scan_time_s,
+        "trials": rows.height,
+        "mean_returns": mean(rows["returns"]),
+        "success_rate": share.value,
+        "wilson_low": share.low,
+        "wilson_high": share.high,
+        "accepted": int(rows["accepted"].sum()),
+        "median_s": quantile(rows["acquire_s"], 0.5),
+        "p95_s": quantile(rows["acquire_s"], 0.95),
+    }
+
+
+def sections(results: Results) -> list[Section]:
+    """Return the report."""
+    lines: dict[str, dict[float, Rate]] = {}
+    for result in results:
+        cell = result.cell
+        name = f"{cell.target}, {cell.method}, {cell.scan_step_deg:g} deg, detection {cell.detection}"
+        lines.setdefault(name, {})[cell.range_m] = close(result.rows)
+    note = (
+        f"Success: within {CRITERION_DEG:g} deg and {CRITERION_M:g} m, OBB-TM's criterion, with 95 % Wilson "
+        "bounds. Detection off: every ray that meets the target comes back, as there. The window holds the "
+        "target's bounding sphere, 40 deg at most; the scan time is that of the window at 10 kHz."
+    )
+    figure = rate_figure(lines, x_title="range [m]", y_title="success rate")
+    return [Section("Range and scan step", note, (_table(results),), (figure,))]
+
+
+def _table(results: Results) -> Table:
+    rows = []
+    for result in results:
+        cell, s = result.cell, result.summary
+        published = OBB_TM_1_DEG if cell.scan_step_deg == 1.0 else {}
+        rows.append(
+            (
+                cell.target,
+                cell.method,
+                word(cell.step_deg),
+                cell.detection,
+                word(cell.scan_step_deg),
+                word(cell.range_m),
+                word(s["window_deg"]),
+                number(s["scan_time_s"], ".2f"),
+                word(s["trials"]),
+                number(s["mean_returns"], ".0f"),
+                str(close(result.rows)),
+                printed(published, cell.range_m),
+                milliseconds(s["median_s"]),
+                milliseconds(s["p95_s"]),
+            )
+        )
+    columns = (
+        *("target", "method", "step, deg", "detection", "scan step, deg", "range, m", "window, deg"),
+        *("scan time, s", "trials", "mean returns", "success", "OBB-TM", "median, ms", "p95, ms"),
+    )
+    return Table("Success", columns, tuple(rows)).condensed(4)

@@ -1,0 +1,71 @@
+"""A trial of acquisition at a range and a scan step, the detection model on or off."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import asin, ceil, degrees
+from typing import Any
+
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.acquiring import SCHEMA, acquired
+from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
+from rpod_campaign.lidar.scene import emulator_of, random_pose
+from rpod_schemas.config.lidar import LidarConfig
+from rpod_sim_sensor.lidar import LidarEmulator
+
+__all__ = ["SCHEMA", "RangeCell", "lidar_of", "run", "window_deg"]
+
+_WIDEST_DEG, _WHOLE_DEG = 40.0, 2.0
+
+
+@dataclass(frozen=True)
+class RangeCell:
+    """A method that looks for a target in scans of a step."""
+
+    target: str
+    method: str
+    detection: str
+    """on: the model of the 2015 paper; off: every ray that meets the target comes back."""
+    scan_step_deg: float
+    step_deg: float | None
+    """Step of the template grid; None for other methods."""
+    range_m: float
+
+
+def window_deg(target: str, range_m: float) -> float:
+    """Return the scan window, both ways: the target's bounding sphere in whole 2 deg, 40 deg at most."""
+    radius_m = cached_target(target).radius_m
+    if radius_m >= range_m:
+        return _WIDEST_DEG
+    sphere_deg = 2.0 * degrees(asin(radius_m / range_m))
+    return min(_WIDEST_DEG, _WHOLE_DEG * ceil(sphere_deg / _WHOLE_DEG))
+
+
+@lru_cache(maxsize=32)
+def lidar_of(cell: RangeCell) -> LidarConfig:
+    """Return the sensor of a cell."""
+    returned = "all" if cell.detection == "off" else "detected"
+    return lidar_config(
+        step_deg=cell.scan_step_deg,
+        span_deg=window_deg(cell.target, cell.range_m),
+        detection={"returned": returned},
+    )
+
+
+def run(cell: RangeCell, seed: int, trial: int) -> dict[str, Any]:
+    """Return the row of one trial; attitudes Euler-uniform."""
+    emulator, acquiring = _bench(cell, seed)
+    drawn = random_pose(cell.target, range_m=cell.range_m, sampling="euler", seed=seed, trial=trial)
+    return acquired(acquiring, emulator, drawn, trial=trial)
+
+
+@lru_cache(maxsize=2)
+def _bench(cell: RangeCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
+    lidar = lidar_of(cell)
+    sensor = lidar_input(
+        cell.method,
+        step_deg=cell.step_deg,
+        centroid="offset",
+        matcher="nearest-neighbour",
+    )
+    acquiring = Acquiring(sensor, cached_target(cell.target), pattern_of(lidar))
+    return emulator_of(cell.target, lidar, seed), acquiring

@@ -1,0 +1,33 @@
+"""``lidar-robustness``: its cells, and the campaign as one object."""
+
+from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.lidar.cells import methods, steps_of, targets
+from rpod_campaign.lidar_robustness import trial
+from rpod_campaign.lidar_robustness.options import Options
+from rpod_campaign.lidar_robustness.report import sections, summarise
+from rpod_campaign.lidar_robustness.trial import DISTURBANCES, RobustnessCell
+
+
+def cells(options: Options) -> list[RobustnessCell]:
+    """Return the cells. Raises ConfigurationError."""
+    return [
+        RobustnessCell(
+            target=target, method=method, disturbance=disturbance, step_deg=step_deg, range_m=range_m
+        )
+        for target in targets(options.target)
+        for method in methods(options.method)
+        for step_deg in steps_of(method, options.steps)
+        for range_m in options.ranges
+        for disturbance in DISTURBANCES
+    ]
+
+
+CAMPAIGN: Campaign[RobustnessCell] = Campaign(
+    name="lidar-robustness",
+    options=Options,
+    cells=cells,
+    trial=trial.run,
+    schema=trial.SCHEMA,
+    summarise=summarise,
+    sections=sections,
+)

@@ -1,0 +1,58 @@
+"""``lidar-robustness``: acquisition where the world is not as the method assumes."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import polars as pl
+
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import number, word
+from rpod_campaign.lidar_acquisition.report import success
+from rpod_campaign.lidar_robustness.trial import NOMINAL, RobustnessCell
+
+Results = Sequence[CellResult[RobustnessCell]]
+
+
+def summarise(cell: RobustnessCell, rows: pl.DataFrame) -> dict[str, Any]:
+    """Return what is said of a cell; rejected are right poses that were not accepted."""
+    share = success(rows)
+    return {
+        **asdict(cell),
+        "trials": rows.height,
+        "success_rate": share.value,
+        "wilson_low": share.low,
+        "wilson_high": share.high,
+        "right_rejected": int((rows["success"] & ~rows["accepted"]).sum()),
+    }
+
+
+def sections(results: Results) -> list[Section]:
+    """Return the report."""
+    nominal = {r.cell: success(r.rows).value for r in results if r.cell.disturbance == NOMINAL}
+    rows = []
+    for result in results:
+        cell, share = result.cell, success(result.rows)
+        fall = nominal[replace(cell, disturbance=NOMINAL)] - share.value
+        rows.append(
+            (
+                cell.target,
+                cell.method,
+                word(cell.step_deg),
+                word(cell.range_m),
+                cell.disturbance,
+                str(result.rows.height),
+                str(share),
+                number(100.0 * fall, "+.1f"),
+                f"{result.summary['right_rejected']} of {share.count}",
+            )
+        )
+    columns = ("target", "method", "step, deg", "range, m", "world", "trials", "success")
+    table = Table("Success", (*columns, "fall, points", "right rejected"), tuple(rows)).condensed(4)
+    note = (
+        "The method always assumes the nominal world; the same attitudes in each. Success: attitude within "
+        "3 deg, with 95 % Wilson bounds; fall: against nominal in this run, percentage points; rejected: of "
+        "the successes."
+    )
+    return [Section("Robustness", note, (table,))]

@@ -1,0 +1,173 @@
+"""Trials of tracking: single scans from 5 deg and 0.3 m off, and sequences of a tumbling target."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.random import Generator
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_campaign.engine.trial.poses import POSE, errors, numbers
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.methods import lidar_config, pattern_of, tracking_input
+from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
+from rpod_campaign.lidar.scores import SUCCESS_DEG
+from rpod_motion.motion import Motion, build_motion
+from rpod_pose.measurement import Measurement
+from rpod_pose.methods import lidar_methods, warm_up
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.ports import Methods
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Mode
+from rpod_sim_sensor.lidar import LidarEmulator
+
+OFF_DEG, OFF_M = 5.0, 0.3
+"""Distance of a single scan's start from its truth."""
+FRAMES, SENSOR = 60, "lidar"
+"""Number of scans of a sequence, at 1 Hz, and name of the sensor."""
+_START, _TUMBLE = 1, 2
+"""Streams of random numbers beside that of the pose."""
+
+
+@dataclass(frozen=True)
+class TrackingCell:
+    """A tracker on single scans at a range, or on sequences at a rate of tumbling."""
+
+    target: str
+    tracker: str
+    range_m: float | None
+    """Range of single scans; None for sequences, which follow the safety ellipse of 25 to 53 m."""
+    rate_deg_s: float | None
+    """Rate of tumbling of sequences; None for single scans."""
+
+
+SCHEMA: dict[str, Any] = {
+    "truth": POSE,
+    "found": POSE,
+    "attitude_error_deg": pl.Float64,
+    "position_error_m": pl.Float64,
+    "success": pl.Boolean,
+    "nees": pl.Float64,
+    "reason": pl.String,
+    "returns": pl.Int64,
+    "track_s": pl.Float64,
+    "frames": pl.Int64,
+    "rejected_frames": pl.Int64,
+    "lost_frames": pl.Int64,
+    "worst_deg": pl.Float64,
+}
+
+
+def run(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
+    """Return the row of one scan, or of one sequence."""
+    row: dict[str, Any] = dict.fromkeys(SCHEMA)
+    return row | (_single(cell, seed, trial) if cell.range_m is not None else _sequence(cell, seed, trial))
+
+
+def _single(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
+    emulator, methods, _ = _bench(cell, seed)
+    truth = random_pose(
+        cell.target, range_m=cell.range_m or 0.0, sampling="euler", seed=seed, trial=trial
+    ).T_sensor_target
+    scan = scan_of(emulator, truth, trial=trial)
+    start = _off(truth, stream(seed, trial, _START))
+    begin_s = time.perf_counter()
+    registration = methods.tracker.track(scan, start)
+    took_s = time.perf_counter() - begin_s
+    found = registration.T_sensor_target
+    attitude_deg, position_m = errors(truth, found, cached_target(cell.target))
+    return {
+        "truth": numbers(truth),
+        "found": numbers(found),
+        "attitude_error_deg": attitude_deg,
+        "position_error_m": position_m,
+        "success": attitude_deg is not None and attitude_deg < SUCCESS_DEG,
+        "nees": None if found is None else nees(truth, found, registration.covariance),
+        "reason": registration.belief.reason,
+        "returns": len(scan.returns_m),
+        "track_s": took_s,
+    }
+
+
+def nees(truth: RigidTransform, found: RigidTransform, covariance: FloatArray) -> float:
+    """Return the normalised squared error of (dp, dtheta) in the sensor's axes (ICD section 1)."""
+    turn = (found.rotation * truth.rotation.inv()).as_rotvec()
+    error = np.concatenate((found.translation - truth.translation, turn))
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+def _sequence(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
+    """Return what the navigator made of a tumbling target, frame by frame."""
+    frames = list(_frames(cell, seed, trial))
+    angles_deg = [angle_deg for angle_deg, _, _ in frames]
+    return {
+        "frames": len(frames),
+        "rejected_frames": sum(not accepted for _, accepted, _ in frames),
+        "lost_frames": sum(mode is not Mode.TRACKING or angle >= SUCCESS_DEG for angle, _, mode in frames),
+        "worst_deg": max(angles_deg),
+        "attitude_error_deg": float(np.median(angles_deg)),
+    }
+
+
+def _frames(cell: TrackingCell, seed: int, trial: int) -> Iterator[tuple[float, bool, Mode]]:
+    """Yield attitude error, deg, whether the measurement was accepted, and mode, after each frame."""
+    emulator, _, navigator = _bench(cell, seed)
+    motion = tumbling(cell.target, cell.rate_deg_s or 0.0, stream(seed, trial, _TUMBLE))
+    state = navigator.start(motion.state(0.0).T_chaser_target)
+    for k in range(FRAMES):
+        truth = motion.state(float(k)).T_chaser_target
+        scan = scan_of(emulator, truth, trial=trial * FRAMES + k, stamp_ns=k * NANOSECONDS)
+        state, output = navigator.step(state, Measurement(SENSOR, scan, make_pose()))
+        believed = None if output.odometry is None else output.odometry.pose
+        angle_deg = errors(truth, believed, cached_target(cell.target))[0]
+        yield 180.0 if angle_deg is None else angle_deg, output.status.accepted, state.mode
+
+
+def tumbling(target: str, rate_deg_s: float, generator: Generator) -> Motion:
+    """Return a tumble at a rate about a random axis, from a random attitude and place on the ellipse."""
+    loaded = cached_target(target)
+    axis = Rotation.random(rng=generator).apply((1.0, 0.0, 0.0))
+    config = MotionConfig(
+        trajectory=StationKeepingConfig(
+            least_range_m=25.0, greatest_range_m=53.0, phase_deg=generator.uniform(0.0, 360.0)
+        ),
+        attitude=TumbleConfig(R_chaser_target=Rotation.random(rng=generator), rate_deg_s=rate_deg_s * axis),
+    )
+    return build_motion(
+        config,
+        centre_of_mass_m=loaded.centre_of_mass_m,
+        inertia_kg_m2=loaded.inertia_kg_m2,
+        duration_s=float(FRAMES),
+    )
+
+
+def _off(truth: RigidTransform, generator: Generator) -> RigidTransform:
+    """Return a pose off the truth by 5 deg and 0.3 m in random directions."""
+    turn, shift = Rotation.random(2, rng=generator).apply((1.0, 0.0, 0.0))
+    return make_pose(
+        rotation=Rotation.from_rotvec(np.deg2rad(OFF_DEG) * turn) * truth.rotation,
+        translation_m=truth.translation + OFF_M * shift,
+    )
+
+
+@lru_cache(maxsize=4)
+def _bench(cell: TrackingCell, seed: int) -> tuple[LidarEmulator, Methods, Navigator]:
+    lidar, target, sensor = lidar_config(), cached_target(cell.target), tracking_input(cell.tracker)
+    methods = lidar_methods(sensor, target, pattern_of(lidar))
+    warm_up(methods, target, pattern_of(lidar))
+    navigator = Navigator(
+        EstimatorSettings(sensors=(sensor,)),
+        {SENSOR: methods},
+        centre_of_mass_m=target.centre_of_mass_m,
+        alike=target.turns(exact=True),
+    )
+    return emulator_of(cell.target, lidar, seed), methods, navigator

@@ -1,0 +1,1 @@
+"""Template matching along the 2015 paper's safety ellipse."""

@@ -1,0 +1,56 @@
+"""The 2015 paper's figures over the trajectory, drawn again."""
+
+from collections.abc import Sequence
+
+import plotly.graph_objects as go
+import polars as pl
+
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import curve_figure, rate_figure
+from rpod_campaign.engine.report.statistics import Rate
+from rpod_campaign.lidar_trajectory.tables import success
+from rpod_campaign.lidar_trajectory.trial import TrajectoryCell
+from rpod_campaign.papers import paper_2015 as paper
+
+Results = Sequence[CellResult[TrajectoryCell]]
+
+_PRINTED_STEP_DEG = 30.0
+"""Fig. 9 is of this step."""
+
+
+def figures_over_time(results: Results) -> tuple[go.Figure, ...]:
+    """Return the range over time (Fig. 5), and f_CONV over time at 30 deg (Fig. 9)."""
+    if not results:
+        return ()
+    first = results[0]
+    minutes = (first.rows["time_s"] / 60.0).to_list()
+    ranges = curve_figure(
+        {first.cell.target: (minutes, first.rows["range_m"].to_list())},
+        x_title="time [min]",
+        y_title="range [m]",
+        markers=True,
+    )
+    shown = next((r for r in results if _of_figure_9(r.cell)), first)
+    clouds = {}
+    for name, good in (("success", True), ("failure", False)):
+        rows = shown.rows.filter(pl.col("nn_success") == good)
+        clouds[name] = ((rows["time_s"] / 60.0).to_list(), rows["nn_f_conv_m2"].to_list())
+    about = f"f_CONV [m2], {shown.cell.target}, {shown.cell.step_deg:g} deg"
+    costs = curve_figure(clouds, x_title="time [min]", y_title=about, markers=True, log_y=True)
+    return ranges, costs
+
+
+def figures_over_steps(results: Results) -> tuple[go.Figure, ...]:
+    """Return success over the step with both ICPs (Figs. 6 and 7)."""
+    lines: dict[str, dict[float, Rate]] = {}
+    for result in results:
+        cell = result.cell
+        about = f"{cell.target}, Eq. 4 {cell.eq4}, {cell.method}"
+        for icp in ("nn", "ns") if cell.method == paper.TM else ("nn",):
+            name = f"{about}, {icp.upper()}"
+            lines.setdefault(name, {})[cell.step_deg] = success(result, icp)
+    return (rate_figure(lines, x_title="template step [deg]", y_title="success rate"),)
+
+
+def _of_figure_9(cell: TrajectoryCell) -> bool:
+    return cell.method == paper.TM and cell.step_deg == _PRINTED_STEP_DEG

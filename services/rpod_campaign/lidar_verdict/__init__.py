@@ -1,0 +1,1 @@
+"""Verdicts on right and wrong poses in LIDAR scans."""

@@ -1,0 +1,39 @@
+"""``lidar-verdict``: its cells, and the campaign as one object."""
+
+from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.lidar.cells import methods, steps_of, targets
+from rpod_campaign.lidar_verdict import trial
+from rpod_campaign.lidar_verdict.options import Options
+from rpod_campaign.lidar_verdict.report import sections, summarise
+from rpod_campaign.lidar_verdict.trial import VerdictCell
+
+_OTHERS = ("envisat-slim", "envisat-bulky", "mockup")
+"""Targets that are scanned instead: one of another size, and another object."""
+
+
+def cells(options: Options) -> list[VerdictCell]:
+    """Return the cells: each method on scans of the target itself, the global search on others too."""
+    return [
+        VerdictCell(target=target, scanned_target=scanned, method=method, step_deg=step_deg, range_m=range_m)
+        for method in methods(options.method)
+        for step_deg in steps_of(method, options.steps)
+        for target in targets(options.target)
+        for scanned in _scanned(method, target)
+        for range_m in options.ranges
+    ]
+
+
+def _scanned(method: str, target: str) -> tuple[str, ...]:
+    others = tuple(other for other in _OTHERS if other != target)
+    return (target, *others) if method == "global" else (target,)
+
+
+CAMPAIGN: Campaign[VerdictCell] = Campaign(
+    name="lidar-verdict",
+    options=Options,
+    cells=cells,
+    trial=trial.run,
+    schema=trial.SCHEMA,
+    summarise=summarise,
+    sections=sections,
+)

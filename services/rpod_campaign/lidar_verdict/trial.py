@@ -1,0 +1,118 @@
+"""A trial of the verdict: is a right pose accepted, and a wrong one refused?
+
+Wrong poses come from methods that go wrong on their own target, and from scans of something else, where no
+pose is right. All are judged by the facility's own verdict, whoever found them.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.methods import MATCHERS, lidar_config, lidar_input, pattern_of
+from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
+from rpod_campaign.lidar.scores import ACQUISITION_SCHEMA, acquisition_row, is_wrong
+from rpod_pose.lidar.global_search import GlobalSearch
+from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
+from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.methods import lidar_methods
+from rpod_pose.ports import Acquisition
+from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig
+from rpod_schemas.config.lidar_search import GlobalSearchConfig
+from rpod_schemas.types import LidarScan
+from rpod_sim_sensor.lidar import LidarEmulator
+
+REFERENCE = "envisat-bulky"
+"""Ranges are given for a target of this size; others are scanned from nearer or farther by their size."""
+
+SCHEMA: dict[str, Any] = {
+    **ACQUISITION_SCHEMA,
+    "wrong": pl.Boolean,
+    "scanned_range_m": pl.Float64,
+    "deficit_per_return": pl.Float64,
+}
+"""f_conv_m2 is that of the 2015 paper, by its ICP from the judged pose."""
+
+
+@dataclass(frozen=True)
+class VerdictCell:
+    """A method that looks for a target, and what is really there."""
+
+    target: str
+    """The model."""
+    scanned_target: str
+    """Name of the target that is scanned."""
+    method: str
+    step_deg: float | None
+    """Step of the template grid; None for other methods."""
+    range_m: float
+    """For the reference; scaled by the size of what is scanned."""
+
+
+def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
+    """Return the row of one trial; attitudes uniform on SO(3)."""
+    emulator, judge = _bench(cell, seed)
+    range_m = cell.range_m * size_m(cell.scanned_target) / size_m(REFERENCE)
+    drawn = random_pose(cell.scanned_target, range_m=range_m, sampling="so3", seed=seed, trial=trial)
+    scan = scan_of(emulator, drawn.T_sensor_target, trial=trial)
+    acquisition = judge.judged(scan)
+    row = acquisition_row(drawn.T_sensor_target, acquisition, len(scan.returns_m), cached_target(cell.target))
+    other = cell.scanned_target != cell.target
+    wrong = other or is_wrong(row["attitude_error_deg"], row["position_error_m"])
+    return {**row, **judge.scores(scan, acquisition), "wrong": wrong, "scanned_range_m": range_m}
+
+
+class Judge:
+    """A method under the facility's own verdict, and single scores of the poses that it judges."""
+
+    def __init__(self, cell: VerdictCell, pattern: ScanPattern) -> None:
+        target = cached_target(cell.target)
+        rays = {"azimuth_rad": pattern.azimuth_rad, "elevation_rad": pattern.elevation_rad}
+        sensor = lidar_input(
+            cell.method, step_deg=cell.step_deg, centroid="offset", matcher="nearest-neighbour"
+        )
+        config = GlobalSearchConfig()
+        self._acquirer = lidar_methods(sensor, target, pattern).acquirer
+        self._judges_itself = sensor.acquisition == config
+        sigma_range_m = pattern.sigma_range_m
+        self._verdict = GlobalSearch(config, target, **rays, sigma_range_m=sigma_range_m)
+        self._fine = ProjectiveIcp(config.tracking, target, **rays, sigma_range_m=sigma_range_m)
+        paper = IcpNearestNeighbourConfig.model_validate(MATCHERS["nearest-neighbour"])
+        self._paper = NearestNeighbourIcp(paper, target, **rays)
+
+    def judged(self, scan: LidarScan) -> Acquisition:
+        """Return what the method finds, with the facility's verdict on it."""
+        found = self._acquirer.acquire(scan)
+        if self._judges_itself or found.pose is None:
+            return found
+        return self._verdict.judge(scan, found.pose)
+
+    def scores(self, scan: LidarScan, judged: Acquisition) -> dict[str, float | None]:
+        """Return f_CONV and the likelihood's deficit a return at the judged pose; None without one."""
+        pose = judged.pose
+        if pose is None:
+            return {"f_conv_m2": None, "deficit_per_return": None}
+        seen = self._fine.view.seen(scan)
+        fit = self._fine.model.fit(seen, pose.rotation.as_matrix(), pose.translation)
+        return {
+            "f_conv_m2": self._paper.track(scan, pose).cost_m2,
+            "deficit_per_return": fit.deficit / seen.returns,
+        }
+
+
+@lru_cache(maxsize=8)
+def size_m(target: str) -> float:
+    """Return the square root of a target's surface area."""
+    a, b, c = np.moveaxis(cached_target(target).triangles_m, 1, 0)
+    areas_m2 = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+    return float(np.sqrt(areas_m2.sum()))
+
+
+@lru_cache(maxsize=4)
+def _bench(cell: VerdictCell, seed: int) -> tuple[LidarEmulator, Judge]:
+    lidar = lidar_config()
+    return emulator_of(cell.scanned_target, lidar, seed), Judge(cell, pattern_of(lidar))

@@ -1,0 +1,64 @@
+"""What the camera's campaigns make of the options that they share."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from rpod_campaign.pmd.methods import has_radius, pmd_input
+from rpod_campaign.pmd.options import PmdOptions
+from rpod_schemas.config.base import check
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.errors import ConfigurationError
+
+CALIBRATED_WIGGLING = 0.005
+"""Share of the depth's third harmonic that a calibration leaves."""
+_FAMILY = "mockup-"
+
+
+def scenarios(options: PmdOptions) -> Iterator[tuple[str, Scenario]]:
+    """Yield the scenarios with a camera; ``mockup-`` need not be said. Raises ConfigurationError."""
+    known = {
+        name.removeprefix(_FAMILY): scenario
+        for name, scenario in options.scenarios.items()
+        if any(isinstance(sensor, PmdConfig) for sensor in scenario.sensors)
+    }
+    for name in options.scenario:
+        short = name.removeprefix(_FAMILY)
+        if short not in known:
+            raise ConfigurationError("--scenario", "", f"needs {', '.join(known)}, not {name!r}")
+        yield short, known[short]
+
+
+def methods(
+    names: tuple[str, ...], chosen_px: tuple[int, ...] | None = None, *, radii_px: tuple[int, ...] = (25,)
+) -> Iterator[tuple[str, int | None]]:
+    """Yield methods, each with its radii of the neighbour search where it has one.
+
+    Args:
+        names: of the methods.
+        chosen_px: radii that the user chose.
+        radii_px: radii if the user chose none.
+
+    Raises:
+        ConfigurationError: a method is unknown, or this version lacks it.
+    """
+    if chosen_px and not any(has_radius(method) for method in names):
+        raise ConfigurationError("--radius", "", f"has no meaning for {', '.join(names)}")
+    for method in names:
+        for radius_px in (chosen_px or radii_px) if has_radius(method) else (None,):
+            pmd_input(method, radius_px=radius_px)
+            yield method, radius_px
+
+
+def calibrated(scenario: Scenario) -> Scenario:
+    """Return a scenario whose cameras have the error that a calibration leaves, which the estimator knows."""
+    document: dict[str, Any] = scenario.model_dump(mode="json")
+    hertz = {}
+    for camera, sensor in zip(scenario.sensors, document["sensors"], strict=True):
+        if isinstance(camera, PmdConfig):
+            sensor["pixel"]["wiggling_share"] = CALIBRATED_WIGGLING
+            hertz[camera.name] = camera.frequencies_hz
+    for sensor in document["estimator"]["sensors"]:
+        if sensor["kind"] == "pmd":
+            sensor["calibration"] = {"modulation_frequency_hz": hertz[sensor["name"]]}
+    return check(Scenario, document, source=scenario.name)

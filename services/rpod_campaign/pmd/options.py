@@ -1,0 +1,44 @@
+"""Options that the campaigns of the PMD camera share; each campaign's own model has its defaults."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rpod_campaign.engine.options import Names, Options, Provided
+from rpod_schemas.config.scenario import Scenario
+
+Methods = Annotated[
+    Names,
+    Field(
+        description="Methods of tracking: icp-reverse-calibration, icp-reverse-calibration-plane, epnp, "
+        "hybrid, signed-distance, joint."
+    ),
+]
+Radii = Annotated[
+    Annotated[tuple[Annotated[int, Field(gt=0)], ...], Field(min_length=1)] | None,
+    Field(description="Radii of the neighbour search of ICP with reverse calibration, pixels."),
+]
+Frames = Annotated[
+    Literal["keyframes", "full", "both"],
+    Field(description="Images of a sequence: one a second, or as many as the camera takes."),
+]
+Through = Annotated[
+    Literal["tracker", "truth", "navigator", "both"],
+    Field(
+        description="First guess of an image: the last estimate, the last true pose, or the navigator's "
+        "prediction; both is tracker and navigator."
+    ),
+]
+FRAMES = ("keyframes", "full")
+THROUGH = ("tracker", "navigator")
+DEPTH = ("raw", "calibrated")
+"""What ``both`` stands for."""
+
+
+class PmdOptions(Options):
+    """What every campaign of the camera lets the user choose."""
+
+    scenario: Names = ("tumbling",)
+    """Scenarios with the camera, by name; 'mockup-' may be left out."""
+    scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)
+    """The scenarios that are installed, by name."""

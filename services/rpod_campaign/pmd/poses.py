@@ -1,0 +1,34 @@
+"""Random poses in front of a camera, and which estimate of one counts as right."""
+
+import numpy as np
+from numpy.random import Generator
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_schemas.poses import make_pose
+from rpod_target import Target
+
+SUCCESS_DEG, SUCCESS_M = 4.0, 0.08
+"""A pose nearer than both is a success."""
+FRONT_DEG = 45.0
+"""Half angle of the cone about the target's x axis from which its front is seen."""
+_ASIDE_M = 0.1
+"""The middle of the target is drawn up to so far from the boresight, right or left, up or down."""
+
+
+def drawn(target: Target, view: str, range_m: tuple[float, float], generator: Generator) -> RigidTransform:
+    """Return a random T_sensor_target with the middle of the target in view."""
+    R_sensor_target = _front(generator) if view == "front" else Rotation.random(rng=generator)
+    corners_m = target.triangles_m.reshape(-1, 3)
+    middle_m = (corners_m.min(axis=0) + corners_m.max(axis=0)) / 2.0
+    aside_m = generator.uniform(-_ASIDE_M, _ASIDE_M, 2)
+    place_m = np.array((*aside_m, generator.uniform(*range_m)))
+    return make_pose(rotation=R_sensor_target, translation_m=place_m - R_sensor_target.apply(middle_m))
+
+
+def _front(generator: Generator) -> Rotation:
+    """Return an attitude of any roll, its x axis to the camera within FRONT_DEG, evenly over that cap."""
+    z = generator.uniform(np.cos(np.deg2rad(FRONT_DEG)), 1.0)
+    azimuth, roll = generator.uniform(0.0, 2.0 * np.pi, 2)
+    tilt = Rotation.from_rotvec(np.arccos(z) * np.array((np.cos(azimuth), np.sin(azimuth), 0.0)))
+    facing = Rotation.from_euler("y", 90.0, degrees=True)  # x to -z, at the camera
+    return tilt * facing * Rotation.from_euler("x", roll)

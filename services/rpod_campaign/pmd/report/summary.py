@@ -1,0 +1,55 @@
+"""The summary of a sequence of images."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from rpod_analysis.scoring.score import NEES_95
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.statistics import mean, quantile
+from rpod_campaign.pmd.sequence import SequenceCell
+
+Results = Sequence[CellResult[SequenceCell]]
+AXES = ("roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m")
+"""Columns of the errors: attitude in target axes, position in the sensor's (ICD section 1)."""
+OTHER_AXES = (
+    "sensor_roll_deg", "sensor_pitch_deg", "sensor_yaw_deg", "target_x_m", "target_y_m", "target_z_m",
+)  # fmt: skip
+"""The same errors the other way round: attitude in the sensor's axes, position in the target's."""
+
+
+def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:
+    """Return the summary of a sequence; RMS over all frames, also those that kept the last pose."""
+    known = rows.filter(pl.col("nees").is_finite())["nees"]
+    return {
+        "scenario": cell.scenario,
+        "method": cell.method,
+        "radius_px": cell.radius_px,
+        "frames": rows.height,
+        "rms": rms(rows),
+        "norms": {"attitude_deg": _rms(rows["attitude_deg"]), "position_m": _rms(rows["position_m"])},
+        "max": {name: quantile(rows[name], 1.0) for name in ("attitude_deg", "position_m")},
+        "median_s": quantile(rows["track_s"], 0.5),
+        "p95_s": quantile(rows["track_s"], 0.95),
+        "lost": int((rows["off_target"] | ~rows["measured"]).sum()),
+        "lost_without_pose": int((~rows["measured"]).sum()),
+        "lost_off_target": int(rows["off_target"].sum()),
+        "nees_mean": mean(known),
+        "nees_share_in_95": mean((known <= NEES_95).cast(pl.Float64)),
+        "depth_share": mean(rows["depth_share"]),
+        "sequence": cell.frames,
+        "through": cell.through,
+        "case": cell.case,
+    }
+
+
+def rms(rows: pl.DataFrame, axes: tuple[str, ...] = AXES) -> dict[str, float | None]:
+    """Return the RMS error along axes, None of no rows."""
+    names = (name.removeprefix("sensor_").removeprefix("target_") for name in axes)
+    return {name: _rms(rows[axis]) for name, axis in zip(names, axes, strict=True)}
+
+
+def _rms(values: pl.Series) -> float | None:
+    return float(np.sqrt(np.mean(values.to_numpy() ** 2))) if values.len() else None

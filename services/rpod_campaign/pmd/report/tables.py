@@ -1,0 +1,152 @@
+"""Tables and curves that the camera's campaigns share."""
+
+import numpy as np
+import plotly.graph_objects as go
+import polars as pl
+
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.content import Table
+from rpod_campaign.engine.report.numbers import milliseconds, number, percent, word
+from rpod_campaign.pmd.report.summary import AXES, OTHER_AXES, Results, rms
+from rpod_campaign.pmd.sequence import SequenceCell
+
+_NAMES = ("scenario", "case", "frames", "through", "method", "radius, px")
+_UNITS = ("roll, deg", "pitch, deg", "yaw, deg", "x, mm", "y, mm", "z, mm")
+LOST = (
+    "A frame is lost where the tracker gives no pose, so that the last one stays and is the next guess, or "
+    "where the estimate is more than 10 deg or 0.3 m off. RMS and greatest error are over all frames, lost "
+    "ones included; times are of the processor, one thread."
+)
+
+
+def name_of(cell: SequenceCell) -> tuple[str, ...]:
+    """Return the cells of text that tell a sequence from others."""
+    return (
+        *(cell.scenario, cell.case or "-", cell.frames, cell.through, cell.method),
+        word(cell.radius_px),
+    )
+
+
+def label(cell: SequenceCell, among: Results) -> str:
+    """Return what tells a cell from the others, in a line."""
+    names = [name_of(result.cell) for result in among]
+    parts = [
+        f"{value} px" if column == _NAMES[-1] else value
+        for k, (column, value) in enumerate(zip(_NAMES, name_of(cell), strict=True))
+        if len({name[k] for name in names}) > 1 and value != "-"
+    ]
+    return ", ".join(parts) or cell.method
+
+
+def overview(results: Results) -> tuple[Table, Table]:
+    """Return the errors of each cell, and what it lost, took and believed of itself."""
+    return _errors(results), _conduct(results)
+
+
+def _errors(results: Results) -> Table:
+    rows = []
+    for result in results:
+        s = result.summary
+        rows.append(
+            (
+                *name_of(result.cell),
+                str(s["frames"]),
+                *_six(s["rms"]),
+                number(s["norms"]["attitude_deg"], ".2f"),
+                number(millimetres(s["norms"]["position_m"]), ".1f"),
+                number(s["max"]["attitude_deg"], ".2f"),
+                number(millimetres(s["max"]["position_m"]), ".0f"),
+            )
+        )
+    columns = ("images", *_UNITS, "norm, deg", "norm, mm", "greatest, deg", "greatest, mm")
+    return Table("RMS and greatest errors", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
+
+
+def _conduct(results: Results) -> Table:
+    rows = []
+    for result in results:
+        s = result.summary
+        rows.append(
+            (
+                *name_of(result.cell),
+                str(s["frames"]),
+                *(str(s[name]) for name in ("lost", "lost_without_pose", "lost_off_target")),
+                percent(s["depth_share"]),
+                milliseconds(s["median_s"]),
+                milliseconds(s["p95_s"]),
+                number(s["nees_mean"], ".1f"),
+                number(s["nees_share_in_95"], ".2f"),
+            )
+        )
+    columns = (
+        *("images", "lost", "without pose", "off", "target's pixels with depth"),
+        *("median, ms", "p95, ms", "mean NEES", "inside 95 %"),
+    )
+    return Table("Lost frames, time, consistency", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
+
+
+def other_axes(results: Results) -> Table:
+    """Return the RMS errors with attitude in the sensor's axes and position in the target's."""
+    rows = [(*name_of(result.cell), *_six(rms(result.rows, OTHER_AXES))) for result in results]
+    return Table(
+        "RMS, attitude in the camera's axes, position in the target's", (*_NAMES, *_UNITS), tuple(rows)
+    ).condensed(len(_NAMES))
+
+
+def by_range(results: Results) -> Table:
+    """Return the RMS norms in bins of one metre."""
+    bins = sorted({int(range_m) for result in results for range_m in result.rows["range_m"].to_list()})
+    rows = []
+    for result in results:
+        found = [
+            result.rows.filter((pl.col("range_m") >= low) & (pl.col("range_m") < low + 1)) for low in bins
+        ]
+        rows.append((*name_of(result.cell), *(_norms(part) for part in found)))
+    columns = tuple(f"{low} to {low + 1} m" for low in bins)
+    return Table("RMS by range, deg / mm", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
+
+
+def errors_over_range(results: Results) -> tuple[go.Figure, ...]:
+    """Return the error norms over the range, a median over trials."""
+    figures = []
+    for column, title, scale in (
+        ("attitude_deg", "attitude error [deg]", 1.0),
+        ("position_m", "position error [mm]", 1e3),
+    ):
+        curves = {}
+        for result in results:
+            medians = pl.col("range_m", column).median()
+            rows = result.rows.group_by("frame").agg(medians).sort("range_m")
+            curves[label(result.cell, results)] = (
+                rows["range_m"].to_list(),
+                (scale * rows[column]).to_list(),
+            )
+        figures.append(curve_figure(curves, x_title="range [m]", y_title=title, log_y=True))
+    return tuple(figures)
+
+
+def _six(values: dict[str, float | None]) -> tuple[str, ...]:
+    angles = (number(values[axis], ".2f") for axis in AXES[:3])
+    return (*angles, *(number(millimetres(values[axis]), ".1f") for axis in AXES[3:]))
+
+
+def _norms(rows: pl.DataFrame) -> str:
+    if rows.is_empty():
+        return "-"
+    angle, distance = (
+        float(np.sqrt((rows[name].to_numpy() ** 2).mean())) for name in ("attitude_deg", "position_m")
+    )
+    return f"{angle:.2f} / {1e3 * distance:.0f}"
+
+
+def millimetres(value_m: float | None) -> float | None:
+    """Return a length in mm."""
+    return None if value_m is None else 1e3 * value_m
+
+
+def first(results: Results, **wanted: object) -> CellResult[SequenceCell] | None:
+    """Return the first result whose cell has these fields; None of none."""
+    return next(
+        (r for r in results if all(getattr(r.cell, name) == value for name, value in wanted.items())), None
+    )

@@ -1,0 +1,237 @@
+"""A trial of tracking a camera's target frame to frame: a scenario from its first frame to its last."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import polars as pl
+from scipy.spatial.transform import RigidTransform
+
+from rpod_analysis.scoring.score import OFF_TARGET_M, OFF_TARGET_RAD, find_nees
+from rpod_campaign.engine.trial.poses import POSE, numbers
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.pmd.methods import pmd_input
+from rpod_campaign.pmd.scene import Shot, Stage, off, scenario_of, times_s, turned
+from rpod_campaign.pmd.world import NOMINAL, World
+from rpod_pose.measurement import Measurement
+from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.ports import Methods, Tracker
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.poses import pose_error
+from rpod_schemas.types import PmdFrame
+
+START_DEG, START_M = 2.0, 0.03
+"""Distance of the first frame's guess from the truth, in random directions; the paper takes the first pose as
+known (section 3)."""
+_START = 13
+"""Stream of random numbers."""
+FRAME = "frame"
+"""The column that tells the rows of a sequence apart."""
+
+
+@dataclass(frozen=True)
+class SequenceCell:
+    """A method in a scenario."""
+
+    scenario: str
+    method: str
+    radius_px: int | None
+    """First radius of the neighbour search; None for methods without one."""
+    frames: str
+    """keyframes or full."""
+    through: str
+    """tracker: the last estimate is the next guess; truth: the last image's true pose is, so that one failure
+    does not make the next; navigator: its filter predicts, and gates."""
+    document: str = field(repr=False)
+    """The scenario, as JSON."""
+    target: str
+    """The scenario's."""
+    case: str = ""
+    """The campaign's name for this world, or for this light."""
+    world: World = NOMINAL
+
+
+SCHEMA: dict[str, Any] = {
+    FRAME: pl.Int64,
+    "time_s": pl.Float64,
+    "range_m": pl.Float64,
+    "depth_share": pl.Float64,
+    "truth": POSE,
+    "found": POSE,
+    **dict.fromkeys(("roll_deg", "pitch_deg", "yaw_deg"), pl.Float64),  # target axes
+    **dict.fromkeys(("x_m", "y_m", "z_m"), pl.Float64),  # sensor axes
+    **dict.fromkeys(("sensor_roll_deg", "sensor_pitch_deg", "sensor_yaw_deg"), pl.Float64),
+    **dict.fromkeys(("target_x_m", "target_y_m", "target_z_m"), pl.Float64),
+    "attitude_deg": pl.Float64,
+    "position_m": pl.Float64,
+    "nees": pl.Float64,
+    "sigma_deg": pl.Float64,  # of the covariance, in its worst direction
+    "sigma_m": pl.Float64,
+    "measured": pl.Boolean,
+    "off_target": pl.Boolean,
+    "reason": pl.String,
+    "inliers": pl.Int64,
+    "iterations": pl.Int64,
+    "track_s": pl.Float64,
+    "seed": pl.Int64,  # with the trial's number it gives the frame again
+}
+
+
+class Answer(NamedTuple):
+    """Result of one frame."""
+
+    T_sensor_target: RigidTransform
+    """The estimate; where nothing was measured, what is gone on with."""
+    measured: bool
+    covariance: FloatArray
+    """Covariance of (dp, dtheta) in the sensor's axes, shape (6, 6); NaN if unknown."""
+    reason: str = ""
+    inliers: int = 0
+    iterations: int = 0
+
+
+class Follower(Protocol):
+    """Follows the target from frame to frame."""
+
+    def follow(self, shot: Shot) -> Answer:
+        """Return the estimate of the next frame."""
+        ...
+
+
+def run(cell: SequenceCell, seed: int, trial: int) -> list[dict[str, Any]]:
+    """Return a row for each frame."""
+    return [
+        {FRAME: number, **_row(shot, answer), "track_s": took_s, "seed": seed}
+        for number, (shot, answer, took_s) in enumerate(followed(cell, seed, trial))
+    ]
+
+
+def followed(cell: SequenceCell, seed: int, trial: int) -> Iterator[tuple[Shot, Answer, float]]:
+    """Yield each frame, what the method made of it, and the processor time that it took."""
+    scenario = scenario_of(cell.document)
+    stage = Stage(scenario, cell.world, seed=seed, trial=trial)
+    first = off(stage.truth(0.0), stream(seed, trial, _START), angle_deg=START_DEG, distance_m=START_M)
+    follower = _follower(cell, stage, first)
+    for time_s in times_s(scenario, cell.frames):
+        shot = stage.take(time_s)
+        begin_s = time.process_time()
+        answer = follower.follow(shot)
+        yield shot, answer, time.process_time() - begin_s
+
+
+class _ByTracker:
+    """The last estimate is the next guess (2018 paper, Fig. 2); without a pose the last one stays."""
+
+    def __init__(self, tracker: Tracker[PmdFrame], first: RigidTransform) -> None:
+        self._tracker, self._last = tracker, first
+
+    def follow(self, shot: Shot) -> Answer:
+        found = self._tracker.track(shot.frame, self._last)
+        measured = found.continues_track
+        if measured and found.T_sensor_target is not None:
+            self._last = found.T_sensor_target
+        reason = found.belief.reason
+        return Answer(self._last, measured, found.covariance, reason, found.inliers, found.iterations)
+
+
+class _FromTruth(_ByTracker):
+    """The last image's true pose is the next guess: what a tracker does with a guess as far off as that."""
+
+    def follow(self, shot: Shot) -> Answer:
+        answer = super().follow(shot)
+        self._last = shot.T_sensor_target
+        return answer
+
+
+class _ByNavigator:
+    """The navigator predicts, believes or rejects, and filters."""
+
+    def __init__(self, cell: SequenceCell, stage: Stage, first: RigidTransform) -> None:
+        settings = scenario_of(cell.document).estimator
+        self._mount, self._name = stage.camera.T_chaser_sensor, stage.camera.name
+        self._navigator = Navigator(
+            settings.model_copy(update={"sensors": (_input(cell),)}),
+            {self._name: _methods(cell)},
+            centre_of_mass_m=stage.target.centre_of_mass_m,
+        )
+        self._state, self._last = self._navigator.start(self._mount * first), first
+
+    def follow(self, shot: Shot) -> Answer:
+        measurement = Measurement(self._name, shot.frame, self._mount)
+        self._state, output = self._navigator.step(self._state, measurement)
+        status, odometry = output.status, output.odometry
+        if odometry is None:
+            return Answer(self._last, False, np.full((6, 6), np.nan), status.reason, status.inliers)
+        to_sensor = self._mount.inv()
+        self._last = to_sensor * odometry.pose
+        covariance = turned(odometry.pose_covariance, to_sensor.rotation)
+        return Answer(self._last, True, covariance, status.reason, status.inliers)
+
+
+def _follower(cell: SequenceCell, stage: Stage, first: RigidTransform) -> Follower:
+    if cell.through == "navigator":
+        return _ByNavigator(cell, stage, first)
+    follower = _FromTruth if cell.through == "truth" else _ByTracker
+    return follower(_methods(cell).tracker, first)
+
+
+@lru_cache(maxsize=8)
+def _methods(cell: SequenceCell) -> Methods:
+    target = cached_target(scenario_of(cell.document).target)
+    methods = pmd_methods(_input(cell), target)
+    warm_up(methods, target, None)
+    return methods
+
+
+def _input(cell: SequenceCell) -> PmdInput:
+    sensors = scenario_of(cell.document).estimator.sensors
+    camera = next(sensor for sensor in sensors if isinstance(sensor, PmdInput))
+    method = pmd_input(cell.method, radius_px=cell.radius_px, name=camera.name)
+    return method.model_copy(update={"calibration": camera.calibration})
+
+
+def _row(shot: Shot, answer: Answer) -> dict[str, Any]:
+    truth, found = shot.T_sensor_target, answer.T_sensor_target
+    attitude_rad, position_m = pose_error(truth, found)
+    in_sensor_rad = (found.rotation * truth.rotation.inv()).as_rotvec()
+    in_target_m = truth.rotation.inv().apply(position_m)
+    angle_rad, distance_m = float(np.linalg.norm(attitude_rad)), float(np.linalg.norm(position_m))
+    error = np.concatenate((position_m, in_sensor_rad))
+    return {
+        "time_s": shot.time_s,
+        "range_m": float(np.linalg.norm(truth.translation)),
+        "depth_share": shot.depth_share,
+        "truth": numbers(truth),
+        "found": numbers(found),
+        **_components(("roll_deg", "pitch_deg", "yaw_deg"), np.rad2deg(attitude_rad)),
+        **_components(("x_m", "y_m", "z_m"), position_m),
+        **_components(("sensor_roll_deg", "sensor_pitch_deg", "sensor_yaw_deg"), np.rad2deg(in_sensor_rad)),
+        **_components(("target_x_m", "target_y_m", "target_z_m"), in_target_m),
+        "attitude_deg": float(np.rad2deg(angle_rad)),
+        "position_m": distance_m,
+        "nees": float(find_nees(error[None], answer.covariance[None])[0]) if answer.measured else None,
+        "sigma_deg": np.rad2deg(_worst_sigma(answer.covariance[3:, 3:])),
+        "sigma_m": _worst_sigma(answer.covariance[:3, :3]),
+        "measured": answer.measured,
+        "off_target": angle_rad > OFF_TARGET_RAD or distance_m > OFF_TARGET_M,
+        "reason": answer.reason,
+        "inliers": answer.inliers,
+        "iterations": answer.iterations,
+    }
+
+
+def _components(names: tuple[str, ...], vector: FloatArray) -> dict[str, float]:
+    return dict(zip(names, vector.tolist(), strict=True))
+
+
+def _worst_sigma(covariance: FloatArray) -> float:
+    """Return the standard deviation in the worst direction; NaN where it is unknown."""
+    if not np.isfinite(covariance).all():
+        return float("nan")
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1].clip(0.0)))

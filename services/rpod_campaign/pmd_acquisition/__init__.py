@@ -1,0 +1,1 @@
+"""Acquisition in one frame of a PMD camera."""

@@ -1,0 +1,45 @@
+"""``pmd-acquisition``: its cells, and the campaign as one object."""
+
+from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.pmd.cells import methods, scenarios
+from rpod_campaign.pmd_acquisition import trial
+from rpod_campaign.pmd_acquisition.options import Options
+from rpod_campaign.pmd_acquisition.report import sections, summarise
+from rpod_campaign.pmd_acquisition.trial import AcquisitionCell
+
+CASES = {
+    "front": ("front", "none"),
+    "all": ("all", "none"),
+    "front-wide": ("front", "wide"),
+    "all-wide": ("all", "wide"),
+}
+"""View and start by the names of the command line."""
+
+
+def cells(options: Options) -> list[AcquisitionCell]:
+    """Return the cells. Raises ConfigurationError, which names the option."""
+    nearest_m, farthest_m = min(options.ranges), max(options.ranges)
+    return [
+        AcquisitionCell(
+            view=view,
+            start=start,
+            method=method,
+            range_m=(nearest_m, farthest_m),
+            document=scenario.model_dump_json(),
+            target=scenario.target,
+        )
+        for _, scenario in scenarios(options)
+        for method, _ in methods(options.method)
+        for view, start in (CASES[case] for case in options.case)
+    ]
+
+
+CAMPAIGN: Campaign[AcquisitionCell] = Campaign(
+    name="pmd-acquisition",
+    options=Options,
+    cells=cells,
+    trial=trial.run,
+    schema=trial.SCHEMA,
+    summarise=summarise,
+    sections=sections,
+)

@@ -1,0 +1,26 @@
+"""Options of ``pmd-acquisition``."""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from rpod_campaign.engine.options import Names, Ranges, Trials
+from rpod_campaign.pmd.options import PmdOptions
+
+
+class Options(PmdOptions):
+    """Acquisition in one image of a PMD camera."""
+
+    title: ClassVar[str] = "Acquisition in one image of a PMD camera"
+
+    trials: Trials = 500
+    ranges: Ranges = (3.0, 6.0)
+    method: Names = ("default",)
+    """Methods of tracking behind the search; default is the facility's."""
+    case: Annotated[tuple[Literal["front", "all", "front-wide", "all-wide"], ...], Field(min_length=1)] = (
+        "front",
+        "all",
+        "front-wide",
+        "all-wide",
+    )
+    """Views of the target, and whether the search starts from a wide guess or from none."""

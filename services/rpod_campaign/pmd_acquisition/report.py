@@ -1,0 +1,107 @@
+"""``pmd-acquisition``: the mock-up in one frame at 3 to 6 m, from no guess and from a wide start."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import polars as pl
+
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import milliseconds, number
+from rpod_campaign.engine.report.statistics import quantile, rate
+from rpod_campaign.pmd.poses import FRONT_DEG, SUCCESS_DEG, SUCCESS_M
+from rpod_campaign.pmd.report.tables import millimetres
+from rpod_campaign.pmd_acquisition.trial import WIDE_DEG, WIDE_M, AcquisitionCell
+
+Results = Sequence[CellResult[AcquisitionCell]]
+
+
+def summarise(cell: AcquisitionCell, rows: pl.DataFrame) -> dict[str, Any]:
+    """Return what is said of a cell; ``wrong_accepted`` and ``right_refused`` are numbers of trials."""
+    share, good = rate(int(rows["success"].sum()), rows.height), rows.filter("success")
+    parameters = asdict(cell)
+    del parameters["document"]
+    return {
+        **parameters,
+        "trials": rows.height,
+        "success_rate": share.value,
+        "wilson_low": share.low,
+        "wilson_high": share.high,
+        "median_deg": quantile(good["attitude_deg"], 0.5),
+        "median_m": quantile(good["position_m"], 0.5),
+        "median_s": quantile(rows["acquire_s"], 0.5),
+        "p95_s": quantile(rows["acquire_s"], 0.95),
+        "accepted": int(rows["accepted"].sum()),
+        "wrong_accepted": int((rows["accepted"] & ~rows["success"]).sum()),
+        "right_refused": int((rows["success"] & ~rows["accepted"]).sum()),
+        "ambiguous": int((rows["verdict"] == "ambiguous").sum()),
+        "ambiguous_with_truth": int(((rows["verdict"] == "ambiguous") & rows["right_hypothesis"]).sum()),
+    }
+
+
+def sections(results: Results) -> list[Section]:
+    """Return the report."""
+    note = (
+        f"One frame each, the scenario's camera and sun. Success: within {SUCCESS_DEG:g} deg and "
+        f"{1e2 * SUCCESS_M:g} cm, whether accepted or not, with 95 % Wilson bounds. front: within "
+        f"{FRONT_DEG:g} deg of the front, any roll; all: attitudes uniform on SO(3). wide: a start "
+        f"{WIDE_DEG:g} deg and {WIDE_M:g} m off in random directions. Times are of the processor, one thread."
+    )
+    return [Section("Acquisition", note, (_table(results), *_refusals(results)), _figures(results))]
+
+
+def _table(results: Results) -> Table:
+    rows = [
+        (
+            *_name(result.cell),
+            str(result.rows.height),
+            str(rate(int(result.rows["success"].sum()), result.rows.height)),
+            number(result.summary["median_deg"], ".2f"),
+            number(millimetres(result.summary["median_m"]), ".1f"),
+            milliseconds(result.summary["median_s"]),
+            milliseconds(result.summary["p95_s"]),
+            *(
+                str(result.summary[name])
+                for name in ("wrong_accepted", "right_refused", "ambiguous", "ambiguous_with_truth")
+            ),
+        )
+        for result in results
+    ]
+    columns = (
+        *("trials", "success", "median, deg", "median, mm", "median, ms", "p95, ms"),
+        *("wrong accepted", "right refused", "ambiguous", "truth among them"),
+    )
+    return Table("Success and time", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
+
+
+def _refusals(results: Results) -> tuple[Table, ...]:
+    """Return the reasons of refusals, if any, numbers in them left out so that alike ones count together."""
+    rows: list[tuple[str, ...]] = []
+    for result in results:
+        words = result.rows.filter(pl.col("reason") != "").select(
+            pl.col("reason").str.replace_all(r"\d+(\.\d+)?", "_")
+        )
+        counts = words["reason"].value_counts(sort=True).iter_rows()
+        rows += [(*_name(result.cell), str(count), reason) for reason, count in counts]
+    if not rows:
+        return ()
+    return (Table("Why refused", (*_NAMES, "trials", "reason"), tuple(rows)).condensed(len(_NAMES)),)
+
+
+_NAMES = ("view", "start", "method", "range, m")
+
+
+def _name(cell: AcquisitionCell) -> tuple[str, ...]:
+    return cell.view, cell.start, cell.method, f"{cell.range_m[0]:g} to {cell.range_m[1]:g}"
+
+
+def _figures(results: Results) -> tuple[Any, ...]:
+    """Return the distribution of the attitude error in each cell."""
+    curves = {}
+    for result in results:
+        errors_deg = result.rows["attitude_deg"].drop_nulls().sort().to_list()
+        shares = [(k + 1) / result.rows.height for k in range(len(errors_deg))]
+        curves[", ".join(_name(result.cell)[:3])] = (errors_deg, shares)
+    return (curve_figure(curves, x_title="attitude error [deg]", y_title="share below", log_x=True),)

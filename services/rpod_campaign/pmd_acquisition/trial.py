@@ -1,0 +1,106 @@
+"""A trial of acquisition in one frame of a camera: from no guess, or from a wide start."""
+
+import time
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from rpod_campaign.engine.trial.poses import POSE, errors, numbers
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.pmd.methods import pmd_input
+from rpod_campaign.pmd.poses import SUCCESS_DEG, SUCCESS_M, drawn
+from rpod_campaign.pmd.scene import Stage, off, scenario_of, still
+from rpod_campaign.pmd.world import World
+from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.ports import Methods
+
+WIDE_DEG, WIDE_M = 25.0, 0.5
+"""Distance of a wide start from the truth."""
+_START = 1
+"""Stream of random numbers beside that of the pose."""
+
+
+@dataclass(frozen=True)
+class AcquisitionCell:
+    """A target, a method, and the view and start of the trials."""
+
+    view: str
+    """front: within FRONT_DEG of the target's front; all: attitudes uniform on SO(3)."""
+    start: str
+    """none; or wide: from WIDE_DEG and WIDE_M off."""
+    method: str
+    """Name of the tracking method behind the search."""
+    range_m: tuple[float, float]
+    """Least and greatest range of the target's middle; uniform between them."""
+    document: str = field(repr=False)
+    """The scenario with camera and sun, as JSON."""
+    target: str
+    """The scenario's."""
+
+
+SCHEMA: dict[str, Any] = {
+    "truth": POSE,
+    "start": POSE,
+    "found": POSE,
+    "range_m": pl.Float64,
+    "depth_share": pl.Float64,
+    "attitude_deg": pl.Float64,
+    "position_m": pl.Float64,
+    "success": pl.Boolean,
+    "accepted": pl.Boolean,
+    "verdict": pl.String,
+    "hypotheses": pl.Int64,
+    "right_hypothesis": pl.Boolean,
+    "reason": pl.String,
+    "acquire_s": pl.Float64,
+}
+
+
+def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
+    """Return the row of one frame."""
+    stage, methods = _bench(cell, seed)
+    truth = drawn(stage.target, cell.view, cell.range_m, stream(seed, trial))
+    shot = still(stage, truth, number=trial)
+    start = None
+    if cell.start == "wide":
+        start = off(truth, stream(seed, trial, _START), angle_deg=WIDE_DEG, distance_m=WIDE_M)
+    begin_s = time.process_time()
+    found = (
+        methods.acquirer.acquire(shot.frame) if start is None else methods.acquirer.near(shot.frame, start)
+    )
+    took_s = time.process_time() - begin_s
+    attitude_deg, position_m = errors(truth, found.pose, stage.target)
+    return {
+        "truth": numbers(truth),
+        "start": numbers(start),
+        "found": numbers(found.pose),
+        "range_m": float(np.linalg.norm(truth.translation)),
+        "depth_share": shot.depth_share,
+        "attitude_deg": attitude_deg,
+        "position_m": position_m,
+        "success": _is_right(attitude_deg, position_m),
+        "accepted": found.begins_track,
+        "verdict": str(found.outcome),
+        "hypotheses": len(found.hypotheses),
+        "right_hypothesis": any(_is_right(*errors(truth, h.pose, stage.target)) for h in found.hypotheses),
+        "reason": found.belief.reason,
+        "acquire_s": took_s,
+    }
+
+
+def _is_right(attitude_deg: float | None, position_m: float | None) -> bool:
+    if attitude_deg is None or position_m is None:
+        return False
+    return attitude_deg < SUCCESS_DEG and position_m < SUCCESS_M
+
+
+@lru_cache(maxsize=4)
+def _bench(cell: AcquisitionCell, seed: int) -> tuple[Stage, Methods]:
+    scenario = scenario_of(cell.document)
+    stage = Stage(scenario, World(), seed=seed, trial=0)
+    methods = pmd_methods(pmd_input(cell.method, name=stage.camera.name), stage.target)
+    warm_up(methods, stage.target, None)
+    return stage, methods

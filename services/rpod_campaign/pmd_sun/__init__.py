@@ -1,0 +1,1 @@
+"""Tracking with a PMD camera under the sun from all directions."""

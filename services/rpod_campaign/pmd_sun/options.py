@@ -1,0 +1,23 @@
+"""Options of ``pmd-sun``."""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from rpod_campaign.engine.options import Trials
+from rpod_campaign.pmd.options import Frames, Methods, PmdOptions, Radii
+
+
+class Options(PmdOptions):
+    """Tracking under every sun, on every material."""
+
+    title: ClassVar[str] = "Tracking under every sun, on every material"
+
+    trials: Trials = 1
+    method: Methods = ("hybrid", "joint")
+    radius: Radii = None
+    frames: Frames = "keyframes"
+    case: Annotated[
+        tuple[Literal["as-built", "panel", "gold-mli", "silver-mli"], ...], Field(min_length=1)
+    ] = ("as-built", "panel", "gold-mli", "silver-mli")
+    """Materials that cover the mock-up; as-built leaves it as its file has it."""

@@ -1,0 +1,113 @@
+"""``pmd-sun``: suns from all sides on a mock-up of all materials (the 2018 paper's future work)."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import polars as pl
+
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import milliseconds, number, percent, word
+from rpod_campaign.pmd.report.summary import summarise as summarise_sequence
+from rpod_campaign.pmd.report.tables import LOST
+from rpod_campaign.pmd_sun.trial import SunCell
+
+Results = Sequence[CellResult[SunCell]]
+
+
+def summarise(cell: SunCell, rows: pl.DataFrame) -> dict[str, Any]:
+    """Return what is said of a cell."""
+    return summarise_sequence(cell, rows) | {
+        "sun_angle_deg": cell.angle_deg,
+        "sun_azimuth_deg": cell.azimuth_deg,
+    }
+
+
+def sections(results: Results) -> list[Section]:
+    """Return the report: each sun, then the mean over azimuths."""
+    note = (
+        "The angle is between the direction to the sun and the boresight: at 0 deg the camera looks into the "
+        "sun and the mock-up shows its dark side, at 180 deg the sun stands behind the camera; the camera's "
+        f"own lens flare is not modelled. The azimuth goes from right (0 deg) to down (90 deg). {LOST}"
+    )
+    return [
+        Section("Over the sun's angle", "Means over the azimuths.", (_by_angle(results),), _figures(results)),
+        Section("Every sun", note, (_every_sun(results),)),
+    ]
+
+
+def _every_sun(results: Results) -> Table:
+    rows = [
+        (
+            *(r.cell.scenario, r.cell.frames, r.cell.method, r.cell.case),
+            *(word(r.cell.angle_deg), word(r.cell.azimuth_deg)),
+            number(r.summary["norms"]["attitude_deg"], ".2f"),
+            number(1e3 * r.summary["norms"]["position_m"], ".1f"),
+            number(r.summary["max"]["attitude_deg"], ".2f"),
+            number(1e3 * r.summary["max"]["position_m"], ".0f"),
+            f"{r.summary['lost']} of {r.summary['frames']}",
+            percent(1.0 - r.summary["depth_share"]),
+            milliseconds(r.summary["median_s"]),
+        )
+        for r in results
+    ]
+    names = ("scenario", "frames", "method", "material", "angle, deg", "azimuth, deg")
+    columns = ("RMS, deg", "RMS, mm", "greatest, deg", "greatest, mm", "lost", "depth lost", "median, ms")
+    return Table("RMS by sun", (*names, *columns), tuple(rows)).condensed(4)
+
+
+_GROUP = ("method", "case")
+
+
+def _grouped(results: Results) -> pl.DataFrame:
+    """Return means over azimuths, a row for each method, material and angle."""
+    rows = pl.DataFrame(
+        [
+            {
+                "method": r.cell.method,
+                "case": r.cell.case,
+                "angle": r.cell.angle_deg,
+                "attitude": r.summary["norms"]["attitude_deg"],
+                "position": r.summary["norms"]["position_m"],
+                "lost": r.summary["lost"] / r.summary["frames"],
+                "depth_lost": 1.0 - r.summary["depth_share"],
+            }
+            for r in results
+        ]
+    )
+    return rows.group_by(*_GROUP, "angle", maintain_order=True).mean()
+
+
+def _by_angle(results: Results) -> Table:
+    rows = [
+        (
+            *(row["method"], row["case"], word(row["angle"])),
+            number(row["attitude"], ".2f"),
+            number(1e3 * row["position"], ".1f"),
+            percent(row["lost"]),
+            percent(row["depth_lost"]),
+        )
+        for row in _grouped(results).iter_rows(named=True)
+    ]
+    columns = ("method", "material", "angle, deg", "RMS, deg", "RMS, mm", "lost", "depth lost")
+    return Table("Means over the azimuths", columns, tuple(rows)).condensed(2)
+
+
+def _figures(results: Results) -> tuple[Any, ...]:
+    groups = {
+        ", ".join(map(str, key)): part
+        for key, part in _grouped(results).group_by(*_GROUP, maintain_order=True)
+    }
+    return tuple(
+        curve_figure(
+            {name: (part["angle"].to_list(), part[column].to_list()) for name, part in groups.items()},
+            x_title="sun from the boresight [deg]",
+            y_title=title,
+            log_y=log,
+        )
+        for column, title, log in (
+            ("attitude", "RMS attitude error [deg]", True),
+            ("depth_lost", "share of depth lost", False),
+        )
+    )

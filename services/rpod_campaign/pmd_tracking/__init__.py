@@ -1,0 +1,1 @@
+"""Tracking with a PMD camera in the 2018 paper's scenarios."""

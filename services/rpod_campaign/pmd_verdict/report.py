@@ -1,0 +1,87 @@
+"""``pmd-verdict``: right poses that are refused, and frames of something else that are believed."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import polars as pl
+
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.statistics import rate
+from rpod_campaign.pmd_verdict.trial import OFF_DEG, OFF_M, VerdictCell
+
+Results = Sequence[CellResult[VerdictCell]]
+_JUDGES = ("acquisition", "tracker")
+
+
+def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
+    """Return what is said of a cell: numbers of trials."""
+    parameters = asdict(cell)
+    del parameters["document"]
+    counts: dict[str, Any] = {}
+    for judge in _JUDGES:
+        accepted, right = rows[f"{judge}_accepted"], rows[f"{judge}_right"]
+        alike = rows[f"{judge}_alike"].fill_null(value=False)
+        counts |= {
+            f"{judge}_accepted": int(accepted.sum()),
+            f"{judge}_accepted_alike": int((accepted & alike).sum()),
+            f"{judge}_right": int(right.sum()),
+            f"{judge}_right_refused": int((right & ~accepted).sum()),
+            f"{judge}_wrong_accepted": int((accepted & ~right).sum()),
+        }
+    counts["tracked_after"] = int(rows["tracked_after"].sum())
+    return {**parameters, "spoiled": cell.spoiled, "trials": rows.height, **counts}
+
+
+def sections(results: Results) -> list[Section]:
+    """Return the report."""
+    note = (
+        "One frame each, any attitude, the sun anywhere, depth not calibrated. The acquisition has no guess, "
+        f"the tracker starts {OFF_DEG:g} deg and {1e2 * OFF_M:g} cm beside the truth, whatever is there. "
+    )
+    right = [result for result in results if not result.cell.spoiled]
+    spoiled = [result for result in results if result.cell.spoiled]
+    told = "Right: within 4 deg and 8 cm. What is ambiguous is not accepted. 95 % Wilson bounds."
+    alike = (
+        "No pose is right. Alike: at the pose found the target gives the same ranges and outline, but for "
+        "3 cm, as what is really there, so that only materials and motion can tell them apart."
+    )
+    return [
+        *([Section("Right frames", note + told, (_right_table(right),))] if right else []),
+        *([Section("Frames of something else", note + alike, (_spoiled_table(spoiled),))] if spoiled else []),
+    ]
+
+
+def _right_table(results: Results) -> Table:
+    rows = [
+        (
+            result.cell.case,
+            judge,
+            f"{s['trials'] - s[f'{judge}_accepted']} of {s['trials']}",
+            str(rate(s["trials"] - s[f"{judge}_accepted"], s["trials"])),
+            str(s[f"{judge}_wrong_accepted"]),
+        )
+        for result in results
+        for judge in _JUDGES
+        for s in (result.summary,)
+    ]
+    columns = ("case", "judge", "not accepted", "share", "wrong accepted")
+    return Table("Right frames not accepted", columns, tuple(rows)).condensed(2)
+
+
+def _spoiled_table(results: Results) -> Table:
+    rows = [
+        (
+            result.cell.case,
+            judge,
+            f"{s[f'{judge}_accepted']} of {s['trials']}",
+            str(rate(s[f"{judge}_accepted"], s["trials"])),
+            str(s[f"{judge}_accepted_alike"]),
+        )
+        for result in results
+        for judge in _JUDGES
+        for s in (result.summary,)
+    ]
+    columns = ("case", "judge", "accepted", "share", "of these alike")
+    return Table("Frames of something else accepted", columns, tuple(rows)).condensed(2)

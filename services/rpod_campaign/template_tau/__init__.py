@@ -1,0 +1,1 @@
+"""The choice of tau for the fast variant of template matching."""

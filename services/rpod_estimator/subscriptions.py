@@ -1,0 +1,135 @@
+"""Subscriptions of the estimator: they check the age of messages and keep the newest complete frame.
+
+The estimator subscribes to sensors, ``tf_static`` and the clock only, never to the truth.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+
+from rpod_estimator.frame_reader import LEADING, Arrived, FrameReader
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_runtime import BusClock, Inbox, Node, Received
+from rpod_runtime.assembler import Assembled, NewestFrames
+from rpod_runtime.frames import PartRejectedError
+from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.types import PmdInfo
+
+_WAITING_PARTS = 512
+"""Largest number of parts between the bus and the assembler; about 200 MB of images."""
+_CLOCK_LAG_S = 0.2
+"""Longest time that a clock message may arrive after a frame that was published later."""
+
+
+class Subscriptions:
+    """Receives all messages of the estimator and hands out frames."""
+
+    def __init__(self, node: Node, config: EstimatorConfig) -> None:
+        self._node, self._config = node, config
+        self._in_lockstep = config.time_source == "clock"
+        self._latched, self._waiting = Inbox(), Inbox(_WAITING_PARTS)
+        self._reader = FrameReader(config.sensors)
+        self._newest: NewestFrames[Received] = NewestFrames()
+        self._refused: deque[Arrived] = deque()
+        for topic in self._reader.latched:
+            node.subscribe(topic, self._latched.put)
+        for topic in self._reader.streams:
+            # Live, what is missed is old by the time it could be had; in lockstep everybody waits for it.
+            node.subscribe(topic, self._waiting.put, recover=self._in_lockstep)
+
+    @property
+    def patterns(self) -> Mapping[str, ScanPattern]:
+        """Scan patterns of the LIDARs, from their latched info."""
+        return self._reader.patterns
+
+    @property
+    def infos(self) -> Mapping[str, PmdInfo]:
+        """Latched info of the cameras, by sensor."""
+        return self._reader.infos
+
+    def newest(self, timeout_s: float) -> Arrived | None:
+        """Return the newest complete frame with the oldest stamp over all sensors; None after the timeout.
+
+        Frames that were refused for their stamps come first, each with its reason.
+        """
+        self._take_in(0.0 if self._newest or self._refused else timeout_s)
+        return self._next()
+
+    def rest(self) -> Iterator[Arrived]:
+        """Yield the frames that wait now: refused ones first, then the newest complete one of each sensor."""
+        self._take_in(0.0)
+        while (arrived := self._next()) is not None:
+            yield arrived
+
+    def _take_in(self, timeout_s: float) -> None:
+        parts = self._waiting.wait(timeout_s)
+        for received in self._latched.wait(0.0) + parts:
+            try:
+                self._take(received)
+            except MessageRejectedError as error:
+                self._node.reject(received.topic.name, error)
+        if timeout_s and not parts and not self._in_lockstep:
+            for sensor, assembler in self._reader.assemblers.items():
+                self._put(sensor, assembler.release())
+        self._node.health.put("overflowed/inbox", self._waiting.overflowed)
+
+    def _next(self) -> Arrived | None:
+        if self._refused:
+            return self._refused.popleft()
+        chosen = self._newest.take()
+        return self._arrived(*chosen) if chosen else None
+
+    def _take(self, received: Received) -> None:
+        if received.topic.name in self._reader.parts:
+            self._take_part(received)
+        else:
+            self._reader.learn(received)
+
+    def _take_part(self, received: Received) -> None:
+        sensor, part = self._reader.parts[received.topic.name]
+        assembler = self._reader.assemblers[sensor]
+        stamp_ns = peek_stamp(received.payload)
+        try:
+            self._check_freshness(received, stamp_ns)
+            if stamp_ns == assembler.done_ns and part in assembler.required:
+                raise MessageRejectedError(Reason.DUPLICATE, "a frame of this stamp is complete already")
+        except MessageRejectedError as error:
+            if part in LEADING:
+                self._refused.append(Arrived(sensor, stamp_ns, received.arrival_s, None, str(error)))
+            raise
+        self._put(sensor, assembler.add(part, stamp_ns, received))
+        self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
+
+    def _put(self, sensor: str, frames: list[Assembled[Received]]) -> None:
+        for frame in frames:
+            if self._newest.put(sensor, frame):
+                self._node.health.count(f"dropped/{sensor}")
+
+    def _check_freshness(self, received: Received, stamp_ns: int) -> None:
+        """Check a stamp against the time of arrival: the estimator's own delay does not count."""
+        now_ns, clock = received.arrival_ns, self._node.clock
+        if isinstance(clock, BusClock):
+            clock.await_ns(stamp_ns - round(self._config.max_future_s * NANOSECONDS), _CLOCK_LAG_S)
+            now_ns = clock.now_ns()
+        age_s = (now_ns - stamp_ns) / NANOSECONDS
+        if age_s > self._config.max_age_s:
+            raise MessageRejectedError(
+                Reason.LATE,
+                f"{age_s:.3f} s old, limit {self._config.max_age_s:g} s; check the sensor's clock",
+            )
+        if age_s < -self._config.max_future_s:
+            raise MessageRejectedError(
+                Reason.FUTURE,
+                f"{-age_s:.3f} s ahead of {self._config.time_source} time; check the sensor's clock",
+            )
+
+    def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
+        arrival_s = max(part.arrival_s for part in frame.parts.values())
+        try:
+            measurement = self._reader.measurement(sensor, frame)
+        except PartRejectedError as error:
+            self._node.reject(error.topic, error)
+            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error))
+        return Arrived(sensor, frame.stamp_ns, arrival_s, measurement)

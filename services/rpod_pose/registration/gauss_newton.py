@@ -1,0 +1,113 @@
+"""The one loop of all registrations: linearise at the pose, sum, solve, move, with narrower scales each time.
+
+A *problem* is a record of what was measured, of the model and of the scales of its steps. ``linearised``
+turns it into normal equations at a pose; each kind of problem registers how, by ``@linearises(ItsRecord)``,
+from factors that add their residuals to one set of sums (``normal_equations``). Which kernel is called is
+decided by the record's type when the loop is compiled, so that nothing is looked up at run time and the
+compiled code can be kept on disk, which it could not if kernels were passed as arguments.
+
+After K. Koide, small_gicp (https://github.com/koide3/small_gicp): one registration, factors plug in.
+"""
+
+from collections.abc import Callable
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+
+from rpod_geometry.kernels import kernel
+from rpod_pose.registration.lie_group import PoseArrays, stepped
+from rpod_pose.registration.normal_equations import UNKNOWNS, held_step
+from rpod_schemas.arrays import FloatArray
+
+E = TypeVar("E")
+K = TypeVar("K", bound=Callable[..., Any])
+
+
+class State(NamedTuple):
+    """What the loop moves."""
+
+    pose: PoseArrays
+    bias_m: float
+    """Length by which all ranges are too long; stays 0 where a problem has six unknowns."""
+
+
+class Linear(NamedTuple, Generic[E]):
+    """A problem at one state."""
+
+    sums: FloatArray
+    """Information and gradient, shape (35,), as in ``normal_equations``."""
+    hold: FloatArray
+    """Information that no step is needed, above 0, shape (7,)."""
+    determined: bool
+    """Whether the residuals are enough for a step."""
+    evidence: E
+    """What the problem counted on the way: a record of its own."""
+
+
+class Fit(NamedTuple, Generic[E]):
+    """Where the loop ended."""
+
+    state: State
+    linear: Linear[E]
+    """At the state before the last step."""
+    step: FloatArray
+    """The last step, (dtau, dtheta, bias), shape (7,), m and rad; 0 where there was none."""
+    steps: int
+    """How many were made."""
+
+
+def linearised(problem: Any, state: State, step: int) -> Linear[Any]:
+    """Return a problem's normal equations at a state; to be called by kernels.
+
+    Args:
+        problem: a record whose type was registered by ``linearises``.
+        state: where to linearise.
+        step: number of the step, from 0, that chooses the scales.
+    """
+    raise NotImplementedError(f"{type(problem).__name__}: called by kernels only")
+
+
+def linearises(record: type) -> Callable[[K], K]:
+    """Register a kernel ``(problem, state, step) -> Linear`` for the problems of a record type."""
+
+    def register(compiled: K) -> K:
+        def chosen(problem: Any, state: Any, step: Any) -> Any:  # noqa: ARG001 - numba asks by name
+            if isinstance(problem, types.NamedTuple) and problem.instance_class is record:
+                return lambda problem, state, step: compiled(problem, state, step)  # noqa: PLW0108
+            return None
+
+        overload(linearised, strict=False)(chosen)
+        return compiled
+
+    return register
+
+
+@kernel
+def minimised(problem: Any, start: State, steps: int) -> Fit[Any]:
+    """Return the state after Gauss-Newton steps on a problem, one for each of its scales.
+
+    The loop ends early where the residuals determine no step, or where they are not finite.
+
+    Args:
+        problem: a record whose type was registered by ``linearises``.
+        start: state to begin with.
+        steps: how many steps to make.
+
+    Raises:
+        ValueError: no step is asked for.
+    """
+    if steps < 1:
+        raise ValueError("steps is below 1, and nothing is linearised: give a problem one scale or more")
+    state, last, step = start, np.zeros(UNKNOWNS), 0
+    while True:
+        linear = linearised(problem, state, step)
+        if not (linear.determined and np.isfinite(linear.sums).all()):
+            break
+        last = held_step(linear.sums, linear.hold)
+        state = State(stepped(state.pose, last[:6]), state.bias_m + last[6])
+        step += 1
+        if step >= steps:
+            break
+    return Fit(state, linear, last, step)

@@ -1,0 +1,103 @@
+"""Delivers samples of the bus to subscribers; counts unusable, duplicate, missed and recovered ones."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import zenoh
+import zenoh.ext
+
+from rpod_runtime.accounting import JumpError, Publication, SequenceAccount
+from rpod_runtime.health import HealthBook
+from rpod_runtime.inbox import Received
+from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.topics import Namespace, Topic
+from rpod_schemas.wire import UNNUMBERED, Attachment, unpack_attachment
+
+log = logging.getLogger(__name__)
+
+_REPLAYED = zenoh.CongestionControl.BLOCK
+"""Congestion control of replies from a cache. Publishers of this package use DROP for live messages."""
+
+Sink = Callable[[Received], None]
+
+
+class Delivery:
+    """Delivers messages to subscribers. It runs in the threads of the bus, never raises and never waits."""
+
+    def __init__(self, keys: Namespace, health: HealthBook, account: SequenceAccount) -> None:
+        self._keys, self._health, self._account = keys, health, account
+        self._topics: dict[str, Topic] = {}
+        """Topic of each key that matched a pattern."""
+        self._publications: dict[str, Publication] = {}
+        self._gids: set[bytes] = set()
+
+    def take(self, topic: Topic, sample: zenoh.Sample, sink: Sink) -> None:
+        """Deliver a message of a topic or of a pattern, unless it is a duplicate or unusable."""
+        key = str(sample.key_expr)
+        if "*" in topic.name:
+            topic = self._topics.get(key) or self._name(topic, key)
+        try:
+            attachment = _attachment(sample)
+            self._account_for(key, sample, attachment)
+            sink(_received(topic, key, sample, attachment))
+        except JumpError as error:
+            self._health.warn(f"sequence_jump/{topic.name}", str(error.jump))
+            self.reject(topic.name, error)
+        except MessageRejectedError as error:
+            self.reject(topic.name, error)
+        except Exception:  # the bus's thread would print it, and nobody would count it
+            self._health.count(f"failed/{topic.name}")
+            log.exception("a message on %s could not be handled", topic.name)
+
+    def take_any(self, sample: zenoh.Sample, sink: Sink) -> None:
+        """Deliver a message of any key; a key that is no known ROS topic needs no attachment."""
+        key = str(sample.key_expr)
+        topic = self._keys.topic_at(key)
+        if topic.type or _is_numbered(sample):
+            self.take(topic, sample, sink)
+        else:
+            sink(_received(topic, key, sample, UNNUMBERED))
+
+    def miss(self, miss: zenoh.ext.Miss) -> None:
+        """Count messages that the bus could not recover; a publisher that was never heard has none."""
+        publication = self._publications.get(str(miss.source))
+        if publication:
+            self._account.miss(publication, miss.nb)
+
+    def reject(self, topic: str, error: MessageRejectedError) -> None:
+        """Count a rejected message; log the first of its kind."""
+        if self._health.reject(topic, error):
+            log.warning("rejected a message on %s: %s (counted from here on, see diagnostics)", topic, error)
+
+    def _name(self, pattern: Topic, key: str) -> Topic:
+        """Return the topic of a key that matched a pattern, and remember it."""
+        topic = self._topics[key] = replace(pattern, name=self._keys.topic_of(key))
+        return topic
+
+    def _account_for(self, key: str, sample: zenoh.Sample, attachment: Attachment) -> None:
+        if attachment.gid not in self._gids and sample.source_info:
+            self._gids.add(attachment.gid)
+            self._publications[str(sample.source_info.source_id)] = key, attachment.gid
+        fetched = sample.congestion_control == _REPLAYED
+        self._account.take(key, attachment, fetched=fetched)
+
+
+def _attachment(sample: zenoh.Sample) -> Attachment:
+    attachment = sample.attachment
+    return unpack_attachment(attachment.to_bytes() if attachment else None)
+
+
+def _is_numbered(sample: zenoh.Sample) -> bool:
+    try:
+        _attachment(sample)
+    except MessageRejectedError:
+        return False
+    return True
+
+
+def _received(topic: Topic, key: str, sample: zenoh.Sample, attachment: Attachment) -> Received:
+    payload = memoryview(sample.payload.to_bytes())
+    encoding = "" if topic.type else str(sample.encoding)
+    return Received(topic, key, payload, attachment, time.time_ns(), encoding=encoding)

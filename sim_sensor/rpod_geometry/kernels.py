@@ -1,0 +1,35 @@
+"""The one decorator that compiles the numerical kernels of the project.
+
+A kernel is a function that numba compiles at its first call. It takes arrays, numbers and records of these
+(``typing.NamedTuple``), at most seven arguments, and returns a number, an array, a record or at most three of
+them. Its docstring gives shapes and units. A test holds all that (``tests/unit/test_kernels.py``).
+"""
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+from numba import njit
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Return a function compiled: kept on disk, without the interpreter's lock, on one thread.
+
+    Divisions by zero give inf or NaN as in NumPy, so that no kernel raises for them. For type checkers the
+    function keeps its signature, since numba has no stubs.
+    """
+    compiled: Callable[P, R] = njit(cache=True, nogil=True, error_model="numpy")(function)
+    return compiled
+
+
+def reassociated_kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Return a kernel that may also assume numbers without NaN and of any zero sign, for vectorised minima.
+
+    For inner loops whose callers hold that no argument is NaN.
+    """
+    compiled: Callable[P, R] = njit(cache=True, nogil=True, error_model="numpy", fastmath={"nnan", "nsz"})(
+        function
+    )
+    return compiled

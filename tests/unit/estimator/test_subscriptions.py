@@ -1,0 +1,519 @@
+"""What becomes of messages on their way to the navigator: taken, passed over, or refused with a reason."""
+
+from threading import Thread
+
+import numpy as np
+import pytest
+
+from rpod_estimator.subscriptions import Subscriptions
+from rpod_runtime import BusClock, Received, WallClock
+from rpod_runtime.health import HealthBook
+from rpod_schemas.cdr import encode
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.messages import (
+    write_camera,
+    write_clock,
+    write_image,
+    write_lidar_info,
+    write_pmd_info,
+    write_points,
+    write_transforms,
+)
+from rpod_schemas.poses import make_pose
+from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, LIDAR_INFO, PMD_INFO, POINTS, TF_STATIC
+from rpod_schemas.types import Camera, LidarInfo, PmdInfo
+from rpod_schemas.wire import Attachment
+
+SECOND_NS = 1_000_000_000
+NOW_NS = 1_000 * SECOND_NS
+CAMERA = Camera(width=6, height=4, fx=5.0, fy=5.0, cx=2.5, cy=1.5)
+DEPTH_M = np.full((4, 6), 3.0, np.float32)
+CLOUD = {name: np.arange(6, dtype=np.float32).reshape(2, 3) for name in ("x", "y", "z", "intensity")}
+MOUNT = make_pose(translation_m=[0.0, -0.05, 0.0])
+
+
+class FakeNode:
+    """Keeps the sinks, so that a test hands messages to them, and the books of a real node."""
+
+    def __init__(self, time_source):
+        self.health = HealthBook("estimator")
+        self.sinks, self.recovered = {}, {}
+        self.clock = BusClock() if time_source == "clock" else WallClock()
+        self.refused = []
+
+    def subscribe(self, topic, sink, *, recover=False):
+        self.sinks[topic] = sink
+        self.recovered[topic] = recover
+
+    def reject(self, topic, error):
+        self.refused.append((topic, str(error.reason)))
+        self.health.reject(topic, error)
+
+
+class Bench:
+    def __init__(self, **config):
+        sensors = config.pop(
+            "sensors", [{"kind": "pmd", "T_chaser_sensor": {"translation_m": [0, -0.05, 0]}}]
+        )
+        self.node = FakeNode(config.get("time_source", "wall"))
+        self.inputs = Subscriptions(self.node, EstimatorConfig(target="mockup", sensors=sensors, **config))
+
+    def send(self, topic, message, *, arrival_ns=NOW_NS, damage=lambda payload: payload, arrival_s=0.0):
+        payload = memoryview(bytes(damage(encode(message))))
+        received = Received(topic, "k", payload, Attachment(1, 0, bytes(16)), arrival_ns, arrival_s)
+        self.node.sinks[topic](received)
+
+    def send_frame(self, stamp_ns, *, amplitude=True, frame_id="pmd_optical", camera=CAMERA, **how):
+        self.send(CAMERA_INFO.of("pmd"), write_camera(stamp_ns, frame_id, camera), **how)
+        self.send(DEPTH.of("pmd"), write_image(stamp_ns, frame_id, DEPTH_M, "32FC1"), **how)
+        if amplitude:
+            image = np.ones((4, 6), np.uint16)
+            self.send(AMPLITUDE.of("pmd"), write_image(stamp_ns, frame_id, image, "mono16"), **how)
+
+    def send_scan(self, stamp_ns, fields=None, *, frame_id="lidar", **how):
+        self.send(POINTS.of("lidar"), write_points(stamp_ns, frame_id, fields or CLOUD), **how)
+
+    def arrived(self):
+        """Return all that there is to process, in order."""
+        found = []
+        while (frame := self.inputs.newest(0.0)) is not None:
+            found.append(frame)
+        return found
+
+    @property
+    def counters(self):
+        return self.node.health.counters()
+
+
+def lidar_bench(**config):
+    return Bench(sensors=[{"kind": "lidar", "T_chaser_sensor": {}}], **config)
+
+
+def test_a_frame_is_handed_over_with_its_mount():
+    bench = Bench()
+    bench.send_frame(NOW_NS)
+    (arrived,) = bench.arrived()
+    frame = arrived.measurement
+    assert (arrived.sensor, arrived.stamp_ns, frame.stamp_ns, arrived.reason) == ("pmd", NOW_NS, NOW_NS, "")
+    np.testing.assert_array_equal(frame.data.depth_m, DEPTH_M)
+    assert frame.data.amplitude.dtype == np.uint16
+    np.testing.assert_array_equal(frame.data.camera.K, CAMERA.K)
+    np.testing.assert_allclose(frame.T_chaser_sensor.as_matrix(), MOUNT.as_matrix())
+
+
+def test_a_scan_is_handed_over_organised():
+    bench = lidar_bench()
+    bench.send_scan(NOW_NS)
+    (arrived,) = bench.arrived()
+    assert arrived.measurement.data.points_m.shape == (2, 3, 3)
+    np.testing.assert_array_equal(arrived.measurement.data.intensity, CLOUD["intensity"])
+
+
+def test_the_arrival_of_a_frame_is_that_of_its_last_part():
+    bench = Bench()
+    bench.send(CAMERA_INFO.of("pmd"), write_camera(NOW_NS, "c", CAMERA), arrival_s=1.0)
+    bench.send(DEPTH.of("pmd"), write_image(NOW_NS, "c", DEPTH_M, "32FC1"), arrival_s=3.0)
+    bench.send(
+        AMPLITUDE.of("pmd"), write_image(NOW_NS, "c", np.ones((4, 6), np.uint8), "mono8"), arrival_s=2.0
+    )
+    (arrived,) = bench.arrived()
+    assert arrived.arrival_s == 3.0
+
+
+def test_the_newest_wins_and_what_it_passes_over_is_counted():
+    bench = Bench()
+    for number in range(5):
+        bench.send_frame(NOW_NS + number)
+    assert [frame.stamp_ns for frame in bench.arrived()] == [NOW_NS + 4]
+    assert bench.counters["dropped/pmd"] == 4
+    assert bench.counters["incomplete/pmd"] == 0
+
+
+def test_two_sensors_take_turns_by_stamp():
+    bench = Bench(sensors=[{"kind": "pmd", "T_chaser_sensor": {}}, {"kind": "lidar", "T_chaser_sensor": {}}])
+    bench.send_frame(NOW_NS)
+    bench.send_scan(NOW_NS - 5)
+    assert [frame.sensor for frame in bench.arrived()] == ["lidar", "pmd"]
+
+
+def test_at_the_end_what_waits_is_handed_over_and_what_comes_then_is_not():
+    bench = Bench(sensors=[{"kind": "pmd", "T_chaser_sensor": {}}, {"kind": "lidar", "T_chaser_sensor": {}}])
+    bench.send_frame(NOW_NS)
+    bench.send_scan(NOW_NS - 5)
+    rest = bench.inputs.rest()
+    assert next(rest).sensor == "lidar"
+    bench.send_scan(NOW_NS)
+    assert [frame.sensor for frame in rest] == ["pmd"]
+
+
+@pytest.mark.parametrize(("time_source", "recovers"), [("wall", False), ("clock", True)])
+def test_only_in_lockstep_is_a_missed_part_asked_for_again(time_source, recovers):
+    bench = Bench(time_source=time_source)
+    assert bench.node.recovered[DEPTH.of("pmd")] is recovers
+
+
+def test_the_mount_comes_from_the_static_transforms():
+    bench = Bench(sensors=[{"kind": "pmd"}])
+    bench.send(TF_STATIC, write_transforms(0, [("chaser", "pmd_optical", MOUNT)]))
+    bench.send_frame(NOW_NS)
+    (arrived,) = bench.arrived()
+    np.testing.assert_allclose(arrived.measurement.T_chaser_sensor.as_matrix(), MOUNT.as_matrix())
+
+
+def test_a_transform_that_arrives_with_the_frame_is_known_for_it():
+    bench = Bench(sensors=[{"kind": "pmd"}])
+    bench.send_frame(NOW_NS)
+    bench.send(TF_STATIC, write_transforms(0, [("chaser", "pmd_optical", MOUNT)]))
+    (arrived,) = bench.arrived()
+    assert arrived.measurement is not None
+
+
+def test_a_flood_of_images_does_not_wash_the_transforms_away():
+    bench = Bench(sensors=[{"kind": "pmd"}])
+    bench.send(TF_STATIC, write_transforms(0, [("chaser", "pmd_optical", MOUNT)]))
+    for number in range(300):
+        bench.send_frame(NOW_NS + number)
+    (arrived,) = bench.arrived()
+    assert arrived.measurement is not None
+    assert arrived.stamp_ns == NOW_NS + 299
+    assert bench.counters["overflowed/inbox"] == 900 - 512
+
+
+# --- refused for their stamps ---
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "reason", "words"),
+    [
+        (-1.1, "late", "late: 1.100 s old, limit 1 s; check the sensor's clock"),
+        (-37.0, "late", "late: 37.000 s old"),
+        (0.1, "future", "future: 0.100 s ahead of wall time; check the sensor's clock"),
+        (1e9, "future", "future: 1000000000.000 s ahead"),
+    ],
+)
+def test_a_frame_with_a_wrong_stamp_is_refused_once_with_its_reason(offset_s, reason, words):
+    bench = Bench()
+    stamp_ns = NOW_NS + round(offset_s * SECOND_NS)
+    bench.send_frame(stamp_ns)
+    (arrived,) = bench.arrived()
+    assert arrived.measurement is None
+    assert arrived.stamp_ns == stamp_ns
+    assert arrived.reason.startswith(words)
+    for topic in (DEPTH, CAMERA_INFO, AMPLITUDE):
+        assert bench.counters[f"rejected/{topic.of('pmd').name}/{reason}"] == 1
+
+
+@pytest.mark.parametrize("offset_s", [-0.9, 0.04])
+def test_what_is_a_little_old_or_ahead_is_taken(offset_s):
+    bench = Bench()
+    bench.send_frame(NOW_NS + round(offset_s * SECOND_NS))
+    assert bench.arrived()[0].measurement is not None
+
+
+def test_a_stamp_from_the_far_future_does_not_keep_the_frames_after_it_out():
+    bench = lidar_bench()
+    bench.send_scan(NOW_NS + 10**6 * SECOND_NS)
+    bench.send_scan(NOW_NS)
+    refused, taken = bench.arrived()
+    assert refused.measurement is None
+    assert taken.measurement.stamp_ns == NOW_NS
+
+
+def test_a_frame_that_had_to_wait_is_not_late():
+    """Its age counts on arrival: that the last frame's methods took long is not its sensor's fault."""
+    bench = Bench()
+    bench.send_frame(NOW_NS - SECOND_NS // 2, arrival_ns=NOW_NS)
+    assert bench.arrived()[0].measurement is not None
+
+
+def test_where_the_bus_owns_time_its_clock_judges():
+    bench = Bench(time_source="clock")
+    bench.node.clock.set(write_clock(5 * SECOND_NS))
+    bench.send_frame(5 * SECOND_NS, arrival_ns=NOW_NS)
+    bench.send_frame(7 * SECOND_NS, arrival_ns=NOW_NS)
+    refused, taken = bench.arrived()
+    assert refused.reason.startswith("future: 2.000 s ahead of clock time")
+    assert taken.measurement is not None
+
+
+def test_a_clock_message_may_be_handed_over_behind_a_frame_that_was_published_after_it():
+    bench = Bench(time_source="clock")
+    bench.send_frame(5 * SECOND_NS)
+    late_clock = Thread(target=bench.node.clock.set, args=(write_clock(5 * SECOND_NS),))
+    late_clock.start()
+    (taken,) = bench.arrived()
+    late_clock.join()
+    assert taken.measurement is not None
+
+
+def test_a_frame_of_a_stamp_that_is_complete_already_is_a_duplicate():
+    bench = lidar_bench()
+    for _ in range(2):
+        bench.send_scan(NOW_NS)
+    refused, taken = bench.arrived()
+    assert refused.reason.startswith("duplicate")
+    assert taken.measurement is not None
+    assert bench.counters["rejected/lidar/points/duplicate"] == 1
+
+
+def test_a_frame_behind_one_that_is_complete_already_is_passed_over_and_counted():
+    bench = Bench()
+    bench.send_frame(NOW_NS)
+    bench.send_frame(NOW_NS - SECOND_NS // 2)
+    (taken,) = bench.arrived()
+    assert taken.stamp_ns == NOW_NS
+    assert bench.counters["incomplete/pmd"] == 1
+    assert bench.node.refused == []
+
+
+def test_an_amplitude_that_comes_behind_its_frame_is_no_fault():
+    bench = Bench()
+    bench.send_frame(NOW_NS, amplitude=False)
+    bench.send_frame(NOW_NS + 1, amplitude=False)
+    image = write_image(NOW_NS, "pmd_optical", np.ones((4, 6), np.uint8), "mono8")
+    bench.send(AMPLITUDE.of("pmd"), image)
+    assert [frame.measurement.data.amplitude for frame in bench.arrived()] == [None]
+    assert not [name for name in bench.counters if name.startswith("rejected")]
+
+
+# --- refused for what they hold ---
+
+
+def wrong_camera():
+    return write_camera(NOW_NS, "pmd_optical", CAMERA.model_copy(update={"width": 7}))
+
+
+def with_field(message, **changes):
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return message
+
+
+def image(array, encoding):
+    return write_image(NOW_NS, "pmd_optical", array, encoding)
+
+
+@pytest.mark.parametrize(
+    ("topic", "message", "reason"),
+    [
+        (DEPTH, image(np.full((4, 6), np.nan, np.float32), "32FC1"), "not_finite"),
+        (DEPTH, image(np.ones((4, 6), np.uint8), "mono8"), "wrong_type"),
+        (DEPTH, image(np.ones((4, 5), np.float32), "32FC1"), "wrong_size"),
+        (DEPTH, with_field(image(DEPTH_M, "32FC1"), data=np.zeros(95, np.uint8)), "wrong_size"),
+        (DEPTH, with_field(image(DEPTH_M, "32FC1"), encoding="rgb8"), "wrong_type"),
+        (AMPLITUDE, image(np.ones((3, 6), np.uint16), "mono16"), "wrong_size"),
+        (AMPLITUDE, image(np.ones((4, 6, 4), np.uint16), "16UC4"), "wrong_type"),
+        (CAMERA_INFO, with_field(wrong_camera(), k=np.full(9, np.nan)), "not_finite"),
+        (CAMERA_INFO, with_field(wrong_camera(), k=np.zeros(9)), "malformed"),
+        (CAMERA_INFO, with_field(wrong_camera(), d=np.zeros(8)), "wrong_size"),
+        (CAMERA_INFO, with_field(wrong_camera(), distortion_model="equidistant"), "wrong_type"),
+    ],
+)
+def test_a_part_that_cannot_be_used_is_counted_on_its_own_topic(topic, message, reason):
+    bench = Bench()
+    parts = {
+        CAMERA_INFO: write_camera(NOW_NS, "pmd_optical", CAMERA),
+        DEPTH: image(DEPTH_M, "32FC1"),
+        AMPLITUDE: image(np.ones((4, 6), np.uint16), "mono16"),
+    }
+    for part, sent in (parts | {topic: message}).items():
+        bench.send(part.of("pmd"), with_field(sent))
+    (arrived,) = bench.arrived()
+    assert arrived.measurement is None
+    assert arrived.reason.startswith(reason)
+    assert bench.node.refused == [(topic.of("pmd").name, reason)]
+
+
+def test_images_that_do_not_fit_their_camera_are_counted_as_of_the_wrong_size():
+    bench = Bench()
+    bench.send(DEPTH.of("pmd"), image(DEPTH_M, "32FC1"))
+    bench.send(AMPLITUDE.of("pmd"), image(np.ones((4, 6), np.uint16), "mono16"))
+    bench.send(CAMERA_INFO.of("pmd"), wrong_camera())
+    (arrived,) = bench.arrived()
+    assert arrived.reason == "wrong_size: image of 6 x 4, camera_info says 7 x 4"
+
+
+@pytest.mark.parametrize("kept", [0, 3, 11])
+def test_what_is_too_short_to_hold_a_stamp_is_counted_without_a_frame(kept):
+    bench = Bench()
+    depth = image(DEPTH_M, "32FC1")
+    bench.send(DEPTH.of("pmd"), depth, damage=lambda payload: payload[:kept])
+    assert bench.arrived() == []
+    assert bench.node.refused == [("pmd/depth/image_raw", "malformed")]
+
+
+@pytest.mark.parametrize(("seconds", "nanoseconds"), [(-1, 0), (5, 1_000_000_000), (-(2**31), 2**32 - 1)])
+def test_a_stamp_that_is_none_is_counted_without_a_frame(seconds, nanoseconds):
+    bench = lidar_bench()
+    cloud = write_points(NOW_NS, "lidar", CLOUD)
+    cloud.header.stamp.sec, cloud.header.stamp.nanosec = seconds, nanoseconds
+    bench.send(POINTS.of("lidar"), cloud)
+    assert bench.arrived() == []
+    assert bench.node.refused == [("lidar/points", "malformed")]
+
+
+def test_a_truncated_part_is_refused_with_the_stamp_that_it_still_has():
+    bench = lidar_bench()
+    bench.send_scan(NOW_NS, damage=lambda payload: payload[:-8])
+    (arrived,) = bench.arrived()
+    assert (arrived.stamp_ns, arrived.reason.split(":")[0]) == (NOW_NS, "malformed")
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"data": np.zeros(10, np.uint8)}, "wrong_size"),
+        ({"row_step": 4000}, "wrong_size"),
+        ({"width": 0}, "empty"),
+        ({"height": 0}, "empty"),
+        ({"fields": []}, "wrong_type"),
+        ({"point_step": 0}, "wrong_type"),
+        ({"data": np.full(24, np.nan, np.float32).view(np.uint8)}, "not_finite"),
+    ],
+)
+def test_a_cloud_that_cannot_be_used_is_refused(changes, reason):
+    bench = lidar_bench()
+    bench.send(POINTS.of("lidar"), with_field(write_points(NOW_NS, "lidar", CLOUD), **changes))
+    (arrived,) = bench.arrived()
+    assert arrived.measurement is None
+    assert bench.node.refused == [("lidar/points", reason)]
+
+
+@pytest.mark.parametrize("frame_id", ["", "somewhere"])
+def test_a_frame_without_a_chain_to_the_chaser_is_refused(frame_id):
+    bench = Bench(sensors=[{"kind": "pmd"}])
+    bench.send_frame(NOW_NS, frame_id=frame_id)
+    (arrived,) = bench.arrived()
+    assert arrived.reason.startswith(f"unknown_frame: no chain from {frame_id!r} to 'chaser'")
+    assert bench.node.refused == [("pmd/depth/image_raw", "unknown_frame")]
+
+
+def test_a_mount_that_is_told_in_two_ways_is_refused():
+    bench = Bench()
+    bench.send(
+        TF_STATIC, write_transforms(0, [("chaser", "pmd_optical", make_pose(translation_m=[1, 0, 0]))])
+    )
+    bench.send_frame(NOW_NS)
+    (arrived,) = bench.arrived()
+    assert "differ" in arrived.reason
+
+
+def test_transforms_that_are_none_are_counted():
+    bench = Bench()
+    message = write_transforms(0, [("chaser", "pmd_optical", MOUNT)])
+    message.transforms[0].transform.rotation.w = 0.0
+    bench.send(TF_STATIC, message)
+    assert bench.arrived() == []
+    assert bench.node.refused == [("tf_static", "malformed")]
+
+
+def test_good_frames_follow_upon_bad_ones():
+    bench = Bench()
+    bench.send(DEPTH.of("pmd"), image(DEPTH_M, "32FC1"), damage=lambda payload: payload[:5])
+    bench.send(CAMERA_INFO.of("pmd"), wrong_camera())
+    bench.send_frame(NOW_NS - 40 * SECOND_NS)
+    bench.send_frame(NOW_NS + 40 * SECOND_NS)
+    bench.send_frame(NOW_NS + 1)
+    *refused, taken = bench.arrived()
+    assert [frame.measurement for frame in refused] == [None] * 2
+    assert taken.measurement.stamp_ns == NOW_NS + 1
+
+
+# --- the LIDAR's own account of itself ---
+
+
+def lidar_info(**changes):
+    info = {
+        "azimuth_rad": [-0.1, 0.0, 0.1],
+        "elevation_rad": [0.0, 0.1],
+        "scan_time_s": 0.1,
+        "sigma_range_m": 0.02,
+    }
+    return write_lidar_info(0, "lidar", LidarInfo(**(info | changes)))
+
+
+def test_the_scan_pattern_comes_from_the_latched_info():
+    bench = lidar_bench()
+    bench.send(LIDAR_INFO.of("lidar"), lidar_info())
+    bench.arrived()
+    np.testing.assert_array_equal(bench.inputs.patterns["lidar"].azimuth_rad, [-0.1, 0.0, 0.1])
+
+
+def test_scans_whose_rows_are_azimuth_are_turned():
+    bench = lidar_bench()
+    bench.send(LIDAR_INFO.of("lidar"), lidar_info(rows_are_elevation=False))
+    bench.send_scan(NOW_NS, {name: values.T.copy() for name, values in CLOUD.items()})
+    scan = bench.arrived()[0].measurement.data
+    np.testing.assert_array_equal(scan.points_m[..., 0], CLOUD["x"])
+    np.testing.assert_array_equal(scan.intensity, CLOUD["intensity"])
+
+
+def test_an_info_without_a_pattern_is_no_pattern():
+    bench = lidar_bench()
+    bench.send(LIDAR_INFO.of("lidar"), lidar_info(azimuth_rad=[], elevation_rad=[]))
+    assert bench.arrived() == []
+    assert bench.inputs.patterns == {}
+
+
+def test_a_pattern_that_is_not_finite_is_counted():
+    bench = lidar_bench()
+    message = lidar_info()
+    message.azimuth_rad = np.array([0.0, np.nan])
+    bench.send(LIDAR_INFO.of("lidar"), message)
+    assert bench.arrived() == []
+    assert bench.node.refused == [("lidar/info", "not_finite")]
+    assert bench.inputs.patterns == {}
+
+
+# --- frames of another camera ---
+
+
+def test_a_frame_of_another_camera_is_refused_by_the_field_that_differs():
+    bench = Bench()
+    other = CAMERA.model_copy(update={"fx": 7.5})
+    for number, camera in enumerate((CAMERA, other, CAMERA)):
+        bench.send_frame(NOW_NS + number, camera=camera)
+        arrived = bench.arrived()[0]
+        assert (arrived.measurement is None) == (camera is other)
+    assert bench.node.refused == [("pmd/camera_info", "other_camera")]
+
+
+def test_a_camera_that_has_changed_is_accepted_in_the_end():
+    bench = Bench()
+    bench.send_frame(NOW_NS)
+    bench.arrived()
+    changed = CAMERA.model_copy(update={"distortion": np.array([0.1, 0.0, 0.0, 0.0, 0.0])})
+    taken = []
+    for number in range(1, 14):
+        bench.send_frame(NOW_NS + number, camera=changed)
+        taken.append(bench.arrived()[0].measurement is not None)
+    assert taken == [False] * 10 + [True] * 3
+
+
+# --- the camera's own account of itself ---
+
+PMD = PmdInfo(
+    modulation_frequency_hz=np.array([20.013e6]),
+    integration_time_s=0.016,
+    electrons_per_count=40.0,
+    saturation_count=3750.0,
+)
+
+
+def test_a_frame_carries_what_its_camera_says_of_itself():
+    bench = Bench()
+    bench.send_frame(NOW_NS - 1)
+    assert bench.arrived()[0].measurement.data.info is None
+    bench.send(PMD_INFO.of("pmd"), write_pmd_info(0, "pmd_optical", PMD))
+    bench.send_frame(NOW_NS)
+    assert bench.arrived()[0].measurement.data.info.modulation_frequency_hz == [20.013e6]
+
+
+def test_a_camera_without_a_positive_frequency_is_not_believed():
+    bench = Bench()
+    message = write_pmd_info(0, "pmd_optical", PMD)
+    message.modulation_frequency_hz = np.array([0.0])
+    bench.send(PMD_INFO.of("pmd"), message)
+    assert bench.arrived() == []
+    assert bench.node.refused == [("pmd/info", "malformed")]
+    assert bench.inputs.infos == {}

@@ -1,0 +1,65 @@
+"""What every compiled function promises: few arguments, named records, types and documentation."""
+
+import importlib
+import inspect
+import pkgutil
+import typing
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+import rpod_geometry
+import rpod_pose
+import rpod_sim_sensor
+
+MOST_ARGUMENTS, MOST_RETURNED = 7, 3
+IN_WORK = {"rpod_pose.pmd.fit", "rpod_pose.lidar.scan_likelihood"}
+"""Rewritten together with their physics: to be taken out of here then."""
+
+
+def kernels():
+    for package in (rpod_geometry, rpod_pose, rpod_sim_sensor):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if module.name in IN_WORK:
+                continue
+            for name, found in vars(importlib.import_module(module.name)).items():
+                if isinstance(found, Dispatcher) and found.py_func.__module__ == module.name:
+                    yield pytest.param(found, id=f"{module.name}.{name}")
+
+
+KERNELS = list(kernels())
+
+
+def test_kernels_are_found():
+    assert len(KERNELS) > 60
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_kernel_takes_few_arguments_with_types(kernel):
+    parameters = inspect.signature(kernel.py_func).parameters
+    assert len(parameters) <= MOST_ARGUMENTS
+    for parameter in parameters.values():
+        assert parameter.annotation is not parameter.empty, parameter
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_kernel_says_what_it_returns_by_name_where_that_is_much(kernel):
+    returned = inspect.signature(kernel.py_func).return_annotation
+    assert returned is not inspect.Signature.empty
+    if typing.get_origin(returned) is tuple:
+        assert len(typing.get_args(returned)) <= MOST_RETURNED
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_kernel_says_what_it_does(kernel):
+    text = inspect.getdoc(kernel.py_func)
+    assert text
+    assert text.split(maxsplit=1)[0] not in ("Of", "For")
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_kernel_is_kept_on_disk_and_releases_the_interpreter(kernel):
+    assert kernel.targetoptions["nogil"]
+    assert not kernel.targetoptions.get("parallel")
+    assert kernel.targetoptions["error_model"] == "numpy"
+    assert type(kernel._cache).__name__ != "NullCache"
