@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 from tests.pmd_frames import frame_of, strange_frames
 
-from rpod_analysis.campaign.trials.pmd_world import World, built
+from rpod_campaign.pmd.world import World, built
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.ports import Registration
 from rpod_schemas.config.motion import FACING
