@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_estimator.acquisition.global_search import GlobalSearch
-from rpod_estimator.tracking.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.global_search import GlobalSearch
+from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.poses import make_pose, pose_error

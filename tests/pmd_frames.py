@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rpod_geometry.rays import RayGrid, cast
 from rpod_schemas.types import Camera, PmdFrame
-from rpod_sim_sensor.geometry import RayGrid, cast
 from rpod_target import Target
 
 CAMERA = Camera(width=352, height=287, fx=682.75, fy=691.42, cx=175.5, cy=143.0)

@@ -11,6 +11,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_geometry.rays import RayGrid, cast
 from rpod_schemas.cdr import definition, encode
 from rpod_schemas.logs import (
     COMPLETENESS,
@@ -66,7 +67,6 @@ from rpod_schemas.types import (
     PmdInfo,
     Source,
 )
-from rpod_sim_sensor.geometry import RayGrid, cast
 
 EPOCH_NS = 1_767_225_600_000_000_000
 T_CHASER_SENSOR = make_pose(

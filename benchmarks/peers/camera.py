@@ -11,7 +11,7 @@ from rpod_analysis.campaign.trials.pmd_acquisition import SUCCESS_DEG, SUCCESS_M
 from rpod_analysis.campaign.trials.pmd_scene import Stage, still
 from rpod_analysis.campaign.trials.pmd_world import NOMINAL
 from rpod_analysis.campaign.trials.scene import stream
-from rpod_estimator.tracking.depth_view import usable_image
+from rpod_pose.pmd.depth_view import usable_image
 from rpod_schemas.config.pmd_methods import DepthImageConfig
 from rpod_schemas.types import Float32Array, PmdFrame
 from rpod_target import Target

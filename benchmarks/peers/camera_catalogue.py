@@ -11,7 +11,7 @@ from peers.clouds import model_cloud
 from peers.open3d_icp import Estimation
 from peers.small_gicp_icp import Setup
 from rpod_analysis.campaign.trials.pmd_methods import DEFAULT, PAPER_ICP, pmd_input
-from rpod_estimator.methods import pmd_methods, warm_up
+from rpod_pose.methods import pmd_methods, warm_up
 
 POINT_SPACING_M, PLANE_SPACING_M = 0.02, 0.02
 """Of the model's points for Open3D; of 0.02, 0.03 and 0.05."""

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from peers.benchmark import Register, Scene
-from rpod_estimator.methods import ScanPattern, lidar_methods, warm_up
-from rpod_estimator.ports import Methods
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.methods import lidar_methods, warm_up
+from rpod_pose.ports import Methods
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.poses import make_pose

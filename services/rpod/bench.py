@@ -20,8 +20,10 @@ from rich.table import Table
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod import __version__
-from rpod_estimator.methods import ScanPattern, lidar_methods, pmd_methods
+from rpod_geometry.rays import RayGrid, cast
 from rpod_logger.writer import LogFile, WriterSettings
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.methods import lidar_methods, pmd_methods
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.lifecycle import EXIT_OK
 from rpod_runtime.session import free_endpoint, open_router
@@ -36,7 +38,6 @@ from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import DEPTH, Namespace
 from rpod_schemas.types import LidarScan, PmdFrame
 from rpod_schemas.wire import Attachment
-from rpod_sim_sensor.geometry import RayGrid, cast
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target

@@ -15,7 +15,7 @@ import numpy as np
 from rpod_analysis.depth_samples import DepthSamples
 from rpod_analysis.errors import CalibrationError
 from rpod_analysis.score import IntArray
-from rpod_estimator.depth_preparation import calibrated
+from rpod_pose.pmd.depth_preparation import calibrated
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.depth_calibration import (
     CalibrationEvidence,

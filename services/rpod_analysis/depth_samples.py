@@ -18,12 +18,13 @@ from rpod_analysis.errors import CalibrationError
 from rpod_analysis.log import Log
 from rpod_analysis.score import BoolArray, Track, interpolate
 from rpod_analysis.sensors import find_sensors, pmd_frames, pmd_info
+from rpod_geometry.errors import DistortionError
+from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.depth_calibration import unambiguous_range_m
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import CHASER, TRUTH
 from rpod_schemas.types import Camera, PmdFrame
-from rpod_sim_sensor.geometry import DistortionError, Hits, RayGrid, cast
 from rpod_target import Target, TargetError, load_target
 
 _MOST_IN_FRAME = 400

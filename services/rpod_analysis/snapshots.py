@@ -15,9 +15,9 @@ from rpod_analysis.run import Run, StreamedRun
 from rpod_analysis.score import Track, interpolate
 from rpod_analysis.sensors import Sensor, lidar_scans, pmd_frames
 from rpod_analysis.wireframe import svg_path
+from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Camera, LidarScan, PmdFrame
-from rpod_sim_sensor.wireframe import project, visible_pieces
 from rpod_target import Target
 
 _SAMPLES = 4

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_emulator.faults import Kind, lost_cells, takes_amplitude
+from rpod_geometry.errors import GeometryError
 from rpod_runtime import Node
 from rpod_runtime.sensors import CameraPublisher, LidarPublisher
 from rpod_schemas.arrays import FloatArray
@@ -19,7 +20,7 @@ from rpod_schemas.poses import rotation_of
 from rpod_schemas.schedule import DueFrame
 from rpod_schemas.topics import optical_frame
 from rpod_schemas.types import LidarScan, PmdFrame
-from rpod_sim_sensor.geometry import SimSensorError
+from rpod_sim_sensor.errors import SimSensorError
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.pmd import PmdEmulator, PmdExposure
 from rpod_target import Target
@@ -129,7 +130,7 @@ def open_channel(node: Node, config: EmulatorConfig, sensor: SensorConfig, targe
     """
     try:
         return _warm_channel(node, config, sensor, target)
-    except SimSensorError as error:
+    except (SimSensorError, GeometryError) as error:
         raise ConfigurationError(config.instance, f"sensors.{sensor.name}", str(error)) from error
 
 

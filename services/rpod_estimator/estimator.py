@@ -9,11 +9,12 @@ from dataclasses import replace
 from queue import Empty, SimpleQueue
 
 from rpod_estimator.intake import Arrived
-from rpod_estimator.measurement import Tick
-from rpod_estimator.methods import ScanPattern, configured_pattern, lidar_methods, pmd_methods, warm_up
-from rpod_estimator.navigator import Navigator
-from rpod_estimator.navigator_state import NavigatorState, Output
-from rpod_estimator.ports import Methods
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.measurement import Tick
+from rpod_pose.methods import configured_pattern, lidar_methods, pmd_methods, warm_up
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.ports import Methods
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, SensorInput
 from rpod_schemas.control import Accepted, ResetRequest
 from rpod_schemas.errors import ConfigurationError

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 
 from rpod_estimator.intake import LEADING, Arrived, Intake
-from rpod_estimator.methods import ScanPattern
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.frames import PartRejectedError

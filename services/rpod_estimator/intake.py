@@ -6,9 +6,9 @@ Parts are told apart by topic and stamp from their first bytes; only a frame tha
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rpod_estimator.camera_watch import CameraWatch
-from rpod_estimator.measurement import Measurement
-from rpod_estimator.methods import ScanPattern
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.measurement import Measurement
+from rpod_pose.pmd.camera_check import CameraWatch
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.errors import ExtrinsicsError

@@ -2,7 +2,7 @@
 
 import time
 
-from rpod_estimator.navigator_state import Output
+from rpod_pose.navigation.state import Output
 from rpod_runtime import Node
 from rpod_schemas.messages import (
     NANOSECONDS,

@@ -5,10 +5,11 @@ import rerun as rr
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_geometry.errors import DistortionError
+from rpod_geometry.rays import RayGrid
+from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Camera, Odometry, PmdFrame
-from rpod_sim_sensor.geometry import DistortionError, RayGrid
-from rpod_sim_sensor.wireframe import project, visible_pieces
 from rpod_target import Target
 from rpod_view import palette
 from rpod_view.layout import CHASER, ESTIMATE, FOCUS, IMAGES, TIMELINE, TRUTH, UNCERTAINTY

@@ -16,7 +16,7 @@ from rpod_analysis.campaign.statistics import quantile, rate
 from rpod_analysis.campaign.trials import judged as trial
 from rpod_analysis.campaign.trials.judged import JudgedCell
 from rpod_analysis.campaign.words import NONE, number, word
-from rpod_estimator.ports import Verdict
+from rpod_pose.ports import Verdict
 from rpod_schemas.arrays import FloatArray
 
 Results = Sequence[CellResult[JudgedCell]]

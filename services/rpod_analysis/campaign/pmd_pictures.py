@@ -16,8 +16,8 @@ from rpod_analysis.campaign.trials.pmd_sequence import FRAME, SequenceCell
 from rpod_analysis.campaign.trials.scene import cached_target
 from rpod_analysis.figures import QUIET
 from rpod_analysis.snapshots import Picture, camera_pictures
+from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.arrays import FloatArray
-from rpod_sim_sensor.wireframe import project, visible_pieces
 
 _HEIGHT_PX = 460
 

@@ -11,8 +11,8 @@ from typing import Any, Self
 from mcap.writer import CompressionType, Writer
 
 from rpod_analysis.log import Log, Logged
-from rpod_estimator.navigator_state import Output
 from rpod_logger.writer import qos_profile
+from rpod_pose.navigation.state import Output
 from rpod_schemas.cdr import definition, encode, type_hash
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.logs import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from rpod_analysis.log import Logged
 from rpod_estimator.intake import Arrived, Intake
-from rpod_estimator.measurement import Tick
+from rpod_pose.measurement import Tick
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
 from rpod_runtime.frames import PartRejectedError

@@ -19,8 +19,8 @@ from rpod_analysis.replay.timeline import Timeline
 from rpod_analysis.run import estimate_prefix
 from rpod_estimator.estimator import TICK_S, Estimator
 from rpod_estimator.intake import Intake
-from rpod_estimator.measurement import Tick
-from rpod_estimator.navigator_state import Output
+from rpod_pose.measurement import Tick
+from rpod_pose.navigation.state import Output
 from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import EstimatorConfig

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial.transform import RigidTransform
 
+from rpod_geometry.rays import RayGrid, cast
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.types import Float32Array
-from rpod_sim_sensor.geometry import RayGrid, cast
 from rpod_sim_sensor.lidar.detection import echo
 from rpod_sim_sensor.lidar.noise import noisy_directions, noisy_range_m
 from rpod_sim_sensor.noise import noise_stream

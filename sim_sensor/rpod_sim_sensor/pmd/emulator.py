@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import SAMPLES, PmdConfig
 from rpod_schemas.types import Float32Array
-from rpod_sim_sensor.geometry import Hits, RayGrid, SimSensorError, cast
+from rpod_sim_sensor.errors import SimSensorError
 from rpod_sim_sensor.noise import noise_stream
 from rpod_sim_sensor.pmd.light import Fragments, collect, lights
 from rpod_sim_sensor.pmd.metering import exposure_share, mean_light_e

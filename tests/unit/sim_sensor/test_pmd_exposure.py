@@ -10,11 +10,11 @@ import pytest
 from scipy import constants
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_geometry.rays import RayGrid, cast
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera
-from rpod_sim_sensor.geometry import RayGrid, cast
 from rpod_sim_sensor.pmd import PmdEmulator, PmdExposure, PoseCountError
 from rpod_target import Material, Target
 

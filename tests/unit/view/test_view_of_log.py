@@ -17,8 +17,8 @@ from synthetic_log import (
 
 from rpod_analysis import open_log
 from rpod_analysis.log_view import Part, show_log
+from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.types import Camera, Mode
-from rpod_sim_sensor.wireframe import project, visible_pieces
 from rpod_target import load_target
 from rpod_view.view import View
 

@@ -14,11 +14,12 @@ import polars as pl
 from rpod_analysis.campaign.trials.methods import MATCHERS, lidar_config, lidar_input, pattern_of
 from rpod_analysis.campaign.trials.scene import cached_target, emulator_of, random_pose, scan_of
 from rpod_analysis.campaign.trials.scores import ACQUISITION_SCHEMA, acquisition_row, is_wrong
-from rpod_estimator.acquisition.global_search import GlobalSearch
-from rpod_estimator.methods import ScanPattern, lidar_methods
-from rpod_estimator.ports import Acquisition
-from rpod_estimator.tracking.icp_nearest_neighbour import NearestNeighbourIcp
-from rpod_estimator.tracking.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.global_search import GlobalSearch
+from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
+from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.methods import lidar_methods
+from rpod_pose.ports import Acquisition
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig
 from rpod_schemas.types import LidarScan

@@ -7,10 +7,11 @@ from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_estimator.acquisition.template_matching import OnlineTemplateMatching
-from rpod_estimator.acquisition.verified_search import VerifiedSearch
-from rpod_estimator.methods import ScanPattern, lidar_methods, warm_up
-from rpod_estimator.ports import Acquirer, Acquisition, Candidates, Registration, Search, Tracker
+from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.methods import lidar_methods, warm_up
+from rpod_pose.ports import Acquirer, Acquisition, Candidates, Registration, Search, Tracker
+from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.lidar import LidarConfig

@@ -15,8 +15,8 @@ from rpod_analysis.campaign.trials.pmd_scene import Stage, off, scenario_of, sti
 from rpod_analysis.campaign.trials.pmd_world import World
 from rpod_analysis.campaign.trials.scene import stream
 from rpod_analysis.campaign.trials.scores import POSE, errors, numbers
-from rpod_estimator.methods import pmd_methods, warm_up
-from rpod_estimator.ports import Methods
+from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.ports import Methods
 from rpod_schemas.poses import make_pose
 from rpod_target import Target
 

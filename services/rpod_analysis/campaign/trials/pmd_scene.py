@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_analysis.campaign.trials.pmd_world import World, built, disturbed
 from rpod_analysis.campaign.trials.scene import cached_target, stream
+from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_motion.motion import build_motion
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import MAX_RATE_HZ, PmdConfig
@@ -18,7 +19,6 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import optical_frame
 from rpod_schemas.types import PmdFrame
-from rpod_sim_sensor.geometry import Hits, RayGrid, cast
 from rpod_sim_sensor.pmd import PmdEmulator
 
 _CAD, _LOSS = 11, 12

@@ -16,10 +16,10 @@ from rpod_analysis.campaign.trials.pmd_world import NOMINAL, World
 from rpod_analysis.campaign.trials.scene import cached_target, stream
 from rpod_analysis.campaign.trials.scores import POSE, numbers
 from rpod_analysis.score import OFF_TARGET_M, OFF_TARGET_RAD, find_nees
-from rpod_estimator.measurement import Measurement
-from rpod_estimator.methods import pmd_methods, warm_up
-from rpod_estimator.navigator import Navigator
-from rpod_estimator.ports import Methods, Tracker
+from rpod_pose.measurement import Measurement
+from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.ports import Methods, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.poses import pose_error

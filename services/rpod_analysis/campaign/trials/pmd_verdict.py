@@ -21,17 +21,17 @@ from rpod_analysis.campaign.trials.pmd_scene import Stage, camera_of, off, scena
 from rpod_analysis.campaign.trials.pmd_world import World
 from rpod_analysis.campaign.trials.scene import cached_target, stream
 from rpod_analysis.campaign.trials.scores import POSE, errors, numbers
-from rpod_estimator.methods import pmd_methods, warm_up
-from rpod_estimator.ports import Methods
-from rpod_estimator.tracking.frame_check import contradictions
-from rpod_estimator.tracking.rendering import Rendering
-from rpod_estimator.verification import doubt
+from rpod_geometry.rays import RayGrid, cast
+from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.pmd.frame_check import contradictions
+from rpod_pose.pmd.rendering import Rendering
+from rpod_pose.ports import Methods
+from rpod_pose.verification import doubt
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import SunConfig
 from rpod_schemas.config.pmd_check import PmdCheckConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.types import Camera, PmdFrame
-from rpod_sim_sensor.geometry import RayGrid, cast
 from rpod_target import Target
 
 OFF_DEG, OFF_M = 1.0, 0.01

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_estimator.tracking.closest_point import Surface
+from rpod_pose.registration.closest_point import Surface
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan

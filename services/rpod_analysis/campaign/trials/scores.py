@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import RigidTransform
 
-from rpod_estimator.ports import Acquisition
+from rpod_pose.ports import Acquisition
 from rpod_schemas.poses import pose_error
 from rpod_target import Target
 

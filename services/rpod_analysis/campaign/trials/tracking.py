@@ -14,11 +14,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_analysis.campaign.trials.methods import lidar_config, pattern_of, tracking_input
 from rpod_analysis.campaign.trials.scene import cached_target, emulator_of, random_pose, scan_of, stream
 from rpod_analysis.campaign.trials.scores import POSE, SUCCESS_DEG, errors, numbers
-from rpod_estimator.measurement import Measurement
-from rpod_estimator.methods import lidar_methods, warm_up
-from rpod_estimator.navigator import Navigator
-from rpod_estimator.ports import Methods
 from rpod_motion.motion import Motion, build_motion
+from rpod_pose.measurement import Measurement
+from rpod_pose.methods import lidar_methods, warm_up
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.ports import Methods
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig

@@ -20,9 +20,9 @@ from rpod_analysis.campaign.trials.methods import (
 )
 from rpod_analysis.campaign.trials.scene import cached_target, emulator_of, scan_of
 from rpod_analysis.campaign.trials.scores import POSE, SUCCESS_DEG, errors, numbers
-from rpod_estimator.methods import lidar_methods
-from rpod_estimator.ports import Registration, Tracker
 from rpod_motion.motion import Motion, build_motion
+from rpod_pose.methods import lidar_methods
+from rpod_pose.ports import Registration, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
 from rpod_schemas.types import LidarScan

@@ -1,1 +1,0 @@
-"""Trackers: they register one measurement from a predicted pose (``ports.Tracker``). No bus, no clock."""

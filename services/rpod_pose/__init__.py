@@ -1,0 +1,4 @@
+"""From a measurement to a believed pose and a navigated state.
+
+Pure: no bus, no clock and no log, so that the daemon, a replay and a campaign run the same functions.
+"""

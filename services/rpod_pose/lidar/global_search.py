@@ -1,0 +1,152 @@
+"""Acquisition in one scan, without a guess: every attitude is tried, the likeliest pose is found and judged.
+
+1. Thousands of attitudes, spread over all of SO(3), are laid on the scan by the centroid that the sensor
+   should see of them and compared roughly (``energy``), first on a few points, the best on more.
+2. The best are drawn onto the scan (``scan_alignment``) and ranked by the likelihood of every ray, hit or
+   missed (``scan_fit``). Where returns are many, the first pose that explains them for sure ends this.
+3. What the best may be mistaken for, its near-symmetries and quarter turns about its axes, is tried too.
+   Where returns are few, the outline is searched for what they leave open.
+4. A best pose that could be explained better sends the search back to more attitudes.
+
+The verdict needs no other pose to compare with: the scan's likelihood against what the pose itself expects.
+The weights of the hypotheses are their likelihoods.
+"""
+
+from math import log, sqrt
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.special import softmax
+
+from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.scan_search import FINE_SCALES_M, Model, Pose, Scanner, ScanSearch
+from rpod_pose.lidar.scan_view import SeenScan
+from rpod_pose.ports import Acquisition, Registration, Verdict
+from rpod_pose.search.attitude_grid import attitudes_of, within
+from rpod_pose.search.hypotheses import NEGLIGIBLE, hypotheses
+from rpod_pose.search.turns import FEW_POINTS, Turns
+from rpod_pose.search.view_model import ViewModel
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.lidar_search import GlobalSearchConfig
+from rpod_schemas.types import LidarScan, Source
+from rpod_target import Target
+
+
+class GlobalSearch:
+    """Finds the target in a scan: ports.Acquirer[LidarScan].
+
+    Raises:
+        rpod_target.TargetError: the target has no distance field.
+    """
+
+    def __init__(
+        self,
+        config: GlobalSearchConfig,
+        target: Target,
+        *,
+        azimuth_rad: FloatArray,
+        elevation_rad: FloatArray,
+    ) -> None:
+        self._config, self._radius_m = config, target.radius_m
+        self._tracker = ProjectiveIcp(
+            config.tracking, target, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad
+        )
+        surface = self._tracker.surface
+        views = ViewModel.of(
+            target,
+            surface.coarse_field,
+            count=config.model_points,
+            few=FEW_POINTS,
+            truncation_m=config.truncation_m,
+        )
+        self._model = Model(views, surface, Turns.of(target))
+        self._scanners: dict[int, Scanner] = {}
+
+    def acquire(self, measurement: LidarScan) -> Acquisition:
+        """Return the likeliest pose, the others that explain the scan, and the verdict."""
+        return self._found(measurement, None)
+
+    def near(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Acquisition:
+        """Return the same from the attitudes within ``near_deg`` of a pose's."""
+        return self._found(measurement, T_sensor_target.rotation.as_matrix())
+
+    def judge(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Acquisition:
+        """Return the verdict on a pose that another method found, which is refined first.
+
+        Failed as well where something that it may be mistaken for explains the scan far better; ambiguous
+        where it does so as well.
+        """
+        whole = self._seen(measurement)
+        if whole.returns < self._config.min_points:
+            return self._too_few(whole)
+        search = self._search_in(whole)
+        asked = search.settled(
+            T_sensor_target.rotation.as_matrix(), T_sensor_target.translation, FINE_SCALES_M
+        )
+        poses = search.completed([asked], siblings=1)
+        least = poses[0].fit.log_likelihood + log(NEGLIGIBLE)
+        rivals = [pose for pose in poses if pose.fit.log_likelihood >= least]
+        if search.alike([asked], rivals).any():
+            return self._judged(whole, search, poses, 0)
+        turn = np.degrees(Rotation.from_matrix(asked.R.T @ poses[0].R).magnitude())
+        registration = self._tracker.finish(whole, asked.R, asked.t)
+        return Acquisition(
+            Verdict.FAILED, registration, f"the pose turned by {turn:.0f} deg explains the scan better"
+        )
+
+    def _found(self, measurement: LidarScan, around: FloatArray | None) -> Acquisition:
+        config, whole = self._config, self._seen(measurement)
+        if whole.returns < config.min_points:
+            return self._too_few(whole)
+        search = self._search_in(whole)
+        first = 0 if search.seen.returns >= config.sure_returns else min(1, len(config.levels) - 1)
+        templates, poses = 0, list[Pose]()
+        for level in config.levels[first:]:
+            attitudes = attitudes_of(level.attitudes)
+            if around is not None:
+                attitudes = attitudes[within(attitudes, around, config.near_deg)]
+            templates += len(attitudes)
+            poses = search.search(attitudes, level)
+            if poses and poses[0].fit.deficit <= 0.0:  # it could not be explained better
+                break
+        return self._judged(whole, search, poses, templates)
+
+    def _seen(self, measurement: LidarScan) -> SeenScan:
+        """Return the returns that may be the target's, few or many."""
+        seen = self._tracker.view.seen(measurement)
+        return seen.around(2.0 * self._radius_m) if seen.returns else seen
+
+    def _search_in(self, whole: SeenScan) -> ScanSearch:
+        """Return the search in a scan, of a dense one in some of its rows and columns."""
+        stride = max(1, round(sqrt(whole.returns / self._config.most_returns)))
+        seen = whole.every(stride) if stride > 1 else whole
+        if stride not in self._scanners:
+            view = self._tracker.view if stride == 1 else self._tracker.view.every(stride)
+            self._scanners[stride] = Scanner.of(view, self._config, self._model.surface)
+        return ScanSearch(self._config, self._model, self._scanners[stride], seen)
+
+    def _too_few(self, seen: SeenScan) -> Acquisition:
+        reason = f"{seen.returns} returns, {self._config.min_points} needed"
+        return Acquisition(Verdict.FAILED, Registration(Source.NONE), reason)
+
+    def _judged(self, whole: SeenScan, search: ScanSearch, poses: list[Pose], templates: int) -> Acquisition:
+        """Return the verdict on distinct poses, likeliest first."""
+        if not poses:
+            reason = "no attitude shows the target to the sensor"
+            return Acquisition(Verdict.FAILED, Registration(Source.NONE), reason, templates=templates)
+        registration = self._tracker.finish(whole, poses[0].R, poses[0].t)
+        reason = search.doubt(poses[0]) or registration.reason
+        if reason or registration.T_sensor_target is None:
+            return Acquisition(Verdict.FAILED, registration, reason, templates=templates)
+        weights = softmax([pose.fit.log_likelihood for pose in poses])
+        listed = hypotheses(poses, weights, self._model.turns.exact)
+        alike, best = len(self._model.turns.exact), weights[0]
+        by_symmetry = alike > 1 and best >= self._config.ambiguous_weight
+        if by_symmetry:
+            reason = f"{alike} poses look alike by the target's symmetry"
+        elif best < self._config.ambiguous_weight:
+            reason = f"{len(listed)} poses explain the scan, the best with weight {best / alike:.2f}"
+        verdict = Verdict.AMBIGUOUS if reason else Verdict.ACCEPTED
+        return Acquisition(
+            verdict, registration, reason, listed, templates=templates, by_symmetry=by_symmetry
+        )

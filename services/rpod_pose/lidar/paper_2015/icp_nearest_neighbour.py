@@ -1,0 +1,225 @@
+"""ICP: measured points against the target's surface, from a predicted pose.
+
+Source: P. J. Besl, N. D. McKay, A Method for Registration of 3-D Shapes, IEEE PAMI 14 (1992), as
+Opromolla et al., Sensors 15(3), 2015, section 4.2 use it. Each measured point is matched, exactly and among
+the faces that the sensor can see, by one of two matchers:
+
+``nearest_neighbour`` takes the closest point of the surface.
+
+``normal_shooting`` takes the closest foot of a normal of the surface that passes through the point; a point
+beside all faces has no match. From a rough start points beside their own face shoot at another one behind
+it, so that it fails more often (section 4.4).
+
+Two metrics:
+
+``point_to_point`` is the paper's: the rigid motion that minimises the squared distances of the pairs,
+in closed form. Points keep to where they are on a face, so it converges slowly, and may stop early.
+
+``point_to_plane`` counts each pair's distance along the line that joins them alone, which on a face is
+its normal and at an edge points to the edge: faces slide, and a few Gauss-Newton steps converge. A
+small weight on the points' own motion keeps what no face determines where the prediction has it.
+"""
+
+from dataclasses import dataclass
+from math import radians
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_pose.lidar.paper_2015.scan_check import ScanComparison
+from rpod_pose.ports import Registration
+from rpod_pose.registration.closest_point import Surface
+from rpod_pose.registration.normal_equations import add_residual, solve
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig
+from rpod_schemas.types import LidarScan, Source
+from rpod_target import Target
+
+TO_SIGMA = 1.4826
+"""Standard deviation over the median of absolute values, for normal ones."""
+ON_SURFACE_M = 1e-6
+"""Nearer than this, the direction to the closest point is the face's normal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Points and their closest ones on the surface, in target axes."""
+
+    points_m: FloatArray
+    """Shape (N, 3)."""
+    closest_m: FloatArray
+    """Shape (N, 3)."""
+    normals: FloatArray
+    """Of the faces of the closest points, shape (N, 3)."""
+    inlier: NDArray[np.bool_]
+    """Shape (N,); points without a match are none."""
+
+    @property
+    def inliers(self) -> int:
+        """Number of inliers."""
+        return int(np.count_nonzero(self.inlier))
+
+    @property
+    def cost_m2(self) -> float:
+        """f_CONV: mean squared distance of the inliers."""
+        offsets_m = (self.points_m - self.closest_m)[self.inlier]
+        return float((offsets_m**2).sum(axis=1).mean())
+
+    def point_to_point(self) -> RigidTransform:
+        """Return the motion of the target that minimises the inliers' squared distances (Kabsch)."""
+        points, closest = self.points_m[self.inlier], self.closest_m[self.inlier]
+        mean, closest_mean = points.mean(axis=0), closest.mean(axis=0)
+        U, _, Vt = np.linalg.svd((points - mean).T @ (closest - closest_mean))
+        R = Rotation.from_matrix(U @ np.diag((1.0, 1.0, np.linalg.det(U @ Vt))) @ Vt)
+        return RigidTransform.from_components(mean - R.apply(closest_mean), R)
+
+    def point_to_plane(self, resistance: float) -> RigidTransform:
+        """Return the Gauss-Newton step of the inliers' distances along the lines that join the pairs."""
+        offsets_m = self.points_m - self.closest_m
+        distance_m = np.linalg.norm(offsets_m, axis=1, keepdims=True)
+        lines = np.where(
+            distance_m > ON_SURFACE_M, offsets_m / np.maximum(distance_m, ON_SURFACE_M), self.normals
+        )
+        information, gradient = plane_equations(self.points_m, offsets_m, lines, self.inlier, resistance)
+        step = solve(information, gradient, self.inliers)
+        return RigidTransform.from_components(step[:3], Rotation.from_rotvec(step[3:]))
+
+    def information(self) -> FloatArray:
+        """Return the information about (dtau, dtheta) of distances along the normals, unit sigma, (6, 6)."""
+        zeros = np.zeros_like(self.points_m)
+        information: FloatArray = plane_equations(self.points_m, zeros, self.normals, self.inlier, 0.0)[0]
+        return information
+
+
+@njit(cache=True, nogil=True)
+def plane_equations(points, offsets, lines, inlier, resistance):  # type: ignore[no-untyped-def]
+    """Return information, shape (6, 6), and gradient, shape (6,), of the offsets along lines.
+
+    Args:
+        points: target axes, (N, 3).
+        offsets: from the closest points to them, (N, 3).
+        lines: unit vectors, (N, 3).
+        inlier: which points count, (N,).
+        resistance: weight with which each point's own motion, along any axis, counts against a step.
+    """
+    information, gradient, row, axes = np.zeros((6, 6)), np.zeros(6), np.empty(6), np.eye(3)
+    for n in range(points.shape[0]):
+        if not inlier[n]:
+            continue
+        s, e = points[n], offsets[n]
+        for k in range(4):
+            u, weight = (lines[n], 1.0) if k == 3 else (axes[k], resistance)
+            row[0], row[1], row[2] = -u[0], -u[1], -u[2]
+            row[3] = u[1] * s[2] - u[2] * s[1]
+            row[4] = u[2] * s[0] - u[0] * s[2]
+            row[5] = u[0] * s[1] - u[1] * s[0]
+            residual = u[0] * e[0] + u[1] * e[1] + u[2] * e[2] if k == 3 else 0.0
+            add_residual(information, gradient, row, residual, weight)
+    return information, gradient
+
+
+class Progress:
+    """When the iterations end: settled, without progress, or out of steps."""
+
+    def __init__(self, config: IcpNearestNeighbourConfig) -> None:
+        self._config = config
+        self._step_m, self._least_m2, self._least_at = np.inf, np.inf, 0
+        self.steps = 0
+
+    def add(self, step_m: float) -> None:
+        """Count a step that moved the target's surface by a length."""
+        self.steps, self._step_m = self.steps + 1, step_m
+
+    def ended(self, cost_m2: float) -> bool:
+        """Return whether to stop at a pose of this cost; wrong poses often end in a cycle."""
+        if cost_m2 < self._least_m2:
+            self._least_m2, self._least_at = cost_m2, self.steps
+        settled = self._step_m < self._config.step_m
+        stuck = self.steps - self._least_at >= self._config.patience
+        return settled or stuck or self.steps == self._config.iterations
+
+
+class NearestNeighbourIcp:
+    """Registers scans by ICP: ports.Tracker[LidarScan]."""
+
+    def __init__(
+        self,
+        config: IcpNearestNeighbourConfig,
+        target: Target,
+        *,
+        azimuth_rad: FloatArray,
+        elevation_rad: FloatArray,
+    ) -> None:
+        self._config, self._radius_m = config, target.radius_m
+        self._surface = Surface.of(target.triangles_m, target.normals)
+        shooting = config.matcher == "normal_shooting"
+        self._match_on_surface = self._surface.projected if shooting else self._surface.closest
+        self._comparison = ScanComparison(
+            config.comparison, target, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad
+        )
+
+    def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration from a predicted pose, or the reason why there is none."""
+        config, T = self._config, T_sensor_target
+        points_m = measurement.returns_m.astype(np.float64)
+        if len(points_m) < config.min_points:
+            return _failed(f"{len(points_m)} returns, {config.min_points} needed")
+        nearest = np.zeros(len(points_m), np.int32)
+        progress = Progress(config)
+        while True:
+            matches = self._match(points_m, T, nearest)
+            if matches is None:
+                return _failed("no face of the target is seen from the sensor", progress.steps)
+            if matches.inliers < config.min_points:
+                return _failed(f"{matches.inliers} inliers, {config.min_points} needed", progress.steps)
+            if progress.ended(matches.cost_m2):
+                break
+            step = self._step(matches)
+            T = T * step
+            progress.add(float(np.linalg.norm(step.translation) + self._radius_m * step.rotation.magnitude()))
+        return Registration(
+            Source.LIDAR,
+            T_sensor_target=T,
+            cost_m2=matches.cost_m2,
+            inliers=matches.inliers,
+            inlier_share=matches.inliers / len(points_m),
+            explained_share=self._comparison.explained_share(measurement, T),
+            covariance=self._covariance(matches, T),
+            iterations=progress.steps,
+        )
+
+    def _match(
+        self, points_m: FloatArray, T_sensor_target: RigidTransform, nearest: NDArray[np.int32]
+    ) -> Matches | None:
+        """Match points, sensor axes; None where the sensor sees no face. ``nearest`` is updated."""
+        T_target_sensor = T_sensor_target.inv()
+        facing = self._surface.facing(T_target_sensor.translation)
+        if not facing.any():
+            return None
+        local_m = T_target_sensor.apply(points_m)
+        closest_m = self._match_on_surface(local_m, facing, nearest)
+        matched, distance_m = nearest >= 0, np.linalg.norm(local_m - closest_m, axis=1)
+        spread_m = TO_SIGMA * float(np.median(distance_m[matched])) if matched.any() else 0.0
+        gate_m = max(self._config.gate_m, self._config.gate_spread * spread_m)
+        return Matches(local_m, closest_m, self._surface.normals[nearest], matched & (distance_m <= gate_m))
+
+    def _step(self, matches: Matches) -> RigidTransform:
+        if self._config.metric == "point_to_point":
+            return matches.point_to_point()
+        return matches.point_to_plane(self._config.resistance)
+
+    def _covariance(self, matches: Matches, T_sensor_target: RigidTransform) -> FloatArray:
+        """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6)."""
+        config = self._config
+        variance_m2 = max(config.sigma_range_m**2, matches.cost_m2)
+        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
+        spread = np.linalg.inv(matches.information() / variance_m2 + np.diag(weak**-2))
+        to_sensor = np.kron(np.eye(2), T_sensor_target.rotation.as_matrix())
+        covariance: FloatArray = to_sensor @ spread @ to_sensor.T
+        return covariance
+
+
+def _failed(reason: str, iterations: int = 0) -> Registration:
+    return Registration(Source.LIDAR, reason=reason, iterations=iterations)

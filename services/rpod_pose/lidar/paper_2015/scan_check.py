@@ -1,0 +1,70 @@
+"""The self-check of a scan's registration: does the target, cast at the pose, explain the rays?
+
+Rays that come back where none should count against a pose, and so do rays that should and do not: a
+pose that lays its few points on the wrong faces is found out by what it predicts and the scan lacks.
+"""
+
+from math import radians
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_geometry.rays import Hits, RayGrid, cast
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.lidar_methods import ScanComparisonConfig
+from rpod_schemas.types import LidarScan
+from rpod_target import Target
+
+
+class ScanComparison:
+    """Compares organised scans of one pattern with the model.
+
+    Each ray is cast with four neighbours a margin beside it. A return is predicted for certain where all
+    five meet the target, a miss where none does; ranges may lie anywhere between those of the five.
+    """
+
+    def __init__(
+        self,
+        config: ScanComparisonConfig,
+        target: Target,
+        *,
+        azimuth_rad: FloatArray,
+        elevation_rad: FloatArray,
+    ) -> None:
+        self._config, self._target = config, target
+        self._shape = (elevation_rad.size, azimuth_rad.size)
+        reflectivities = np.array([material.reflectivity for material in target.materials])
+        self._reflectivity = reflectivities[target.triangle_material]
+        margin_rad = radians(config.margin_deg)
+        self._grid = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad)
+        self._beside = [
+            RayGrid.azimuth_elevation(azimuth_rad + across * margin_rad, elevation_rad + down * margin_rad)
+            for across, down in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
+        ]
+
+    def explained_share(self, scan: LidarScan, T_sensor_target: RigidTransform) -> float:
+        """Return the share of rays that agree, of those where scan or model say "return".
+
+        NaN for a scan that is not organised in the pattern's rows and columns.
+        """
+        if scan.points_m.shape[:-1] != self._shape:
+            return float("nan")
+        tolerance_m, triangles_m = self._config.tolerance_m, self._target.triangles_m
+        hits = cast(self._grid, triangles_m, T_sensor_target)
+        beside_m = [cast(grid, triangles_m, T_sensor_target).range_m for grid in self._beside]
+        range_m = np.stack((hits.range_m, *beside_m))
+        nearest_m, farthest_m = range_m.min(axis=0), np.where(range_m < np.inf, range_m, 0.0).max(axis=0)
+        measured_m = np.linalg.norm(scan.points_m, axis=-1)
+        agrees = (measured_m > nearest_m - tolerance_m) & (measured_m < farthest_m + tolerance_m)
+        missing = np.isnan(measured_m) & (range_m < np.inf).all(axis=0) & self._bright(hits, T_sensor_target)
+        asked = np.count_nonzero(np.isfinite(measured_m) | missing)
+        return np.count_nonzero(agrees) / asked if asked else float("nan")
+
+    def _bright(self, hits: Hits, T_sensor_target: RigidTransform) -> NDArray[np.bool_]:
+        """Return which rays meet a surface that surely sends them back, shape (rows, columns)."""
+        normals = T_sensor_target.rotation.apply(self._target.normals)
+        cos_incidence = np.abs((normals[hits.triangle] * self._grid.directions).sum(axis=-1))
+        echo = self._reflectivity[hits.triangle] * cos_incidence / hits.range_m.astype(np.float64) ** 2
+        bright: NDArray[np.bool_] = echo > self._config.sure_range_m**-2
+        return bright

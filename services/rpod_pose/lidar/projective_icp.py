@@ -1,0 +1,116 @@
+"""Tracking in scans by casting the target: projective point to plane, from a predicted pose.
+
+A few steps in the target's distance field on some of the returns bring the pose near, a few to the faces on
+all returns finish it (``scan_alignment``). The likelihood of the scan at the pose is the self-check
+(``scan_fit``).
+"""
+
+from math import radians
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.lidar.scan_alignment import settle, spread
+from rpod_pose.lidar.scan_fit import ScanModel
+from rpod_pose.lidar.scan_view import ScanView, SeenScan
+from rpod_pose.ports import Registration
+from rpod_pose.registration.field_alignment import draw_in
+from rpod_pose.registration.surface_model import SurfaceModel
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+from rpod_schemas.poses import pose_of
+from rpod_schemas.types import LidarScan, Source
+from rpod_target import Target
+
+
+class ProjectiveIcp:
+    """Registers scans: ports.Tracker[LidarScan].
+
+    Raises:
+        rpod_target.TargetError: the target has no distance field.
+    """
+
+    def __init__(
+        self,
+        config: ProjectiveIcpConfig,
+        target: Target,
+        *,
+        azimuth_rad: FloatArray,
+        elevation_rad: FloatArray,
+    ) -> None:
+        self._config = config
+        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
+        self._weak = np.diag(weak**-2)
+        self.view = ScanView.of(azimuth_rad, elevation_rad)
+        self.surface = SurfaceModel.of(target)
+        self.model = ScanModel(config.model, config.verdict, self.view, self.surface)
+        middle_m = np.sqrt(config.widest_m * config.narrowest_m)
+        self._far = np.geomspace(config.widest_m, middle_m, config.draw_in_steps)
+        self._near = np.geomspace(middle_m, config.narrowest_m, config.settle_steps)
+
+    def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration from a predicted pose, or the reason why there is none."""
+        seen = self.view.seen(measurement)
+        if seen.returns < self._config.min_points:
+            return _failed(f"{seen.returns} returns, {self._config.min_points} needed")
+        matrix = T_sensor_target.as_matrix()
+        R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()
+        if self.model.agreement(seen, R, t).share < self._config.near_share:
+            R, t = draw_in(seen.thinned(self._config.points), R, t, self.surface.coarse_field, self._far)
+        return self.finish(seen, R, t)
+
+    def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
+        """Return the registration from a pose R, t, sensor axes, that is nearly right."""
+        config, hits = self._config, self.view.hits
+        settled_R, settled_t, information, squares, inliers = settle(
+            seen.points_m,
+            seen.rays,
+            R,
+            t,
+            self.view.grid.arrays,
+            self.surface.faces,
+            self.surface.coarse_field,
+            (
+                config.model.sigma_range_m,
+                config.model.slack_m,
+                config.steep_cosine**2,
+                1.0 / config.outline_m,
+            ),
+            self._near,
+            hits.range_m,
+            hits.triangle,
+        )
+        if inliers < config.min_points:
+            return _failed(f"{inliers} returns on faces, {config.min_points} needed")
+        fit = self.model.fit(seen, settled_R, settled_t)
+        if self.model.log_likelihood(seen, R, t) > fit.log_likelihood:
+            fit = self.model.fit(seen, R, t)  # the faces led astray what the outline had right
+        else:
+            R, t = settled_R, settled_t
+        return Registration(
+            Source.LIDAR,
+            T_sensor_target=pose_of(R, t),
+            reason=self.model.doubt(seen, R, t, fit),
+            judged=True,
+            cost_m2=squares / inliers,
+            inliers=inliers,
+            inlier_share=inliers / seen.returns,
+            explained_share=fit.agreement.share,
+            covariance=self._covariance(information, squares / inliers, inliers, R),
+            iterations=len(self._far) + len(self._near),
+        )
+
+    def _covariance(self, information: FloatArray, cost_m2: float, inliers: int, R: FloatArray) -> FloatArray:
+        """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6).
+
+        That of the normal equations, times the residuals' variance over the assumed one where that is larger,
+        for the degrees of freedom that six unknowns leave.
+        """
+        excess = max(1.0, cost_m2 / self._config.model.sigma_range_m**2)
+        excess *= inliers / max(inliers - 6, 1)
+        covariance: FloatArray = spread(information / excess + self._weak, R)
+        return covariance
+
+
+def _failed(reason: str) -> Registration:
+    return Registration(Source.LIDAR, reason=reason)

@@ -1,0 +1,48 @@
+"""The image of angles to the nearest return that the energies of a scan need."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from rpod_pose.lidar.scan_view import ScanView, SeenScan, spacing_rad
+from rpod_pose.search.energy import CELLS, Image
+from rpod_schemas.arrays import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ReturnDistances:
+    """The squared angle of any ray from the nearest one that came back.
+
+    The image is even in tan(azimuth) and tan(elevation), x/z and y/hypot(x, z): no angle is computed a point.
+    """
+
+    view: ScanView
+    columns: NDArray[np.intp]
+    """Column of the pattern nearest to each column of the image."""
+    rows: NDArray[np.intp]
+    low: tuple[float, float]
+    step: tuple[float, float]
+
+    @classmethod
+    def of(cls, view: ScanView) -> "ReturnDistances":
+        """Return the image's geometry for a pattern."""
+        axes = [_axis(view.azimuth_rad), _axis(view.elevation_rad)]
+        (columns, u0, du), (rows, v0, dv) = axes
+        return cls(view, columns, rows, (u0, v0), (du, dv))
+
+    def image(self, seen: SeenScan) -> Image:
+        """Return squared angles, shape (CELLS, CELLS), and first edge and step of columns, then of rows."""
+        sampling = spacing_rad(self.view.elevation_rad), spacing_rad(self.view.azimuth_rad)
+        distance_rad = distance_transform_edt(seen.range_m == 0.0, sampling=sampling)
+        squares = (distance_rad**2)[np.ix_(self.rows, self.columns)].astype(np.float32)
+        return squares, self.low[0], self.step[0], self.low[1], self.step[1]
+
+
+def _axis(angles_rad: FloatArray) -> tuple[NDArray[np.intp], float, float]:
+    half = spacing_rad(angles_rad) / 2.0
+    low, high = np.tan(angles_rad.min() - half), np.tan(angles_rad.max() + half)
+    step = (high - low) / CELLS
+    middle = np.arctan(low + (np.arange(CELLS) + 0.5) * step)
+    return np.abs(middle[:, None] - angles_rad).argmin(axis=1), float(low), float(step)

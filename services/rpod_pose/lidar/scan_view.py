@@ -1,0 +1,128 @@
+"""A scan laid on the rays of its pattern, as the kernels take it."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rpod_geometry.rays import Hits, RayGrid
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import LidarScan
+
+NEAREST_M, FARTHEST_M = 0.05, 1e5
+"""Ranges beyond these are no returns: many sensors send a point in their origin for none."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenScan:
+    """The returns of one scan and the rays that they belong to."""
+
+    points_m: FloatArray
+    """Finite points, sensor axes, shape (N, 3)."""
+    rays: NDArray[np.int64]
+    """Row-major index of each point's ray, shape (N,); -1 for a point beside the pattern."""
+    range_m: FloatArray
+    """Measured range of each ray, shape (rows, columns), 0 where no return."""
+
+    @property
+    def returns(self) -> int:
+        """Number of points."""
+        return len(self.points_m)
+
+    @property
+    def cut_off(self) -> bool:
+        """Whether the pattern's outermost rays met something: the target may reach beyond them."""
+        image = self.range_m
+        return bool(image[0].any() or image[-1].any() or image[:, 0].any() or image[:, -1].any())
+
+    def thinned(self, count: int) -> FloatArray:
+        """Return at most about ``count`` of the points, evenly taken."""
+        return np.ascontiguousarray(self.points_m[:: max(1, round(self.returns / count))])
+
+    def around(self, radius_m: float) -> "SeenScan":
+        """Return the scan without returns farther than a radius from the middle of all."""
+        middle_m = np.median(self.points_m, axis=0)
+        near = ((self.points_m - middle_m) ** 2).sum(axis=1) <= radius_m**2
+        if near.all():
+            return self
+        image = self.range_m.copy()
+        image.flat[self.rays[~near & (self.rays >= 0)]] = 0.0
+        return SeenScan(self.points_m[near], self.rays[near], image)
+
+    def every(self, stride: int) -> "SeenScan":
+        """Return what every ``stride``-th row and column of the pattern saw."""
+        row, column = np.divmod(self.rays, self.range_m.shape[1])
+        kept = (self.rays >= 0) & (row % stride == 0) & (column % stride == 0)
+        image = np.ascontiguousarray(self.range_m[::stride, ::stride])
+        rays = row[kept] // stride * image.shape[1] + column[kept] // stride
+        return SeenScan(self.points_m[kept], rays, image)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanView:
+    """The rays of a scan pattern."""
+
+    azimuth_rad: FloatArray
+    elevation_rad: FloatArray
+    grid: RayGrid
+    hits: Hits
+    """Buffers that the kernels cast into."""
+
+    @classmethod
+    def of(cls, azimuth_rad: FloatArray, elevation_rad: FloatArray) -> Self:
+        """Return the view of a pattern."""
+        grid = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad)
+        return cls(azimuth_rad, elevation_rad, grid, Hits.of(grid))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.elevation_rad.size, self.azimuth_rad.size
+
+    def every(self, stride: int) -> "ScanView":
+        """Return the view of every ``stride``-th row and column."""
+        return ScanView.of(self.azimuth_rad[::stride].copy(), self.elevation_rad[::stride].copy())
+
+    def seen(self, scan: LidarScan) -> SeenScan:
+        """Return a scan's returns, sorted into rows and columns where they are not organised so."""
+        points_m, places, range_m = returns_of(scan.points_m.reshape(-1, 3))
+        organised = scan.points_m.shape[:-1] == self.shape
+        rays = places if organised else self._nearest_rays(points_m, range_m)
+        image = np.zeros(self.shape)
+        within = rays >= 0
+        image.flat[rays[within]] = range_m[within]
+        return SeenScan(points_m, rays, image)
+
+    def _nearest_rays(self, points_m: FloatArray, range_m: FloatArray) -> NDArray[np.int64]:
+        column, beside = _nearest(self.azimuth_rad, np.arctan2(points_m[:, 0], points_m[:, 2]))
+        row, above = _nearest(self.elevation_rad, np.arcsin(points_m[:, 1] / np.maximum(range_m, 1e-9)))
+        return np.where(beside | above, -1, row * self.azimuth_rad.size + column)
+
+
+@njit(cache=True, nogil=True)
+def returns_of(points):  # type: ignore[no-untyped-def]
+    """Return the points at a believable range, shape (N, 3), their places in the list and their ranges."""
+    places, range_m = np.empty(len(points), np.int64), np.empty(len(points))
+    count = 0
+    for n in range(len(points)):
+        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
+        r = np.sqrt(x * x + y * y + z * z)
+        if NEAREST_M < r < FARTHEST_M:  # NaN is not
+            places[count], range_m[count] = n, r
+            count += 1
+    return points[places[:count]].astype(np.float64), places[:count], range_m[:count]
+
+
+def spacing_rad(angles_rad: FloatArray) -> float:
+    """Return the typical step between a pattern's columns or rows; of a single one 1 degree."""
+    return float(np.median(np.abs(np.diff(angles_rad)))) if angles_rad.size > 1 else np.radians(1.0)
+
+
+def _nearest(angles_rad: FloatArray, asked_rad: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the index of the nearest of a pattern's angles, and whether it is farther than a step."""
+    order = np.argsort(angles_rad)
+    middle = (angles_rad[order][1:] + angles_rad[order][:-1]) / 2.0
+    index = order[np.searchsorted(middle, asked_rad)]
+    return index, np.abs(angles_rad[index] - asked_rad) > spacing_rad(angles_rad)

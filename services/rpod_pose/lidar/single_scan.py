@@ -1,0 +1,56 @@
+"""The pose of a target in one scan, as a function: for notebooks and scripts."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from rpod_pose.lidar.global_search import GlobalSearch
+from rpod_pose.ports import Acquisition
+from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig, ScanModelConfig
+from rpod_schemas.types import LidarInfo, LidarScan
+from rpod_target import Target
+
+
+def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
+    """Find a target in one scan, without a guess, by the facility's own search.
+
+    The first call for a target and a sensor prepares the search, in about a second; the others take
+    milliseconds. A service that configures the search holds a ``GlobalSearch`` instead.
+
+    Args:
+        scan: organised in the sensor's rows and columns, or not.
+        target: with a distance field.
+        sensor: what the LIDAR says of itself: scan pattern and sigma of a range.
+
+    Returns:
+        T_sensor_target as ``pose``, its ``covariance`` of (dp, dtheta) in the sensor's fixed axes, shape
+        (6, 6), the ``verdict``, its ``reason``, and the weighted ``hypotheses``.
+
+    Raises:
+        rpod_target.TargetError: the target has no distance field.
+
+    Example:
+        >>> from rpod_schemas.config.lidar import LidarConfig
+        >>> from rpod_schemas.poses import make_pose
+        >>> from rpod_sim_sensor.lidar import LidarEmulator
+        >>> from rpod_target import load_target
+        >>> target, lidar = load_target("envisat-bulky"), LidarConfig()
+        >>> truth = make_pose(translation_m=[0.0, 0.0, 30.0])
+        >>> returns = LidarEmulator(lidar, target, seed=1).scan([truth], frame=0)
+        >>> scan = LidarScan(stamp_ns=0, frame_id="lidar", points_m=returns.points_m)
+        >>> found = acquire(scan, target, lidar.info())
+        >>> str(found.verdict)
+        'accepted'
+        >>> bool((truth.inv() * found.pose).rotation.magnitude() < 0.01)
+        True
+    """
+    pattern = sensor.azimuth_rad.tobytes(), sensor.elevation_rad.tobytes()
+    return _search(target, pattern, sensor.sigma_range_m).acquire(scan)
+
+
+@lru_cache(maxsize=8)
+def _search(target: Target, pattern: tuple[bytes, bytes], sigma_range_m: float) -> GlobalSearch:
+    model = ScanModelConfig(sigma_range_m=sigma_range_m or ScanModelConfig().sigma_range_m)
+    config = GlobalSearchConfig(tracking=ProjectiveIcpConfig(model=model))
+    azimuth_rad, elevation_rad = (np.frombuffer(angles) for angles in pattern)
+    return GlobalSearch(config, target, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad)

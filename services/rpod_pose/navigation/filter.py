@@ -1,0 +1,269 @@
+"""Error-state Kalman filter of pose and twist, with measurements that may come late.
+
+State: position p and attitude R of the target in chaser axes, v = dp/dt, and w with dR/dt = [w]x R. Error,
+all in chaser axes: (dp, dtheta, dv, dw), estimate minus truth, dtheta = Log(R_est R^T): the pose block of
+the covariance is the one that the ICD publishes (section 1). Values are immutable, functions are pure.
+
+Model: the velocity of the centre of mass and w are random walks. With phi = w dt the error propagates, to
+first order in itself and exactly in phi, as dtheta+ = Exp(phi) dtheta + J_l(phi) dt dw (J_l is the left
+Jacobian of SO(3)). The origin's swing about the centre of mass, at R r from it, is kinematics, not noise:
+a prediction goes to the centre by p + R r and v + w x R r, moves it, and comes back. After an update by
+delta the attitude error is left-multiplied by J_l(delta). Source: J. Sola, Quaternion kinematics for the
+error-state Kalman filter, arXiv:1711.02508, section 7 (errors in global axes), with J_l in place of its
+first-order terms.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_pose.errors import PoseError
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.poses import pose_of, rotation_matrix
+from rpod_schemas.types import Odometry
+
+POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+POSE, TWIST = slice(0, 6), slice(6, 12)
+
+
+class StampOrderError(PoseError):
+    """A prediction backwards in time."""
+
+    def __init__(self, state_ns: int, asked_ns: int) -> None:
+        super().__init__(f"the state is of {state_ns} ns, it cannot be predicted back to {asked_ns} ns")
+
+
+@dataclass(frozen=True, eq=False)
+class FilterState:
+    """What is known at a time."""
+
+    stamp_ns: int
+    T_chaser_target: RigidTransform
+    velocity_m_s: FloatArray
+    """dp/dt of the target's origin, chaser axes, shape (3,)."""
+    rate_rad_s: FloatArray
+    """Rate of the target relative to the chaser, chaser axes, shape (3,)."""
+    covariance: FloatArray
+    """Of (dp, dtheta, dv, dw), shape (12, 12)."""
+    centre_of_mass_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """r, of the target, target axes, shape (3,)."""
+
+
+class Update(NamedTuple):
+    """The outcome of a measurement."""
+
+    state: FilterState
+    """Unchanged where the measurement was rejected."""
+    nis: float
+    """Normalised innovation squared; NaN where the measurement could not be judged."""
+    accepted: bool
+
+
+def start(
+    T_chaser_target: RigidTransform,
+    covariance: FloatArray,
+    stamp_ns: int,
+    *,
+    config: FilterConfig,
+    centre_of_mass_m: FloatArray | None = None,
+) -> FilterState:
+    """Return the state after a first measured pose: no twist is known.
+
+    Args:
+        T_chaser_target: the pose.
+        covariance: of its (dp, dtheta), ICD section 1, shape (6, 6).
+        stamp_ns: when it held.
+        config: noise.
+        centre_of_mass_m: of the target, target axes, shape (3,); its origin where left out.
+    """
+    centre_m = np.zeros(3) if centre_of_mass_m is None else centre_of_mass_m
+    from_centre = np.eye(12)
+    from_centre[VELOCITY, RATE] = _cross_matrix(rotation_matrix(T_chaser_target) @ centre_m)
+    covariance = block_diag(
+        _measurement_noise(covariance, config),
+        config.initial_velocity_sigma_m_s**2 * np.eye(3),
+        np.deg2rad(config.initial_rate_sigma_deg_s) ** 2 * np.eye(3),
+    )
+    return FilterState(
+        stamp_ns=stamp_ns,
+        T_chaser_target=T_chaser_target,
+        velocity_m_s=np.zeros(3),
+        rate_rad_s=np.zeros(3),
+        covariance=_symmetric(from_centre @ covariance @ from_centre.T),
+        centre_of_mass_m=centre_m,
+    )
+
+
+def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterState:
+    """Return the state at a later stamp.
+
+    Raises:
+        StampOrderError: the stamp is earlier than the state's.
+    """
+    if stamp_ns < state.stamp_ns:
+        raise StampOrderError(state.stamp_ns, stamp_ns)
+    if stamp_ns == state.stamp_ns:
+        return state
+    step_s = (stamp_ns - state.stamp_ns) * 1e-9
+    spin, R = _cross_matrix(state.rate_rad_s), rotation_matrix(state.T_chaser_target)
+    phi = state.rate_rad_s * step_s
+    turn = exponential(phi)
+    arm_m = R @ state.centre_of_mass_m
+    arm_after_m = turn @ arm_m
+    centre_m_s = state.velocity_m_s + spin @ arm_m
+
+    F = np.eye(12)
+    F[POSITION, VELOCITY] = step_s * np.eye(3)
+    F[ATTITUDE, ATTITUDE] = turn
+    F[ATTITUDE, RATE] = step_s * left_jacobian(phi)
+    from_centre = np.eye(12) - _swing(arm_after_m, spin)
+    F = F @ (np.eye(12) + _swing(arm_m, spin))
+    covariance = from_centre @ (F @ state.covariance @ F.T + _process_noise(step_s, config)) @ from_centre.T
+    return replace(
+        state,
+        stamp_ns=stamp_ns,
+        T_chaser_target=pose_of(
+            turn @ R, state.T_chaser_target.translation + arm_m + centre_m_s * step_s - arm_after_m
+        ),
+        velocity_m_s=centre_m_s - spin @ arm_after_m,
+        covariance=_symmetric(covariance),
+    )
+
+
+def update(
+    state: FilterState, T_chaser_target: RigidTransform, covariance: FloatArray, *, config: FilterConfig
+) -> Update:
+    """Return the state after a pose measured at the state's stamp, unless the gate rejects it.
+
+    Args:
+        state: predicted to the measurement's stamp.
+        T_chaser_target: the measured pose.
+        covariance: of its (dp, dtheta), ICD section 1, shape (6, 6); one that is not finite is rejected.
+        config: floor, inflation and gate.
+    """
+    innovation = _pose_difference(T_chaser_target, state.T_chaser_target)
+    noise = _measurement_noise(covariance, config)
+    if not (np.isfinite(innovation).all() and np.isfinite(noise).all()):
+        return Update(state, float("nan"), accepted=False)
+
+    S = state.covariance[POSE, POSE] + noise
+    nis = float(innovation @ np.linalg.solve(S, innovation))
+    if not 0.0 <= nis <= config.gate_nis:  # negative: the covariance is not one
+        return Update(state, nis, accepted=False)
+
+    gain = np.linalg.solve(S, state.covariance[POSE]).T
+    correction = gain @ innovation
+    reset = np.eye(12)
+    reset[ATTITUDE, ATTITUDE] = left_jacobian(correction[ATTITUDE])
+    keep = np.eye(12)
+    keep[:, POSE] -= gain
+    joseph = keep @ state.covariance @ keep.T + gain @ noise @ gain.T
+    return Update(
+        replace(_corrected(state, correction), covariance=_symmetric(reset @ joseph @ reset.T)),
+        nis,
+        accepted=True,
+    )
+
+
+def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Odometry:
+    """Return the state as the bus carries it: twist and its covariance in child axes.
+
+    With v_child = R^T v the error is R^T (dv + v x dtheta) to first order, and likewise for the rate, so
+    the twist's covariance takes in its correlation with the attitude error.
+    """
+    R_target_chaser = rotation_matrix(state.T_chaser_target).T
+    jacobian = np.zeros((6, 12))
+    jacobian[0:3, ATTITUDE] = R_target_chaser @ _cross_matrix(state.velocity_m_s)
+    jacobian[3:6, ATTITUDE] = R_target_chaser @ _cross_matrix(state.rate_rad_s)
+    jacobian[0:3, VELOCITY] = jacobian[3:6, RATE] = R_target_chaser
+    return Odometry(
+        stamp_ns=state.stamp_ns,
+        frame_id=frame_id,
+        child_frame_id=child_frame_id,
+        pose=state.T_chaser_target,
+        linear_m_s=R_target_chaser @ state.velocity_m_s,
+        angular_rad_s=R_target_chaser @ state.rate_rad_s,
+        pose_covariance=state.covariance[POSE, POSE].copy(),
+        twist_covariance=_symmetric(jacobian @ state.covariance @ jacobian.T),
+    )
+
+
+def left_jacobian(phi: FloatArray) -> FloatArray:
+    """Return J_l of SO(3), shape (3, 3): Exp(phi + d) = Exp(J_l(phi) d) Exp(phi) to first order in d."""
+    angle = float(np.linalg.norm(phi))
+    if angle < 1e-4:  # the closed form loses digits, the series is exact to them
+        first, second = 0.5, 1.0 / 6.0
+    else:
+        first = 2.0 * (np.sin(0.5 * angle) / angle) ** 2
+        second = (angle - np.sin(angle)) / angle**3
+    cross = _cross_matrix(phi)
+    return np.eye(3) + first * cross + second * cross @ cross
+
+
+def exponential(phi: FloatArray) -> FloatArray:
+    """Return Exp(phi) of SO(3), shape (3, 3), as 1 + [phi]x J_l(phi)."""
+    return np.eye(3) + _cross_matrix(phi) @ left_jacobian(phi)
+
+
+def _orthonormal(R: FloatArray) -> FloatArray:
+    """Return a rotation matrix without the rounding that products of many gather: a Newton step."""
+    return R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)
+
+
+def _pose_difference(T_measured: RigidTransform, T_estimated: RigidTransform) -> FloatArray:
+    """Return (dp, dtheta) of the measured pose from the estimated one, shape (6,)."""
+    turn = rotation_matrix(T_measured) @ rotation_matrix(T_estimated).T
+    turn_rad = Rotation.from_matrix(turn, assume_valid=True).as_rotvec()
+    return np.concatenate([T_measured.translation - T_estimated.translation, turn_rad])
+
+
+def _corrected(state: FilterState, correction: FloatArray) -> FilterState:
+    pose = state.T_chaser_target
+    R = exponential(correction[ATTITUDE]) @ rotation_matrix(pose)
+    return replace(
+        state,
+        T_chaser_target=pose_of(_orthonormal(R), pose.translation + correction[POSITION]),
+        velocity_m_s=state.velocity_m_s + correction[VELOCITY],
+        rate_rad_s=state.rate_rad_s + correction[RATE],
+    )
+
+
+def _measurement_noise(covariance: FloatArray, config: FilterConfig) -> FloatArray:
+    floor = np.repeat([config.position_floor_m**2, np.deg2rad(config.attitude_floor_deg) ** 2], 3)
+    return config.correlation_inflation * (covariance + np.diag(floor))
+
+
+def _swing(arm_m: FloatArray, spin: FloatArray) -> FloatArray:
+    """Return N, shape (12, 12): at the end of an arm on the target errors are 1 + N times those here.
+
+    From p + a and v + w x a with da = dtheta x a, where ``spin`` is [w]x. N N = 0, so the way back is 1 - N.
+    """
+    cross = _cross_matrix(arm_m)
+    N = np.zeros((12, 12))
+    N[POSITION, ATTITUDE] = N[VELOCITY, RATE] = -cross
+    N[VELOCITY, ATTITUDE] = -spin @ cross
+    return N
+
+
+def _process_noise(step_s: float, config: FilterConfig) -> FloatArray:
+    """Return the noise that white accelerations gather in a step, shape (12, 12)."""
+    densities = (config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3)
+    density = np.diag(np.repeat(densities, 3))
+    Q = np.empty((12, 12))
+    Q[POSE, POSE] = step_s**3 / 3.0 * density
+    Q[POSE, TWIST] = Q[TWIST, POSE] = step_s**2 / 2.0 * density
+    Q[TWIST, TWIST] = step_s * density
+    return Q
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    return 0.5 * (matrix + matrix.T)
+
+
+def _cross_matrix(vector: FloatArray) -> FloatArray:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

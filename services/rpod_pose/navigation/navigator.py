@@ -1,0 +1,312 @@
+"""The navigator: a pure state machine from measurements to estimates.
+
+ACQUIRING  --a refined candidate is believed-->             VERIFYING
+VERIFYING  --the next frames agree-->                       TRACKING
+TRACKING   --rejections or silence for too long,
+             or too many frames that contradict-->          LOST
+LOST       --believed near the prediction, or searched-->   VERIFYING
+
+``step(state, measurement) -> (state, output)`` knows neither bus nor clock: the daemon, a replay
+of a log and a Monte-Carlo campaign run this very function.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from math import radians
+from typing import overload
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.measurement import Measurement, Tick
+from rpod_pose.navigation.deskew import as_of_stamp
+from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, start, to_odometry
+from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
+from rpod_pose.ports import Acquisition, Methods, Registration
+from rpod_pose.verification import Record, doubt
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.poses import chained, rotation_matrix
+from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
+from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, Source
+
+BEGINNING = 0.5
+"""Of what may speak against a track, what may do so where one begins: else it would come and go."""
+_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.05
+"""Of a given first pose whose covariance is not given."""
+
+
+class Navigator:
+    """The transitions; its only state is its configuration and what it must know of the target.
+
+    Args:
+        settings: of the estimator.
+        methods: by the sensor's name.
+        centre_of_mass_m: of the target, target axes, shape (3,).
+        alike: turns that map the target onto itself exactly: every estimate is as ambiguous as they are many.
+    """
+
+    def __init__(
+        self,
+        settings: EstimatorSettings,
+        methods: Mapping[str, Methods],
+        *,
+        centre_of_mass_m: FloatArray,
+        alike: Sequence[RigidTransform] = (),
+    ) -> None:
+        self._settings, self._alike = settings, alike
+        self._start_filter = partial(start, config=settings.filter, centre_of_mass_m=centre_of_mass_m)
+        self._limits = settings.navigator
+        self._methods = methods
+
+    def start(
+        self,
+        pose: RigidTransform | None = None,
+        *,
+        covariance: FloatArray | None = None,
+        stamp_ns: int | None = None,
+    ) -> NavigatorState:
+        """Return the first state: searching, or waiting for a frame to verify a given pose."""
+        if pose is None:
+            return NavigatorState()
+        if covariance is None:
+            covariance = np.diag([_GIVEN_SIGMA_M**2] * 3 + [_GIVEN_SIGMA_RAD**2] * 3)
+        return NavigatorState(mode=Mode.VERIFYING, given=GivenPose(pose, covariance, stamp_ns))
+
+    @overload
+    def step(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]: ...
+    @overload
+    def step(self, state: NavigatorState, event: Tick) -> tuple[NavigatorState, Output | None]: ...
+    def step(self, state: NavigatorState, event: Measurement | Tick) -> tuple[NavigatorState, Output | None]:
+        """Return the next state and what is to be published; nothing for a tick that changes nothing."""
+        if isinstance(event, Tick):
+            return self._let_time_pass(state, event)
+        state, output = self._take(replace(state, heard_ns=max(state.heard_ns, event.stamp_ns)), event)
+        if output.odometry is not None:
+            state = replace(state, shown_ns=output.odometry.stamp_ns)
+        return state, output
+
+    def _take(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
+        if state.given is not None:
+            state = self._start_at_given(state, event)
+        if state.mode == Mode.ACQUIRING or state.history is None:
+            return self._acquire(state, event)
+        predicted = state.history.at(event.stamp_ns, self._settings.filter)
+        if predicted is None:
+            return state, self._output(state, event, reason="late: older than the filter reaches back")
+        if state.mode == Mode.LOST:
+            return self._recover(state, predicted, event)
+        return self._track(state, state.history, predicted, event)
+
+    # --- ACQUIRING ---
+
+    def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
+        """Search without a guess; begin where one pose explains the measurement."""
+        found = self._methods[event.sensor].acquirer.acquire(event.data)
+        if found.trackable:
+            return self._begin(state, event, found.registration)
+        return state, self._output(state, event, found.registration, reason=found.reason, found=found)
+
+    def _begin(
+        self, state: NavigatorState, event: Measurement, registration: Registration
+    ) -> tuple[NavigatorState, Output]:
+        pose, covariance = in_chaser(registration, event.T_chaser_sensor)
+        unverified = self._limits.confirmations > 0 or not self._is_credible(state, event)
+        state = replace(
+            state,
+            mode=Mode.VERIFYING if unverified else Mode.TRACKING,
+            history=History(self._start_filter(pose, covariance, event.stamp_ns)),
+            accepted_ns=event.stamp_ns,
+            rejections=0,
+            confirmations=0,
+        )
+        return state, self._output(state, event, registration)
+
+    def _start_at_given(self, state: NavigatorState, event: Measurement) -> NavigatorState:
+        given = state.given
+        assert given is not None  # noqa: S101 - told by the caller
+        stamp_ns = event.stamp_ns if given.stamp_ns is None else min(given.stamp_ns, event.stamp_ns)
+        return replace(
+            state,
+            mode=Mode.VERIFYING,
+            given=None,
+            history=History(self._start_filter(given.T_chaser_target, given.covariance, stamp_ns)),
+            accepted_ns=stamp_ns,
+            confirmations=self._limits.confirmations - 1,
+        )
+
+    # --- VERIFYING and TRACKING ---
+
+    def _track(
+        self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
+    ) -> tuple[NavigatorState, Output]:
+        """Register from the prediction, believe or reject, update the filter."""
+        registration, reason = self._register(event, predicted, tracked=state.mode == Mode.TRACKING)
+        record = state.records.get(event.sensor, Record()).after(registration)
+        state = replace(state, records={**state.records, event.sensor: record})
+        if state.mode == Mode.TRACKING and record.share > self._limits.max_contradicted_share:
+            share = f"{record.share:.0%} of the frames of late speak against what is tracked"
+            state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
+            return self._reject(state, event, registration, reason=f"{share}: {reason}" if reason else share)
+        if reason:
+            return self._reject(state, event, registration, reason=reason)
+        pose, covariance = in_chaser(registration, event.T_chaser_sensor)
+        measured = PoseMeasurement(event.stamp_ns, pose, covariance)
+        grown, nis, accepted = apply(history, measured, self._settings.filter, predicted)
+        if not accepted:
+            state = replace(state, history=grown)  # a late measurement may yet speak for this one
+            return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
+        confirmations = state.confirmations + 1
+        verified = confirmations >= self._limits.confirmations and self._is_credible(state, event)
+        tracking = state.mode == Mode.TRACKING or verified
+        state = replace(
+            state,
+            mode=Mode.TRACKING if tracking else Mode.VERIFYING,
+            history=grown,
+            accepted_ns=max(state.accepted_ns, event.stamp_ns),
+            rejections=0,
+            confirmations=confirmations,
+        )
+        return state, self._output(state, event, registration, nis=nis)
+
+    def _register(
+        self, event: Measurement, predicted: FilterState, *, tracked: bool
+    ) -> tuple[Registration, str]:
+        """Return the registration from the prediction, and why it is not believed.
+
+        Around a prediction that did not do it is searched, unless a track should have done: while no twist is
+        known, or after a gap, the prediction may be far off.
+        """
+        methods = self._methods[event.sensor]
+        T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
+        data = as_of_stamp(event, predicted)
+        registration = methods.tracker.track(data, T_sensor_target)
+        limits = methods.verification
+        why = doubt(registration, limits.while_tracking if tracked else limits)
+        if why and not (tracked and self._is_sharp(predicted)):
+            found = methods.acquirer.near(data, T_sensor_target)
+            if found.trackable:
+                return found.registration, ""
+        return registration, why
+
+    def _is_sharp(self, predicted: FilterState) -> bool:
+        sigma_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[ATTITUDE, ATTITUDE])[-1]))
+        return sigma_rad <= radians(self._limits.vague_deg)
+
+    def _reject(
+        self,
+        state: NavigatorState,
+        event: Measurement,
+        registration: Registration,
+        *,
+        reason: str,
+        nis: float = float("nan"),
+    ) -> tuple[NavigatorState, Output]:
+        """Go on with the prediction; a hypothesis that fails its test is dropped, a track is lost in time."""
+        state = replace(state, rejections=state.rejections + 1)
+        if state.mode == Mode.VERIFYING:
+            state = replace(state, mode=Mode.ACQUIRING, history=None)
+        elif state.mode == Mode.TRACKING and self._lost(state, event.stamp_ns):
+            state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
+        return state, self._output(state, event, registration, reason=reason, nis=nis)
+
+    def _is_credible(self, state: NavigatorState, event: Measurement) -> bool:
+        """Return whether a track may begin: few of the sensor's frames spoke against what was tracked."""
+        share = state.records.get(event.sensor, Record()).share
+        return share <= BEGINNING * self._limits.max_contradicted_share
+
+    def _lost(self, state: NavigatorState, stamp_ns: int) -> bool:
+        silent_s = (stamp_ns - state.accepted_ns) / NANOSECONDS
+        return (
+            silent_s > self._limits.rejection_timeout_s and state.rejections >= self._limits.rejected_frames
+        )
+
+    # --- LOST ---
+
+    def _recover(
+        self, state: NavigatorState, predicted: FilterState, event: Measurement
+    ) -> tuple[NavigatorState, Output]:
+        """Look near the prediction first, then everywhere."""
+        if (event.stamp_ns - state.lost_ns) / NANOSECONDS <= self._limits.near_search_s:
+            registration, why = self._register(event, predicted, tracked=False)
+            if not why:
+                return self._begin(state, event, registration)
+        return self._acquire(state, event)
+
+    def _let_time_pass(self, state: NavigatorState, tick: Tick) -> tuple[NavigatorState, Output | None]:
+        silent_s = (tick.stamp_ns - state.heard_ns) / NANOSECONDS
+        if state.mode != Mode.TRACKING or silent_s <= self._limits.silence_timeout_s:
+            return state, None
+        state = replace(state, mode=Mode.LOST, lost_ns=tick.stamp_ns)
+        status = EstimatorStatus(
+            stamp_ns=tick.stamp_ns,
+            frame_id=CHASER,
+            mode=Mode.LOST,
+            reason=f"no measurement for {silent_s:.1f} s",
+        )
+        return state, Output(status, None)
+
+    # --- results ---
+
+    def _output(
+        self,
+        state: NavigatorState,
+        event: Measurement,
+        registration: Registration | None = None,
+        *,
+        reason: str = "",
+        nis: float = float("nan"),
+        found: Acquisition | None = None,
+    ) -> Output:
+        measured = registration or Registration(Source.NONE)
+        hypotheses = self._hypotheses(state, event, found)
+        status = EstimatorStatus(
+            stamp_ns=event.stamp_ns,
+            frame_id=CHASER,
+            mode=state.mode,
+            source=measured.source,
+            sensor=event.sensor,
+            accepted=not reason,
+            reason=reason,
+            cost_m2=measured.cost_m2,
+            nis=nis,
+            inliers=measured.inliers,
+            inlier_share=measured.inlier_share,
+            ambiguous=len(hypotheses) > 1,
+            hypotheses=hypotheses,
+        )
+        if state.mode != Mode.TRACKING or state.history is None:
+            return Output(status, None)
+        newest = state.history.state
+        stamp_ns = max(event.stamp_ns, newest.stamp_ns, state.shown_ns)
+        shown = predict(newest, stamp_ns, self._settings.filter)
+        return Output(status, to_odometry(shown, frame_id=CHASER, child_frame_id=TARGET_ESTIMATE))
+
+    def _hypotheses(
+        self, state: NavigatorState, event: Measurement, found: Acquisition | None
+    ) -> tuple[Hypothesis, ...]:
+        """Return T_chaser_target of what explains the frame: as acquired, or by the target's exact turns."""
+        if found is not None:
+            return tuple(
+                Hypothesis(pose=event.T_chaser_sensor * item.pose, weight=item.weight)
+                for item in found.hypotheses
+            )
+        if not self._alike or state.history is None:
+            return ()
+        pose = state.history.state.T_chaser_target
+        poses = (pose, *(pose * turn for turn in self._alike))
+        return tuple(Hypothesis(pose=pose, weight=1.0 / len(poses)) for pose in poses)
+
+
+def in_chaser(
+    registration: Registration, T_chaser_sensor: RigidTransform
+) -> tuple[RigidTransform, FloatArray]:
+    """Return pose and covariance of a registration in the chaser's axes (ICD section 1)."""
+    assert registration.T_sensor_target is not None  # noqa: S101 - told by the caller
+    R = rotation_matrix(T_chaser_sensor)
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = R
+    return chained(T_chaser_sensor, registration.T_sensor_target), turn @ registration.covariance @ turn.T

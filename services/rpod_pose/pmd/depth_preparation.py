@@ -1,0 +1,237 @@
+"""Depth made ready for the methods: frames of another camera refused, distances unwrapped and calibrated.
+
+A PMD camera measures the radial distance modulo c / 2f, and with a systematic error of its own. Neither is a
+matter of tracking: ``PreparedTracker`` and ``PreparedAcquirer`` wrap a method and hand it frames whose depth
+is the true one but for noise.
+
+A distance is moved by whole unambiguous ranges c / 2f only where that brings it into the target's bounding
+sphere, so background, glints and what needs no unwrapping stay as they are. Where the target is comes from
+the prediction; without one, from the mean phase of the image, which leaves the multiple open. Then those
+multiples are searched, nearest first, at which what is seen is as large as the target can be: a wrong one
+scales what is seen by half or more, and no pose of the target explains that.
+"""
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from scipy.spatial.transform import RigidTransform
+
+from rpod_geometry.errors import DistortionError
+from rpod_geometry.rays import RayGrid
+from rpod_pose.pmd.camera_check import difference
+from rpod_pose.ports import Acquirer, Acquisition, Registration, Tracker, Verdict
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.depth_calibration import DepthCalibration, unambiguous_range_m
+from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.types import Camera, Float32Array, PmdFrame, Source
+from rpod_target import Target
+
+_FARTHEST_M = 15.0
+"""How far away the target is looked for without a prediction: beyond, too little light comes back."""
+_MARGIN_M = 0.5
+"""Around the target's sphere, for what a prediction may be off."""
+_LEAST_CONCENTRATION = 0.3
+"""Length of the phasors' mean below which an image has no distance: 0 is everywhere, 1 is one place."""
+_SPREAD = (0.1, 0.75)
+"""RMS spread of a target's image across the line of sight over its radius: less is too small to be it, more
+than it can be, a disc having 0.71."""
+_LONGEST = 1.02
+"""Longest distance that a wrapping camera gives over its unambiguous range, with its offset and rounding."""
+_STEP_M = 0.001
+_END_M = 30.0
+"""Step and end of the table of corrections: 5 MHz, the lowest frequency in use, is unambiguous up to here."""
+_ROUNDS = 40
+"""Of the inversion of a calibration; the error's slope is at most 0.5, so each halves what is wrong."""
+_SAME = 1e-3
+"""Relative difference of two frequencies that are the same."""
+
+
+class DepthPreparation:
+    """What the configuration and the frame itself tell of a camera's distances, applied to its frames."""
+
+    def __init__(self, sensor: PmdInput, target: Target) -> None:
+        self._sensor, self._radius_m = sensor, target.radius_m
+        self._corrections_m = corrections(sensor.calibration)
+
+    def refusal(self, frame: PmdFrame) -> str:
+        """Return why a frame is of another camera than the configured one; empty where it is not."""
+        if self._sensor.camera is not None and (why := difference(frame.camera, self._sensor.camera)):
+            return f"camera_info: {why} in the configuration"
+        (name, first), *others = self._frequencies(frame) or [("", ())]
+        for other, hertz in others:
+            if len(hertz) != len(first) or not np.allclose(hertz, first, rtol=_SAME, atol=0.0):
+                return f"modulation_frequency_hz: {name} says {_mhz(first)}, {other} says {_mhz(hertz)}"
+        return ""
+
+    def predicted(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> PmdFrame:
+        """Return a frame, unwrapped around a predicted pose and calibrated."""
+        range_m = float(np.linalg.norm(T_sensor_target.translation))
+        return self._applied(frame, range_m, self._radius_m + _MARGIN_M)
+
+    def possible(self, frame: PmdFrame) -> Iterator[PmdFrame]:
+        """Yield a frame as it may have been before it was wrapped, nearest first, calibrated."""
+        found = self._seen_at(frame) if self._interval_m(frame) else None
+        if found is None:
+            yield self._applied(frame, 0.0, 0.0)
+            return
+        range_m, spread = found
+        ranges_m = np.arange(range_m, max(_FARTHEST_M, range_m + 1e-3), self._interval_m(frame)).tolist()
+        least, most = (share * self._radius_m for share in _SPREAD)
+        fitting_m = [distance_m for distance_m in ranges_m if least <= spread * distance_m <= most]
+        for distance_m in fitting_m or ranges_m[:1]:
+            yield self._applied(frame, distance_m, 2.0 * self._radius_m)
+
+    def _frequencies(self, frame: PmdFrame) -> list[tuple[str, tuple[float, ...]]]:
+        """Return who tells the modulation frequencies, and which; the first is believed."""
+        sensor, info, calibration = self._sensor, frame.info, self._sensor.calibration
+        told = (
+            (f"{sensor.name}/info", tuple(info.modulation_frequency_hz) if info else ()),
+            ("the configuration", sensor.modulation_frequency_hz),
+            ("the calibration", calibration.modulation_frequency_hz if calibration else ()),
+        )
+        return [(name, hertz) for name, hertz in told if hertz]
+
+    def _interval_m(self, frame: PmdFrame) -> float:
+        """Return the unambiguous range, 0 where nothing is to be unwrapped."""
+        known = self._frequencies(frame)
+        if self._sensor.unwrapping == "none" or not known:
+            return 0.0
+        _, hertz = known[0]
+        return unambiguous_range_m(hertz[0]) if len(hertz) == 1 else 0.0
+
+    def _seen_at(self, frame: PmdFrame) -> tuple[float, float] | None:
+        """Return the mean distance modulo c / 2f and the RMS spread of the slopes, if there is a distance."""
+        cosine = _cosines_of(frame.camera)
+        row, column = np.nonzero(np.isfinite(frame.depth_m) & (frame.depth_m > 0.0))
+        if cosine is None or not row.size:
+            return None
+        interval_m = self._interval_m(frame)
+        phase_rad = 2.0 * np.pi / interval_m * frame.depth_m[row, column] / cosine[row, column]
+        mean = np.exp(1j * phase_rad).mean()
+        if abs(mean) < _LEAST_CONCENTRATION:
+            return None
+        near = np.cos(phase_rad - np.angle(mean)) > 0.0
+        spread = np.hypot(np.std(column[near]) / frame.camera.fx, np.std(row[near]) / frame.camera.fy)
+        return float(np.angle(mean) % (2.0 * np.pi) / (2.0 * np.pi) * interval_m), float(spread)
+
+    def _applied(self, frame: PmdFrame, range_m: float, reach_m: float) -> PmdFrame:
+        cosine, interval_m = _cosines_of(frame.camera), self._interval_m(frame)
+        if cosine is None or (self._sensor.calibration is None and not interval_m):
+            return frame  # what is wrong with the lens, the method says
+        depth_m = np.empty(frame.depth_m.shape, np.float32)
+        _prepare(frame.depth_m, cosine, (range_m, reach_m, interval_m), self._corrections_m, depth_m)
+        return frame.model_copy(update={"depth_m": depth_m})
+
+
+class PreparedTracker:
+    """A tracker of depth images behind the preparation: ports.Tracker."""
+
+    def __init__(self, tracker: Tracker[PmdFrame], preparation: DepthPreparation) -> None:
+        self._tracker, self._preparation = tracker, preparation
+
+    def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
+        """Register the prepared frame; refused where it is of another camera."""
+        if why := self._preparation.refusal(measurement):
+            return Registration(Source.NONE, reason=why)
+        return self._tracker.track(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
+
+
+class PreparedAcquirer:
+    """An acquirer of depth images behind the preparation: ports.Acquirer."""
+
+    def __init__(self, acquirer: Acquirer[PmdFrame], preparation: DepthPreparation) -> None:
+        self._acquirer, self._preparation = acquirer, preparation
+
+    def acquire(self, measurement: PmdFrame) -> Acquisition:
+        """Return the first multiple of the unambiguous range at which the target is found, else the first."""
+        if why := self._preparation.refusal(measurement):
+            return _refused(why)
+        failed: Acquisition | None = None
+        for prepared in self._preparation.possible(measurement):
+            found = self._acquirer.acquire(prepared)
+            if found.verdict is not Verdict.FAILED:
+                return found
+            failed = failed or found
+        assert failed is not None  # noqa: S101 - one is always possible
+        return failed
+
+    def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
+        """Search around a pose, which tells the multiple."""
+        if why := self._preparation.refusal(measurement):
+            return _refused(why)
+        return self._acquirer.near(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
+
+
+def corrections(calibration: DepthCalibration | None) -> Float32Array:
+    """Return measured minus true distance by the measured one, every mm from 0 to 30 m."""
+    if calibration is None:
+        return np.zeros(1, np.float32)
+    measured_m = np.arange(0.0, _END_M, _STEP_M)
+    return (measured_m - calibrated(calibration, measured_m)).astype(np.float32)
+
+
+def calibrated(calibration: DepthCalibration, measured_m: FloatArray) -> FloatArray:
+    """Return the true radial distances t of measured ones m, any shape; they solve t = m - error(t)."""
+    true_m = measured_m
+    for _ in range(_ROUNDS):
+        true_m = measured_m - calibration.error_m(true_m)
+    return true_m
+
+
+def _mhz(hertz: tuple[float, ...]) -> str:
+    return " and ".join(f"{frequency / 1e6:g}" for frequency in hertz) + " MHz"
+
+
+def _refused(why: str) -> Acquisition:
+    return Acquisition(Verdict.FAILED, Registration(Source.NONE, reason=why), reason=why)
+
+
+def _cosines_of(camera: Camera) -> Float32Array | None:
+    """Return z-depth over radial distance of every pixel; None where the lens has no inverse."""
+    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+    return _cosines((camera.width, camera.height), intrinsics, tuple(camera.distortion))
+
+
+@lru_cache(maxsize=8)
+def _cosines(
+    size: tuple[int, int], intrinsics: tuple[float, float, float, float], distortion: tuple[float, ...]
+) -> Float32Array | None:
+    (width, height), (fx, fy, cx, cy) = size, intrinsics
+    lens = np.zeros(5)
+    if len(distortion) > lens.size:
+        return None
+    lens[: len(distortion)] = distortion
+    camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
+    try:
+        cosine: Float32Array = RayGrid.pinhole(camera).components[2].astype(np.float32)
+    except DistortionError:
+        return None
+    return cosine
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _prepare(depth_m, cosine, unwrapping, corrections_m, out_m):  # type: ignore[no-untyped-def]
+    """Fill ``out_m``: by whole intervals into the sphere, less the correction; no depth stays none."""
+    range_m, reach_m, interval_m = unwrapping
+    turns_per_m = np.float32(1.0 / interval_m if interval_m > 0.0 else 0.0)
+    range_m, reach_m, interval_m = np.float32(range_m), np.float32(reach_m), np.float32(interval_m)
+    longest_m, nothing = interval_m * np.float32(_LONGEST), np.float32(0.0)
+    steps_per_m, last = np.float32(1.0 / _STEP_M), np.float32(corrections_m.size - 1)
+    depths, cosines, out = depth_m.ravel(), cosine.ravel(), out_m.ravel()
+    for pixel in range(depths.size):
+        depth = depths[pixel]
+        if not nothing < depth < np.float32(np.inf):
+            out[pixel] = depth
+            continue
+        measured_m, shift_m = depth / cosines[pixel], nothing
+        if measured_m <= longest_m and abs(measured_m - range_m) > reach_m:
+            shift_m = interval_m * np.rint((range_m - measured_m) * turns_per_m)
+            if shift_m < nothing or abs(measured_m + shift_m - range_m) > reach_m:
+                shift_m = nothing
+        index = np.int32(min((measured_m + shift_m) * steps_per_m + np.float32(0.5), last))
+        shift_m -= corrections_m[index]
+        out[pixel] = (
+            depth + shift_m * cosines[pixel] if measured_m + shift_m > nothing else np.float32(np.nan)
+        )

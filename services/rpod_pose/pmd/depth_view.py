@@ -1,0 +1,187 @@
+"""What a depth camera would see of the target: the rays of its pixels, and render and compare.
+
+The model is rendered on every few pixels only, exactly along those pixels' rays; that is enough to tell which
+model points are hidden and whether a pose explains an image.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_geometry.errors import DistortionError
+from rpod_geometry.lens import distort
+from rpod_geometry.rays import RayGrid, cast
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_methods import DepthComparisonConfig, DepthImageConfig
+from rpod_schemas.types import Camera, Float32Array, PmdFrame
+from rpod_target import Target
+
+PLUMB_BOB = 5
+HIDDEN_M = 0.03
+"""A model point farther than the rendered surface around it by more than this is hidden."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well a pose explains a depth image."""
+
+    explained_share: float
+    """Of the pixels where model or measurement say "surface", the weighted share where they agree."""
+    cost_m2: float
+    """Mean squared difference of the same pixels, truncated at the tolerance, which one-sided ones cost."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthView:
+    """The pixels' rays of one camera; build it by ``of``."""
+
+    camera: Camera
+    slopes: FloatArray
+    """x/z and y/z of every pixel's ray, undistorted, shape (height, width, 2)."""
+    coarse: RayGrid
+    """The rays of every ``stride``-th pixel, from ``offset`` on."""
+    stride: int
+    offset: int
+
+    @classmethod
+    def of(cls, camera: Camera, stride: int) -> "DepthView":
+        """Return the view of a camera, kept from frame to frame.
+
+        Raises:
+            rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted.
+        """
+        intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+        return _view((camera.width, camera.height), intrinsics, tuple(camera.distortion), stride)
+
+    def project(self, points_m: FloatArray) -> FloatArray:
+        """Return the pixels, column and row, of points in sensor axes with z > 0, shape (N, 2)."""
+        u, v = distort(points_m[:, :2].T / points_m[:, 2], self.camera)
+        return np.column_stack((u * self.camera.fx + self.camera.cx, v * self.camera.fy + self.camera.cy))
+
+    def render(self, target: Target, T_sensor_target: RigidTransform) -> FloatArray:
+        """Return the z-depth of the target on the coarse pixels, inf where it is not."""
+        closed = target.field is not None
+        hits = cast(self.coarse, target.triangles_m, T_sensor_target, cull_back_faces=closed)
+        depth_m: FloatArray = hits.range_m * self.coarse.components[2]
+        return depth_m
+
+    def inside(self, pixels: FloatArray) -> NDArray[np.bool_]:
+        """Return which pixels, column and row, shape (N, 2), lie in the image."""
+        size = np.array((self.camera.width, self.camera.height))
+        within: NDArray[np.bool_] = np.all((pixels >= -0.5) & (pixels < size - 0.5), axis=1)
+        return within
+
+    def hidden(self, rendered_m: FloatArray, points_m: FloatArray, pixels: FloatArray) -> NDArray[np.bool_]:
+        """Return which points lie behind the rendered surface on all four coarse pixels around them."""
+        rows, columns = rendered_m.shape
+        cell = np.floor((pixels - self.offset) / self.stride)
+        column = np.clip(cell[:, 0], 0, columns - 2).astype(np.intp)
+        row = np.clip(cell[:, 1], 0, rows - 2).astype(np.intp)
+        around = [rendered_m[row + down, column + right] for down in (0, 1) for right in (0, 1)]
+        behind: NDArray[np.bool_] = points_m[:, 2] > np.max(around, axis=0) + HIDDEN_M
+        return behind
+
+
+@lru_cache(maxsize=8)
+def _view(
+    size: tuple[int, int],
+    intrinsics: tuple[float, float, float, float],
+    distortion: tuple[float, ...],
+    stride: int,
+) -> DepthView:
+    (width, height), (fx, fy, cx, cy) = size, intrinsics
+    lens = np.resize((*distortion, *np.zeros(PLUMB_BOB)), PLUMB_BOB)
+    camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
+    offset = min(stride // 2, width - 1, height - 1)
+    thinned = Camera(
+        width=len(range(offset, width, stride)),
+        height=len(range(offset, height, stride)),
+        fx=fx / stride,
+        fy=fy / stride,
+        cx=(cx - offset) / stride,
+        cy=(cy - offset) / stride,
+        distortion=lens,
+    )
+    x, y, z = RayGrid.pinhole(camera).components
+    return DepthView(camera, np.stack((x / z, y / z), axis=-1), RayGrid.pinhole(thinned), stride, offset)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """One depth image and the view it was taken with; ``usable_image`` makes it from a frame."""
+
+    view: DepthView
+    depth_m: Float32Array
+    """z-depth, shape (height, width), NaN for everything that is no depth: 0, negative, infinite, ghosts."""
+    coarse_m: Float32Array
+    """z-depth on the view's coarse pixels: the median of each and its neighbours, NaN where most lack it."""
+
+    def points(self, count: int) -> FloatArray:
+        """Return at most ``count`` points of the coarse pixels in sensor axes, shape (N, 3)."""
+        view = self.view
+        measured = np.flatnonzero(np.isfinite(self.coarse_m))
+        if len(measured) > count:
+            measured = measured[np.linspace(0, len(measured) - 1, count).astype(np.intp)]
+        z = self.coarse_m.ravel()[measured].astype(np.float64)
+        slopes = view.slopes[view.offset :: view.stride, view.offset :: view.stride].reshape(-1, 2)
+        return np.column_stack((slopes[measured] * z[:, None], z))
+
+    def compare(
+        self, target: Target, T_sensor_target: RigidTransform, config: DepthComparisonConfig
+    ) -> Agreement:
+        """Compare the image with what a pose predicts, on the view's coarse pixels."""
+        measured, rendered = self.coarse_m, self.view.render(target, T_sensor_target)
+        seen, predicted = np.isfinite(measured), np.isfinite(rendered)
+        either, both = seen | predicted, seen & predicted
+        if not either.any():
+            return Agreement(0.0, config.tolerance_m**2)
+        difference = np.full(measured.shape, config.tolerance_m)
+        difference[both] = np.minimum(np.abs(measured[both] - rendered[both]), config.tolerance_m)
+        weight = np.where(seen, 1.0, config.missing_weight)[either]
+        total = max(weight.sum(), 1e-9)
+        return Agreement(
+            explained_share=float(weight @ (difference[either] < config.tolerance_m) / total),
+            cost_m2=float(weight @ difference[either] ** 2 / total),
+        )
+
+
+def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
+    """Return a frame's depth, copied and without ghosts, or why it cannot be used."""
+    measured = np.isfinite(frame.depth_m) & (frame.depth_m > 0.0)
+    if frame.amplitude is not None:
+        measured &= frame.amplitude >= config.ghost_share * frame.amplitude.mean(dtype=np.float64)
+    pixels = np.count_nonzero(measured)
+    if pixels < config.min_pixels:
+        return f"{pixels} pixels with depth, {config.min_pixels} needed"
+    if frame.camera.distortion[PLUMB_BOB:].any():
+        return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+    try:
+        view = DepthView.of(frame.camera, config.stride_px)
+    except DistortionError as error:
+        return str(error)
+    depth_m = np.where(measured, frame.depth_m, np.float32(np.nan))
+    return DepthImage(view, depth_m, thinned(depth_m, view.stride, view.offset))
+
+
+@njit(cache=True, nogil=True)
+def thinned(depth, stride, offset):  # type: ignore[no-untyped-def]
+    """Return every ``stride``-th pixel of a depth image, each the median of itself and its eight neighbours.
+
+    A pixel has depth where most of the nine have one: an outline stays where it is, and noise, which under
+    the sun exceeds what model and measurement may differ by, is lower.
+    """
+    height, width = depth.shape
+    rows, columns = (height - offset - 1) // stride + 1, (width - offset - 1) // stride + 1
+    coarse = np.full((rows, columns), np.nan, np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            row, column = offset + i * stride, offset + j * stride
+            block = depth[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].copy().ravel()
+            valid = block[np.isfinite(block)]
+            if 2 * valid.size > block.size:
+                coarse[i, j] = np.median(valid)
+    return coarse

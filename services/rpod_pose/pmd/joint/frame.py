@@ -1,0 +1,216 @@
+"""A PMD frame as the joint tracker looks at it: points of its depth, and its amplitude around the target."""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rpod_geometry.errors import DistortionError
+from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView
+from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_joint import JointConfig, JointEdgeConfig
+from rpod_schemas.types import Camera, PmdFrame
+
+MARGIN_PX = 16
+"""Around the target's sphere."""
+FILLED = 0.4
+"""Share of the square around its sphere that a target typically fills."""
+STRIDES_PX = 3, 8
+"""Least and greatest distance of two points in the image."""
+SPARSE = 4
+"""Every how many pixels the image's mean is taken from, and depth is counted."""
+MIN_PATCH = 3
+"""Rows and columns of which edges can be told."""
+LIT_SHARE = 0.25
+"""Of the median amplitude: darker pixels do not tell the noise."""
+CHANGE_SIGMAS = 3.0
+"""Of the noise: a lesser change of amplitude does not count as an edge."""
+_NO_PATCH = np.zeros((1, 1), np.float32), np.zeros(2), 1.0, 0.0
+Patch = tuple[NDArray[np.float32], FloatArray, float, float]
+"""As ``JointFrame.patch``."""
+_Window = tuple[slice, slice]
+"""Rows and columns."""
+OUTER = 4
+"""Of the nine pixels' ranges, in order, this part is left out at each end: the mean of the others stands."""
+MIDDLE_OVER_MEAN = 1.06
+"""Standard deviation of that mean over the one of all, for normal errors."""
+NEAR_M, FARTHEST_M = 0.05, 1e3
+"""Depths beyond these are none."""
+FEWEST = 3
+"""Of nine depths: fewer are an outline's or a ghost's."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointFrame:
+    """One frame as the kernels take it."""
+
+    view: DepthView
+    range_m: FloatArray
+    """Of the coarse pixels, shape (rows, columns), NaN for none."""
+    sigma_m: FloatArray
+    """Standard deviation of their noise, same shape."""
+    shade: FloatArray
+    """Their amplitude, same shape; 0 where a glint wiped it out, NaN where there is none."""
+    typical: float
+    """Median amplitude of the pixels with depth; 0 where these are too few."""
+    points_m: FloatArray
+    """Sensor axes, shape (N, 3)."""
+    trust: FloatArray
+    """Weight of each point, 0 to 1: less for one that is dark for the frame's noise, shape (N,)."""
+    patch: Patch
+    """Smoothed amplitude around the target, column and row of its first pixel, change that counts, and the
+    noise of a change."""
+
+    @classmethod
+    def of(
+        cls, frame: PmdFrame, t: FloatArray, *, radius_m: float, config: JointConfig
+    ) -> "JointFrame | str":
+        """Return a frame for a target expected at ``t``, shape (3,), m, or why nothing can be made of it."""
+        if frame.camera.distortion[PLUMB_BOB:].any():
+            return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+        around = _around(frame.camera, t, radius_m)
+        radius_px = frame.camera.fx * radius_m / max(t[2], 1e-3)
+        stride = _stride(frame, around, radius_px=radius_px, points=config.depth.points)
+        try:
+            view = DepthView.of(frame.camera, stride)
+        except DistortionError as error:
+            return str(error)
+        amplitude = np.ones_like(frame.depth_m) if frame.amplitude is None else frame.amplitude
+        sparse = slice(None, None, SPARSE)
+        lit = np.where(frame.depth_m[sparse, sparse] > 0.0, amplitude[sparse, sparse], 0.0)
+        least = config.ghost_share * float(lit.mean())
+        range_m, sigma_m, strengths, shade = coarse_ranges(
+            frame.depth_m, amplitude, least, view.coarse.components[2], view.stride, view.offset
+        )
+        range_m[sigma_m > config.check.most_noise_m] = np.nan
+        measured = np.flatnonzero(np.isfinite(range_m))
+        if len(measured) > config.depth.points:
+            measured = measured[np.linspace(0, len(measured) - 1, config.depth.points).astype(np.intp)]
+        rays = view.coarse.components.reshape(3, -1)[:, measured]
+        points_m = np.ascontiguousarray((rays * range_m.ravel()[measured]).T)
+        strength = strengths.ravel()[measured]
+        typical = float(np.median(strength)) if len(measured) else 1.0
+        trust = _trust(sigma_m.ravel()[measured], strength, config.depth.noise_m)
+        typical = typical if len(measured) >= config.verdict.min_points else 0.0
+        patch = _NO_PATCH
+        if frame.amplitude is None:
+            shade[:] = np.nan
+        else:
+            patch = _patch(frame.amplitude, around, typical=typical, config=config.edges)
+        return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch)
+
+    @property
+    def lens(self) -> FloatArray:
+        """Focal lengths, centre and distortion of the camera as for ``edge_search.imaged``."""
+        camera = self.view.camera
+        return np.array((camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion))
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        """Stride and offset of the coarse pixels, px."""
+        return self.view.stride, self.view.offset
+
+
+def _trust(sigma_m: FloatArray, strength: FloatArray, other_m: float) -> FloatArray:
+    """Return the weight of points: what else is wrong with a range, over that and its noise, squared.
+
+    Noise goes by one over the amplitude; each point's own is told too badly by its few pixels.
+    """
+    scale_m = float(np.median(sigma_m * strength)) if len(strength) else 0.0
+    return 1.0 / (1.0 + (scale_m / (other_m * np.maximum(strength, 1e-9))) ** 2)
+
+
+def _stride(frame: PmdFrame, around: _Window, *, radius_px: float, points: int) -> int:
+    """Return every how many pixels what depth the target has holds the points wanted."""
+    camera = frame.camera
+    filled = FILLED * min(camera.width, 2.0 * radius_px) * min(camera.height, 2.0 * radius_px)
+    left = SPARSE**2 * int(np.count_nonzero(frame.depth_m[around][::SPARSE, ::SPARSE] > 0.0))
+    return int(np.clip(np.sqrt(min(filled, left) / points), *STRIDES_PX))
+
+
+def _around(camera: Camera, t: FloatArray, radius_m: float) -> _Window:
+    """Return the rows and columns around the target's sphere; all where it is close."""
+    if t[2] <= 2.0 * radius_m:
+        return slice(0, camera.height), slice(0, camera.width)
+    radius = radius_m / (t[2] - radius_m)
+    column, row = camera.fx * t[0] / t[2] + camera.cx, camera.fy * t[1] / t[2] + camera.cy
+    across, down = camera.fx * radius + MARGIN_PX, camera.fy * radius + MARGIN_PX
+    return (
+        slice(max(int(row - down), 0), min(int(row + down), camera.height)),
+        slice(max(int(column - across), 0), min(int(column + across), camera.width)),
+    )
+
+
+def _patch(
+    amplitude: NDArray[np.generic], around: _Window, *, typical: float, config: JointEdgeConfig
+) -> Patch:
+    """Return the smoothed amplitude around the target, its first pixel, a change's least and noise.
+
+    What is typical where depth is left is a start only: that may be on the dark parts alone.
+    """
+    rows, columns = around
+    part = np.nan_to_num(amplitude[around].astype(np.float32))
+    if min(part.shape) < MIN_PATCH:
+        return _NO_PATCH
+    typical = typical_of(part, typical or float(np.median(part[part >= part.mean()])))
+    if typical <= 0.0:
+        return _NO_PATCH
+    noise = noise_of_change(config.blur_px) * noise_of(part, LIT_SHARE * typical)
+    np.minimum(part, config.clip * typical, out=part)
+    smooth: NDArray[np.float32] = cv2.GaussianBlur(part, (0, 0), config.blur_px)  # type: ignore[assignment]
+    least = max(config.least_contrast * typical, CHANGE_SIGMAS * noise)
+    return smooth, np.array((columns.start, rows.start), float), least, noise
+
+
+@njit(cache=True, nogil=True)
+def coarse_ranges(depth, amplitude, least, rays_z, stride, offset):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return what every ``stride``-th pixel and its neighbours show, four arrays of shape (rows, columns).
+
+    They are the middle range, m, NaN where fewer than ``FEWEST`` of the nine have depth or the amplitude is
+    too low; its standard deviation, m, told by how the nine differ; the pixel's own amplitude where it has a
+    range, else 0; and the nine's mean amplitude.
+
+    Args:
+        depth: z-depth, shape (height, width), m; NaN or 0 for none.
+        amplitude: shape (height, width).
+        least: amplitude below which depth does not count.
+        rays_z: z of the coarse pixels' unit rays, shape (rows, columns).
+        stride: px.
+        offset: of the first coarse pixel, px.
+    """
+    height, width = depth.shape
+    ranges, sigmas = np.full(rays_z.shape, np.nan), np.zeros(rays_z.shape)
+    strengths, shades = np.zeros(rays_z.shape), np.zeros(rays_z.shape)
+    nine = np.empty(9)
+    for i in range(rays_z.shape[0]):
+        for j in range(rays_z.shape[1]):
+            row, column = offset + i * stride, offset + j * stride
+            count, pixels, light, total, squares = 0, 0, 0.0, 0.0, 0.0
+            for v in range(max(row - 1, 0), min(row + 2, height)):
+                for u in range(max(column - 1, 0), min(column + 2, width)):
+                    pixels += 1
+                    light += amplitude[v, u]
+                    z = np.float64(depth[v, u])
+                    if not NEAR_M < z < FARTHEST_M:
+                        continue
+                    k = count
+                    while k > 0 and nine[k - 1] > z:
+                        nine[k] = nine[k - 1]
+                        k -= 1
+                    nine[k] = z
+                    count += 1
+                    total += z
+                    squares += z * z
+            shades[i, j] = light / pixels
+            if count >= FEWEST and amplitude[row, column] >= least:
+                outer = count // OUTER
+                middle = nine[outer : count - outer].mean()
+                variance = max(squares - total * total / count, 0.0) / (count - 1)
+                ranges[i, j] = middle / rays_z[i, j]
+                sigmas[i, j] = MIDDLE_OVER_MEAN * math.sqrt(variance / count)
+                strengths[i, j] = amplitude[row, column]
+    return ranges, sigmas, strengths, shades

@@ -1,0 +1,212 @@
+"""Tracking in depth and amplitude at once: signed distance of the points, places of the edges.
+
+A prediction that has the edges in their places needs the last, narrow steps only: a wider search may take one
+for its neighbour, and where there is little depth that draws the pose away first. One that has many of them
+near needs a few wider steps before; one that explains the depth fairly all of them; any other is first drawn
+in on depth alone, which needs no edge to be near its place. Where the result is in doubt, for depth may agree
+before the attitude does, the wider start is tried too. The self-check asks both images: with a wrong camera
+matrix, another target or a mirrored image the depth may agree, the edges do not. Where one image says
+nothing, the other goes on alone, and the source says so.
+"""
+
+from collections.abc import Iterator
+from math import radians
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_geometry.rays import Hits, cast_pose
+from rpod_pose.pmd.depth_view import DepthView
+from rpod_pose.pmd.frame_check import Contradictions, contradictions
+from rpod_pose.pmd.joint.edge_consistency import edge_doubt, edges_in_place, scale_doubt
+from rpod_pose.pmd.joint.edge_model import EdgeModel
+from rpod_pose.pmd.joint.fit import NEAREST_M, agreement, align, in_place
+from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.rendering import Rendering
+from rpod_pose.ports import Registration
+from rpod_pose.registration.distance_field import field_arrays
+from rpod_pose.registration.field_alignment import draw_in
+from rpod_pose.registration.surface_model import SurfaceModel
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.poses import pose_of
+from rpod_schemas.types import PmdFrame, Source
+from rpod_target import Target
+
+MOST_WIDER = 3.0
+"""Close by, edges of a good prediction are farther off: so many times the last search's reach at most."""
+
+
+class JointTracker:
+    """Registers PMD frames: ports.Tracker[PmdFrame].
+
+    Args:
+        config: its parameters.
+        target: what to look for.
+        calibrated: whether the depth is, so that less of it is doubted.
+
+    Raises:
+        rpod_target.TargetError: the target has no distance field.
+    """
+
+    def __init__(self, config: JointConfig, target: Target, *, calibrated: bool = False) -> None:
+        self._config, self._target = config, target
+        self._ranges = config.depth.calibrated if calibrated else config.depth.raw
+        edges = EdgeModel.of(target, spacing_m=config.edges.spacing_share * target.radius_m)
+        self._model = np.ascontiguousarray(target.triangles_m), field_arrays(target), edges.arrays
+        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
+        self._weak = np.diag(np.append(weak**-2, 0.0))
+        scales_m = np.geomspace(config.depth.scale_m, config.depth.final_scale_m, config.iterations)
+        reaches_px = np.geomspace(config.edges.search_px, config.edges.final_search_px, config.iterations)
+        coarse = np.column_stack((scales_m, reaches_px))
+        self._sharp = np.tile(coarse[-1], (config.near_iterations, 1))
+        self._near = np.vstack((coarse[-config.near_iterations :], self._sharp))
+        self._fair = np.vstack((coarse, self._sharp))
+        self._far = np.geomspace(config.far_scale_m, config.depth.scale_m, config.far_iterations)
+        self._coarse = SurfaceModel.of(target).coarse_field
+        self._buffers: dict[tuple[int, int], Hits] = {}
+
+    def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration from a predicted pose, or the reason why there is none."""
+        matrix = T_sensor_target.as_matrix()
+        R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()
+        seen = JointFrame.of(measurement, t, radius_m=self._target.radius_m, config=self._config)
+        if isinstance(seen, str):
+            return Registration(Source.PMD_JOINT, reason=seen)
+        registration = Registration(Source.PMD_JOINT, reason="nothing to see")
+        for start in self._starts(seen, R, t):
+            registration = self._registered(seen, *start)
+            if not registration.reason:
+                break
+        return registration
+
+    def _starts(
+        self, seen: JointFrame, R: FloatArray, t: FloatArray
+    ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Yield poses to start from and the steps to do there, the fewest that may do first."""
+        config = self._config
+        share, in_place = self._explained(seen, R, t), self._in_place(seen, R, t)
+        if in_place >= config.near_share:
+            yield R, t, self._sharp if in_place >= config.sharp_share else self._near
+        if share >= config.fair_share or len(seen.points_m) < config.verdict.min_points:
+            yield R, t, self._fair
+        if len(seen.points_m) >= config.verdict.min_points:
+            every = max(1, round(len(seen.points_m) / config.far_points))
+            few_m = np.ascontiguousarray(seen.points_m[::every])
+            yield *draw_in(few_m, R, t, self._coarse, self._far), self._fair
+
+    def _registered(
+        self, seen: JointFrame, R: FloatArray, t: FloatArray, schedule: FloatArray
+    ) -> Registration:
+        config, view = self._config, seen.view
+        R, t, information, points, squares, edges, asked, expected, bias = align(
+            seen.points_m,
+            seen.trust,
+            R,
+            t,
+            self._model,
+            seen.patch,
+            (view.coarse.arrays, seen.grid, seen.lens),
+            schedule,
+            (
+                config.depth.noise_m,
+                float(config.depth.effective_points),
+                self._ranges.bias_m,
+                self._ranges.uneven_m,
+                config.slack_m,
+            ),
+            (config.edges.sigma_px, float(config.edges.effective_edges)),
+            self._buffers_of(view),
+        )
+        if points < config.verdict.min_points and asked < config.verdict.min_edges:
+            reason = f"nothing to see: {points} points on the target, {asked} places of edges"
+            return Registration(Source.PMD_JOINT, reason=reason)
+        contrary = self._contradictions(seen, R, t, bias)
+        in_place = edges_in_place(
+            config.verdict, edges=edges, expected=expected, asked=asked, points=len(seen.points_m)
+        )
+        reason = self._verdict(contrary, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
+        to_sensor = np.zeros((6, 6))
+        to_sensor[:3, :3] = to_sensor[3:, 3:] = R
+        covariance = np.linalg.inv(information + self._weak)[:6, :6]
+        covariance *= max(1.0, self._fills(seen, t)) ** 2  # errors of fewer parts cancel out less
+        return Registration(
+            self._source(points, asked),
+            T_sensor_target=pose_of(R, t),
+            reason=reason,
+            contradicted=bool(reason) or in_place < config.verdict.weak_edge_share,
+            judged=True,
+            cost_m2=squares / max(points, 1),
+            inliers=points + edges,
+            inlier_share=(points + edges) / max(len(seen.points_m) + asked, 1),
+            explained_share=contrary.explained_share,
+            covariance=to_sensor @ covariance @ to_sensor.T,
+            iterations=len(schedule),
+        )
+
+    def _explained(self, seen: JointFrame, R: FloatArray, t: FloatArray) -> float:
+        """Return the share of the pixels that agree with a predicted pose."""
+        agreeing, asked = agreement(
+            seen.range_m,
+            seen.sigma_m,
+            seen.view.coarse.arrays,
+            self._model[0],
+            R,
+            t,
+            self._config.near_m,
+            self._config.missing_weight,
+            self._buffers_of(seen.view),
+        )
+        return agreeing / asked if asked else 0.0
+
+    def _in_place(self, seen: JointFrame, R: FloatArray, t: FloatArray) -> float:
+        """Return the share of the edges that lie where a predicted pose, as rendered, has them."""
+        config, view = self._config, seen.view
+        agreeing, expected, asked = in_place(
+            self._model[2],
+            R,
+            t,
+            seen.lens,
+            seen.grid,
+            self._buffers_of(view)[0],
+            seen.patch,
+            config.edges.final_search_px * float(np.clip(2.0 * self._fills(seen, t), 1.0, MOST_WIDER)),
+            config.edges.sigma_px,
+        )
+        return agreeing / max(expected, 1.0) if asked >= config.verdict.min_edges else 0.0
+
+    def _contradictions(
+        self, seen: JointFrame, R: FloatArray, t: FloatArray, bias_m: float
+    ) -> Contradictions:
+        view, buffers = seen.view, self._buffers_of(seen.view)
+        cast_pose(view.coarse.arrays, self._model[0], R, t, True, *buffers)
+        rendered = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._model[0], R, t)
+        images = seen.range_m, seen.sigma_m, seen.shade
+        return contradictions(images, rendered, self._config.check, typical=seen.typical, bias_m=bias_m)
+
+    def _fills(self, seen: JointFrame, t: FloatArray) -> float:
+        """Return the target's radius over the image's smaller side: from 1 on few of its parts are seen."""
+        camera = seen.view.camera
+        radius_px = camera.fx * self._target.radius_m / max(float(t[2]), NEAREST_M)
+        return radius_px / min(camera.width, camera.height)
+
+    def _source(self, points: int, edges: int) -> Source:
+        if edges < self._config.verdict.min_edges:
+            return Source.PMD_DEPTH
+        return Source.PMD_JOINT if points >= self._config.verdict.min_points else Source.PMD_AMPLITUDE
+
+    def _verdict(self, contrary: Contradictions, in_place: float, *, bias_m: float, range_m: float) -> str:
+        """Return why a pose is not believed, empty if it is."""
+        limits, sigma_m = self._config.verdict, self._ranges.bias_m
+        return (
+            contrary.doubt(self._config.check)
+            or edge_doubt(limits, in_place)
+            or scale_doubt(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m)
+        )
+
+    def _buffers_of(self, view: DepthView) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        shape = view.coarse.shape
+        if shape not in self._buffers:
+            self._buffers[shape] = Hits.of(view.coarse)
+        return self._buffers[shape].range_m, self._buffers[shape].triangle

@@ -1,0 +1,266 @@
+"""ICP with reverse calibration: matches are looked up in the depth image, around the projected model.
+
+Klionovska et al., "Close Range Tracking of an Uncooperative Target in a Sequence of PMD Images", Robotics
+2018, 7, 5, sections 3.2.1 and 3.2.2 (Figs. 5 and 6, Eq. 4), with two metrics:
+
+``point_to_point`` is the paper's. Each visible model point is projected with the camera's calibration, the
+pixels within a radius are searched for the measured point nearest to it, and the rigid motion that minimises
+the distances of all pairs follows in closed form. On a plane the nearest neighbours stay where they are, so
+it lags behind a turning target, and slides along one that is seen obliquely until it has lost it.
+
+``point_to_plane`` is ours. Where depth close to the model point lies under its pixel and the neighbours, only
+the distance of their mean along the model's normal counts, so faces slide freely. Where it does not
+(background, lost depth, a jump), model and image disagree on an outline, and the model point is drawn to its
+nearest neighbour within the radius, but only along the line between the two: the outline may slide along
+itself. These pairs carry the roll about the boresight. Measured points that the model leaves uncovered pull
+from the other side, by the target's distance field. Weights are robust; radius, direct match and scale narrow
+from step to step.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_pose.pmd.depth_result import Progress, conclude
+from rpod_pose.pmd.depth_view import DepthImage, DepthView, usable_image
+from rpod_pose.pmd.signed_distance import measured_equations
+from rpod_pose.ports import Registration
+from rpod_pose.registration.lie_group import moved, step_between, step_length_m
+from rpod_pose.registration.normal_equations import NormalEquations, add_residual
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig
+from rpod_schemas.types import PmdFrame, Source
+from rpod_target import Target
+
+NO_MATCH, DIRECT, NEAREST = 0, 1, 2
+NEAR_M = 0.05
+STALE_M = 0.01
+"""After a longer step it is asked anew which model points are visible."""
+EQUAL_WEIGHTS_M = 1e3
+"""A Geman-McClure scale at which every match weighs the same."""
+FEWEST_BENEATH = 2
+"""Points that make a direct match: one alone is too noisy, and beside an outline it may be mixed."""
+NARROWING = 0.75
+"""Radius and scale shrink by this from iteration to iteration."""
+
+
+@njit(cache=True, nogil=True)
+def mean_beneath(point, column, row, image, near):  # type: ignore[no-untyped-def]
+    """Return the mean of the points near ``point`` under a pixel and its neighbours; zeros if few are."""
+    depth, slopes = image
+    top, bottom = max(row - 1, 0), min(row + 2, depth.shape[0])
+    left, right = max(column - 1, 0), min(column + 2, depth.shape[1])
+    x, y, z, count = 0.0, 0.0, 0.0, 0
+    for v in range(top, bottom):
+        for u in range(left, right):
+            d = depth[v, u]
+            px, py = slopes[v, u, 0] * d, slopes[v, u, 1] * d
+            if (px - point[0]) ** 2 + (py - point[1]) ** 2 + (d - point[2]) ** 2 < near * near:
+                x, y, z, count = x + px, y + py, z + d, count + 1
+    if count < FEWEST_BENEATH:
+        return 0.0, 0.0, 0.0
+    return x / count, y / count, z / count
+
+
+@njit(cache=True, nogil=True)
+def find_matches(points, pixels, image, radius, near):  # type: ignore[no-untyped-def]
+    """Return the measured point of each model point, shape (N, 3), and how it was found, shape (N,).
+
+    Args:
+        points: model points in sensor axes, (N, 3).
+        pixels: their projections, column and row, (N, 2).
+        image: z-depth with NaN, (height, width), and x/z and y/z of the pixels, (height, width, 2).
+        radius: of the neighbour search, px.
+        near: points under a pixel and its neighbours that are nearer than the first, m: their mean is the
+            match (0 always searches); no match is longer than the second, m.
+    """
+    (depth, slopes), (direct, gate) = image, near
+    height, width = depth.shape
+    matched, kind = np.zeros(points.shape), np.zeros(points.shape[0], np.uint8)
+    for n in range(points.shape[0]):
+        column, row = round(pixels[n, 0]), round(pixels[n, 1])
+        if not (0 <= column < width and 0 <= row < height):
+            continue
+        x, y, z = points[n]
+        beneath = mean_beneath(points[n], column, row, image, direct)
+        if beneath[2] > 0.0:
+            matched[n, 0], matched[n, 1], matched[n, 2] = beneath
+            kind[n] = DIRECT
+            continue
+        if column < radius or row < radius or column + radius >= width or row + radius >= height:
+            continue  # the neighbourhood is cut by the image's border: the nearest point may lie beyond it
+        best = gate * gate
+        for v in range(row - radius, row + radius + 1):
+            half = int(np.sqrt(radius * radius - (v - row) ** 2))
+            for u in range(column - half, column + half + 1):
+                d = depth[v, u]
+                distance = (slopes[v, u, 0] * d - x) ** 2 + (slopes[v, u, 1] * d - y) ** 2 + (d - z) ** 2
+                if distance < best:
+                    best = distance
+                    matched[n, 0], matched[n, 1], matched[n, 2] = slopes[v, u, 0] * d, slopes[v, u, 1] * d, d
+                    kind[n] = NEAREST
+    return matched, kind
+
+
+@njit(cache=True, nogil=True)
+def match_equations(model, normals, matched, kind, weighting):  # type: ignore[no-untyped-def]
+    """Return the sums of ``NormalEquations``: residuals along the normal, or the match.
+
+    Args:
+        model: model points, target axes, (N, 3).
+        normals: of the model points, (N, 3).
+        matched: the measured points in target axes, (N, 3).
+        kind: how each was found, (N,).
+        weighting: Geman-McClure scale, m, and the weight of a nearest match beside a direct one.
+    """
+    scale, outline_weight = weighting
+    information, gradient, row = np.zeros((6, 6)), np.zeros(6), np.empty(6)
+    weights, squares, inliers, c2 = 0.0, 0.0, 0, scale * scale
+    for n in range(model.shape[0]):
+        if kind[n] == NO_MATCH:
+            continue
+        s, axis = matched[n], normals[n]
+        e = s - model[n]
+        relative = 1.0
+        if kind[n] == NEAREST:
+            axis, relative = e / max(np.sqrt((e * e).sum()), 1e-9), outline_weight
+        residual = (axis * e).sum()
+        weight = relative * (c2 / (c2 + residual * residual)) ** 2
+        row[0], row[1], row[2] = -axis[0], -axis[1], -axis[2]
+        row[3] = axis[1] * s[2] - axis[2] * s[1]
+        row[4] = axis[2] * s[0] - axis[0] * s[2]
+        row[5] = axis[0] * s[1] - axis[1] * s[0]
+        add_residual(information, gradient, row, residual, weight)
+        weights += weight
+        if residual * residual < c2:
+            inliers += 1
+            squares += residual * residual
+    return information, gradient, weights, squares, inliers
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Visible model points and what was measured of them."""
+
+    model_m: FloatArray
+    """Target axes, shape (N, 3)."""
+    normals: FloatArray
+    """Of the model points, shape (N, 3)."""
+    measured_m: FloatArray
+    """The measured points in sensor axes, shape (N, 3)."""
+    kind: NDArray[np.uint8]
+    """NO_MATCH, DIRECT or NEAREST, shape (N,)."""
+
+    def __len__(self) -> int:
+        return int(np.count_nonzero(self.kind))
+
+    def equations(
+        self, T_sensor_target: RigidTransform, *, scale_m: float, outline_weight: float
+    ) -> NormalEquations:
+        """Return the normal equations at a pose."""
+        measured_m, weighting = T_sensor_target.inv().apply(self.measured_m), (scale_m, outline_weight)
+        return NormalEquations(*match_equations(self.model_m, self.normals, measured_m, self.kind, weighting))
+
+    def best_motion(self) -> RigidTransform:
+        """Return the pose with the least sum of the pairs' squared distances (Eq. 4; Kabsch's solution)."""
+        found = self.kind != NO_MATCH
+        model, measured = self.model_m[found], self.measured_m[found]
+        U, _, Vt = np.linalg.svd((measured - measured.mean(axis=0)).T @ (model - model.mean(axis=0)))
+        R = Rotation.from_matrix(U @ np.diag((1.0, 1.0, np.linalg.det(U @ Vt))) @ Vt)
+        return RigidTransform.from_components(measured.mean(axis=0) - R.apply(model.mean(axis=0)), R)
+
+
+class ReverseCalibrationIcp:
+    """Registers depth images by ICP with reverse calibration: ports.Tracker[PmdFrame].
+
+    Raises:
+        rpod_target.TargetError: ``cover_points`` are asked for and the target has no distance field.
+    """
+
+    def __init__(self, config: IcpReverseCalibrationConfig, target: Target) -> None:
+        self._config, self._target = config, target
+        self._slides = config.metric == "point_to_plane"
+        if self._slides and config.cover_points:
+            target.require_field()
+
+    def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration from a predicted pose, or the reason why there is none."""
+        config = self._config
+        image = usable_image(measurement, config.image)
+        if isinstance(image, str):
+            return Registration(Source.PMD_DEPTH, reason=image)
+        measured_m = image.points(config.cover_points if self._slides else 0)
+        progress, shown = Progress(T_sensor_target), np.empty(0, np.intp)
+        while progress.iterations < config.iterations and not self._settled(progress):
+            if progress.step_m > STALE_M:
+                shown = self._shown(image.view, progress.T_sensor_target)
+            progress = self._advanced(progress, image, shown, measured_m)
+        return conclude(progress, image, self._target, config)
+
+    def _width(self, iteration: int) -> float:
+        """Return the share of their first values that radius, direct match and scale have in an iteration."""
+        return max(NARROWING**iteration, self._config.final_share) if self._slides else 1.0
+
+    def _settled(self, progress: Progress) -> bool:
+        config = self._config
+        wide = self._slides and self._width(progress.iterations - 1) > config.final_share
+        small = progress.step_m < config.step_m or progress.sums.cost_m2 < config.error_m2
+        return bool(progress.reason) or (small and not wide)
+
+    def _shown(self, view: DepthView, T_sensor_target: RigidTransform) -> NDArray[np.intp]:
+        """Return the indices of the model points that the camera would see at a pose."""
+        target = self._target
+        camera_m = T_sensor_target.inv().translation
+        sight_m = camera_m - target.model_points_m
+        cosine = (sight_m * target.model_normals).sum(axis=1) / np.linalg.norm(sight_m, axis=1)
+        facing = cosine > self._config.min_cosine
+        points_m = T_sensor_target.apply(target.model_points_m)
+        shown = np.flatnonzero(facing & (points_m[:, 2] > NEAR_M))
+        pixels = view.project(points_m[shown])
+        rendered_m = view.render(target, T_sensor_target)
+        return shown[view.inside(pixels) & ~view.hidden(rendered_m, points_m[shown], pixels)]
+
+    def _advanced(
+        self, progress: Progress, image: DepthImage, shown: NDArray[np.intp], measured_m: FloatArray
+    ) -> Progress:
+        """Return the progress after one more iteration."""
+        T, width = progress.T_sensor_target, self._width(progress.iterations)
+        pairs = self._paired(image, shown, T, width)
+        if len(pairs) < self._config.min_matches:
+            reason = f"{len(pairs)} model points matched, {self._config.min_matches} needed"
+            return replace(progress, reason=reason)
+        if self._slides:
+            scale_m = width * self._config.scale_m
+            sums = pairs.equations(T, scale_m=scale_m, outline_weight=self._config.outline_weight)
+            sums += measured_equations(self._target, measured_m, T, scale_m)
+            step = sums.step()
+        else:
+            sums = pairs.equations(T, scale_m=EQUAL_WEIGHTS_M, outline_weight=1.0)
+            step = step_between(T, pairs.best_motion())
+        return Progress(
+            moved(T, step),
+            sums=sums,
+            points=len(shown) + len(measured_m),
+            step_m=step_length_m(step, self._target.radius_m),
+            iterations=progress.iterations + 1,
+        )
+
+    def _paired(
+        self, image: DepthImage, shown: NDArray[np.intp], T_sensor_target: RigidTransform, width: float
+    ) -> Pairs:
+        """Find the measured points of model points."""
+        config = self._config
+        model_m = self._target.model_points_m[shown]
+        points_m = T_sensor_target.apply(model_m)
+        near_m = (width * config.direct_m if self._slides else 0.0, config.gate_m)
+        measured_m, kind = find_matches(
+            points_m,
+            image.view.project(points_m),
+            (image.depth_m, image.view.slopes),
+            round(width * config.radius_px),
+            near_m,
+        )
+        return Pairs(model_m, self._target.model_normals[shown], measured_m, kind)

@@ -1,0 +1,237 @@
+"""What one PMD frame shows of the target, on every few pixels: depth, amplitude, and what is merely lit.
+
+Depth is lost where the target is dark, glints or is seen at a grazing angle, but the amplitude lives on, and
+against the black sky it draws the outline.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, uniform_filter
+
+from rpod_geometry.errors import DistortionError
+from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView, thinned
+from rpod_pose.search.energy import CELLS, Image
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_search import PmdSceneConfig
+from rpod_schemas.types import Camera, Float32Array, PmdFrame
+
+DARKEST_PERCENT = 2.0
+"""Percentile of the amplitudes of pixels with depth that counts as the darkest of them."""
+SEGMENTATION_ROUNDS = 5
+REACH = 1.5
+"""Radii of the target within which all of it that is seen lies around the middle of what is seen."""
+SKY_SPREADS, LEAST_AMPLITUDE = 9.0, 1.0
+"""Median absolute deviations of the sky, six standard ones, above which a pixel is lit; counts."""
+MOST_GLINTS = 0.9
+"""Zeros that are a larger share of the dark pixels are the sky's, of an amplitude that has no noise left."""
+WIPED, TOUCHED = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
+"""A glint is no smaller than the one, and changes medians as far as the other reaches."""
+MEDIAN_OVER_MEAN = 1.25
+"""Standard deviation of a median of normal errors over that of their mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class PmdScene:
+    """A frame's coarse pixels; ``scene_of`` makes it."""
+
+    view: DepthView
+    range_m: Float32Array
+    """Distance along the ray, 0 where there is none, shape (rows, columns)."""
+    sigma_m: Float32Array
+    """Standard deviation of the noise of a range, told by the neighbours, shape (rows, columns)."""
+    amplitude: Float32Array
+    """Median of each pixel and its neighbours; 0 where there is none, or a glint touches it."""
+    lit: NDArray[np.bool_]
+    """Where depth or amplitude show something."""
+    blind: NDArray[np.bool_]
+    """Where a glint wiped out both: there may be surface or not."""
+    least_amplitude: float
+    """From which on a pixel is lit; infinite where there is no amplitude to tell."""
+    points_m: FloatArray
+    """The measured points of the target, sensor axes, shape (N, 3)."""
+
+    @property
+    def outlined(self) -> bool:
+        """Whether an amplitude tells what shows something without having a depth."""
+        return bool(np.isfinite(self.least_amplitude))
+
+    def thinned(self, count: int) -> FloatArray:
+        """Return about ``count`` points, evenly over the image."""
+        chosen = np.linspace(0, len(self.points_m) - 1, min(count, len(self.points_m))).astype(np.intp)
+        return self.points_m[chosen]
+
+    def middle_m(self) -> FloatArray:
+        """Return the centroid of what is seen, where depth is lost at the nearest depth, shape (3,)."""
+        nearest = distance_transform_edt(self.range_m == 0.0, return_distances=False, return_indices=True)
+        shown = self.lit | self.blind
+        middle: FloatArray = (self.view.coarse.components * self.range_m[*nearest])[:, shown].mean(axis=1)
+        return middle
+
+    def distances(self) -> Image:
+        """Return ``energy.Image`` of the squared angles from what is lit."""
+        view = self.view
+        rad_per_px = view.stride / view.camera.fx, view.stride / view.camera.fy
+        distance_rad = distance_transform_edt(~(self.lit | self.blind), sampling=rad_per_px[::-1])
+        pixel, low, step = _cells(view)
+        squares = (distance_rad**2).astype(np.float32).ravel()[pixel]
+        return squares, low[0], step[0], low[1], step[1]
+
+
+@lru_cache(maxsize=8)
+def _cells(view: DepthView) -> tuple[NDArray[np.intp], tuple[float, float], tuple[float, float]]:
+    """Return the coarse pixel of each cell of an ``energy.Image``, and its first edges and steps.
+
+    Its columns are even in x/z, its rows in y/hypot(x, z).
+    """
+    x, y, z = view.coarse.components
+    u, v = x / z, y / np.hypot(x, z)
+    low, high = (float(u.min()), float(v.min())), (float(u.max()), float(v.max()))
+    step = ((high[0] - low[0]) / CELLS, (high[1] - low[1]) / CELLS)
+    middle_v, middle_u = np.meshgrid(
+        *(low[axis] + (np.arange(CELLS) + 0.5) * step[axis] for axis in (1, 0)), indexing="ij"
+    )
+    upwards = middle_v * np.hypot(middle_u, 1.0)
+    rays = np.stack((middle_u, upwards, np.ones((CELLS, CELLS))), axis=-1).reshape(-1, 3).astype(np.float64)
+    coarse = np.rint((view.project(rays) - view.offset) / view.stride).astype(np.intp)
+    rows, columns = view.coarse.shape
+    pixel = coarse[:, 1].clip(0, rows - 1) * columns + coarse[:, 0].clip(0, columns - 1)
+    return pixel.reshape(CELLS, CELLS), low, step
+
+
+def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> PmdScene | str:
+    """Return what a frame shows of a target of this radius, or why it cannot be used."""
+    strange = _strange_camera(frame.camera, config)
+    if strange:
+        return strange
+    shown, dim = _measured(frame, config), np.inf
+    if frame.amplitude is not None and shown.any():
+        dim = config.lit_share * float(np.percentile(frame.amplitude[shown], DARKEST_PERCENT))
+    bright = shown if frame.amplitude is None else shown | (frame.amplitude > dim)
+    stride = round(np.sqrt(np.count_nonzero(bright) / config.pixels))
+    try:
+        view = DepthView.of(frame.camera, int(np.clip(stride, 1, config.most_stride_px)))
+    except DistortionError as error:
+        return str(error)
+    shown_m = np.where(shown, frame.depth_m, np.float32(np.nan))
+    depth_m = thinned(shown_m, view.stride, view.offset)
+    rays = view.coarse.components
+    range_m = np.nan_to_num(depth_m / rays[2], nan=0.0).astype(np.float32)
+    nearby = _around(rays, range_m, REACH * radius_m)
+    amplitude, lit, blind, least = _amplitudes(frame.amplitude, view, range_m == 0.0, dim)
+    range_m = np.where(nearby, range_m, np.float32(0.0))
+    points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
+    if len(points_m) < config.min_points:
+        return f"{len(points_m)} points on {view.stride} px strides, {config.min_points} needed"
+    sigma_m = spread(shown_m, view.stride, view.offset, depth_m.shape)
+    return PmdScene(view, range_m, sigma_m, amplitude, lit | nearby, blind & ~nearby, least, points_m)
+
+
+def _amplitudes(
+    amplitude: NDArray[np.uint16] | None, view: DepthView, unmeasured: NDArray[np.bool_], dim: float
+) -> tuple[Float32Array, NDArray[np.bool_], NDArray[np.bool_], float]:
+    """Return PmdScene's amplitudes, what without depth is lit and what blind, and the least that is lit.
+
+    Args:
+        amplitude: of all pixels, shape (H, W).
+        view: the coarse pixels.
+        unmeasured: those without depth, shape (rows, columns).
+        dim: amplitude that is lit in any case; infinite where nothing is known.
+    """
+    if amplitude is None or not np.isfinite(dim):
+        none = np.zeros(unmeasured.shape, bool)
+        return np.zeros(unmeasured.shape, np.float32), none, none, np.inf
+    every = (slice(view.offset, None, view.stride),) * 2
+    touched = _touched(amplitude, dim)[every]
+    smooth = uniform_filter(amplitude.astype(np.float32), 3)
+    least = _least_amplitude(smooth[every][unmeasured & ~touched], dim)
+    median = np.where(touched, 0, cv2.medianBlur(amplitude, 3)[every]).astype(np.float32)
+    lit = unmeasured & (median > least)
+    return median, lit, touched & ~lit, least
+
+
+def _strange_camera(camera: Camera, config: PmdSceneConfig) -> str:
+    """Return why a camera matrix cannot belong to the image; empty if it may.
+
+    A principal point that is off shears the depth image by so little that the image itself does not tell.
+    """
+    if camera.distortion[PLUMB_BOB:].any():
+        return f"distortion has {len(camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+    off = max(abs((camera.cx + 0.5) / camera.width - 0.5), abs((camera.cy + 0.5) / camera.height - 0.5))
+    if not off <= config.most_off_centre:
+        return (
+            f"the camera matrix is another image's: principal point ({camera.cx:.1f}, {camera.cy:.1f}) in an "
+            f"image of {camera.width} x {camera.height}"
+        )
+    if not 1.0 <= max(camera.fx / camera.fy, camera.fy / camera.fx) <= config.most_oblong:
+        return f"the camera matrix is another image's: focal lengths {camera.fx:.1f} and {camera.fy:.1f} px"
+    return ""
+
+
+def _measured(frame: PmdFrame, config: PmdSceneConfig) -> NDArray[np.bool_]:
+    measured: NDArray[np.bool_] = np.isfinite(frame.depth_m) & (frame.depth_m > 0.0)
+    if frame.amplitude is not None:
+        measured &= frame.amplitude >= config.ghost_share * frame.amplitude.mean(dtype=np.float64)
+    return measured
+
+
+def _least_amplitude(dark: Float32Array, most: float) -> float:
+    """Return the amplitude that the sky does not have, if it is the most of what has no depth; shape (N,)."""
+    most = max(most, LEAST_AMPLITUDE)
+    if not dark.size:
+        return most
+    middle = float(np.median(dark))
+    spread = float(np.median(np.abs(dark - middle)))
+    return float(np.clip(middle + SKY_SPREADS * spread, LEAST_AMPLITUDE, most))
+
+
+def _touched(amplitude: NDArray[np.uint16], dim: float) -> NDArray[np.bool_]:
+    """Return which pixels a glint wipes out or is beside, shape (H, W).
+
+    A glint fills both taps of a pixel and leaves no difference: exactly zero, all around, which a sky with
+    noise never is.
+    """
+    wiped = (cv2.dilate(amplitude, WIPED) == 0).astype(np.uint8)
+    if np.count_nonzero(wiped) > MOST_GLINTS * np.count_nonzero(amplitude <= dim):
+        return np.zeros(amplitude.shape, bool)
+    return cv2.dilate(wiped, TOUCHED) > 0
+
+
+def _around(rays: FloatArray, range_m: Float32Array, radius_m: float) -> NDArray[np.bool_]:
+    """Return which pixels measure something within the radius of their centre, found from those within."""
+    measured = range_m > 0.0
+    points_m = (rays * range_m)[:, measured].T
+    near = np.ones(len(points_m), bool)
+    for _ in range(SEGMENTATION_ROUNDS if len(points_m) else 0):
+        near = np.linalg.norm(points_m - np.median(points_m[near], axis=0), axis=1) < radius_m
+        if not near.any():
+            break
+    kept = np.zeros(range_m.shape, bool)
+    kept[measured] = near
+    return kept
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spread(depth, stride, offset, shape):  # type: ignore[no-untyped-def]
+    """Return the standard deviation of the medians of ``depth_view.thinned``, 0 where there is none."""
+    sigma = np.zeros(shape, np.float32)
+    height, width = depth.shape
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            row, column = offset + i * stride, offset + j * stride
+            count, total, squares, first = 0, 0.0, 0.0, depth[row, column]
+            for m in range(max(row - 1, 0), min(row + 2, height)):
+                for n in range(max(column - 1, 0), min(column + 2, width)):
+                    if np.isfinite(depth[m, n]):
+                        first = depth[m, n] if count == 0 else first
+                        count += 1
+                        total += depth[m, n] - first
+                        squares += (depth[m, n] - first) ** 2
+            if count > 1:
+                variance = (squares - total * total / count) / (count - 1)
+                sigma[i, j] = MEDIAN_OVER_MEAN * np.sqrt(max(variance, 0.0) / count)
+    return sigma

@@ -1,0 +1,168 @@
+"""Acquisition in one PMD frame, without a guess: every attitude is tried, the best is rendered and judged.
+
+1. Attitudes, spread over all of SO(3), are laid on the measured points by the centroid that the camera should
+   see of them and compared roughly (``energy``): points off the surface, and surface where nothing is lit.
+2. The best are drawn to the points in the target's distance field (``scan_alignment.draw_in``) and ranked by
+   render and compare of depth and amplitude (``pmd_fit``).
+3. What the best may be mistaken for, its near-symmetries and quarter turns about its axes, is tried too:
+   small details and materials alone tell them apart.
+4. The best distinct poses are finished, on more points and on the frame's outline.
+
+The verdict asks how much of the frame the best pose explains, and how much of its shape: depth and outline.
+The weights of the hypotheses follow from their losses.
+
+What is really there may be made of other materials than the target's file says. Where no pose explains the
+frame by these, the search is done again and asks for the shape alone. Then nothing else tells two poses
+apart, so that the best is believed only where all others are worse by far; else the result is ambiguous.
+
+A pose that is believed is handed to the tracker, which has to believe it too and lays it on depth and edges.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+from scipy.special import softmax
+
+from rpod_pose.pmd.fit import PmdFitter
+from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
+from rpod_pose.pmd.scene import PmdScene, scene_of
+from rpod_pose.pmd.signed_distance import measured_equations
+from rpod_pose.ports import Acquisition, Registration, Tracker, Verdict
+from rpod_pose.search.attitude_grid import attitudes_of, within
+from rpod_pose.search.hypotheses import hypotheses
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_search import PmdAcquisitionConfig, PmdLimitsConfig
+from rpod_schemas.poses import pose_of
+from rpod_schemas.types import Float32Array, PmdFrame, Source
+from rpod_target import Target
+
+Judge = tuple[PmdFitter, PmdLimitsConfig]
+"""What it takes for the loss, and how much of it it grants."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """A frame, and among which attitudes the target is looked for in it."""
+
+    frame: PmdFrame
+    scene: PmdScene
+    attitudes: Float32Array
+    """To begin with, shape (M, 3, 3)."""
+    around: FloatArray | None
+    """From which none may be far, shape (3, 3); None for any."""
+
+    def failed(self, registration: Registration) -> Acquisition:
+        """Return a search that found nothing to believe."""
+        nothing = replace(registration, T_sensor_target=None, covariance=np.full((6, 6), np.nan))
+        return Acquisition(Verdict.FAILED, nothing, registration.reason, templates=len(self.attitudes))
+
+
+class ViewSearch:
+    """Finds the target in a frame: ports.Acquirer[PmdFrame].
+
+    Args:
+        config: its parameters.
+        target: what to look for.
+        tracker: of both images, for the pose that is found.
+
+    Raises:
+        rpod_target.TargetError: the target has no distance field.
+    """
+
+    def __init__(self, config: PmdAcquisitionConfig, target: Target, tracker: Tracker[PmdFrame]) -> None:
+        self._config, self._model, self._tracker = config, Model.of(target, config), tracker
+
+    def acquire(self, measurement: PmdFrame) -> Acquisition:
+        """Return the pose that explains the frame best, the others that do, and the verdict."""
+        return self._found(measurement, None)
+
+    def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
+        """Return the same of the attitudes within ``near_deg`` of a pose's, wherever the target is."""
+        return self._found(measurement, T_sensor_target.rotation.as_matrix())
+
+    def _found(self, measurement: PmdFrame, around: FloatArray | None) -> Acquisition:
+        config = self._config
+        scene = scene_of(measurement, config.scene, radius_m=self._model.target.radius_m)
+        if isinstance(scene, str):
+            return Acquisition(Verdict.FAILED, Registration(Source.NONE), scene)
+        if around is None:
+            attitudes = attitudes_of(config.attitudes)
+        else:
+            attitudes = attitudes_of(config.near_attitudes)
+            attitudes = attitudes[within(attitudes, around, config.near_deg)]
+        task = _Task(measurement, scene, attitudes, around)
+        shape = PmdFitter(config.model, self._model.target, scene, as_filed=False), config.verdict.shape
+        filed = PmdFitter(config.model, self._model.target, scene), config.verdict.as_filed
+        found = self._judged(task, (filed, shape))
+        if found.verdict is not Verdict.FAILED:
+            return found
+        by_shape = self._judged(task, (shape,))
+        return found if by_shape.verdict is Verdict.FAILED else by_shape
+
+    def _judged(self, task: _Task, judges: Sequence[Judge]) -> Acquisition:
+        """Return the verdict on the distinct poses that are best in the eyes of the first judge."""
+        fitter, limits = judges[0]
+        poses = FrameSearch(self._config, self._model, task.scene, fitter).search(task.attitudes, task.around)
+        if not poses:
+            reason = "no attitude shows the target to the camera"
+            return task.failed(Registration(Source.NONE, reason=reason))
+        doubts = (self._doubt(poses[0], *judge) for judge in judges)
+        registration = self._registration(task.scene, poses[0], next(filter(None, doubts), ""))
+        weights = softmax([-pose.fit.loss * limits.facts / poses[0].fit.pixels for pose in poses])
+        alike, best = len(self._model.turns.exact), weights[0]
+        sure = best >= self._config.verdict.ambiguous_weight
+        if sure and registration.T_sensor_target is not None:
+            registration = self._tracker.track(task.frame, registration.T_sensor_target)
+        if registration.reason or registration.T_sensor_target is None:
+            return task.failed(registration)
+        matrix = registration.T_sensor_target.as_matrix()
+        poses[0] = replace(poses[0], R=matrix[:3, :3], t=matrix[:3, 3])
+        listed = hypotheses(poses, weights, self._model.turns.exact)
+        reason = ""
+        if alike > 1 and sure:
+            reason = f"{alike} poses look alike by the target's symmetry"
+        elif not sure:
+            reason = f"{len(listed)} poses explain the frame, the best with weight {best / alike:.2f}"
+        return Acquisition(
+            Verdict.AMBIGUOUS if reason else Verdict.ACCEPTED,
+            registration,
+            reason,
+            listed,
+            templates=len(task.attitudes),
+            by_symmetry=alike > 1 and sure,
+        )
+
+    def _doubt(self, pose: Pose, fitter: PmdFitter, limits: PmdLimitsConfig) -> str:
+        """Return why a pose does not explain the frame; empty if it does."""
+        verdict, fit = self._config.verdict, fitter.fit(pose.R, pose.t)
+        if fit.explained_share < limits.min_explained_share:
+            share = 1.0 - fit.explained_share
+            return f"does not explain the frame: {share:.0%} of {fit.pixels} pixels contradict the pose"
+        if fit.mean_loss > limits.max_loss:
+            return f"does not explain the frame: mean loss {fit.mean_loss:.2f} above {limits.max_loss:.2f}"
+        patch, face = fitter.worst_patches(pose.R, pose.t, verdict.patch_px, verdict.face_px)
+        if patch > limits.max_patch_loss:
+            most = limits.max_patch_loss
+            return f"a detail contradicts the pose: mean loss {patch:.2f} above {most:.2f} there"
+        if face > limits.max_face_loss:
+            return f"a face contradicts the pose: mean loss {face:.2f} above {limits.max_face_loss:.2f} there"
+        return ""
+
+    def _registration(self, scene: PmdScene, pose: Pose, reason: str) -> Registration:
+        config, T = self._config, pose_of(pose.R, pose.t)
+        sums = measured_equations(self._model.target, scene.thinned(config.fine_points), T, config.scale_m)
+        if not reason and sums.degenerate(self._model.target.radius_m):
+            reason = "degenerate: the measured surface leaves a motion undetermined"
+        return Registration(
+            Source.PMD_DEPTH,
+            None if reason else T,
+            reason,
+            cost_m2=sums.cost_m2,
+            inliers=sums.inliers,
+            inlier_share=sums.inliers / min(len(scene.points_m), config.fine_points),
+            explained_share=pose.fit.explained_share,
+            judged=True,
+            covariance=sums.covariance(T, config.errors) if not reason else np.full((6, 6), np.nan),
+        )

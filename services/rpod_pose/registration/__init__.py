@@ -1,0 +1,1 @@
+"""What every registration needs: Lie group, distance field, normal equations, closest points."""

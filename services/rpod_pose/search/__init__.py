@@ -1,0 +1,1 @@
+"""What the search of every sensor needs: attitude grids, energies, hypotheses, verified candidates."""

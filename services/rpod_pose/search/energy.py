@@ -1,0 +1,202 @@
+"""How unlike a scan is what an attitude predicts? A rough answer for thousands of attitudes.
+
+For each attitude the target is laid on the scan: the centroid of what the sensor should get back, of the
+points in view that face it, weighted by how many rays they catch and by P_D, goes onto the scan's own. Then
+both directions are compared, since what is missing counts as much as what is there:
+
+- each return costs its squared distance from the target's surface,
+- each point in view costs the squared distance of its ray from the nearest ray that came back.
+
+Both are truncated, and averaged over returns and over weights.
+"""
+
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+
+from rpod_pose.registration.surface_model import Field
+from rpod_pose.search.view_model import Points, view_of
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
+
+CELLS = 96
+"""Of the image of distances from returns, along each side."""
+NEAREST_M = np.float32(0.5)
+"""Points with a smaller z are out of view."""
+NOTHING_IN_VIEW = 1e9
+"""Energy of an attitude that shows nothing."""
+
+Image = tuple[Float32Array, float, float, float, float]
+
+
+class Returns(Protocol):
+    """What was measured of the target."""
+
+    @property
+    def points_m(self) -> FloatArray:
+        """Sensor axes, shape (N, 3)."""
+        ...
+
+    def thinned(self, count: int) -> FloatArray:
+        """Return about ``count`` of the points, evenly spread."""
+        ...
+
+
+def energies(
+    attitudes: Float32Array,
+    places_m: Float32Array,
+    *,
+    seen: Returns,
+    points: Points,
+    squares: Field,
+    image: Image,
+    detection: tuple[float, FloatArray],
+    returns: int,
+    rounds: int,
+    truncation_m: float,
+) -> Float32Array:
+    """Return the energy of each attitude, shape (M,), m2, and lay its place on the scan.
+
+    Args:
+        attitudes: R_sensor_target, float32, shape (M, 3, 3).
+        places_m: first guess of the target's origin, sensor axes, float32, shape (M, 3); replaced by the
+            aligned one.
+        seen: the measurement.
+        points: of the target.
+        squares: of the target; its border counts for all that is outside.
+        image: ``ReturnDistances.image`` of the scan.
+        detection: ``scan_fit.detection_table``.
+        returns: about how many returns are compared.
+        rounds: how often the centroids are aligned.
+        truncation_m: of both distances; that of the field.
+    """
+    energy = np.empty(len(attitudes), np.float32)
+    angles, *bounds = image
+    origin_m, spacing_m, distances = squares
+    steps, table = detection
+    _energies(
+        attitudes,
+        places_m,
+        np.ascontiguousarray(seen.thinned(returns).T, np.float32),
+        seen.points_m.mean(axis=0).astype(np.float32),
+        points,
+        (origin_m.astype(np.float32), np.float32(spacing_m), distances),
+        (angles, *(np.float32(bound) for bound in bounds)),
+        (np.float32(steps), table.astype(np.float32)),
+        rounds,
+        np.float32(truncation_m**2),
+        energy,
+    )
+    return energy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _energies(  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    attitudes, places, returns, centroid, points, field, image, detection, rounds, most, energy
+):
+    """Fill ``energy`` and replace ``places``; all in single precision."""
+    columns, seen_from, cube = points
+    rays = np.empty((6, columns.shape[1]), np.float32)
+    cells = np.empty(returns.shape[1], np.int32)
+    for m in range(attitudes.shape[0]):
+        R, t = attitudes[m], places[m]
+        cost, weight = np.float32(0.0), np.float32(0.0)
+        for turn in range(rounds + 1):
+            vx = -(R[0, 0] * t[0] + R[1, 0] * t[1] + R[2, 0] * t[2])
+            vy = -(R[0, 1] * t[0] + R[1, 1] * t[1] + R[2, 1] * t[2])
+            vz = -(R[0, 2] * t[0] + R[1, 2] * t[1] + R[2, 2] * t[2])
+            _project(R, t, (vx, vy, vz), columns, image, rays)
+            seen = seen_from[view_of(vx, vy, vz, cube)]
+            weight, cost, x, y, z = _compare(rays, seen, columns, image[0], detection, most)
+            if turn < rounds and weight > 0.0:
+                t[0] += centroid[0] - x / weight
+                t[1] += centroid[1] - y / weight
+                t[2] += centroid[2] - z / weight
+        energy[m] = NOTHING_IN_VIEW
+        if weight > 0.0:
+            energy[m] = cost / weight + _off_surface(R, t, returns, field, cells)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project(R, t, viewpoint, columns, image, rays):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Fill x, y, z, the cells of the image, and the echo of the points, 0 where not in view.
+
+    Short loops of few arrays each, since only those are vectorised.
+    """
+    squares, u0, du, v0, dv = image
+    q, count = columns, columns.shape[1]
+    vx, vy, vz = viewpoint
+    r00, r01, r02, t0 = R[0, 0], R[0, 1], R[0, 2], t[0]
+    r10, r11, r12, t1 = R[1, 0], R[1, 1], R[1, 2], t[1]
+    r20, r21, r22, t2 = R[2, 0], R[2, 1], R[2, 2], t[2]
+    for k in range(count):
+        rays[0, k] = r00 * q[0, k] + r01 * q[1, k] + r02 * q[2, k] + t0
+    for k in range(count):
+        rays[1, k] = r10 * q[0, k] + r11 * q[1, k] + r12 * q[2, k] + t1
+    for k in range(count):
+        rays[2, k] = r20 * q[0, k] + r21 * q[1, k] + r22 * q[2, k] + t2
+    for k in range(count):
+        rays[5, k] = q[3, k] * vx + q[4, k] * vy + q[5, k] * vz - q[6, k]
+    per_u, per_v = np.float32(1.0) / du, np.float32(1.0) / dv
+    for k in range(count):
+        rays[3, k] = (rays[0, k] / rays[2, k] - u0) * per_u
+    for k in range(count):
+        x, z = rays[0, k], rays[2, k]
+        rays[4, k] = (rays[1, k] / np.sqrt(x * x + z * z) - v0) * per_v
+    wide, high, none = np.float32(squares.shape[1]), np.float32(squares.shape[0]), np.float32(0.0)
+    for k in range(count):
+        x, y, z, u, v = rays[0, k], rays[1, k], rays[2, k], rays[3, k], rays[4, k]
+        range2 = x * x + y * y + z * z
+        in_view = (z > NEAREST_M) & (u >= none) & (u < wide) & (v >= none) & (v < high)
+        rays[5, k] = rays[5, k] / (range2 * np.sqrt(range2)) if in_view else none
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _compare(rays, seen, columns, squares, detection, most):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Return the sums of weights, of weighted costs, and of weighted places, over the points in view.
+
+    The echo, cos(theta) / R^2, also says how many rays a unit of area catches.
+    """
+    steps, table = detection
+    last = table.size - 1
+    zero = np.float32(0.0)
+    weights, cost, sx, sy, sz = zero, zero, zero, zero, zero
+    for k in range(columns.shape[1]):
+        echo = rays[5, k]
+        if echo <= 0.0 or not seen[k]:
+            continue
+        x, y, z = rays[0, k], rays[1, k], rays[2, k]
+        weight = columns[7, k] * echo * table[min(int(echo * columns[8, k] * steps), last)]
+        weights += weight
+        cost += weight * min(squares[int(rays[4, k]), int(rays[3, k])] * (x * x + y * y + z * z), most)
+        sx += weight * x
+        sy += weight * y
+        sz += weight * z
+    return weights, cost, sx, sy, sz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _off_surface(R, t, returns, field, cells):  # type: ignore[no-untyped-def]
+    """Return the mean squared distance of returns, shape (3, N), from the surface, by the nearest nodes."""
+    origin, spacing, squares = field
+    nx, ny, nz = squares.shape
+    per_m, zero = np.float32(1.0) / spacing, np.float32(0.0)
+    ax, ay, az = R[0, 0] * per_m, R[1, 0] * per_m, R[2, 0] * per_m
+    bx, by, bz = R[0, 1] * per_m, R[1, 1] * per_m, R[2, 1] * per_m
+    cx, cy, cz = R[0, 2] * per_m, R[1, 2] * per_m, R[2, 2] * per_m
+    half = np.float32(0.5)
+    a0 = half - origin[0] * per_m - ax * t[0] - ay * t[1] - az * t[2]
+    b0 = half - origin[1] * per_m - bx * t[0] - by * t[1] - bz * t[2]
+    c0 = half - origin[2] * per_m - cx * t[0] - cy * t[1] - cz * t[2]
+    a1, b1, c1 = np.float32(nx) - half, np.float32(ny) - half, np.float32(nz) - half
+    for n in range(returns.shape[1]):
+        x, y, z = returns[0, n], returns[1, n], returns[2, n]
+        i = np.int32(min(max(ax * x + ay * y + az * z + a0, zero), a1))
+        j = np.int32(min(max(bx * x + by * y + bz * z + b0, zero), b1))
+        k = np.int32(min(max(cx * x + cy * y + cz * z + c0, zero), c1))
+        cells[n] = (i * np.int32(ny) + j) * np.int32(nz) + k
+    flat, cost = squares.reshape(-1), zero
+    for n in range(returns.shape[1]):
+        cost += flat[cells[n]]
+    return cost / np.float32(returns.shape[1])

@@ -1,0 +1,12 @@
+"""The errors of rays and lenses."""
+
+
+class GeometryError(Exception):
+    """Root of the errors that this package raises."""
+
+
+class DistortionError(GeometryError):
+    """A lens distortion that maps two directions onto one pixel, or none."""
+
+    def __init__(self, column: float, row: float) -> None:
+        super().__init__(f"the lens distortion has no inverse at pixel ({column:.1f}, {row:.1f})")

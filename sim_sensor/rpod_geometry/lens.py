@@ -1,0 +1,65 @@
+"""Lens distortion, plumb_bob as in CameraInfo, and its inverse."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_geometry.errors import DistortionError
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Camera
+
+_NEWTON_STEPS = 8
+_NEWTON_TOLERANCE = 1e-9
+
+
+def distort(slopes: FloatArray, camera: Camera) -> FloatArray:
+    """Return where the lens images the slopes x/z, y/z, shape (2, ...): plumb_bob, as in CameraInfo."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = slopes
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        (
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        )
+    )
+
+
+def undistort(distorted: FloatArray, camera: Camera) -> FloatArray:
+    """Return the slopes x/z, y/z, shape (2, ...), that the lens images at ``distorted``.
+
+    Newton's method, since the fixed-point iteration in use elsewhere stalls on strong distortion.
+
+    Raises:
+        DistortionError: the distortion folds the image over itself there.
+    """
+    if not camera.distortion.any():
+        return distorted
+    slopes = distorted
+    for _ in range(_NEWTON_STEPS):
+        slopes = slopes - _newton_step(slopes, distorted, camera)[0]
+    step, upright = _newton_step(slopes, distorted, camera)
+    wrong = ~(upright & (np.abs(step).max(axis=0) < _NEWTON_TOLERANCE))
+    if wrong.any():
+        x, y = distorted[:, wrong][:, 0]
+        raise DistortionError(x * camera.fx + camera.cx, y * camera.fy + camera.cy)
+    return slopes
+
+
+@np.errstate(all="ignore")  # what diverges is found by its last step
+def _newton_step(
+    slopes: FloatArray, distorted: FloatArray, camera: Camera
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the step towards ``distorted`` and whether the Jacobian is positive definite."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = slopes
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    growth = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))  # d radial / dx = growth x
+    xx = radial + growth * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+    xy = growth * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+    yy = radial + growth * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+    determinant = xx * yy - xy * xy
+    dx, dy = distort(slopes, camera) - distorted
+    step = np.stack((yy * dx - xy * dy, xx * dy - xy * dx)) / determinant
+    return step, (determinant > 0.0) & (xx > 0.0)

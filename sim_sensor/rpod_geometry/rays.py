@@ -1,0 +1,223 @@
+"""What a sensor's rays meet: one caster for the camera and for the LIDAR.
+
+All rays start in the sensor's origin, so a triangle needs only four numbers a ray. Its corners v0, v1, v2
+and the ray d give ``s_i = d . (v_i x v_j)``, the sides of the three planes through the origin and an edge;
+the ray passes through the triangle where all have the sign of ``v0 . (v1 x v2)``, and it meets the plane at
+``v0 . (v1 x v2) / (s_0 + s_1 + s_2)``, since the three cross products add up to the face's normal. Two
+triangles that share an edge compute the same product with opposite signs: no ray slips through between them.
+"""
+
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_geometry.lens import undistort
+from rpod_schemas.arrays import Array, FloatArray
+from rpod_schemas.types import Camera, Float32Array
+
+NEAR_M = 0.05
+"""A triangle with a corner nearer than this along the boresight is tried on every ray."""
+GridArrays = tuple[FloatArray, tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class RayGrid:
+    """Rays of a sensor, in rows and columns, with what bounds a triangle in rows and columns.
+
+    Build it by ``pinhole`` or ``azimuth_elevation``. A triangle is tried on a block of the grid only; the
+    block is found by the slopes x/z and y/z that its columns and rows span, so columns from left to right
+    and rows from top to bottom are fast, and any order is right.
+    """
+
+    components: FloatArray
+    """x, y, z of the unit rays in sensor axes (x right, y down, z boresight), shape (3, rows, columns)."""
+    _columns: tuple[FloatArray, FloatArray] = field(init=False, repr=False)
+    _rows: tuple[FloatArray, FloatArray] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        x, y, z = self.components
+        forward = z > 0.0
+        slope = np.divide((x, y), z, where=forward, out=np.full((2, *z.shape), np.nan))
+        object.__setattr__(self, "_columns", _envelope(slope[0].T))
+        object.__setattr__(self, "_rows", _envelope(slope[1]))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.components.shape[1], self.components.shape[2]
+
+    @property
+    def directions(self) -> FloatArray:
+        """Unit rays in sensor axes, shape (rows, columns, 3); a view."""
+        return np.moveaxis(self.components, 0, -1)
+
+    @property
+    def arrays(self) -> "GridArrays":
+        """The rays and their bounds, as kernels take them."""
+        return self.components, self._columns, self._rows
+
+    def block(self, rows: slice, columns: slice) -> "GridArrays":
+        """Return the rays of some neighbouring rows and columns, as kernels take them."""
+        components = np.ascontiguousarray(self.components[:, rows, columns])
+        across, down = self._columns, self._rows
+        return components, (across[0][columns], across[1][columns]), (down[0][rows], down[1][rows])
+
+    @classmethod
+    def pinhole(cls, camera: Camera, samples: int = 1) -> Self:
+        """Return ``samples`` x ``samples`` rays a pixel, evenly spread over it, without the lens distortion.
+
+        Raises:
+            rpod_geometry.errors.DistortionError: the lens distortion cannot be inverted within the image.
+        """
+        offsets = (np.arange(samples) + 0.5) / samples - 0.5
+        column = (np.arange(camera.width)[:, None] + offsets).ravel()
+        row = (np.arange(camera.height)[:, None] + offsets).ravel()
+        x, y = np.meshgrid((column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy)
+        x, y = undistort(np.stack((x, y)), camera)
+        rays = np.stack((x, y, np.ones_like(x)))
+        return cls(np.ascontiguousarray(rays / np.linalg.norm(rays, axis=0)))
+
+    def in_single_precision(self) -> Self:
+        """Return the same rays in float32: an image is cast in half the time, with ranges to a micrometre."""
+        components: Array = self.components.astype(np.float32)
+        return type(self)(components)
+
+    @classmethod
+    def azimuth_elevation(cls, azimuth_rad: FloatArray, elevation_rad: FloatArray) -> Self:
+        """Return rays (sin az cos el, sin el, cos az cos el); rows are elevation, columns azimuth."""
+        elevation, azimuth = np.meshgrid(elevation_rad, azimuth_rad, indexing="ij")
+        across = np.cos(elevation)
+        return cls(np.stack((np.sin(azimuth) * across, np.sin(elevation), np.cos(azimuth) * across)))
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What each ray of a grid meets first."""
+
+    range_m: Float32Array
+    """Distance along the ray, shape (rows, columns), inf where it meets nothing."""
+    triangle: NDArray[np.int32]
+    """Index of the triangle, shape (rows, columns), -1 where it meets nothing."""
+
+    @classmethod
+    def of(cls, grid: RayGrid) -> Self:
+        """Return buffers for the hits of a grid, without any hit."""
+        return cls(np.full(grid.shape, np.inf, np.float32), np.full(grid.shape, -1, np.int32))
+
+
+def cast(
+    grid: RayGrid,
+    triangles_m: FloatArray,
+    T_sensor_target: RigidTransform,
+    *,
+    out: Hits | None = None,
+    cull_back_faces: bool = False,
+) -> Hits:
+    """Return the first hit of every ray.
+
+    Args:
+        grid: the sensor's rays.
+        triangles_m: shape (T, 3, 3), target axes, counter-clockwise from outside.
+        T_sensor_target: pose of the target in the sensor.
+        out: buffers to write into and to return; new ones where left out.
+        cull_back_faces: skip triangles seen from behind, which are hidden anyway where the bodies are closed.
+    """
+    hits = Hits.of(grid) if out is None else out
+    pose = T_sensor_target.as_matrix()
+    R, t = pose[:3, :3].copy(), pose[:3, 3].copy()
+    cast_pose(grid.arrays, triangles_m, R, t, cull_back_faces, hits.range_m, hits.triangle)
+    return hits
+
+
+def _envelope(slope: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return non-decreasing lower and upper bounds of the slopes in each line, shape (lines, rays)."""
+    behind = np.isnan(slope).any(axis=1)
+    lower = np.where(behind, -np.inf, slope.min(axis=1))
+    upper = np.where(behind, np.inf, slope.max(axis=1))
+    return np.minimum.accumulate(lower[::-1])[::-1].copy(), np.maximum.accumulate(upper)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cast_pose(grid, triangles, R, t, cull, range_m, triangle):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Fill ``range_m`` and ``triangle`` as ``cast`` does, for kernels that try many poses.
+
+    Args:
+        grid: ``RayGrid.arrays``.
+        triangles: target axes, shape (T, 3, 3).
+        R: of the target in the sensor, shape (3, 3).
+        t: of the target in the sensor, shape (3,), m.
+        cull: skip triangles seen from behind.
+        range_m: shape (rows, columns), out.
+        triangle: shape (rows, columns), out.
+    """
+    rays, columns, rows = grid
+    inverse = range_m  # 1 / range until the end: the largest wins, and nothing is divided
+    inverse[:] = 0.0
+    triangle[:] = -1
+    corner, side = np.empty((3, 3)), np.empty((3, 3), rays.dtype)
+    for index in range(triangles.shape[0]):
+        for i in range(3):
+            x, y, z = triangles[index, i, 0], triangles[index, i, 1], triangles[index, i, 2]
+            for k in range(3):
+                corner[i, k] = t[k] + R[k, 0] * x + R[k, 1] * y + R[k, 2] * z
+        volume = _volume(corner)  # negative where seen from outside
+        if volume == 0.0 or (cull and volume > 0.0):
+            continue
+        top, bottom = _block(corner, 1, rows)
+        left, right = _block(corner, 0, columns)
+        if top < bottom and left < right:
+            _sides(corner, 1.0 if volume > 0.0 else -1.0, side)
+            _draw(rays, side, 1.0 / abs(volume), (top, bottom, left, right), index, inverse, triangle)
+    range_m[:] = 1.0 / inverse
+
+
+@njit(cache=True, nogil=True)
+def _volume(corner):  # type: ignore[no-untyped-def]
+    """Return v0 . (v1 x v2)."""
+    x = corner[1, 1] * corner[2, 2] - corner[1, 2] * corner[2, 1]
+    y = corner[1, 2] * corner[2, 0] - corner[1, 0] * corner[2, 2]
+    z = corner[1, 0] * corner[2, 1] - corner[1, 1] * corner[2, 0]
+    return corner[0, 0] * x + corner[0, 1] * y + corner[0, 2] * z
+
+
+@njit(cache=True, nogil=True)
+def _sides(corner, sign, side):  # type: ignore[no-untyped-def]
+    """Fill the products v_i x v_j, so signed that a ray inside has none negative."""
+    for i in range(3):
+        a, b = corner[i], corner[(i + 1) % 3]
+        side[i, 0] = sign * (a[1] * b[2] - a[2] * b[1])
+        side[i, 1] = sign * (a[2] * b[0] - a[0] * b[2])
+        side[i, 2] = sign * (a[0] * b[1] - a[1] * b[0])
+
+
+@njit(cache=True, nogil=True)
+def _block(corner, axis, bounds):  # type: ignore[no-untyped-def]
+    """Return the first and last + 1 of the lines that may meet a triangle: rows for axis 1, columns for 0."""
+    if min(corner[0, 2], corner[1, 2], corner[2, 2]) < NEAR_M:
+        return 0, bounds[0].size
+    a, b, c = corner[0, axis] / corner[0, 2], corner[1, axis] / corner[1, 2], corner[2, axis] / corner[2, 2]
+    first = np.searchsorted(bounds[1], min(a, b, c), side="left")
+    return first, np.searchsorted(bounds[0], max(a, b, c), side="right")
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw(rays, side, scale, block, index, inverse, triangle):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Let one triangle win the rays that it meets first; no branch in the inner loop, so it is vectorised."""
+    top, bottom, left, right = block
+    a0, a1, a2 = side[0, 0], side[0, 1], side[0, 2]
+    b0, b1, b2 = side[1, 0], side[1, 1], side[1, 2]
+    c0, c1, c2 = side[2, 0], side[2, 1], side[2, 2]
+    for row in range(np.uint64(top), np.uint64(bottom)):
+        for column in range(np.uint64(left), np.uint64(right)):
+            x, y, z = rays[0, row, column], rays[1, row, column], rays[2, row, column]
+            s0 = a0 * x + a1 * y + a2 * z
+            s1 = b0 * x + b1 * y + b2 * z
+            s2 = c0 * x + c1 * y + c2 * z
+            near = np.float32((s0 + s1 + s2) * scale)
+            wins = (s0 >= 0.0) & (s1 >= 0.0) & (s2 >= 0.0) & (near > inverse[row, column])
+            inverse[row, column] = near if wins else inverse[row, column]
+            triangle[row, column] = np.int32(index) if wins else triangle[row, column]

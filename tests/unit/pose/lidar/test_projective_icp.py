@@ -1,0 +1,198 @@
+"""The steps that draw the target onto a scan, and the tracker made of them."""
+
+import numpy as np
+import pytest
+from lidar_scans import BULKY, errors, load, off, random_pose, scan_at, scan_of, strange_scans, tracker
+
+from rpod_geometry.rays import cast
+from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.registration.field_alignment import draw_in
+from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
+from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+from rpod_schemas.poses import make_pose, pose_of
+from rpod_schemas.types import Source
+
+SLIM, MESH = "envisat-slim", "envisat-mesh"
+SCENES = [(BULKY, 20.0), (BULKY, 50.0), (SLIM, 20.0), (MESH, 30.0)]
+STRANGE = [pytest.param(scan, id=name) for name, scan in strange_scans().items()]
+EXACT = LidarConfig(noise=LidarNoiseConfig(sigma_range_m=0.0, sigma_pointing_rad=0.0, outlier_share=0.0))
+
+
+@pytest.mark.parametrize(("target", "range_m"), SCENES)
+def test_a_rough_pose_is_drawn_in_by_the_distance_field(target, range_m):
+    off_deg, off_m = [], []
+    for seed in range(12):
+        T = random_pose(seed, range_m)
+        seen, guess = tracker(target).view.seen(scan_at(T, target, frame=seed)), off(T, 15.0, 1.0, seed)
+        R, t = draw_in(
+            seen.thinned(128),
+            guess.rotation.as_matrix(),
+            guess.translation,
+            tracker(target).surface.coarse_field,
+            np.geomspace(1.0, 0.15, 6),
+        )
+        angle_deg, distance_m = errors(T, pose_of(R, t))
+        off_deg.append(angle_deg)
+        off_m.append(distance_m)
+    assert np.median(off_deg) < 1.0
+    assert np.median(off_m) < 0.1
+    assert np.mean(np.array(off_deg) < 5.0) > 0.8
+
+
+@pytest.mark.parametrize(("target", "range_m"), SCENES)
+def test_a_nearly_right_pose_is_finished_on_the_faces(target, range_m):
+    for seed in range(12):
+        T = random_pose(seed, range_m)
+        seen, guess = tracker(target).view.seen(scan_at(T, target, frame=seed)), off(T, 2.0, 0.1, seed)
+        registration = tracker(target).finish(seen, guess.rotation.as_matrix(), guess.translation)
+        angle_deg, distance_m = errors(T, registration.T_sensor_target)
+        assert angle_deg < 0.7
+        assert distance_m < 0.3
+        assert registration.inliers > 0.6 * seen.returns
+        assert registration.cost_m2 < 0.05**2
+
+
+def test_without_noise_the_truth_is_found_to_the_precision_of_the_rays():
+    for seed in range(6):
+        T = random_pose(seed)
+        angle_deg, distance_m = errors(
+            T, tracker().track(scan_at(T, lidar=EXACT), off(T, 3.0, 0.2, seed)).T_sensor_target
+        )
+        assert angle_deg < 0.001
+        assert distance_m < 1e-4
+
+
+def test_returns_beside_the_pattern_are_on_no_face():
+    beside = scan_of(np.tile((15.0, 0.0, 20.0), (20, 1)))
+    registration = tracker().track(beside, random_pose(3))
+    assert registration.reason == "0 returns on faces, 6 needed"
+    assert registration.T_sensor_target is None
+
+
+@pytest.mark.parametrize(("target", "range_m"), SCENES)
+def test_a_scan_is_tracked_from_five_degrees_and_thirty_centimetres(target, range_m):
+    for seed in range(15):
+        T = random_pose(seed, range_m)
+        scan = scan_at(T, target, frame=seed)
+        registration = tracker(target).track(scan, off(T, 5.0, 0.3, seed))
+        angle_deg, distance_m = errors(T, registration.T_sensor_target)
+        assert angle_deg < 0.7
+        assert distance_m < 0.25
+        assert registration.reason == ""
+        assert registration.judged
+        assert registration.source == Source.LIDAR
+        assert registration.explained_share > 0.9
+        assert registration.inlier_share > 0.8
+        assert registration.inliers <= len(scan.returns_m)
+
+
+@pytest.mark.parametrize(("target", "range_m"), SCENES)
+def test_the_errors_are_what_the_covariance_says(target, range_m):
+    squares, scaled = [], []
+    for seed in range(60):
+        T = random_pose(seed, range_m)
+        registration = tracker(target).track(scan_at(T, target, frame=seed), off(T, 3.0, 0.2, seed))
+        turn = registration.T_sensor_target.rotation * T.rotation.inv()
+        error = np.concatenate((registration.T_sensor_target.translation - T.translation, turn.as_rotvec()))
+        squares.append(error @ np.linalg.solve(registration.covariance, error))
+        scaled.append(error / np.sqrt(np.diag(registration.covariance)))
+    assert 2.5 < np.median(squares) < 8.0  # chi-squared with 6 degrees of freedom has 5.35
+    assert np.mean(np.array(squares) > 16.8) < 0.06  # its 99 %
+    assert np.abs(np.median(scaled, axis=0)).max() < 0.5
+
+
+def test_the_covariance_is_symmetric_and_positive_definite():
+    for target, range_m in SCENES:
+        for seed in range(5):
+            T = random_pose(seed, range_m)
+            covariance = tracker(target).track(scan_at(T, target, frame=seed), T).covariance
+            np.testing.assert_allclose(covariance, covariance.T, atol=1e-12 * np.abs(covariance).max())
+            assert np.linalg.eigvalsh(covariance)[0] > 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_face_alone_leaves_sliding_along_it_and_turning_about_its_normal_open(seed):
+    T, target, config = random_pose(seed), load(BULKY), ProjectiveIcpConfig()
+    points_m = scan_at(T, frame=seed).points_m.copy()
+    owner = cast(tracker().view.grid, target.triangles_m, T).triangle
+    planes = np.column_stack((target.normals, (target.normals * target.triangles_m[:, 0]).sum(axis=1)))
+    most = planes[np.bincount(owner[owner >= 0]).argmax()]
+    on_face = np.isclose(planes, most, atol=1e-6).all(axis=1)
+    points_m[(owner < 0) | ~on_face[owner]] = np.nan
+    seen, normal = tracker().view.seen(scan_of(points_m)), T.rotation.apply(most[:3])
+    covariance = tracker().finish(seen, T.rotation.as_matrix(), T.translation).covariance
+    across_m, *along_m = np.sqrt(np.linalg.eigvalsh(covariance[:3, :3]))
+    about_normal_rad = np.sqrt(normal @ covariance[3:, 3:] @ normal)
+    assert across_m < 0.02
+    assert min(along_m) > 0.25 * config.unobserved_m
+    assert about_normal_rad > 0.25 * np.deg2rad(config.unobserved_deg)
+    assert max(*along_m, about_normal_rad) < 1.01 * config.unobserved_m
+
+
+def test_a_target_that_turns_is_followed_from_scan_to_scan():
+    T = estimate = random_pose(5)
+    for frame in range(10):
+        T = off(T, 4.0, 0.1, 7)
+        registration = tracker().track(scan_at(T, frame=frame), estimate)
+        assert registration.reason == ""
+        estimate = registration.T_sensor_target
+        assert errors(T, estimate)[0] < 0.5
+
+
+def test_gross_outliers_do_not_pull():
+    T = random_pose(4)
+    noisy = LidarConfig(noise=LidarNoiseConfig(gross_outlier_share=0.1))
+    registration = tracker().track(scan_at(T, frame=4, lidar=noisy), off(T, 3.0, 0.2, 4))
+    assert errors(T, registration.T_sensor_target)[0] < 0.5
+    assert registration.inlier_share < 0.95
+
+
+def test_a_prediction_that_is_quite_wrong_is_told_by_the_tracker_itself():
+    for seed in range(20):
+        T = random_pose(seed)
+        registration = tracker().track(scan_at(T, frame=seed), off(T, 90.0, 1.0, seed))
+        assert "contradict the pose" in registration.reason or "returns on faces" in registration.reason
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_organised_or_not_a_scan_is_registered_bit_for_bit_the_same(seed):
+    T = random_pose(seed)
+    scan = scan_at(T, frame=seed)
+    one, again, loose = (
+        tracker().track(data, off(T, 5.0, 0.3, seed)) for data in (scan, scan, scan_of(scan.returns_m))
+    )
+    for other in (again, loose):
+        np.testing.assert_array_equal(
+            one.T_sensor_target.as_matrix(), other.T_sensor_target.as_matrix(), strict=True
+        )
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_a_tracker_may_do_without_the_steps_from_afar():
+    T, config = random_pose(2), ProjectiveIcpConfig(draw_in_steps=0)
+    view = tracker().view
+    near = ProjectiveIcp(config, load(BULKY), azimuth_rad=view.azimuth_rad, elevation_rad=view.elevation_rad)
+    registration = near.track(scan_at(T), off(T, 1.0, 0.05, 2))
+    assert errors(T, registration.T_sensor_target)[0] < 0.3
+    assert registration.iterations == config.settle_steps
+
+
+@pytest.mark.parametrize("scan", STRANGE)
+@pytest.mark.parametrize("z_m", [20.0, 0.0, -20.0, 1e5])
+def test_no_scan_raises_and_none_that_is_strange_is_believed(scan, z_m):
+    registration = tracker().track(scan, make_pose(translation_m=(0.0, 0.0, z_m)))
+    assert registration.reason
+    assert registration.source == Source.LIDAR
+
+
+def test_a_return_at_zero_is_none():
+    T = random_pose(3)
+    points_m = scan_at(T, frame=3).points_m
+    zeros = scan_of(np.where(np.isnan(points_m), 0.0, points_m))
+    one, other = (tracker().track(scan, off(T, 3.0, 0.2, 3)) for scan in (scan_of(points_m), zeros))
+    np.testing.assert_array_equal(one.T_sensor_target.as_matrix(), other.T_sensor_target.as_matrix())
+
+
+def test_too_few_returns_are_told():
+    few = scan_of(scan_at(random_pose(0)).returns_m[:5])
+    assert tracker().track(few, random_pose(0)).reason == "5 returns, 6 needed"

@@ -1,0 +1,167 @@
+"""The likelihood of a scan: its statistics at the truth, and what it says of other poses."""
+
+import numpy as np
+import pytest
+from lidar_scans import LIDAR, errors, load, off, random_pose, scan_at, scan_of, tracker
+from scipy.spatial.transform import Rotation
+
+from rpod_geometry.rays import cast
+from rpod_pose.lidar.scan_fit import ScanModel, detection_table
+from rpod_pose.lidar.scan_likelihood import OUTLIER_FACTOR, STEEPEST
+from rpod_pose.lidar.scan_view import ScanView, SeenScan
+from rpod_pose.registration.surface_model import SurfaceModel
+from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
+from rpod_schemas.poses import make_pose, pose_of
+from rpod_sim_sensor.lidar.detection import detection_probability
+
+BULKY, SLIM, MESH = "envisat-bulky", "envisat-slim", "envisat-mesh"
+SCENES = [(BULKY, 20.0), (BULKY, 50.0), (SLIM, 20.0), (SLIM, 50.0), (MESH, 30.0)]
+
+
+def parts(T):
+    return T.rotation.as_matrix(), T.translation
+
+
+def fitted(T, scan, target=BULKY):
+    model, seen = tracker(target).model, tracker(target).view.seen(scan)
+    return model.fit(seen, *parts(T)), seen
+
+
+def doubt(T, scan, target=BULKY):
+    fit, seen = fitted(T, scan, target)
+    return tracker(target).model.doubt(seen, *parts(T), fit)
+
+
+@pytest.mark.parametrize("threshold", ["usual", "printed"])
+def test_the_table_of_detection_is_the_sensors_own_probability(threshold):
+    config = ScanModelConfig(threshold=threshold, surest_detection=0.999)
+    steps, table = detection_table(config)
+    echoes = np.linspace(0.0, 60.0, 500) / config.snr_m2
+    expected = detection_probability(echoes * config.snr_m2, config.false_alarm, threshold)
+    read = table[(echoes * steps).astype(int)]
+    assert np.abs(read - np.minimum(expected, 0.999)).max() < 0.06  # a step of the table
+    assert (np.diff(table) >= 0.0).all()
+    assert table[-1] == 0.999
+
+
+def drawn(T, *, model, target, view, generator):
+    """Return a scan that a model expects: which rays return, and with what errors."""
+    hits = cast(view.grid, target.triangles_m, T, cull_back_faces=True)
+    met, face = hits.triangle >= 0, np.maximum(hits.triangle, 0)
+    cosine = -(T.rotation.apply(target.normals)[face] * view.grid.directions).sum(axis=-1)
+    reflectivity = np.array([material.reflectivity for material in target.materials])
+    echo = cosine * reflectivity[target.triangle_material[face]] / np.where(met, hits.range_m, np.inf) ** 2
+    steps, table = detection_table(model)
+    probability = table[np.minimum((np.maximum(echo, 0.0) * steps).astype(int), len(table) - 1)]
+    returned = met & (generator.random(met.shape) < probability)
+    outlier = generator.random(met.shape) < model.outlier_share
+    sigma_m = model.sigma_range_m * np.where(outlier, OUTLIER_FACTOR, 1.0)
+    sigma_m = np.hypot(sigma_m, model.slack_m / np.maximum(cosine, STEEPEST))
+    range_m = np.where(returned, hits.range_m + sigma_m * generator.standard_normal(met.shape), 0.0)
+    rays = np.flatnonzero(returned)
+    points_m = (view.grid.directions * range_m[..., None]).reshape(-1, 3)[rays]
+    return SeenScan(points_m, rays, range_m)
+
+
+@pytest.mark.parametrize(("target", "range_m"), SCENES)
+def test_scans_drawn_from_the_model_lack_nothing_but_chance(target, range_m):
+    config = ScanModelConfig(clutter_share=1e-6)
+    view = ScanView.of(LIDAR.azimuth_rad, LIDAR.elevation_rad)
+    model = ScanModel(config, ScanVerdictConfig(), view, SurfaceModel.of(load(target)))
+    scores = []
+    for seed in range(40):
+        T, generator = random_pose(seed, range_m), np.random.default_rng((1, seed))
+        seen = drawn(T, model=config, target=load(target), view=view, generator=generator)
+        fit = model.fit(seen, *parts(T))
+        scores.append(fit.deficit / fit.deviation)
+    assert abs(np.mean(scores)) < 1.2
+    assert 0.7 < np.std(scores) < 1.5
+
+
+@pytest.mark.parametrize(("target", "range_m"), SCENES)
+def test_the_truth_is_never_in_deficit_and_never_doubted_on_the_sensors_scans(target, range_m):
+    for seed in range(20):
+        T = random_pose(seed, range_m)
+        scan = scan_at(T, target, frame=seed)
+        fit, seen = fitted(T, scan, target)
+        assert fit.deficit <= 0.0
+        assert fit.agreement.share > 0.9
+        assert fit.agreement.agreeing >= 0.95 * seen.returns
+        assert doubt(T, scan, target) == ""
+
+
+@pytest.mark.parametrize(("target", "range_m"), SCENES)
+def test_a_wrong_attitude_lacks_several_units_a_return(target, range_m):
+    for seed in range(20):
+        T = random_pose(seed, range_m)
+        scan = scan_at(T, target, frame=seed)
+        wrong = make_pose(rotation=random_pose(1000 + seed).rotation, translation_m=T.translation)
+        fit, seen = fitted(wrong, scan, target)
+        assert fit.deficit > 3.0 * seen.returns
+        assert "contradict the pose" in doubt(wrong, scan, target)
+
+
+@pytest.mark.parametrize(("target", "range_m"), [(BULKY, 20.0), (SLIM, 20.0), (MESH, 30.0)])
+def test_the_truth_is_far_likelier_than_what_it_is_most_easily_mistaken_by(target, range_m):
+    for seed in range(10):
+        T = random_pose(seed, range_m)
+        scan = scan_at(T, target, frame=seed)
+        best = fitted(T, scan, target)[0].log_likelihood
+        turned = [fitted(T * turn, scan, target)[0].log_likelihood for turn in load(target).turns()]
+        assert max(turned) < best - 50.0
+
+
+def test_every_way_off_the_truth_is_less_likely():
+    T = random_pose(3)
+    scan = scan_at(T, frame=3)
+    best = fitted(T, scan)[0].log_likelihood
+    for way in np.vstack((np.eye(3), -np.eye(3))):
+        for step in (
+            make_pose(translation_m=0.2 * way),
+            make_pose(rotation=Rotation.from_rotvec(np.deg2rad(3.0) * way)),
+        ):
+            assert fitted(T * step, scan)[0].log_likelihood < best - 20.0
+
+
+def test_a_scan_of_half_the_target_says_that_the_other_half_is_missing():
+    T = random_pose(3)
+    points_m = scan_at(T, frame=3).points_m.copy()
+    whole, _ = fitted(T, scan_of(points_m))
+    points_m[:, :20] = np.nan
+    half, seen = fitted(T, scan_of(points_m))
+    assert whole.agreement.missing < 20.0
+    assert half.agreement.missing > 50.0
+    assert half.agreement.contrary <= whole.agreement.contrary
+    assert doubt(T, scan_of(points_m)) == (
+        f"does not explain the scan: of {seen.returns} returns {half.agreement.contrary} contradict "
+        f"the pose, {half.agreement.missing:.0f} more are missing"
+    )
+
+
+def test_returns_where_the_pose_predicts_none_all_contradict_it():
+    T = make_pose(translation_m=(0.0, 0.0, -30.0))
+    fit, seen = fitted(T, scan_at(random_pose(3)))
+    assert (fit.agreement.agreeing, fit.agreement.contrary, fit.agreement.missing) == (0, seen.returns, 0.0)
+    assert fit.agreement.share == 0.0
+    assert fit.deficit > 0.0
+
+
+def test_of_nothing_nothing_is_explained():
+    fit, _ = fitted(make_pose(translation_m=(0.0, 0.0, -30.0)), scan_of(np.full((41, 41, 3), np.nan)))
+    assert np.isnan(fit.agreement.share)
+    assert fit.log_likelihood == pytest.approx(0.0, abs=40.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pose_is_sharpened_by_the_outline(seed):
+    T = random_pose(seed, 50.0)
+    scan, rough = scan_at(T, SLIM, frame=seed), off(T, 1.5, 0.3, seed)
+    model, seen = tracker(SLIM).model, tracker(SLIM).view.seen(scan)
+    covariance = np.diag([0.3**2] * 3 + [0.03**2] * 3)
+    R, t = model.sharpen(seen, *parts(rough), covariance)
+    assert model.fit(seen, R, t).log_likelihood > model.fit(seen, *parts(rough)).log_likelihood
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
+    assert errors(T, pose_of(R, t))[1] < errors(T, rough)[1]
+    again = model.sharpen(seen, *parts(rough), covariance)
+    np.testing.assert_array_equal(R, again[0])
+    np.testing.assert_array_equal(t, again[1])

@@ -1,0 +1,90 @@
+import numpy as np
+import pytest
+from lidar_scans import LIDAR, random_pose, scan_at, scan_of
+
+from rpod_pose.lidar.scan_view import ScanView, spacing_rad
+
+VIEW = ScanView.of(LIDAR.azimuth_rad, LIDAR.elevation_rad)
+SCAN = scan_at(random_pose(3))
+
+
+def returned_m(scan):
+    points_m = scan.points_m.reshape(-1, 3)
+    return points_m[np.isfinite(points_m).all(axis=1)]
+
+
+def assert_same(one, other):
+    np.testing.assert_array_equal(one.range_m, other.range_m)
+    order, other_order = np.argsort(one.rays), np.argsort(other.rays)
+    np.testing.assert_array_equal(one.rays[order], other.rays[other_order])
+    np.testing.assert_array_equal(one.points_m[order], other.points_m[other_order])
+
+
+def test_an_organised_scan_keeps_its_returns_on_their_own_rays():
+    seen = VIEW.seen(SCAN)
+    returned = np.isfinite(SCAN.points_m).all(axis=-1)
+    assert seen.returns == returned.sum()
+    np.testing.assert_array_equal(seen.range_m > 0.0, returned)
+    np.testing.assert_array_equal(seen.rays, np.flatnonzero(returned))
+    along_m = VIEW.grid.directions.reshape(-1, 3)[seen.rays] * seen.range_m.flat[seen.rays][:, None]
+    np.testing.assert_allclose(along_m, seen.points_m, atol=2e-3)  # the error of pointing
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_unorganised_scan_is_sorted_onto_the_same_rays(seed):
+    shuffled_m = np.random.default_rng(seed).permutation(returned_m(SCAN))
+    assert_same(VIEW.seen(scan_of(shuffled_m)), VIEW.seen(SCAN))
+
+
+def test_a_pattern_may_run_in_any_order():
+    back = ScanView.of(LIDAR.azimuth_rad[::-1].copy(), LIDAR.elevation_rad[::-1].copy())
+    seen = back.seen(scan_of(returned_m(SCAN)))
+    np.testing.assert_array_equal(seen.range_m, VIEW.seen(SCAN).range_m[::-1, ::-1])
+
+
+def test_a_point_beside_the_pattern_belongs_to_no_ray():
+    beside_m = np.array([[15.0, 0.0, 20.0], [0.0, -15.0, 20.0], [0.0, 0.0, -20.0], [0.0, 0.0, 20.0]])
+    seen = VIEW.seen(scan_of(beside_m))
+    assert (seen.rays[:3] == -1).all()
+    assert np.count_nonzero(seen.range_m) == 1
+    assert seen.range_m.flat[seen.rays[3]] == 20.0
+    assert seen.returns == 4
+
+
+def test_what_is_not_finite_did_not_return():
+    points_m = SCAN.points_m.copy()
+    lost = np.flatnonzero(np.isfinite(points_m[..., 0]))[:4]
+    for ray, component, value in zip(lost, (0, 1, 2, 0), (np.inf, -np.inf, np.nan, np.inf), strict=True):
+        points_m.reshape(-1, 3)[ray, component] = value
+    assert VIEW.seen(scan_of(points_m)).returns == VIEW.seen(SCAN).returns - len(lost)
+
+
+@pytest.mark.parametrize("stride", [2, 3, 7])
+def test_a_thinned_scan_is_what_the_thinned_pattern_saw(stride):
+    thin = SCAN.points_m[::stride, ::stride]
+    assert_same(VIEW.seen(SCAN).every(stride), VIEW.every(stride).seen(scan_of(thin)))
+
+
+def test_a_point_beside_the_pattern_is_thinned_away():
+    seen = VIEW.seen(scan_of([[15.0, 0.0, 20.0], [0.0, 0.0, 20.0]]))
+    assert seen.every(2).returns == 1
+
+
+def test_a_scan_is_cut_off_where_an_outermost_ray_returned():
+    points_m = SCAN.points_m.copy()
+    points_m[[0, -1]] = points_m[:, [0, -1]] = np.nan
+    assert not VIEW.seen(scan_of(points_m)).cut_off
+    points_m[-1, 7] = (1.0, 2.0, 20.0)
+    assert VIEW.seen(scan_of(points_m)).cut_off
+
+
+@pytest.mark.parametrize("count", [10, 64, 10**6])
+def test_points_are_thinned_to_about_the_number_asked_for(count):
+    seen = VIEW.seen(SCAN)
+    assert len(seen.thinned(count)) == pytest.approx(min(count, seen.returns), rel=0.25)
+
+
+def test_the_spacing_is_the_typical_one_and_that_of_a_single_line_a_degree():
+    assert spacing_rad(LIDAR.azimuth_rad) == pytest.approx(np.deg2rad(1.0))
+    assert spacing_rad(np.array([0.3])) == pytest.approx(np.deg2rad(1.0))
+    assert spacing_rad(np.array([0.3, 0.1, -0.1])) == pytest.approx(0.2)

@@ -1,0 +1,780 @@
+"""The navigator's transitions, one by one, with methods that say what the test tells them to."""
+
+import pickle
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_pose.measurement import Measurement, Tick
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.ports import Acquisition, Candidate, Candidates, Methods, Registration, Verdict
+from rpod_pose.search.verified_search import VerifiedSearch
+from rpod_schemas.config.estimator import EstimatorSettings, NavigatorConfig, PmdInput
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.verification import VerificationConfig
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Hypothesis, LidarScan, Mode, Source
+
+SECOND_NS = 1_000_000_000
+START_S = 100.0
+MOUNT = make_pose(rotation=Rotation.from_rotvec([0.0, np.pi / 2, 0.0]), translation_m=[0.1, 0.2, 0.3])
+LIMITS = VerificationConfig(max_cost_m2=0.01, min_explained_share=0.7)
+BAD = "12 pixels with depth, 60 needed"
+
+
+def truth(time_s: float) -> RigidTransform:
+    """Return T_chaser_target: an approach of a slowly turning target."""
+    since_s = time_s - START_S
+    return make_pose(
+        rotation=Rotation.from_rotvec([0.02 * since_s, 0.0, 0.0]),
+        translation_m=[0.0, 0.0, 7.0 - 0.1 * since_s],
+    )
+
+
+def registration(T_sensor_target: RigidTransform, **changes: object) -> Registration:
+    good = Registration(
+        Source.PMD_DEPTH,
+        T_sensor_target=T_sensor_target,
+        cost_m2=0.001,
+        inliers=500,
+        inlier_share=0.9,
+        explained_share=0.9,
+        covariance=np.diag([1e-4] * 3 + [1e-5] * 3),
+    )
+    return replace(good, **changes)
+
+
+def failed() -> Registration:
+    return Registration(Source.PMD_DEPTH, reason=BAD)
+
+
+@dataclass(frozen=True)
+class View:
+    """What a sensor sees at a time, as the methods are to take it."""
+
+    stamp_ns: int
+    tracked: Registration
+    acquired: tuple[Registration, ...] = ()
+    nearby: tuple[Registration, ...] = ()
+
+
+@dataclass
+class Method:
+    """Acquisition and tracker in one. A candidate stands for the registration that it is refined to."""
+
+    asked: list[str] = field(default_factory=list)
+    _refined: dict[int, Registration] = field(default_factory=dict)
+
+    def search(self, view: View) -> Candidates:
+        self.asked.append("acquire")
+        return self._candidates(view.acquired)
+
+    def near(self, view: View, _: RigidTransform) -> Candidates:
+        self.asked.append("near")
+        return self._candidates(view.nearby)
+
+    def track(self, view: View, T_sensor_target: RigidTransform) -> Registration:
+        refined = self._refined.pop(id(T_sensor_target), None)
+        self.asked.append("track" if refined is None else "refine")
+        return view.tracked if refined is None else refined
+
+    def _candidates(self, registrations: tuple[Registration, ...]) -> Candidates:
+        candidates = [Candidate(make_pose(), 0.0) for _ in registrations]
+        self._refined = {
+            id(candidate.T_sensor_target): refined
+            for candidate, refined in zip(candidates, registrations, strict=True)
+        }
+        self._kept = candidates  # so that no id is used twice
+        return Candidates(tuple(candidates))
+
+
+@dataclass
+class Judge:
+    """An acquirer that says what the test tells it to."""
+
+    found: Acquisition
+
+    def acquire(self, _: View) -> Acquisition:
+        return self.found
+
+    def near(self, *_: object) -> Acquisition:
+        return self.found
+
+
+@dataclass
+class Rig:
+    """A navigator, its state, and the method behind its one sensor."""
+
+    navigator: Navigator
+    method: Method
+    state: object
+
+    def see(self, view: View):
+        measurement = Measurement("pmd", view, MOUNT)
+        before = pickle.dumps(self.state)
+        self.method.asked.clear()
+        state, output = self.navigator.step(self.state, measurement)
+        assert pickle.dumps(self.state) == before, "a step leaves the state that it is given alone"
+        self.state = state
+        return output
+
+    def tick(self, time_s: float):
+        self.state, output = self.navigator.step(self.state, Tick(round(time_s * SECOND_NS)))
+        return output
+
+    @property
+    def mode(self) -> Mode:
+        return self.state.mode
+
+
+def rig(
+    *,
+    pose=None,
+    filter_config: FilterConfig | None = None,
+    verification=LIMITS,
+    found=None,
+    alike=(),
+    **limits,
+) -> Rig:
+    """Return a rig whose acquirer searches and refines, or finds what it is told."""
+    settings = EstimatorSettings(
+        sensors=(PmdInput(verification=verification),),
+        navigator=NavigatorConfig(**limits),
+        filter=filter_config or FilterConfig(),
+    )
+    method = Method()
+    acquirer = VerifiedSearch(method, method, verification) if found is None else Judge(found)
+    methods = Methods(acquirer, method, verification)
+    navigator = Navigator(settings, {"pmd": methods}, centre_of_mass_m=np.zeros(3), alike=alike)
+    return Rig(navigator, method, navigator.start(pose))
+
+
+def in_sensor(time_s: float) -> RigidTransform:
+    return MOUNT.inv() * truth(time_s)
+
+
+def good(time_s: float, **changes: object) -> View:
+    """Return a view in which every method finds the target."""
+    seen = registration(in_sensor(time_s), **changes)
+    return View(round(time_s * SECOND_NS), tracked=seen, acquired=(seen,), nearby=())
+
+
+def blind(time_s: float) -> View:
+    return View(round(time_s * SECOND_NS), tracked=failed())
+
+
+def untracked(time_s: float) -> View:
+    """Return a view in which only a search over everything finds the target."""
+    return replace(good(time_s), tracked=failed())
+
+
+def wrong(time_s: float, offset_m: float = 2.0) -> View:
+    """Return a view whose registration looks good and lies elsewhere."""
+    pose = in_sensor(time_s)
+    moved_m = pose.translation + np.array([0.0, offset_m, 0.0])
+    moved = make_pose(rotation=pose.rotation, translation_m=moved_m)
+    return View(round(time_s * SECOND_NS), tracked=registration(moved))
+
+
+def tracking(until_s: float = START_S + 1.0, rate_hz: float = 10.0, **limits: float) -> Rig:
+    """Return a rig that tracks since ``START_S``; its last frame is at ``until_s``."""
+    made = rig(**limits)
+    for number in range(round((until_s - START_S) * rate_hz) + 1):
+        made.see(good(START_S + number / rate_hz))
+    assert made.mode == Mode.TRACKING
+    return made
+
+
+def lost(**limits: float) -> Rig:
+    """Return a rig that has fallen silent at ``START_S + 1`` and is lost since 5 s later."""
+    made = tracking(**limits)
+    assert made.tick(START_S + 6.0) is not None
+    return made
+
+
+# --- ACQUIRING ---
+
+
+def test_a_navigator_begins_by_acquiring():
+    made = rig()
+    assert made.mode == Mode.ACQUIRING
+    assert made.tick(START_S) is None
+
+
+def test_a_believed_candidate_is_a_hypothesis_to_verify():
+    made = rig()
+    output = made.see(good(START_S))
+    assert made.mode == output.status.mode == Mode.VERIFYING
+    assert output.status.accepted
+    assert output.odometry is None
+    assert (output.status.sensor, output.status.source) == ("pmd", Source.PMD_DEPTH)
+    assert output.status.inliers == 500
+
+
+def test_without_candidates_the_search_goes_on():
+    made = rig()
+    output = made.see(blind(START_S))
+    assert made.mode == Mode.ACQUIRING
+    assert not output.status.accepted
+    assert output.status.reason == "the search found nothing to work on"
+
+
+def test_a_candidate_that_is_not_believed_is_no_hypothesis_and_says_why():
+    made = rig()
+    output = made.see(
+        replace(blind(START_S), acquired=(registration(in_sensor(START_S), cost_m2=0.5), failed()))
+    )
+    assert made.mode == Mode.ACQUIRING
+    assert output.status.reason == "not believed: cost 0.5 m2 above 0.01"
+    assert output.status.cost_m2 == 0.5
+
+
+@pytest.mark.parametrize(
+    ("acquired", "best"),
+    [
+        ([{"explained_share": 0.8}, {"explained_share": 0.95}], 0),
+        ([{"cost_m2": 0.5}, {"cost_m2": 0.009}, {"cost_m2": 0.002}], 1),
+        ([{"cost_m2": 0.5}, {"explained_share": 0.1}, {}], 2),
+    ],
+    ids=["the first", "the second, where the first is too costly", "the third"],
+)
+def test_the_first_believed_candidate_is_taken_and_no_further_one_refined(acquired, best):
+    made = rig(verification=LIMITS.model_copy(update={"candidates": 3}))
+    registrations = tuple(
+        registration(in_sensor(START_S + number), inliers=100 + number, **changes)
+        for number, changes in enumerate(acquired)
+    )
+    output = made.see(replace(blind(START_S), acquired=registrations))
+    assert output.status.inliers == 100 + best
+    assert made.method.asked == ["acquire", *["refine"] * (best + 1)]
+    np.testing.assert_allclose(
+        made.state.history.state.T_chaser_target.as_matrix(), truth(START_S + best).as_matrix(), atol=1e-12
+    )
+
+
+def test_the_believed_candidate_that_explains_most_is_taken_where_configured():
+    made = rig(verification=LIMITS.model_copy(update={"choice": "best_explained"}))
+    shares = (0.8, 0.95, 0.9)
+    acquired = tuple(
+        registration(in_sensor(START_S), inliers=100 + number, explained_share=share)
+        for number, share in enumerate(shares)
+    )
+    assert made.see(replace(blind(START_S), acquired=acquired)).status.inliers == 101
+    assert made.method.asked == ["acquire", *["refine"] * 3]
+
+
+def test_only_as_many_candidates_are_refined_as_configured():
+    made = rig(verification=LIMITS.model_copy(update={"candidates": 2}))
+    acquired = (failed(), failed(), registration(in_sensor(START_S)))
+    assert not made.see(replace(blind(START_S), acquired=acquired)).status.accepted
+    assert made.method.asked == ["acquire", "refine", "refine"]
+
+
+# --- VERIFYING ---
+
+
+@pytest.mark.parametrize("confirmations", [0, 1, 3])
+def test_tracking_begins_after_as_many_confirmations_as_configured(confirmations):
+    made = rig(confirmations=confirmations)
+    modes = [made.see(good(START_S + 0.1 * number)).status.mode for number in range(confirmations + 2)]
+    assert modes == [Mode.VERIFYING] * confirmations + [Mode.TRACKING] * 2
+
+
+def test_a_hypothesis_that_the_next_frame_does_not_show_is_dropped():
+    made = rig()
+    made.see(good(START_S))
+    output = made.see(blind(START_S + 0.1))
+    assert made.mode == Mode.ACQUIRING
+    assert output.status.reason == BAD
+    assert output.odometry is None
+    assert made.see(good(START_S + 0.2)).status.mode == Mode.VERIFYING
+
+
+def test_a_hypothesis_that_the_next_frame_contradicts_is_dropped():
+    made = rig()
+    made.see(good(START_S))
+    output = made.see(wrong(START_S + 0.1))
+    assert made.mode == Mode.ACQUIRING
+    assert output.status.reason.startswith("gate: nis")
+    assert output.status.nis > 16.8
+
+
+def test_while_no_twist_is_known_a_prediction_that_does_not_do_is_searched_around():
+    made = rig()
+    made.see(good(START_S))
+    output = made.see(replace(untracked(START_S + 0.1), nearby=(registration(in_sensor(START_S + 0.1)),)))
+    assert made.method.asked == ["track", "near", "refine"]
+    assert output.status.mode == Mode.TRACKING
+
+
+def test_a_frame_from_before_the_hypothesis_is_late():
+    made = rig()
+    made.see(good(START_S))
+    output = made.see(good(START_S - 0.05))
+    assert output.status.reason.startswith("late")
+    assert made.mode == Mode.VERIFYING
+
+
+# --- TRACKING ---
+
+
+def test_tracking_publishes_the_filtered_pose_at_each_frame():
+    made = tracking(START_S + 5.0)
+    output = made.see(good(START_S + 5.1))
+    assert output.status.accepted
+    assert output.odometry.stamp_ns == output.status.stamp_ns == round((START_S + 5.1) * SECOND_NS)
+    assert (output.odometry.frame_id, output.odometry.child_frame_id) == ("chaser", "target_estimate")
+    np.testing.assert_allclose(output.odometry.pose.translation, truth(START_S + 5.1).translation, atol=0.01)
+    np.testing.assert_allclose(output.odometry.linear_m_s, [0.0, 0.0, -0.1], atol=0.03)
+
+
+@pytest.mark.parametrize("view", [blind, wrong], ids=["not believed", "gated"])
+def test_where_a_measurement_is_rejected_the_prediction_is_published_with_the_reason(view):
+    made = tracking(START_S + 5.0)
+    output = made.see(view(START_S + 5.1))
+    assert made.mode == Mode.TRACKING
+    assert not output.status.accepted
+    assert output.status.reason
+    assert output.odometry.stamp_ns == round((START_S + 5.1) * SECOND_NS)
+    np.testing.assert_allclose(output.odometry.pose.translation, truth(START_S + 5.1).translation, atol=0.02)
+
+
+def test_tracking_searches_nothing():
+    made = tracking()
+    made.see(blind(START_S + 1.1))
+    assert made.method.asked == ["track"]
+
+
+def test_a_track_whose_prediction_has_become_vague_is_searched_around():
+    made = tracking(vague_deg=3.0)
+    made.see(replace(untracked(START_S + 1.5), nearby=(registration(in_sensor(START_S + 1.5)),)))
+    assert made.method.asked == ["track"]
+    output = made.see(replace(untracked(START_S + 9.0), nearby=(registration(in_sensor(START_S + 9.0)),)))
+    assert made.method.asked == ["track", "near", "refine"]
+    assert output.status.accepted
+
+
+def test_a_track_goes_on_with_less_explained_than_it_began_with():
+    limits = LIMITS.model_copy(update={"min_tracked_share": 0.5})
+    made = rig(verification=limits)
+    made.see(good(START_S))
+    assert (
+        made.see(good(START_S + 0.1, explained_share=0.6)).status.reason == "explained share 0.60 below 0.70"
+    )
+    made.see(good(START_S + 0.2))
+    made.see(good(START_S + 0.3))
+    assert made.see(good(START_S + 0.4, explained_share=0.6)).status.accepted
+    assert (
+        made.see(good(START_S + 0.5, explained_share=0.4)).status.reason == "explained share 0.40 below 0.50"
+    )
+
+
+def test_a_fast_sensors_rejections_are_a_loss_after_the_time_out():
+    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
+    modes = [made.see(blind(START_S + 1.0 + 0.25 * number)).status.mode for number in range(1, 8)]
+    assert modes == [Mode.TRACKING] * 6 + [Mode.LOST]
+
+
+def test_a_slow_sensors_rejections_are_a_loss_after_their_number():
+    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
+    modes = [made.see(blind(START_S + 1.0 + number)).status.mode for number in range(1, 4)]
+    assert modes == [Mode.TRACKING, Mode.TRACKING, Mode.LOST]
+
+
+def test_an_accepted_measurement_begins_the_count_anew():
+    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
+    for number in (1, 2, 3, 4):
+        view = good if number == 2 else blind
+        made.see(view(START_S + 1.0 + number))
+    assert made.mode == Mode.TRACKING
+    assert made.see(blind(START_S + 6.0)).status.mode == Mode.LOST
+
+
+def test_the_frame_that_loses_the_target_has_no_odometry():
+    made = tracking(rejection_timeout_s=0.5, rejected_frames=1)
+    output = made.see(blind(START_S + 1.6))
+    assert output.status.mode == Mode.LOST
+    assert output.odometry is None
+
+
+def test_silence_is_a_loss_told_once():
+    made = tracking(silence_timeout_s=2.5)
+    assert made.tick(START_S + 3.5) is None
+    output = made.tick(START_S + 3.6)
+    assert made.mode == output.status.mode == Mode.LOST
+    assert output.status.reason == "no measurement for 2.6 s"
+    assert not output.status.accepted
+    assert output.odometry is None
+    assert made.tick(START_S + 4.0) is None
+
+
+def test_rejected_measurements_are_not_silence():
+    made = tracking(silence_timeout_s=2.5, rejected_frames=9)
+    for number in range(1, 5):
+        made.see(blind(START_S + 1.0 + number))
+        assert made.tick(START_S + 1.0 + number + 0.5) is None
+    assert made.mode == Mode.TRACKING
+
+
+@pytest.mark.parametrize("make", [rig, lost])
+def test_time_alone_changes_nothing_while_nothing_is_tracked(make):
+    made = make()
+    state = made.state
+    assert made.tick(START_S + 1000.0) is None
+    assert made.state is state
+
+
+# --- LOST ---
+
+
+def test_a_lost_target_is_first_looked_for_near_the_prediction():
+    made = lost()
+    output = made.see(good(START_S + 6.1))
+    assert made.method.asked == ["track"]
+    assert output.status.mode == Mode.VERIFYING
+    assert made.see(good(START_S + 6.2)).status.mode == Mode.TRACKING
+
+
+def test_the_search_around_the_prediction_comes_next():
+    made = lost()
+    made.see(replace(untracked(START_S + 6.1), nearby=(registration(in_sensor(START_S + 6.1)),)))
+    assert made.method.asked == ["track", "near", "refine"]
+    assert made.mode == Mode.VERIFYING
+
+
+def test_then_it_is_searched_everywhere():
+    made = lost()
+    made.see(untracked(START_S + 6.1))
+    assert made.method.asked == ["track", "near", "acquire", "refine"]
+    assert made.mode == Mode.VERIFYING
+
+
+def test_the_prediction_is_tried_for_a_while_after_the_loss_only():
+    made = lost(near_search_s=3.0)
+    made.see(blind(START_S + 9.0))
+    assert made.method.asked == ["track", "near", "acquire"]
+    made.see(blind(START_S + 9.1))
+    assert made.method.asked == ["acquire"]
+
+
+def test_a_slow_sensors_prediction_is_tried_after_a_loss_by_rejections():
+    made = tracking(rejection_timeout_s=1.5, rejected_frames=3, near_search_s=3.0)
+    for number in (1, 2, 3):
+        made.see(blind(START_S + 1.0 + number))
+    made.see(good(START_S + 5.0))
+    assert made.method.asked == ["track"]
+    assert made.mode == Mode.VERIFYING
+
+
+def test_what_stays_lost_says_why():
+    made = lost()
+    output = made.see(blind(START_S + 6.1))
+    assert made.mode == Mode.LOST
+    assert output.status.reason == "the search found nothing to work on"
+    assert output.odometry is None
+
+
+def test_a_recovered_target_is_confirmed_like_a_new_one():
+    made = lost(confirmations=2)
+    modes = [made.see(good(START_S + 6.1 + 0.1 * number)).status.mode for number in range(3)]
+    assert modes == [Mode.VERIFYING, Mode.VERIFYING, Mode.TRACKING]
+
+
+# --- a given pose ---
+
+
+@pytest.mark.parametrize("confirmations", [0, 1, 3])
+def test_a_given_pose_is_tracked_from_the_first_frame_that_agrees(confirmations):
+    made = rig(pose=truth(START_S), confirmations=confirmations)
+    assert made.mode == Mode.VERIFYING
+    output = made.see(good(START_S))
+    assert made.method.asked == ["track"]
+    assert output.status.mode == Mode.TRACKING
+    assert output.odometry is not None
+
+
+@pytest.mark.parametrize("view", [blind, wrong])
+def test_a_given_pose_that_the_first_frame_does_not_show_is_dropped(view):
+    made = rig(pose=truth(START_S))
+    assert made.see(view(START_S)).status.mode == Mode.ACQUIRING
+    assert made.see(good(START_S + 0.1)).status.mode == Mode.VERIFYING
+    assert "acquire" in made.method.asked
+
+
+def test_a_given_pose_is_predicted_from_its_stamp():
+    made = rig()
+    made.state = made.navigator.start(truth(START_S), stamp_ns=round(START_S * SECOND_NS))
+    made.see(good(START_S + 0.5))
+    assert made.mode == Mode.TRACKING
+    assert made.state.history.origin.stamp_ns == round(START_S * SECOND_NS)
+
+
+def test_a_given_pose_of_the_future_holds_for_the_first_frame():
+    made = rig()
+    made.state = made.navigator.start(truth(START_S), stamp_ns=round((START_S + 9.0) * SECOND_NS))
+    assert made.see(good(START_S)).odometry.stamp_ns == round(START_S * SECOND_NS)
+
+
+def test_a_scan_that_took_its_time_is_tracked_as_of_its_stamp_once_a_twist_is_known():
+    made = tracking(START_S + 3.0)
+    points_m = np.tile(in_sensor(START_S + 3.1).translation, (2, 1)).astype(np.float32)
+    scan = LidarScan(
+        stamp_ns=round((START_S + 3.1) * SECOND_NS),
+        frame_id="lidar",
+        points_m=points_m,
+        time_s=np.array([-0.5, 0.5], np.float32),
+    )
+    given: list[LidarScan] = []
+
+    def track(data: LidarScan, _: RigidTransform) -> Registration:
+        given.append(data)
+        return failed()
+
+    made.method.track = track
+    made.see(scan)
+    moved_m = given[0].points_m - points_m
+    # the target comes closer by 0.1 m/s: an early return is moved on, a late one back
+    velocity_m_s = MOUNT.rotation.inv().apply([0.0, 0.0, -0.1])
+    np.testing.assert_allclose(moved_m, np.outer([0.5, -0.5], velocity_m_s), atol=0.01)
+
+
+# --- late measurements ---
+
+
+def test_a_late_measurement_is_applied_at_its_own_stamp():
+    in_turn, late = tracking(START_S + 1.0), tracking(START_S + 1.0)
+    views = [good(START_S + 1.1), good(START_S + 1.2)]
+    for view in views:
+        in_turn.see(view)
+    for view in reversed(views):
+        output = late.see(view)
+    assert output.status.accepted
+    assert output.status.stamp_ns == views[0].stamp_ns
+    assert output.odometry.stamp_ns == views[1].stamp_ns, "the output does not go back"
+    one, other = in_turn.state.history.state, late.state.history.state
+    np.testing.assert_array_equal(one.T_chaser_target.as_matrix(), other.T_chaser_target.as_matrix())
+    np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_the_output_does_not_go_back_behind_a_prediction_that_was_published():
+    made = tracking(START_S + 1.0)
+    shown = made.see(blind(START_S + 1.5)).odometry.stamp_ns
+    output = made.see(good(START_S + 1.2))
+    assert output.status.accepted
+    assert output.odometry.stamp_ns == shown
+
+
+def test_the_output_does_not_go_back_after_a_loss():
+    made = lost(confirmations=0)
+    shown = made.state.shown_ns
+    output = made.see(good(START_S + 0.95))
+    assert output.status.mode == Mode.TRACKING
+    assert output.odometry.stamp_ns == shown
+
+
+def test_a_measurement_that_comes_too_late_is_rejected_and_changes_nothing():
+    made = tracking(START_S + 3.0)
+    history = made.state.history
+    output = made.see(good(START_S + 1.5))
+    assert output.status.reason == "late: older than the filter reaches back"
+    assert made.mode == Mode.TRACKING
+    assert made.state.history is history
+    assert output.odometry.stamp_ns == round((START_S + 3.0) * SECOND_NS)
+
+
+def test_a_late_measurement_may_speak_for_one_that_was_gated_before():
+    """The target sets off between two frames: the second is believed once the first has arrived."""
+    made = tracking(START_S + 1.0)
+    assert not made.see(wrong(START_S + 2.0, offset_m=0.2)).status.accepted
+    assert made.see(wrong(START_S + 1.5, offset_m=0.1)).status.accepted
+    moved_m = made.state.history.state.T_chaser_target.translation - truth(START_S + 2.0).translation
+    np.testing.assert_allclose(moved_m, [0.0, 0.2, 0.0], atol=0.05)
+
+
+# --- frames of reference ---
+
+
+def test_pose_and_covariance_are_turned_into_the_chasers_axes():
+    made = rig(confirmations=0, filter_config=FilterConfig(position_floor_m=0.0, correlation_inflation=1.0))
+    covariance = np.diag([0.01, 0.02, 0.03, 1e-4, 2e-4, 3e-4])
+    output = made.see(
+        replace(blind(START_S), acquired=(registration(in_sensor(START_S), covariance=covariance),))
+    )
+    np.testing.assert_allclose(output.odometry.pose.as_matrix(), truth(START_S).as_matrix(), atol=1e-12)
+    # the sensor's z axis is the chaser's x axis, its x axis the chaser's -z axis
+    np.testing.assert_allclose(np.diag(output.odometry.pose_covariance)[:3], [0.03, 0.02, 0.01], atol=1e-12)
+    assert np.argmax(np.diag(output.odometry.pose_covariance)[3:]) == 0
+
+
+# --- properties ---
+
+EVENTS = st.lists(
+    st.tuples(
+        st.sampled_from(["good", "blind", "wrong", "untracked", "tick"]),
+        st.floats(0.02, 3.0),
+        st.sampled_from([0.0, 0.0, 0.0, 0.03, 0.5, 2.0]),
+    ),
+    max_size=25,
+)
+NEXT = {
+    Mode.ACQUIRING: {Mode.ACQUIRING, Mode.VERIFYING},
+    Mode.VERIFYING: {Mode.VERIFYING, Mode.ACQUIRING, Mode.TRACKING},
+    Mode.TRACKING: {Mode.TRACKING, Mode.LOST},
+    Mode.LOST: {Mode.LOST, Mode.VERIFYING},
+}
+VIEWS = {"good": good, "blind": blind, "wrong": wrong, "untracked": untracked}
+
+
+def played(events) -> list:
+    """Play events, each after a pause and with a delay; return what was put out."""
+    made, now_s, outputs = rig(), START_S, []
+    for kind, pause_s, delay_s in events:
+        now_s += pause_s
+        before = made.mode
+        output = made.tick(now_s) if kind == "tick" else made.see(VIEWS[kind](now_s - delay_s))
+        assert made.mode in NEXT[before]
+        outputs.append(output)
+        if kind != "tick":
+            assert output.status.mode == made.mode
+    return outputs
+
+
+@settings(deadline=None)
+@given(EVENTS)
+def test_whatever_happens_the_outputs_keep_their_promises(events):
+    newest_ns = 0
+    for output in played(events):
+        if output is None:
+            continue
+        assert output.status.accepted == (output.status.reason == "")
+        assert (output.odometry is not None) == (output.status.mode == Mode.TRACKING)
+        if output.odometry is not None:
+            assert output.odometry.stamp_ns >= newest_ns
+            newest_ns = output.odometry.stamp_ns
+
+
+@settings(deadline=None)
+@given(EVENTS)
+def test_the_same_events_give_the_same_outputs(events):
+    assert pickle.dumps(played(events)) == pickle.dumps(played(events))
+
+
+# --- targets that look alike in several poses ---
+
+TURNS = [RigidTransform.from_rotation(Rotation.from_rotvec([k * np.pi / 2, 0.0, 0.0])) for k in (1, 2, 3)]
+
+
+def ambiguous(time_s: float, *, by_symmetry: bool) -> Acquisition:
+    poses = [in_sensor(time_s), *(in_sensor(time_s) * turn for turn in TURNS)]
+    return Acquisition(
+        Verdict.AMBIGUOUS,
+        registration(poses[0]),
+        "4 poses look alike",
+        tuple(Hypothesis(pose=pose, weight=0.25) for pose in poses),
+        by_symmetry=by_symmetry,
+    )
+
+
+def test_what_is_ambiguous_by_the_targets_symmetry_alone_is_tracked():
+    judging = rig(found=ambiguous(START_S, by_symmetry=True), alike=TURNS, confirmations=1)
+    output = judging.see(good(START_S))
+    assert judging.mode == Mode.VERIFYING
+    assert output.status.accepted
+    judging.see(good(START_S + 1.0))
+    assert judging.mode == Mode.TRACKING
+
+
+def test_what_is_merely_ambiguous_is_told_with_its_hypotheses_and_not_tracked():
+    judging = rig(found=ambiguous(START_S, by_symmetry=False))
+    output = judging.see(good(START_S))
+    assert judging.mode == Mode.ACQUIRING
+    assert output.odometry is None
+    status = output.status
+    assert not status.accepted
+    assert status.ambiguous
+    assert status.reason == "4 poses look alike"
+    assert sum(hypothesis.weight for hypothesis in status.hypotheses) == pytest.approx(1.0)
+    first = status.hypotheses[0].pose
+    np.testing.assert_allclose(first.as_matrix(), truth(START_S).as_matrix(), atol=1e-12)
+
+
+def test_every_estimate_of_a_symmetric_target_lists_the_poses_that_look_alike():
+    judging = rig(found=ambiguous(START_S, by_symmetry=True), alike=TURNS, confirmations=1)
+    for step in range(4):
+        time_s = START_S + step
+        status = judging.see(good(time_s)).status
+        assert status.ambiguous
+        hypotheses = status.hypotheses
+        assert len(hypotheses) == 4
+        assert sum(hypothesis.weight for hypothesis in hypotheses) == pytest.approx(1.0)
+        apart = [(hypotheses[0].pose.inv() * other.pose).as_matrix() for other in hypotheses[1:]]
+        np.testing.assert_allclose(apart, [turn.as_matrix() for turn in TURNS], atol=1e-12)
+        error = truth(time_s).inv() * hypotheses[0].pose
+        assert np.linalg.norm(error.translation) < 0.05
+        assert error.rotation.magnitude() < 0.05
+
+
+def test_estimates_of_a_target_without_symmetry_are_not_ambiguous():
+    accepted = Acquisition(Verdict.ACCEPTED, registration(in_sensor(START_S)))
+    judging = rig(found=accepted, confirmations=1)
+    for step in range(3):
+        status = judging.see(good(START_S + step)).status
+        assert not status.ambiguous
+        assert status.hypotheses == ()
+    assert judging.mode == Mode.TRACKING
+
+
+def test_a_failed_acquisition_is_not_tracked_and_says_why():
+    none = Acquisition(Verdict.FAILED, failed(), "does not explain the scan")
+    judging = rig(found=none, alike=TURNS)
+    status = judging.see(good(START_S)).status
+    assert judging.mode == Mode.ACQUIRING
+    assert (status.accepted, status.reason) == (False, "does not explain the scan")
+    assert not status.ambiguous
+
+
+# --- a stream that speaks against what is tracked ---
+
+
+def doubtful(time_s: float, *, believed: bool) -> View:
+    """Return a view in which the tracker finds the target, and the frame speaks against it."""
+    reason = "" if believed else "a detail contradicts the pose"
+    seen = registration(in_sensor(time_s), contradicted=True, reason=reason, judged=True)
+    return View(round(time_s * SECOND_NS), tracked=seen, acquired=(registration(in_sensor(time_s)),))
+
+
+@pytest.mark.parametrize("believed", [True, False])
+def test_a_track_that_every_third_frame_speaks_against_is_lost_and_does_not_come_back(believed):
+    made = tracking()
+    modes = []
+    for number in range(1, 200):
+        time_s = START_S + 1.0 + number / 45.0
+        view = good(time_s) if number % 3 else doubtful(time_s, believed=believed)
+        output = made.see(view)
+        modes.append(output.status.mode)
+        if modes[-1] == Mode.LOST and Mode.LOST not in modes[:-1]:
+            assert "of the frames of late speak against what is tracked" in output.status.reason
+    assert Mode.LOST in modes
+    assert Mode.TRACKING not in modes[modes.index(Mode.LOST) :]
+
+
+def test_a_track_that_few_frames_speak_against_goes_on():
+    made = tracking()
+    for number in range(1, 200):
+        time_s = START_S + 1.0 + number / 45.0
+        made.see(good(time_s) if number % 6 else doubtful(time_s, believed=False))
+        assert made.mode == Mode.TRACKING
+
+
+def test_a_stream_that_spoke_against_is_tracked_once_it_has_agreed_for_long_enough():
+    made = tracking()
+    for number in range(1, 60):
+        made.see(doubtful(START_S + 1.0 + number / 45.0, believed=True))
+    assert made.mode != Mode.TRACKING
+    modes = [made.see(good(START_S + 3.0 + number / 45.0)).status.mode for number in range(120)]
+    assert modes[1] == Mode.VERIFYING
+    assert modes[-1] == Mode.TRACKING

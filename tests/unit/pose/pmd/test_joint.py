@@ -1,0 +1,210 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+from tests.pmd_frames import frame_of, strange_frames
+
+from rpod_pose.pmd.joint.tracker import JointTracker
+from rpod_pose.ports import Registration
+from rpod_schemas.config.motion import FACING
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import PmdFrame, Source
+from rpod_sim_sensor.pmd import PmdEmulator
+from rpod_target import load_target
+
+MOCKUP, HEXAGON = load_target("mockup"), load_target("hexagonal-body")
+CAMERA = PmdConfig().model_copy(
+    update={"pixel": PmdConfig().pixel.model_copy(update={"wiggling_share": 0.0})}
+)
+SUN_W_M2 = np.array((500.0, -600.0, -900.0))
+TRACKER = JointTracker(JointConfig(), MOCKUP)
+TRUTH = make_pose(
+    rotation=FACING * Rotation.from_euler("ZYX", (8.0, -12.0, 25.0), degrees=True),
+    translation_m=(0.1, -0.05, 3.5),
+)
+
+
+def frame(
+    T: RigidTransform = TRUTH, *, number: int = 1, config: PmdConfig = CAMERA, target: object = MOCKUP
+) -> PmdFrame:
+    exposure = PmdEmulator(config, target, seed=3).expose([T] * 4, sun_W_m2=SUN_W_M2, frame=number)  # type: ignore[arg-type]
+    return PmdFrame(
+        stamp_ns=0,
+        frame_id="",
+        depth_m=exposure.depth_m.copy(),
+        amplitude=exposure.amplitude.copy(),
+        camera=config.camera,
+    )
+
+
+FRAME = frame()
+
+
+def off(T: RigidTransform, deg: float, m: float, seed: int = 0) -> RigidTransform:
+    turn, shift = Rotation.random(2, rng=np.random.default_rng(seed)).apply((1.0, 0.0, 0.0))
+    return make_pose(
+        rotation=Rotation.from_rotvec(np.radians(deg) * turn) * T.rotation,
+        translation_m=T.translation + m * shift,
+    )
+
+
+def error(registration: Registration, T: RigidTransform = TRUTH) -> tuple[float, float]:
+    found = registration.T_sensor_target
+    assert found is not None
+    turn = (found.rotation * T.rotation.inv()).magnitude()
+    return float(np.degrees(turn)), float(np.linalg.norm(found.translation - T.translation))
+
+
+@pytest.mark.parametrize(("deg", "m"), [(0.2, 0.002), (2.0, 0.03), (10.0, 0.2)])
+def test_a_prediction_near_or_far_leads_to_a_quarter_of_a_degree_and_5_mm(deg: float, m: float) -> None:
+    for seed in range(4):
+        registration = TRACKER.track(FRAME, off(TRUTH, deg, m, seed))
+        assert not registration.reason
+        assert registration.source is Source.PMD_JOINT
+        assert error(registration) < (0.25, 0.005)
+
+
+def test_a_good_prediction_takes_fewer_steps() -> None:
+    assert TRACKER.track(FRAME, TRUTH).iterations < TRACKER.track(FRAME, off(TRUTH, 4.0, 0.1)).iterations
+
+
+def test_a_good_prediction_is_not_searched_around_for_what_depth_is_left() -> None:
+    tracker = JointTracker(JointConfig(), MOCKUP, calibrated=True)
+    whole, left = [], []
+    for number in range(8):
+        T = off(make_pose(rotation=TRUTH.rotation, translation_m=(0.1, -0.05, 5.5)), 15.0, 0.1, 200 + number)
+        seen, start = frame(T, number=number), off(T, 0.1, 0.002, number)
+        whole.append(error(tracker.track(seen, start), T)[0])
+        left.append(error(tracker.track(without_depth(seen, 0.6, number), start), T)[0])
+    assert np.mean(left) < 1.15 * np.mean(whole)
+    assert max(left) < 0.35
+
+
+def without_depth(seen: PmdFrame, share: float, seed: int) -> PmdFrame:
+    """Return a frame whose depth is lost in patches."""
+    lost = np.random.default_rng(seed).random((12, 12)) < share
+    rows, columns = (np.arange(size) * 12 // size for size in seen.depth_m.shape)
+    depth_m = np.where(lost[np.ix_(rows, columns)], np.float32(np.nan), seen.depth_m)
+    return seen.model_copy(update={"depth_m": depth_m})
+
+
+def test_edges_go_on_alone_where_all_depth_is_lost() -> None:
+    errors = []
+    for seed in range(5):
+        T = off(TRUTH, 20.0, 0.1, seed)
+        dark = frame(T, number=seed)
+        dark = dark.model_copy(update={"depth_m": np.full_like(dark.depth_m, np.nan)})
+        registration = TRACKER.track(dark, off(T, 1.0, 0.01, seed))
+        assert (registration.source, registration.reason) == (Source.PMD_AMPLITUDE, "")
+        errors.append(error(registration, T))
+    assert tuple(np.median(errors, axis=0)) < (0.4, 0.01)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_depth_goes_on_alone_without_an_amplitude(*, dark: bool) -> None:
+    amplitude = np.zeros_like(FRAME.amplitude) if dark else None
+    blind = FRAME.model_copy(update={"amplitude": amplitude})
+    registration = TRACKER.track(blind, off(TRUTH, 1.0, 0.01))
+    assert error(registration) < (1.5, 0.02)
+    assert (registration.source, registration.reason) == (Source.PMD_DEPTH, "")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_the_unit_of_the_amplitude_does_not_matter(dtype: type) -> None:
+    assert FRAME.amplitude is not None
+    scaled = np.minimum(FRAME.amplitude * (255.0 / FRAME.amplitude.max()), 255.0).astype(dtype)
+    registration = TRACKER.track(FRAME.model_copy(update={"amplitude": scaled}), off(TRUTH, 1.0, 0.01))
+    assert error(registration) < (0.3, 0.006)
+
+
+def test_an_error_of_all_ranges_is_told_from_the_edges() -> None:
+    near = make_pose(rotation=TRUTH.rotation, translation_m=(0.0, 0.0, 2.2))
+    seen = frame(near)
+    long = seen.model_copy(update={"depth_m": seen.depth_m + np.float32(0.03)})
+    assert error(TRACKER.track(long, off(near, 1.0, 0.01)), near)[1] < 0.01
+
+
+def test_a_glint_over_two_fifths_of_both_images_costs_little() -> None:
+    assert FRAME.amplitude is not None
+    columns = np.nonzero(np.isfinite(FRAME.depth_m))[1]
+    wiped = np.zeros(FRAME.depth_m.shape, bool)
+    wiped[:, : int(np.quantile(columns, 0.4))] = True
+    glint = FRAME.model_copy(
+        update={
+            "depth_m": np.where(wiped, np.float32(np.nan), FRAME.depth_m),
+            "amplitude": np.where(wiped, np.uint16(60000), FRAME.amplitude),
+        }
+    )
+    registration = TRACKER.track(glint, off(TRUTH, 1.0, 0.01))
+    assert not registration.reason
+    assert error(registration) < (1.0, 0.015)
+
+
+def test_a_lens_that_distorts_is_undone() -> None:
+    camera = CAMERA.camera.model_copy(update={"distortion": np.array((-0.2, 0.1, 0.003, -0.002, 0.0))})
+    config = CAMERA.model_copy(update={"camera": camera})
+    assert error(TRACKER.track(frame(config=config), off(TRUTH, 1.0, 0.01))) < (0.3, 0.006)
+
+
+@pytest.mark.parametrize("name", strange_frames())
+def test_a_strange_frame_has_a_reason(name: str) -> None:
+    assert TRACKER.track(strange_frames()[name], TRUTH).reason
+
+
+def _focal_length_off(shown: PmdFrame) -> PmdFrame:
+    camera = shown.camera.model_copy(update={"fx": 1.15 * shown.camera.fx, "fy": 1.15 * shown.camera.fy})
+    return shown.model_copy(update={"camera": camera})
+
+
+def _of_another_target(_: PmdFrame) -> PmdFrame:
+    return frame(target=HEXAGON)
+
+
+def _upside_down(shown: PmdFrame) -> PmdFrame:
+    assert shown.amplitude is not None
+    turned = {"depth_m": shown.depth_m[::-1].copy(), "amplitude": shown.amplitude[::-1].copy()}
+    return shown.model_copy(update=turned)
+
+
+@pytest.mark.parametrize("spoil", [_focal_length_off, _of_another_target, _upside_down])
+def test_what_is_not_the_target_as_this_camera_sees_it_is_refused(
+    spoil: Callable[[PmdFrame], PmdFrame],
+) -> None:
+    assert "contradict" in TRACKER.track(spoil(FRAME), TRUTH).reason
+
+
+@pytest.mark.parametrize("material", ["silver-mli", "panel"])
+def test_a_right_pose_is_believed_with_the_sun_behind_the_camera_from_afar(material: str) -> None:
+    index = [known.name for known in MOCKUP.materials].index(material)
+    coated = replace(MOCKUP, triangle_material=np.full_like(MOCKUP.triangle_material, index))
+    emulator = PmdEmulator(CAMERA, coated, seed=3)
+    for seed in range(4):
+        T = off(make_pose(rotation=FACING, translation_m=(0.0, 0.0, 6.4)), 15.0, 0.1, seed)
+        exposure = emulator.expose([T] * 4, sun_W_m2=np.array((0.0, 0.0, -1361.0)), frame=seed)
+        seen = frame_of(exposure.depth_m, amplitude=exposure.amplitude)
+        registration = TRACKER.track(seen, off(T, 1.0, 0.01, seed))
+        assert not registration.reason
+        assert error(registration, T) < (3.0, 0.08)
+
+
+def test_from_a_good_prediction_the_covariance_is_as_large_as_the_errors() -> None:
+    nees = []
+    for number in range(24):
+        T = off(TRUTH, 15.0, 0.1, 100 + number)
+        registration = TRACKER.track(frame(T, number=number), off(T, 0.3, 0.003, number))
+        found = registration.T_sensor_target
+        assert found is not None
+        turn = (found.rotation * T.rotation.inv()).as_rotvec()
+        e = np.concatenate((found.translation - T.translation, turn))
+        nees.append(e @ np.linalg.solve(registration.covariance, e))
+    assert 1.0 < np.mean(nees) < 12.0
+
+
+def test_what_the_view_does_not_show_is_uncertain() -> None:
+    close = make_pose(rotation=FACING, translation_m=(0.0, 0.0, 1.15))
+    roll = TRACKER.track(frame(close), close).covariance[5, 5]
+    assert roll > 2.0 * TRACKER.track(FRAME, TRUTH).covariance[5, 5]

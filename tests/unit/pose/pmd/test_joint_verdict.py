@@ -1,0 +1,42 @@
+import pytest
+from pydantic import ValidationError
+
+from rpod_pose.pmd.joint.edge_consistency import edge_doubt, edges_in_place, scale_doubt
+from rpod_schemas.config.pmd_joint import JointConfig, JointVerdictConfig
+
+LIMITS = JointVerdictConfig(
+    min_edge_share=0.5, min_changed_share=0.5, min_points=40, min_edges=40, bias_sigmas=2.0, scale_share=0.004
+)
+
+
+@pytest.mark.parametrize(
+    ("counts", "share"),
+    [
+        ({"edges": 75, "expected": 100.0, "asked": 120, "points": 500}, 0.85),
+        ({"edges": 75, "expected": 20.0, "asked": 200, "points": 500}, 0.85),
+        ({"edges": 75, "expected": 20.0, "asked": 100, "points": 39}, 0.85),
+        ({"edges": 0, "expected": 0.0, "asked": 39, "points": 500}, 1.0),
+    ],
+    ids=["of what is expected", "of what should change at least", "of all without depth", "too few"],
+)
+def test_the_share_of_edges_in_place_grants_what_chance_may_take_off(counts, share):
+    assert edges_in_place(LIMITS, **counts) == pytest.approx(share)
+
+
+def test_edges_out_of_place_are_a_doubt_in_words():
+    assert edge_doubt(LIMITS, 0.5) == ""
+    assert edge_doubt(LIMITS, 0.41) == "41% of the edges are in their place, 50% needed"
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_ranges_that_do_not_fit_the_size_are_a_doubt_and_farther_off_more_is_tolerated(sign):
+    assert scale_doubt(LIMITS, bias_m=sign * 0.059, sigma_m=0.025, range_m=2.5) == ""
+    assert "0.061 m off where edges have the target, 0.060 at most" in scale_doubt(
+        LIMITS, bias_m=sign * 0.061, sigma_m=0.025, range_m=2.5
+    )
+    assert scale_doubt(LIMITS, bias_m=sign * 0.061, sigma_m=0.025, range_m=5.0) == ""
+
+
+def test_what_is_not_believed_is_weak():
+    with pytest.raises(ValidationError, match="weak_edge_share"):
+        JointConfig(verdict=JointVerdictConfig(min_edge_share=0.7, weak_edge_share=0.6))

@@ -1,0 +1,151 @@
+"""What a frame shows of the target, and how badly poses explain it."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from pmd_frames import CAMERA, depth_frame, frame_of
+from scipy.spatial.transform import Rotation
+
+from rpod_pose.pmd.fit import PmdFitter
+from rpod_pose.pmd.scene import PmdScene, scene_of
+from rpod_schemas.config.motion import FACING
+from rpod_schemas.config.pmd_search import PmdModelConfig, PmdSceneConfig
+from rpod_schemas.poses import make_pose
+from rpod_target import load_target
+
+POSE = make_pose(
+    rotation=Rotation.from_euler("y", 30.0, degrees=True) * FACING, translation_m=(0.0, 0.0, 4.0)
+)
+mockup = cache(lambda: load_target("mockup"))
+ideal = cache(lambda: depth_frame(mockup(), POSE, noise_m=0.005))
+SKY = np.random.default_rng(3).integers(0, 4, (CAMERA.height, CAMERA.width)).astype(np.uint16)
+
+
+def scene(depth_m, amplitude=None) -> PmdScene:
+    result = scene_of(frame_of(depth_m, amplitude=amplitude), PmdSceneConfig(), radius_m=mockup().radius_m)
+    assert isinstance(result, PmdScene)
+    return result
+
+
+def shade(value: int, sky=SKY):
+    """Return an amplitude image with this value on the target."""
+    return np.where(np.isfinite(ideal().depth_m), value, sky).astype(np.uint16)
+
+
+def without_middle():
+    """Return the depth, and which of its pixels lost it."""
+    lost = np.zeros(ideal().depth_m.shape, bool)
+    lost[130:160, 160:190] = True
+    return np.where(lost, np.nan, ideal().depth_m), lost
+
+
+def coarsely(result: PmdScene, pixels):
+    view = result.view
+    return pixels[view.offset :: view.stride, view.offset :: view.stride]
+
+
+def lit_where(result: PmdScene, pixels):
+    return result.lit[coarsely(result, pixels)]
+
+
+def test_a_dark_part_without_depth_is_told_from_the_sky():
+    depth_m, lost = without_middle()
+    assert lit_where(scene(depth_m, np.where(lost, 12, shade(200)).astype(np.uint16)), lost).mean() > 0.99
+    assert lit_where(scene(depth_m, np.where(lost, SKY, shade(200)).astype(np.uint16)), lost).mean() < 0.01
+
+
+def glinting():
+    """Return a frame with a glint on the target's edge, and where it is."""
+    glint = np.zeros(ideal().depth_m.shape, bool)
+    glint[60:140, 120:200] = True
+    depth_m = np.where(glint, np.nan, ideal().depth_m)
+    return scene(depth_m, np.where(glint, 0, shade(200)).astype(np.uint16)), glint
+
+
+def test_what_a_glint_wiped_out_is_neither_lit_nor_dark():
+    result, glint = glinting()
+    assert coarsely(result, glint)[result.blind].mean() > 0.8
+    assert result.blind[coarsely(result, glint)].mean() > 0.95
+    assert lit_where(result, glint).mean() < 0.05
+
+
+def test_a_glint_speaks_for_no_pose_and_against_none():
+    whole = scene(ideal().depth_m, shade(200))
+    R, t = POSE.rotation.as_matrix(), POSE.translation
+    fits = [
+        PmdFitter(PmdModelConfig(), mockup(), one, as_filed=False).fit(R, t) for one in (glinting()[0], whole)
+    ]
+    assert fits[0].mean_loss == pytest.approx(fits[1].mean_loss, abs=0.05)
+    assert fits[0].explained_share > 0.99
+
+
+def test_lost_depth_hardly_moves_the_middle_of_what_is_seen():
+    middle_m = scene(ideal().depth_m, shade(200)).middle_m()
+    lost = ideal().depth_m.copy()
+    lost[:, :175] = np.nan
+    result = scene(lost, shade(200))
+    assert np.linalg.norm(result.points_m.mean(axis=0) - middle_m) > 0.15
+    assert np.linalg.norm(result.middle_m() - middle_m) < 0.1
+
+
+def test_other_materials_change_the_loss_of_the_amplitude_alone():
+    R, t = POSE.rotation.as_matrix(), POSE.translation
+    even = scene(ideal().depth_m, shade(200))
+    fits = [PmdFitter(PmdModelConfig(), mockup(), even, as_filed=filed).fit(R, t) for filed in (True, False)]
+    assert fits[0].loss > 2.0 * fits[1].loss
+    assert fits[1].mean_loss < 0.2
+
+
+def test_the_zeros_of_a_sky_without_noise_are_no_glint():
+    result = scene(ideal().depth_m, shade(200, sky=0))
+    assert result.lit.mean() == pytest.approx((result.range_m > 0.0).mean(), abs=0.02)
+
+
+def test_about_as_many_pixels_are_looked_at_at_any_range():
+    for range_m in (2.5, 4.0, 6.0):
+        T = make_pose(rotation=FACING, translation_m=(0.0, 0.0, range_m))
+        points = len(scene(depth_frame(mockup(), T).depth_m).points_m)
+        assert 800 < points < 4000
+
+
+def test_what_lies_far_behind_is_not_of_the_target():
+    depth_m = np.where(np.isfinite(ideal().depth_m), ideal().depth_m, 7.4)
+    depth_m[:, :80] = np.nan
+    depth_m[:, 270:] = np.nan
+    depth_m[:60] = np.nan
+    depth_m[220:] = np.nan
+    assert scene(depth_m).points_m[:, 2].max() < 6.0
+
+
+def test_the_right_pose_explains_a_frame_best():
+    result = scene(ideal().depth_m)
+    fitter = PmdFitter(PmdModelConfig(), mockup(), result)
+    right = fitter.fit(POSE.rotation.as_matrix(), POSE.translation)
+    assert right.explained_share > 0.97
+    assert right.mean_loss < 0.2
+    for axis in np.eye(3):
+        moved = fitter.fit(POSE.rotation.as_matrix(), POSE.translation + 0.1 * axis)
+        turned = POSE.rotation * Rotation.from_rotvec(0.2 * axis)
+        assert moved.loss > 2.0 * right.loss
+        assert fitter.fit(turned.as_matrix(), POSE.translation).loss > 1.2 * right.loss
+
+
+def test_sharpening_never_makes_a_pose_worse():
+    fitter = PmdFitter(PmdModelConfig(), mockup(), scene(ideal().depth_m))
+    draws = np.random.default_rng(1).standard_normal((3, 16, 6))
+    off = make_pose(
+        rotation=POSE.rotation * Rotation.from_rotvec([0.03, 0.0, 0.02]), translation_m=(0.02, 0.0, 4.01)
+    )
+    R, t = off.rotation.as_matrix(), off.translation
+    sharper = fitter.sharpened(R, t, np.full(6, 0.02), draws)
+    assert fitter.fit(*sharper).loss < fitter.fit(R, t).loss
+
+
+def test_a_missing_detail_shows_in_the_worst_patch():
+    R, t = POSE.rotation.as_matrix(), POSE.translation
+    depth_m = ideal().depth_m.copy()
+    (whole,) = PmdFitter(PmdModelConfig(), mockup(), scene(depth_m)).worst_patches(R, t, 5)
+    depth_m[140:165, 170:195] += 0.3
+    (missing,) = PmdFitter(PmdModelConfig(), mockup(), scene(depth_m)).worst_patches(R, t, 5)
+    assert missing > whole + 1.0

@@ -1,0 +1,242 @@
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from pmd_frames import depth_frame, frame_of, strange_frames
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_pose.pmd.joint.tracker import JointTracker
+from rpod_pose.pmd.view_search import ViewSearch
+from rpod_pose.ports import Registration, Verdict
+from rpod_pose.search.attitude_grid import even_directions
+from rpod_schemas.config.motion import FACING
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.poses import make_pose, pose_error
+from rpod_schemas.types import PmdFrame, Source
+from rpod_sim_sensor.pmd import PmdEmulator
+from rpod_target import load_target
+
+SUN_W_M2 = 1361.0 * np.array([0.4, -0.5, -0.768])
+OBLIQUE = make_pose(
+    rotation=Rotation.from_euler("yx", (30.0, 20.0), degrees=True) * FACING, translation_m=(0.1, -0.1, 4.5)
+)
+REAR = make_pose(
+    rotation=Rotation.from_euler("y", 180.0, degrees=True) * FACING, translation_m=(0.0, 0.0, 4.0)
+)
+target = cache(load_target)
+tracking = cache(lambda name: JointTracker(JointConfig(), target(name)))
+searching = cache(lambda name: ViewSearch(PmdAcquisitionConfig(), target(name), tracking(name)))
+camera = cache(lambda name: PmdEmulator(PmdConfig(), target(name), seed=3))
+
+
+@cache
+def seen(name: str, T: RigidTransform, frame: int = 0) -> PmdFrame:
+    """Return a frame of a target in the sun."""
+    exposure = camera(name).expose([T] * 4, sun_W_m2=SUN_W_M2, frame=frame)
+    return frame_of(exposure.depth_m, amplitude=exposure.amplitude)
+
+
+@cache
+def found(name: str = "mockup", T: RigidTransform = OBLIQUE):
+    return searching(name).acquire(seen(name, T))
+
+
+def changed(frame: PmdFrame, **intrinsics: float) -> PmdFrame:
+    return frame.model_copy(update={"camera": frame.camera.model_copy(update=intrinsics)})
+
+
+def attitude_error_deg(T_truth, T):
+    return np.rad2deg(np.linalg.norm(pose_error(T_truth, T)[0]))
+
+
+def assert_right(T_truth, T):
+    assert attitude_error_deg(T_truth, T) < 4.0
+    assert np.linalg.norm(T.translation - T_truth.translation) < 0.08
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_attitude_is_found_without_a_guess(seed):
+    T = make_pose(rotation=Rotation.random(random_state=seed), translation_m=(0.2, 0.1, 3.5 + 0.5 * seed))
+    assert_right(T, searching("mockup").acquire(seen("mockup", T)).pose)
+
+
+def test_what_explains_the_frame_is_accepted():
+    assert found().verdict is Verdict.ACCEPTED
+    assert found().trackable
+    assert found().hypotheses[0].weight > 0.95
+    assert np.isfinite(found().covariance).all()
+    assert found().reason == ""
+
+
+def test_what_is_accepted_is_laid_on_the_edges_too():
+    result = found()
+    assert result.registration.source is Source.PMD_JOINT
+    assert attitude_error_deg(OBLIQUE, result.pose) < 0.5
+    assert np.linalg.norm(result.pose.translation - OBLIQUE.translation) < 0.015
+    assert np.array_equal(result.hypotheses[0].pose.as_matrix(), result.pose.as_matrix())
+
+
+def test_what_the_tracker_does_not_believe_is_refused():
+    class Doubting:
+        def track(self, _, T_sensor_target):
+            return Registration(Source.PMD_JOINT, T_sensor_target, "edges are elsewhere")
+
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Doubting())
+    result = search.acquire(seen("mockup", OBLIQUE))
+    assert (result.verdict, result.reason) == (Verdict.FAILED, "edges are elsewhere")
+    assert result.pose is None
+
+
+def test_a_frame_without_amplitude_does():
+    T = make_pose(rotation=OBLIQUE.rotation, translation_m=(0.0, 0.1, 3.5))
+    result = searching("mockup").acquire(depth_frame(target("mockup"), T, noise_m=0.01))
+    assert_right(T, result.pose)
+
+
+def test_a_wide_start_ends_at_the_pose():
+    for axis in np.eye(3):
+        off = make_pose(rotation=Rotation.from_rotvec(np.deg2rad(25.0) * axis), translation_m=0.5 * axis)
+        guess = RigidTransform.from_components(
+            OBLIQUE.translation + off.translation, off.rotation * OBLIQUE.rotation
+        )
+        assert_right(OBLIQUE, searching("mockup").near(seen("mockup", OBLIQUE), guess).pose)
+
+
+def test_near_a_guess_no_pose_far_from_it_is_considered():
+    guess = OBLIQUE * make_pose(rotation=Rotation.from_rotvec([np.pi, 0.0, 0.0]))
+    pose = searching("mockup").near(seen("mockup", OBLIQUE), guess).pose
+    assert pose is None or attitude_error_deg(guess, pose) < 60.0
+
+
+def test_a_bare_body_of_one_material_is_ambiguous_by_its_symmetry_alone():
+    result = found("hexagonal-body")
+    turns = [RigidTransform.identity(), *target("hexagonal-body").turns(exact=True)]
+    assert result.verdict is Verdict.AMBIGUOUS
+    assert result.by_symmetry
+    assert result.trackable
+    assert "symmetry" in result.reason
+    assert sum(hypothesis.weight for hypothesis in result.hypotheses) == pytest.approx(1.0)
+    for turn in turns:
+        nearest = min(attitude_error_deg(OBLIQUE * turn, one.pose) for one in result.hypotheses)
+        assert nearest < 4.0
+
+
+def test_a_view_without_details_is_ambiguous():
+    depth_m = seen("mockup", REAR).depth_m
+    rear_face = frame_of(np.where(depth_m < 3.4, depth_m, np.nan))
+    result = searching("mockup").acquire(rear_face)
+    assert result.verdict is Verdict.AMBIGUOUS
+    assert not result.trackable
+    assert len(result.hypotheses) > 1
+    assert sum(hypothesis.weight for hypothesis in result.hypotheses) == pytest.approx(1.0)
+
+
+def test_a_mirrored_frame_is_refused():
+    frame = seen("mockup", OBLIQUE)
+    mirrored = frame_of(frame.depth_m[:, ::-1], amplitude=frame.amplitude[:, ::-1])
+    result = searching("mockup").acquire(mirrored)
+    assert result.verdict is Verdict.FAILED
+    assert "contradict" in result.reason or "explain" in result.reason
+
+
+def test_a_body_that_is_told_by_its_material_alone_is_ambiguous():
+    T = make_pose(
+        rotation=Rotation.from_euler("yx", (160.0, 25.0), degrees=True) * FACING,
+        translation_m=(0.0, 0.0, 4.5),
+    )
+    result = searching("mockup").acquire(seen("hexagonal-body", T))
+    assert result.verdict is Verdict.AMBIGUOUS
+    assert not result.trackable
+    assert len(result.hypotheses) > 1
+
+
+@pytest.mark.parametrize("material", ["panel", "nose", "silver-mli"])
+def test_the_target_in_other_materials_is_found_by_its_shape(material):
+    mockup = target("mockup")
+    index = [known.name for known in mockup.materials].index(material)
+    coated = replace(mockup, triangle_material=np.full_like(mockup.triangle_material, index))
+    exposure = PmdEmulator(PmdConfig(), coated, seed=4).expose([OBLIQUE] * 4, sun_W_m2=SUN_W_M2, frame=0)
+    result = searching("mockup").acquire(frame_of(exposure.depth_m, amplitude=exposure.amplitude))
+    assert result.verdict is Verdict.ACCEPTED
+    assert_right(OBLIQUE, result.pose)
+
+
+def spotted(seed: int, *, share: float, size_px: int):
+    """Return which pixels lie in squares that cover a share of the image."""
+    shape = seen("mockup", OBLIQUE).depth_m.shape
+    squares = np.random.default_rng(seed).random((30, 30)) < share
+    row, column = (np.arange(size) // size_px % 30 for size in shape)
+    return squares[np.ix_(row, column)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_depth_that_is_lost_in_patches_is_missed_little(seed):
+    frame = seen("mockup", OBLIQUE)
+    lost = spotted(seed, share=0.4, size_px=25)
+    result = searching("mockup").acquire(
+        frame_of(np.where(lost, np.nan, frame.depth_m), amplitude=frame.amplitude)
+    )
+    assert result.verdict is Verdict.ACCEPTED
+    assert_right(OBLIQUE, result.pose)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_glints_that_wipe_out_both_images_contradict_nothing(seed):
+    frame = seen("mockup", OBLIQUE)
+    near = cv2.dilate(np.isfinite(frame.depth_m).astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
+    wiped = spotted(seed, share=0.4, size_px=15) & near
+    result = searching("mockup").acquire(
+        frame_of(
+            np.where(wiped, np.nan, frame.depth_m),
+            amplitude=np.where(wiped, 0, frame.amplitude).astype(np.uint16),
+        )
+    )
+    assert result.verdict is Verdict.ACCEPTED
+    assert_right(OBLIQUE, result.pose)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.7, 0.8, 1.2, 1.3, 1.5])
+def test_a_wrong_focal_length_is_refused(share):
+    frame = seen("mockup", OBLIQUE)
+    wrong = changed(frame, fx=share * frame.camera.fx, fy=share * frame.camera.fy)
+    assert searching("mockup").acquire(wrong).verdict is Verdict.FAILED
+
+
+@pytest.mark.parametrize("wrong", [{"cx": 100.0}, {"cy": 10.0}, {"fx": 500.0}, {"fy": 1000.0}])
+def test_the_camera_matrix_of_another_image_is_named(wrong):
+    result = searching("mockup").acquire(changed(seen("mockup", OBLIQUE), **wrong))
+    assert result.verdict is Verdict.FAILED
+    assert result.reason.startswith("the camera matrix is another image's")
+
+
+@pytest.mark.parametrize("name", ["envisat-slim", "rocket-stage"])
+def test_another_target_is_refused(name):
+    result = searching("mockup").acquire(seen(name, OBLIQUE))
+    assert result.verdict is Verdict.FAILED
+    assert result.reason
+
+
+@pytest.mark.parametrize("frame", strange_frames().values(), ids=strange_frames().keys())
+def test_a_strange_frame_fails_with_a_reason(frame):
+    for result in (searching("mockup").acquire(frame), searching("mockup").near(frame, OBLIQUE)):
+        assert result.verdict is Verdict.FAILED
+        assert result.reason
+        assert result.hypotheses == ()
+
+
+def test_the_same_frame_gives_the_same_pose():
+    again = searching("mockup").acquire(seen("mockup", OBLIQUE))
+    assert np.array_equal(again.pose.as_matrix(), found().pose.as_matrix())
+
+
+def test_directions_are_even():
+    directions = even_directions(150)
+    cosines = directions @ directions.T - 2.0 * np.eye(150)
+    nearest_deg = np.rad2deg(np.arccos(cosines.max(axis=1)))
+    assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
+    assert nearest_deg.min() > 10.0
+    assert nearest_deg.max() < 20.0
