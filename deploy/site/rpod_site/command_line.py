@@ -1,0 +1,15 @@
+"""Writes the reference of the command line from the program itself."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+
+def write(file: Path) -> None:
+    """Write what typer's own generator says of ``rpod``, under a title."""
+    command = [sys.executable, "-m", "typer", "rpod.__main__", "utils", "docs", "--name", "rpod"]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    body = re.sub(r"^# `rpod`\n", "", told.lstrip(), count=1)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(f"# Command line\n\n{body}", "utf-8")
