@@ -16,7 +16,9 @@ BUILD = ROOT / "build" / "site"
 def main() -> int:
     """Stage the pages, build the site, and check that it needs no network; return the exit code."""
     parser = argparse.ArgumentParser(prog="rpod_site", description=__doc__)
-    parser.add_argument("--without-notebooks", action="store_true", help="Show notebooks without their outputs.")
+    parser.add_argument(
+        "--without-notebooks", action="store_true", help="Show notebooks without their outputs."
+    )
     arguments = parser.parse_args()
     pages = BUILD / "pages"
     shutil.rmtree(BUILD, ignore_errors=True)
@@ -26,13 +28,24 @@ def main() -> int:
     api.write(ROOT, reference / "api")
     configuration.write(reference / "configuration")
     command_line.write(reference / "command-line.md")
+    shutil.copy(ROOT / "deploy" / "site" / "assets" / "site.css", pages)
     navigation.write(ROOT / "deploy" / "site" / "mkdocs.yml", BUILD / "mkdocs.yml", pages)
     # Material prints a notice of its own end of life at every build: see decision 16.
     quiet = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
-    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--config-file", BUILD / "mkdocs.yml"]
-    code = subprocess.run(command, env=quiet, check=False).returncode
-    if code:
-        return code
+    # Not with --quiet, which hides warnings from --strict too.
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--config-file",
+        str(BUILD / "mkdocs.yml"),
+    ]
+    built = subprocess.run(command, env=quiet, stderr=subprocess.PIPE, text=True, check=False)
+    if built.returncode:
+        sys.stderr.writelines(line for line in built.stderr.splitlines(keepends=True) if "INFO" not in line)
+        return built.returncode
     outside = offline.make(BUILD / "html", ROOT / "deploy" / "site" / "assets" / "iframe-worker.js")
     for page, address in outside:
         print(f"{page}: loads {address}; a page of the site loads nothing from a network", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Writes the configuration reference from the pydantic models: a table for each model, a page for each module."""
+"""Writes the configuration reference from the pydantic models: a table a model, a page a module."""
 
 import importlib
 import inspect
@@ -17,9 +17,9 @@ from rpod_site.field_types import bounds, default_text, type_text
 
 _INDEX = """# Configuration
 
-Every service takes one model from a file in YAML, TOML or JSON (`rpod estimator --config FILE`); a scenario holds what
-the services share. An unknown field and a value out of bounds are refused with the name of the field, the value and the reason.
-A field without a default must be given. The tables are made from the models in the code.
+Every service reads one model from a file in YAML, TOML or JSON (`rpod estimator --config FILE`). A scenario
+holds what the services share. An unknown field or a value out of bounds is refused with the field's name and the
+reason. A field without a default must be given. The tables are made from the models in the code.
 
 | page | models |
 |---|---|
@@ -36,7 +36,9 @@ def write(folder: Path) -> None:
     index = [_INDEX.rstrip()]
     for module, of in sorted(pages.items(), key=lambda page: _file(page[0])):
         (folder / _file(module)).write_text(_page(module, of, where), "utf-8")
-        index.append(f"| [{_title(module)}]({_file(module)}) | {', '.join(f'`{model.__name__}`' for model in of)} |")
+        index.append(
+            f"| [{_title(module)}]({_file(module)}) | {', '.join(f'`{model.__name__}`' for model in of)} |"
+        )
     (folder / "index.md").write_text("\n".join(index) + "\n", "utf-8")
 
 
@@ -52,7 +54,11 @@ def models() -> list[type[BaseModel]]:
 
 def _modules() -> Iterator[str]:
     """Yield the modules of all installed packages of the project, but not its programs."""
-    packages = [package.name for package in pkgutil.iter_modules() if re.fullmatch(r"rpod(_(?!site)\w+)?", package.name)]
+    packages = [
+        package.name
+        for package in pkgutil.iter_modules()
+        if re.fullmatch(r"rpod(_(?!site)\w+)?", package.name)
+    ]
     for package in packages:
         path = importlib.import_module(package).__path__
         for module in pkgutil.walk_packages(path, f"{package}."):
@@ -94,12 +100,13 @@ def _default(field: FieldInfo) -> object:
 
 
 def _file(module: str) -> str:
-    return f"{_title(module)}.md"
+    return f"{_title(module).replace(' ', '-')}.md"
 
 
 def _title(module: str) -> str:
-    """Return a page's name: the module's within the configuration, or its dotted name elsewhere."""
-    return module.removeprefix("rpod_schemas.config.").replace(".", "-")
+    """Return a page's name: the module's within the configuration, else the package's before it."""
+    parts = module.removeprefix("rpod_schemas.config.").removeprefix("rpod_").split(".")
+    return " ".join(dict.fromkeys(part.replace("_", " ") for part in parts))
 
 
 def _anchor(model: type[BaseModel]) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Len, Lt, MaxLen, MinLen
+from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -25,6 +25,14 @@ _NAMES: dict[Any, str] = {
     type(None): "null",
     Any: "any",
 }
+_RULES = (
+    (Gt, "gt", "> {}"),
+    (Ge, "ge", "≥ {}"),
+    (Lt, "lt", "< {}"),
+    (Le, "le", "≤ {}"),
+    (MinLen, "min_length", "length ≥ {}"),
+    (MaxLen, "max_length", "length ≤ {}"),
+)
 _LONGEST_DEFAULT = 60
 
 
@@ -35,27 +43,35 @@ def type_text(annotation: Any, pages: Pages) -> str:
         return type_text(arguments[0], pages)
     if origin in (Union, types.UnionType):
         return " or ".join(dict.fromkeys(type_text(argument, pages) for argument in arguments))
-    if origin is Literal:
-        return " or ".join(f"`{value}`" for value in arguments)
     if origin in (tuple, list, set, frozenset):
         return _sequence(arguments, pages)
     if origin is dict:
         return f"mapping of {type_text(arguments[0], pages)} to {type_text(arguments[1], pages)}"
+    return _simple(annotation, pages)
+
+
+def _simple(annotation: Any, pages: Pages) -> str:
     if annotation in pages:
         return f"[{annotation.__name__}]({pages[annotation]})"
+    if get_origin(annotation) is Literal:
+        return " or ".join(f"`{value}`" for value in get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, Enum):
         return " or ".join(f"`{member.value}`" for member in annotation)
-    if origin is np.ndarray or annotation is np.ndarray:
+    if np.ndarray in (annotation, get_origin(annotation)):
         return "list of numbers"
     return _NAMES.get(annotation) or f"`{getattr(annotation, '__name__', annotation)}`"
 
 
 def _sequence(arguments: tuple[Any, ...], pages: Pages) -> str:
-    texts = list(dict.fromkeys(type_text(argument, pages) for argument in arguments if argument is not Ellipsis))
+    texts = list(
+        dict.fromkeys(type_text(argument, pages) for argument in arguments if argument is not Ellipsis)
+    )
     if len(texts) > 1:
         return f"list of {len(arguments)}: {', '.join(texts)}"
     plural = f"{texts[0]}s" if texts[0] in _NAMES.values() else texts[0]
-    return f"list of {plural}" if len(arguments) == 1 or Ellipsis in arguments else f"{len(arguments)} {plural}"
+    return (
+        f"list of {plural}" if len(arguments) == 1 or Ellipsis in arguments else f"{len(arguments)} {plural}"
+    )
 
 
 def default_text(value: Any, pages: Pages) -> str:
@@ -108,20 +124,8 @@ def _annotations(annotation: Any) -> list[Any]:
 
 
 def _bound(rule: Any) -> str:
-    match rule:
-        case Gt(gt=limit):
-            return f"> {_plain(limit)}"
-        case Ge(ge=limit):
-            return f"≥ {_plain(limit)}"
-        case Lt(lt=limit):
-            return f"< {_plain(limit)}"
-        case Le(le=limit):
-            return f"≤ {_plain(limit)}"
-        case MinLen(min_length=least):
-            return f"length ≥ {least}"
-        case MaxLen(max_length=most):
-            return f"length ≤ {most}"
-        case Len(min_length=least, max_length=most):
-            return f"length {least} to {most}"
+    for kind, name, text in _RULES:
+        if isinstance(rule, kind):
+            return text.format(_plain(getattr(rule, name)))
     pattern = getattr(rule, "pattern", None)
     return f"fits `{pattern}`" if pattern else ""

@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 import nbformat
+from jupyter_client.manager import AsyncKernelManager
 from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
 
@@ -17,7 +18,7 @@ _QUIET = {"JUPYTER_PLATFORM_DIRS": "1", "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
 def stage(root: Path, pages: Path, *, execute: bool) -> None:
     """Write each notebook as a page with its figures beside it; an error in a cell ends the build."""
     for file in sorted((root / _FOLDER).glob("*.ipynb")):
-        notebook = nbformat.read(file, as_version=4)
+        notebook = nbformat.reads(file.read_text("utf-8"), as_version=4)  # type: ignore[no-untyped-call]
         if execute:
             run(notebook)
         _write(notebook, file, pages / _FOLDER)
@@ -28,14 +29,20 @@ def run(notebook: nbformat.NotebookNode) -> None:
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     os.environ.update(_QUIET)
     with tempfile.TemporaryDirectory() as folder:
-        client = NotebookClient(notebook, timeout=_TIMEOUT_S, resources={"metadata": {"path": folder}})
+        kernel = AsyncKernelManager(
+            transport="ipc", ip=str(Path(folder, "kernel"))
+        )  # sockets of this user, no ports
+        client = NotebookClient(
+            notebook, km=kernel, timeout=_TIMEOUT_S, resources={"metadata": {"path": folder}}
+        )
         client.execute(env=os.environ | {"PATH": path})
 
 
 def _write(notebook: nbformat.NotebookNode, file: Path, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     resources = {"output_files_dir": f"{file.stem}_files"}
-    text, written = MarkdownExporter().from_notebook_node(notebook, resources=resources)
+    exporter = MarkdownExporter()  # type: ignore[no-untyped-call]
+    text, written = exporter.from_notebook_node(notebook, resources=resources)
     for name, content in written["outputs"].items():
         output = folder / name
         output.parent.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ _IN_STYLE = re.compile(r"""(?:url\(|@import\s+)["']?((?:https?:)?//[^"')\s]+)"""
 
 
 def make(site: Path, shim: Path) -> list[tuple[Path, str]]:
-    """Put the shim beside the pages; return each page or style that loads something from a network, with its address."""
+    """Put the shim beside the pages; return what still loads from a network: file and address."""
     local = site / "assets" / "javascripts" / shim.name
     shutil.copyfile(shim, local)
     for page in site.rglob("*.html"):
