@@ -4,9 +4,10 @@ A comment stands on the line above the block, ``<!-- kind: text -->`` or ``<!-- 
 
 ``not run: reason``    the block is left out
 ``in the background``  each command is a process that goes on until the document ends, once it is ready
+``end the background`` they end here; no block is needed
 ``output``             the block is what the block before prints; ``...`` stands for anything
 ``same as: path``      the block is the file at this path beside the document; it is also put into the folder
-``given: file.mcap from scenario``  a log of five seconds of the scenario is put into the folder; needs no block
+``given: a.mcap from scenario``  a log of five seconds of the scenario is put into the folder; needs no block
 """
 
 import re
@@ -18,7 +19,8 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 
 _COMMENT = re.compile(r"<!--\s*([a-z ]+?)\s*(?::\s*(.*?))?\s*-->")
-_KINDS = ("not run", "in the background", "output", "same as", "given")
+_KINDS = ("not run", "in the background", "output", "same as", "given", "end the background")
+_ALONE = ("given", "end the background")
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,9 @@ def blocks_of(document: Path) -> Iterator[Block]:
         line = (token.map or [0])[0] + 1
         if token.type == "html_block":
             kind, said = _comment(token.content)
-            if kind == "given":
+            if kind in _ALONE:
                 yield Block(document, line, "", "", kind, said, "")
+                kind, said = "", ""
         elif token.type == "fence":
             language, title = _info(token.info)
             yield Block(document, line + 1, language, title, kind, said, token.content)

@@ -52,6 +52,7 @@ class Playground:
             "output": self._compare,
             "same as": self._same,
             "given": self._give,
+            "end the background": lambda _: self.close(),
         }
 
     def close(self) -> None:

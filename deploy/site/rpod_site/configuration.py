@@ -18,7 +18,7 @@ from rpod_site.field_types import bounds, default_text, type_text
 _INDEX = """# Configuration
 
 Every service reads one model from a file in YAML, TOML or JSON (`rpod estimator --config FILE`). A scenario
-holds what the services share. An unknown field or a value out of bounds is refused with the field's name and the
+holds what the services share. An unknown field or a value out of bounds is refused with its name and the
 reason. A field without a default must be given. The tables are made from the models in the code.
 
 | page | models |

@@ -29,13 +29,15 @@ def tracked(root: Path) -> list[Path]:
 
 
 def stage(root: Path, pages: Path) -> None:
-    """Copy documents and what they link to; a link to a folder becomes one to its first page."""
+    """Copy documents and what they link to; a link to a folder or notebook becomes one to its page."""
     for document in tracked(root):
         text = (root / document).read_text("utf-8")
         for link in set(links(text)):
             target = (root / document.parent / link).resolve()
             if target.is_dir():
                 text = text.replace(f"]({link})", f"]({link.rstrip('/')}/{_first_page(target)})")
+            elif target.suffix == ".ipynb":
+                text = text.replace(f"]({link})", f"]({link.removesuffix('.ipynb')}.md)")
             elif target.is_file() and target.is_relative_to(root) and target.suffix != ".md":
                 _copy(target, pages / target.relative_to(root))
         _write(pages / document, text)
