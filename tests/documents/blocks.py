@@ -7,7 +7,7 @@ A comment stands on the line above the block, ``<!-- kind: text -->`` or ``<!-- 
 ``end the background`` they end here; no block is needed
 ``output``             the block is what the block before prints; ``...`` stands for anything
 ``same as: path``      the block is the file at this path beside the document; it is also put into the folder
-``given: a.mcap from scenario``  a log of five seconds of the scenario is put into the folder; needs no block
+``given: a.mcap from scenario``  a log of a short run of the scenario is put into the folder; needs no block
 """
 
 import re

@@ -22,7 +22,7 @@ from rpod_runtime.session import free_endpoint
 
 ROOT = Path(__file__).parents[2]
 SHOWN_ENDPOINT = "tcp/127.0.0.1:7447"
-RUN_S, TRIALS = 5.0, 2
+RUN_S, TRIALS = 3.0, 2
 """No run takes longer and no campaign has more trials here, whatever the document shows."""
 _TIMEOUT_S = 120.0
 _ENDED = (0, -signal.SIGTERM)

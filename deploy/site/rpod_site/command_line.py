@@ -11,5 +11,7 @@ def write(file: Path) -> None:
     command = [sys.executable, "-m", "typer", "rpod.__main__", "utils", "docs", "--name", "rpod"]
     told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     body = re.sub(r"^# `rpod`\n", "", told.lstrip(), count=1)
+    # The list of verbs cuts each sentence at 45 letters; the sections below have them whole.
+    body = re.sub(r"\*\*Commands\*\*:\n.*?(?=^## )", "", body, count=1, flags=re.DOTALL | re.MULTILINE)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(f"# Command line\n\n{body}", "utf-8")

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 import nbformat
-from jupyter_client.manager import AsyncKernelManager
+from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
 
@@ -29,13 +29,16 @@ def run(notebook: nbformat.NotebookNode) -> None:
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     os.environ.update(_QUIET)
     with tempfile.TemporaryDirectory() as folder:
-        kernel = AsyncKernelManager(
+        kernel = KernelManager(
             transport="ipc", ip=str(Path(folder, "kernel"))
         )  # sockets of this user, no ports
         client = NotebookClient(
             notebook, km=kernel, timeout=_TIMEOUT_S, resources={"metadata": {"path": folder}}
         )
-        client.execute(env=os.environ | {"PATH": path})
+        try:
+            client.execute(env=os.environ | {"PATH": path})
+        finally:
+            kernel.shutdown_kernel(now=True)
 
 
 def _write(notebook: nbformat.NotebookNode, file: Path, folder: Path) -> None:
