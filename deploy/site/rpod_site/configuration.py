@@ -7,6 +7,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -88,9 +89,15 @@ def _section(model: type[BaseModel], where: dict[type[BaseModel], str]) -> str:
 
 def _row(name: str, field: FieldInfo, where: dict[type[BaseModel], str]) -> str:
     default = "required" if field.is_required() else default_text(_default(field), where)
-    meaning = " ".join((field.description or "").split())
+    meaning = " ".join((field.description or _selector(field)).split())
     cells = (f"`{name}`", type_text(field.annotation, where), default, bounds(field), meaning)
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+
+
+def _selector(field: FieldInfo) -> str:
+    """Return the sentence of a field that can have one value only."""
+    only = get_origin(field.annotation) is Literal and len(get_args(field.annotation)) == 1
+    return "Selects this model where several may stand." if only else ""
 
 
 def _default(field: FieldInfo) -> object:
