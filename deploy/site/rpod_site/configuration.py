@@ -89,13 +89,14 @@ def _section(model: type[BaseModel], where: dict[type[BaseModel], str]) -> str:
 
 def _row(name: str, field: FieldInfo, where: dict[type[BaseModel], str]) -> str:
     default = "required" if field.is_required() else default_text(_default(field), where)
-    meaning = " ".join((field.description or _selector(field)).split())
-    cells = (f"`{name}`", type_text(field.annotation, where), default, bounds(field), meaning)
+    cells = (f"`{name}`", type_text(field.annotation, where), default, bounds(field), meaning(field))
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 
-def _selector(field: FieldInfo) -> str:
-    """Return the sentence of a field that can have one value only."""
+def meaning(field: FieldInfo) -> str:
+    """Return the sentence of a field; of one that can have one value only, what this is for."""
+    if field.description:
+        return " ".join(field.description.split())
     only = get_origin(field.annotation) is Literal and len(get_args(field.annotation)) == 1
     return "Selects this model where several may stand." if only else ""
 
