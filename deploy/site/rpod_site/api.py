@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+_BEHIND_OTHERS = "---\nsearch:\n  boost: 0.2\n---"
+"""In search results, behind the pages that explain."""
 SOURCES = ("services", "schemas", "sim_sensor")
 
 
@@ -27,7 +29,7 @@ def modules(directory: Path) -> list[str]:
 
 
 def _page(package: str, directory: Path) -> str:
-    parts = [f"# {package}", _block(package, level=2, members=False)]
+    parts = [_BEHIND_OTHERS, f"# {package}", _block(package, level=2, members=False)]
     parts += [_block(f"{package}.{module}", level=2) for module in modules(directory)]
     return "\n\n".join(parts) + "\n"
 
