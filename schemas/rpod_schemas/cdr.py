@@ -39,6 +39,15 @@ def _own_definitions() -> dict[str, str]:
     return {f"rpod_msgs/msg/{file.name.removesuffix('.msg')}": file.read_text("utf-8") for file in files}
 
 
+@cache
+def _older_layouts() -> dict[str, Typestore]:
+    """Return type stores that read messages as earlier versions of the project wrote them, by type."""
+    text = resources.files("rpod_msgs").joinpath("older", "EstimatorStatus_1.msg").read_text("utf-8")
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(text, "rpod_msgs/msg/EstimatorStatus"))
+    return {"rpod_msgs/msg/EstimatorStatus": store}
+
+
 def is_known(type_name: str) -> bool:
     """Return whether messages of a type can be encoded and decoded."""
     return type_name in typestore().types
@@ -93,12 +102,22 @@ def decode(payload: bytes | memoryview, type_name: str) -> Any:
     if len(payload) < 4 or payload[0] != 0 or payload[1] not in (0, 1):
         raise MessageRejectedError(Reason.MALFORMED, f"no CDR encapsulation header in {len(payload)} bytes")
     try:
-        return typestore().deserialize_cdr(payload, type_name)
+        return _deserialised(payload, type_name)
     except Exception as error:  # the generated reader raises whatever the bytes provoke
         text = str(error) or type(error).__name__
         raise MessageRejectedError(
             Reason.MALFORMED, f"{type_name} of {len(payload)} bytes: {text}"
         ) from error
+
+
+def _deserialised(payload: bytes | memoryview, type_name: str) -> Any:
+    """Return a message of today's layout; where the bytes are none, of an earlier one, which is shorter."""
+    try:
+        return typestore().deserialize_cdr(payload, type_name)
+    except Exception:
+        if type_name not in _older_layouts():
+            raise
+        return _older_layouts()[type_name].deserialize_cdr(payload, type_name)
 
 
 def peek_stamp(payload: bytes | bytearray | memoryview) -> int:

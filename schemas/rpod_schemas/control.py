@@ -1,12 +1,16 @@
 """The control plane: requests and replies of the JSON queries (ICD section 4)."""
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
+from scipy.spatial.transform import RigidTransform
 
-from rpod_schemas.arrays import Matrix6
-from rpod_schemas.config.base import Config, NonNegative
+from rpod_schemas.bounds import POSITION_M, Covariance6, Stamp
+from rpod_schemas.config.base import Config, NonNegative, Positive
 from rpod_schemas.poses import Pose
+
+Delay = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
+"""Seconds, at most a day."""
 
 
 class Empty(Config):
@@ -50,8 +54,10 @@ class StatusReply(Config):
 class StartRequest(Config):
     """Begin a scenario whose time counts from an epoch."""
 
-    epoch_ns: int = Field(gt=0)
+    epoch_ns: Stamp = Field(gt=0)
     """UTC since the Unix epoch."""
+    duration_s: Positive | None = None
+    """How long the scenario is: in lockstep no frame is made with a stamp beyond its end."""
 
 
 class ResetRequest(Config):
@@ -61,10 +67,17 @@ class ResetRequest(Config):
     """T_frame_target."""
     frame_id: str = "chaser"
     """The frame of the pose."""
-    stamp_ns: int | None = None
+    stamp_ns: Stamp | None = None
     """When the pose held; now, where left out."""
-    covariance: Matrix6 | None = None
+    covariance: Covariance6 | None = None
     """Of (dp, dtheta), ICD section 1."""
+
+    @field_validator("pose")
+    @classmethod
+    def _pose_is_somewhere(cls, pose: RigidTransform | None) -> RigidTransform | None:
+        if pose is not None:
+            POSITION_M.check(pose.translation)
+        return pose
 
 
 class LogRequest(Config):
@@ -91,7 +104,7 @@ class FaultRequest(Config):
     fault: Literal["dropout", "glints", "blackout", "silence"]
     """dropout loses the depth of 60 % of the pixels, or 60 % of the returns, in patches; glints lose depth
     and amplitude of 40 %, blackout of all; silence publishes nothing."""
-    start_s: NonNegative = 0.0
+    start_s: Delay = 0.0
     """From now."""
-    duration_s: NonNegative
+    duration_s: Delay
     """How long."""

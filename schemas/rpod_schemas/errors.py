@@ -2,9 +2,28 @@
 
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 
-class SchemaError(Exception):
+class RpodError(Exception):
+    """Root of all errors of the project.
+
+    It passes from one process to another with its text and its fields. Python's own way calls the class with
+    ``args`` again, which are the text, while our classes take facts and compose the text of them: an error of
+    a worker could not be read by the process that waited for it.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (type(self), self.args, self.__dict__)
+
+
+def _restored(kind: type[RpodError], args: tuple[Any, ...], fields: dict[str, Any]) -> RpodError:
+    error = kind.__new__(kind, *args)  # sets ``args``; the text is composed already
+    error.__dict__.update(fields)
+    return error
+
+
+class SchemaError(RpodError):
     """Root of the errors that this package raises."""
 
 
@@ -26,6 +45,7 @@ class Reason(StrEnum):
     NOT_FINITE = "not_finite"
     EMPTY = "empty"
     DUPLICATE = "duplicate"
+    JUMP = "sequence_jump"
     LATE = "late"
     FUTURE = "future"
     UNKNOWN_FRAME = "unknown_frame"

@@ -3,8 +3,10 @@
 A frame's number is ``round((stamp - epoch) * rate)`` (ICD section 4).
 """
 
+import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count
 from math import floor
 
 from rpod_schemas.config.emulator import SensorConfig
@@ -45,3 +47,46 @@ def due_frames(sensors: Sequence[SensorConfig], *, epoch_ns: int, duration_s: fl
         for number in range(1, last_number(sensor, until_ns, epoch_ns=epoch_ns) + 1)
     ]
     yield from sorted(frames)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of lockstep: at this time of the clock one frame is handed out, and no other."""
+
+    time_ns: int
+    frame: DueFrame
+
+
+def lockstep_steps(
+    sensors: Sequence[SensorConfig], *, epoch_ns: int, duration_s: float | None = None
+) -> Iterator[Step]:
+    """Yield the steps of lockstep in the order of time (ICD section 4).
+
+    A step's time is when its sensor hands the frame out; frames that several sensors hand out at the same
+    time follow each other in the order of the sensors' names, a nanosecond apart. So the clock alone tells
+    which frame is next, and motion and emulator need not agree on anything else.
+
+    Args:
+        sensors: all sensors that are emulated.
+        epoch_ns: time from which frames are numbered.
+        duration_s: frames with stamps in (epoch, epoch + duration]; without end where None.
+    """
+    until_ns = None if duration_s is None else epoch_ns + round(duration_s * NANOSECONDS)
+    going_on = {sensor.name for sensor in sensors}
+    time_ns = epoch_ns
+    frames = heapq.merge(
+        *(_frames(sensor, epoch_ns=epoch_ns) for sensor in sensors),
+        key=lambda frame: (frame.available_ns, frame.sensor),
+    )
+    for frame in frames:
+        time_ns = max(frame.available_ns, time_ns + 1)  # frames beyond the end keep their place in time
+        if until_ns is None or frame.stamp_ns <= until_ns:
+            yield Step(time_ns, frame)
+            continue
+        going_on.discard(frame.sensor)
+        if not going_on:
+            return
+
+
+def _frames(sensor: SensorConfig, *, epoch_ns: int) -> Iterator[DueFrame]:
+    return (frame_at(sensor, number, epoch_ns=epoch_ns) for number in count(1))

@@ -9,9 +9,29 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, field_validator, model_validator
 
 from rpod_schemas.arrays import Matrix6, Vector3, VectorN
+from rpod_schemas.bounds import (
+    DISTORTION,
+    ELECTRONS_PER_COUNT,
+    FOCAL_LENGTH_PX,
+    FREQUENCIES,
+    IMAGE_PIXELS,
+    IMAGE_SIDE,
+    INTEGRATION_TIME_S,
+    MODULATION_FREQUENCY_HZ,
+    PRINCIPAL_POINT_PX,
+    SATURATION_COUNT,
+    SCAN_DIRECTIONS,
+    SCAN_TIME_S,
+    SIGMA_RANGE_M,
+    AzimuthsRad,
+    ElevationsRad,
+    Stamp,
+    Text,
+    bounded,
+)
 from rpod_schemas.poses import Pose
 
 Float32Array = NDArray[np.float32]
@@ -43,21 +63,29 @@ class Model(BaseModel):
 class Stamped(Model):
     """Something measured or estimated at a time, in a frame."""
 
-    stamp_ns: Annotated[int, Field(ge=0)]
-    frame_id: str
+    stamp_ns: Stamp
+    frame_id: Text
 
 
 class Camera(Model):
     """Pinhole intrinsics with plumb_bob distortion; pixel centres at integers (ICD section 1)."""
 
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
-    fx: Annotated[float, Field(gt=0)]
-    fy: Annotated[float, Field(gt=0)]
-    cx: float
-    cy: float
-    distortion: VectorN = Field(default_factory=lambda: np.zeros(5))
+    width: Annotated[int, bounded(IMAGE_SIDE)]
+    height: Annotated[int, bounded(IMAGE_SIDE)]
+    fx: Annotated[float, bounded(FOCAL_LENGTH_PX)]
+    fy: Annotated[float, bounded(FOCAL_LENGTH_PX)]
+    cx: Annotated[float, bounded(PRINCIPAL_POINT_PX)]
+    cy: Annotated[float, bounded(PRINCIPAL_POINT_PX)]
+    distortion: Annotated[VectorN, bounded(DISTORTION)] = Field(default_factory=lambda: np.zeros(5))
     """k1, k2, p1, p2, k3."""
+
+    @model_validator(mode="after")
+    def _fits_into_memory(self) -> Self:
+        try:
+            IMAGE_PIXELS.check(self.width * self.height)
+        except ValueError as error:
+            raise ValueError(f"width x height {error}") from error
+        return self
 
     @property
     def K(self) -> NDArray[np.float64]:  # noqa: N802 - the camera matrix's name
@@ -68,17 +96,20 @@ class Camera(Model):
 class PmdInfo(Model):
     """What a PMD camera says of itself beside its images (PmdInfo.msg)."""
 
-    modulation_frequency_hz: VectorN
+    modulation_frequency_hz: Annotated[VectorN, bounded(MODULATION_FREQUENCY_HZ)]
     """In the order of the phase images; empty where the camera does not tell."""
-    integration_time_s: Annotated[float, Field(gt=0)]
-    electrons_per_count: Annotated[float, Field(gt=0)]
-    saturation_count: Annotated[float, Field(gt=0)]
+    integration_time_s: Annotated[float, bounded(INTEGRATION_TIME_S)]
+    electrons_per_count: Annotated[float, bounded(ELECTRONS_PER_COUNT)]
+    saturation_count: Annotated[float, bounded(SATURATION_COUNT)]
 
-    @model_validator(mode="after")
-    def _frequencies_are_positive(self) -> Self:
-        if (self.modulation_frequency_hz <= 0.0).any():
-            raise ValueError("modulation_frequency_hz needs positive values")
-        return self
+    @field_validator("modulation_frequency_hz")
+    @classmethod
+    def _frequencies_are_few(cls, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        try:
+            FREQUENCIES.check(value.size)
+        except ValueError as error:
+            raise ValueError(f"number {error}") from error
+        return value
 
 
 class PmdFrame(Stamped):
@@ -138,18 +169,26 @@ class LidarScan(Stamped):
 class LidarInfo(Model):
     """What a LIDAR says of itself beside its points (LidarInfo.msg)."""
 
-    azimuth_rad: VectorN
+    azimuth_rad: AzimuthsRad
     """Of the scan pattern; direction (sin az cos el, sin el, cos az cos el)."""
-    elevation_rad: VectorN
-    scan_time_s: Annotated[float, Field(ge=0)]
+    elevation_rad: ElevationsRad
+    scan_time_s: Annotated[float, bounded(SCAN_TIME_S)]
     rows_are_elevation: bool = True
-    sigma_range_m: Annotated[float, Field(ge=0)]
+    sigma_range_m: Annotated[float, bounded(SIGMA_RANGE_M)]
+
+    @model_validator(mode="after")
+    def _directions_fit_into_memory(self) -> Self:
+        try:
+            SCAN_DIRECTIONS.check(self.azimuth_rad.size * self.elevation_rad.size)
+        except ValueError as error:
+            raise ValueError(f"number of azimuth_rad x elevation_rad {error}") from error
+        return self
 
 
 class Odometry(Stamped):
     """Pose and twist of ``child_frame_id`` in ``frame_id`` (ICD section 1)."""
 
-    child_frame_id: str
+    child_frame_id: Text
     pose: Pose
     """T_frame_child."""
     linear_m_s: Vector3
@@ -181,12 +220,27 @@ class Source(IntEnum):
     PMD_JOINT = 4
 
 
+class BeliefLevel(IntEnum):
+    """How far a measured pose is believed (EstimatorStatus.msg)."""
+
+    ACCEPTED = 0
+    """The measurement supports the pose."""
+    DOUBTFUL = 1
+    """The measurement supports the pose weakly, or supports several poses alike."""
+    CONTRADICTED = 2
+    """The measurement is inconsistent with the pose."""
+
+
 class Hypothesis(Model):
     """One of several poses that explain a measurement."""
 
     pose: Pose
     """T_chaser_target."""
     weight: Annotated[float, Field(ge=0, le=1)]
+    name: str = ""
+    """What it is beside the first: "symmetry of the target", "turned by 180 deg"; empty for the first."""
+    log_likelihood: float = float("nan")
+    """Of the measurement under this pose, less that under the first."""
 
 
 class EstimatorStatus(Stamped):
@@ -194,9 +248,9 @@ class EstimatorStatus(Stamped):
 
     mode: Mode
     source: Source = Source.NONE
-    sensor: str = ""
+    sensor: Text = ""
     accepted: bool = False
-    reason: str = ""
+    reason: Text = ""
     """Why the measurement was rejected; empty if accepted."""
     cost_m2: float = float("nan")
     """f_CONV, the mean squared residual, m2."""
@@ -208,6 +262,10 @@ class EstimatorStatus(Stamped):
     ambiguous: bool = False
     hypotheses: tuple[Hypothesis, ...] = ()
     """Best first; weights sum to 1."""
+    belief: BeliefLevel = BeliefLevel.ACCEPTED
+    """What the method says of its pose; the filter's gate may reject it all the same."""
+    evidence: dict[str, float] = Field(default_factory=dict)
+    """The numbers that the belief follows from, by name; each name carries its unit or is a share."""
 
 
 class Health(IntEnum):
@@ -222,9 +280,9 @@ class Health(IntEnum):
 class Diagnostic(Model):
     """Health of one service: also its heartbeat."""
 
-    stamp_ns: int
-    name: str
+    stamp_ns: Stamp
+    name: Text
     """The service's instance."""
     level: Health
-    message: str
+    message: Text
     values: dict[str, str]

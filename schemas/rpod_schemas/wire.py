@@ -17,7 +17,7 @@ GID_BYTES = 16
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """Sequence number from 1, source stamp, and the publisher's identity."""
+    """Sequence number from 0 or 1, source stamp, and the publisher's identity."""
 
     sequence: int
     stamp_ns: int
@@ -26,6 +26,10 @@ class Attachment:
     def pack(self) -> bytes:
         """Return the 33 bytes of the wire."""
         return _ATTACHMENT.pack(self.sequence, self.stamp_ns, GID_BYTES, self.gid)
+
+
+UNNUMBERED = Attachment(0, 0, bytes(GID_BYTES))
+"""Attachment of a message that came without one, where none is needed."""
 
 
 def unpack_attachment(data: bytes | None) -> Attachment:
@@ -46,7 +50,7 @@ def unpack_attachment(data: bytes | None) -> Attachment:
             Reason.MALFORMED, f"attachment of {len(data)} bytes, needs {_ATTACHMENT.size}"
         )
     sequence, stamp_ns, size, gid = _ATTACHMENT.unpack(data)
-    if size != GID_BYTES or sequence < 1:
+    if size != GID_BYTES or sequence < 0:
         raise MessageRejectedError(Reason.MALFORMED, f"attachment with gid size {size}, sequence {sequence}")
     return Attachment(sequence, stamp_ns, gid)
 

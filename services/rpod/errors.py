@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+from rpod_schemas.errors import RpodError
 
-class RunError(Exception):
+
+class RunError(RpodError):
     """Root of the errors that this package raises."""
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import BaseModel
 
 from rpod_runtime.session import free_endpoint
-from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
+from rpod_schemas.config.emulator import EmulatorConfig, LockstepConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings, LidarInput
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.logger import LoggerConfig
@@ -50,6 +50,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 sensors=scenario.sensors,
                 await_start=True,
                 speed=speed,
+                lockstep=LockstepConfig(answered=tuple(sensor.name for sensor in scenario.estimator.sensors)),
             ),
             "emulator": EmulatorConfig(
                 bus=bus,

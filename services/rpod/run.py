@@ -133,11 +133,12 @@ def _state(node: Node, verb: str) -> str:
 
 
 def _start(node: Node, scenario: Scenario, speed: Speed) -> None:
-    """Tell emulator and motion the epoch, in this order."""
+    """Tell emulator and motion the epoch and the duration, in this order."""
     lead_ns = round(_LEAD_S * NANOSECONDS)
     epoch_ns = scenario.epoch_ns if speed == "max" else time.time_ns() + lead_ns
     for verb in ("emulator", "motion"):
-        node.ask(verb, "start", Accepted, StartRequest(epoch_ns=epoch_ns))
+        request = StartRequest(epoch_ns=epoch_ns, duration_s=scenario.duration_s)
+        node.ask(verb, "start", Accepted, request)
 
 
 def _await_end(node: Node, services: Supervisor, interrupted: Event, progress: Progress) -> None:

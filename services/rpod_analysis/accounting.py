@@ -107,7 +107,8 @@ class Account:
         for topic, logged in sorted(self.logged.items()):
             counted = sum(counters[_PUBLISHED + topic] for counters in self.counters.values())
             before = self.first[topic] - 1 if self.first[topic] > SENSOR_CACHE else 0
-            published = max((counted or self.last[topic]) - before, logged)
+            numbered = self.last[topic] + (self.first[topic] == 0)  # numbers may start at 0
+            published = max((counted or numbered) - before, logged)
             counts[topic] = FrameCount(published=published, logged=logged, missed=published - logged)
         return counts
 

@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from rpod_schemas.errors import RpodError
 
-class AnalysisError(Exception):
+
+class AnalysisError(RpodError):
     """Root of the errors that this package raises."""
 
 

@@ -1,7 +1,9 @@
 """The errors of drivers and their host."""
 
+from rpod_schemas.errors import RpodError
 
-class DriverError(Exception):
+
+class DriverError(RpodError):
     """Root of the errors that this package raises; a driver may raise it for what its sensor does wrong."""
 
 

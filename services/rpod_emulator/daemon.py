@@ -3,7 +3,7 @@
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from threading import Event
@@ -17,13 +17,13 @@ from rpod_emulator.truth_buffer import TruthBuffer
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.errors import RefusedError
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.emulator import EmulatorConfig
+from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
 from rpod_schemas.control import Accepted, FaultRequest, StartRequest
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.messages import NANOSECONDS, read_vector_stamped
+from rpod_schemas.messages import NANOSECONDS, read_stamp, read_vector_stamped
 from rpod_schemas.poses import chained
-from rpod_schemas.schedule import DueFrame, frame_at, last_number
-from rpod_schemas.topics import SUN, TRUTH
+from rpod_schemas.schedule import DueFrame, Step, frame_at, last_number, lockstep_steps
+from rpod_schemas.topics import CLOCK, SUN, TRUTH
 from rpod_schemas.types import Health
 from rpod_target import load_target
 
@@ -50,6 +50,11 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
             emulator.publish_made()
 
 
+def _exposure_end_ns(sensor: SensorConfig) -> int:
+    """Return when the last pose of an exposure or scan is needed, from the stamp."""
+    return round(max(sensor.pose_times_s()) * NANOSECONDS)
+
+
 @dataclass(frozen=True)
 class _Made:
     """A frame that waits until a real sensor would hand it out."""
@@ -65,18 +70,26 @@ class Emulator:
         self._node, self._config = node, config
         self._by_wall = config.time_source == "wall"
         self._channels = channels
+        self._exposure_end_ns = {
+            channel.sensor.name: _exposure_end_ns(channel.sensor) for channel in channels
+        }
         self._faults = Faults()
         self._suns: deque[tuple[int, FloatArray]] = deque([_DARKNESS], maxlen=4)
         self._inbox = Inbox()
         self._starts: SimpleQueue[StartRequest] = SimpleQueue()
-        self._begin(config.epoch_ns)
+        self._begin(config.epoch_ns, None)
         node.serve("fault", FaultRequest, self._plan_fault)
         node.serve("start", StartRequest, self._ask_to_start)
+        if not self._by_wall:
+            node.follow_clock(self._inbox.put)
         node.subscribe(TRUTH, self._inbox.put, recover=True, history=True)
         node.subscribe(SUN, self._inbox.put, recover=True)
 
-    def _begin(self, epoch_ns: int | None) -> None:
-        self._epoch_ns = epoch_ns
+    def _begin(self, epoch_ns: int | None, duration_s: float | None) -> None:
+        self._epoch_ns, self._duration_s = epoch_ns, duration_s
+        self._clock_ns = 0
+        self._steps: Iterator[Step] | None = None
+        self._step: Step | None = None
         self._next = {channel.sensor.name: 1 for channel in self._channels}
         self._truth = TruthBuffer()
         self._made: list[_Made] = []
@@ -94,9 +107,13 @@ class Emulator:
         return Accepted()
 
     def take_messages(self) -> None:
-        """Take in all truth and sun that arrived; wait for the first of it, or for a frame to publish."""
+        """Take in all truth, sun and time that arrived; wait for the first of it, or for a frame to publish.
+
+        A start was asked for before anything of its run was published, so it is taken before the messages.
+        """
+        messages = self._inbox.wait(self._spare_s())
         self._take_starts()
-        for received in self._inbox.wait(self._spare_s()):
+        for received in messages:
             try:
                 self._take(received)
             except MessageRejectedError as error:
@@ -108,15 +125,18 @@ class Emulator:
     def _take_starts(self) -> None:
         while True:
             try:
-                self._begin(self._starts.get_nowait().epoch_ns)
+                request = self._starts.get_nowait()
             except Empty:
                 return
+            self._begin(request.epoch_ns, request.duration_s)
             if not self._by_wall:
                 self._suns.append(_DARKNESS)  # until this run's own sun has come
 
     def _take(self, received: Received) -> None:
         if received.topic == SUN:
             self._suns.append(read_vector_stamped(received.decode()))
+        elif received.topic == CLOCK:
+            self._clock_ns = max(self._clock_ns, read_stamp(received.decode()))
         else:
             self._truth.add(received, latest_ns=received.arrival_ns if self._by_wall else None)
 
@@ -125,33 +145,49 @@ class Emulator:
         return max(0.0, min([_WAIT_S, *ahead_s]))
 
     def due(self) -> list[tuple[Channel, DueFrame]]:
-        """Return the frames whose exposure the truth covers, in order of stamp and sensor's name.
+        """Return the frames to make now.
 
-        By the wall clock only the newest of a sensor; those that it passes over are counted. In lockstep
-        the sun must have come too: the same frame comes out whichever message is handed over first.
+        By the wall clock these are those whose exposure the truth covers, in order of stamp and sensor's
+        name, only the newest of a sensor; those that it passes over are counted. In lockstep these are the
+        frames of the steps up to the time of the clock, as far as truth and sun have come: the same frames
+        come out in the same order whichever message is handed over first, and none beyond the clock.
         """
         if self._epoch_ns is None:
             return []
+        if not self._by_wall:
+            by_name = {channel.sensor.name: channel for channel in self._channels}
+            return [(by_name[frame.sensor], frame) for frame in self._stepped(self._epoch_ns)]
         due = [
             (channel, frame)
             for channel in self._channels
-            for frame in self._covered(channel, epoch_ns=self._epoch_ns)
+            if (frame := self._newest(channel.sensor, epoch_ns=self._epoch_ns))
         ]
         return sorted(due, key=lambda item: item[1])
 
-    def _covered(self, channel: Channel, *, epoch_ns: int) -> list[DueFrame]:
-        sensor = channel.sensor
-        covered_ns = self._truth.last_ns - round(max(sensor.pose_times_s()) * NANOSECONDS)
-        if not self._by_wall:
-            covered_ns = min(covered_ns, self._suns[-1][0] + _SUN_PERIOD_NS - 1)
+    def _stepped(self, epoch_ns: int) -> Iterator[DueFrame]:
+        """Yield the frames of the steps that lockstep has taken and that can be made."""
+        if self._steps is None:
+            sensors = [channel.sensor for channel in self._channels]
+            self._steps = lockstep_steps(sensors, epoch_ns=epoch_ns, duration_s=self._duration_s)
+            self._step = next(self._steps, None)
+        while (step := self._step) is not None and step.time_ns <= self._clock_ns:
+            frame = step.frame
+            truth_has_come = frame.stamp_ns + self._exposure_end_ns[frame.sensor] <= self._truth.last_ns
+            sun_has_come = frame.stamp_ns < self._suns[-1][0] + _SUN_PERIOD_NS
+            if not (truth_has_come and sun_has_come):
+                return
+            self._step = next(self._steps, None)
+            yield frame
+
+    def _newest(self, sensor: SensorConfig, *, epoch_ns: int) -> DueFrame | None:
+        """Return the newest frame whose exposure the truth covers; None where there is no new one."""
+        covered_ns = self._truth.last_ns - self._exposure_end_ns[sensor.name]
         first, last = self._next[sensor.name], last_number(sensor, covered_ns, epoch_ns=epoch_ns)
         if last < first:
-            return []
+            return None
         self._next[sensor.name] = last + 1
-        if self._by_wall:
-            self._node.health.count(f"skipped/{sensor.name}", last - first)
-            first = last
-        return [frame_at(sensor, number, epoch_ns=epoch_ns) for number in range(first, last + 1)]
+        self._node.health.count(f"skipped/{sensor.name}", last - first)
+        return frame_at(sensor, last, epoch_ns=epoch_ns)
 
     def make(self, channel: Channel, frame: DueFrame) -> None:
         """Emulate one frame; where the truth has a gap, count it and go on."""

@@ -1,7 +1,9 @@
 """The errors of the emulator."""
 
+from rpod_schemas.errors import RpodError
 
-class EmulatorError(Exception):
+
+class EmulatorError(RpodError):
     """Root of the errors that this package raises."""
 
 

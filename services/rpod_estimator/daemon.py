@@ -25,8 +25,11 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
             arrived = inputs.newest(TICK_S)
             estimator.use_patterns(inputs.patterns)
             if arrived is not None:
+                if config.time_source == "clock":
+                    for output in estimator.let_time_pass(arrived.stamp_ns):
+                        outputs.publish(output)
                 outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)
-            outputs.publish(estimator.tick(node.clock.now_ns()))
+            outputs.publish(estimator.tick(node.clock.settled_ns()))
             level = Health.WARN if estimator.mode == Mode.LOST else Health.OK
             node.health.report(level, estimator.mode.name.lower())
         for arrived in inputs.rest():  # no frame goes without an answer or a count

@@ -5,11 +5,12 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from itertools import chain
 from typing import Self
 
 from rpod_logger.writer import LogFile, channel_topic
 from rpod_runtime import Received
-from rpod_runtime.accounting import Publication
+from rpod_runtime.accounting import FARTHEST, Publication
 from rpod_schemas.control import StatusReply
 from rpod_schemas.logs import (
     COMPLETENESS,
@@ -24,6 +25,7 @@ from rpod_schemas.logs import (
     shortfalls,
 )
 from rpod_schemas.topics import Namespace
+from rpod_schemas.wire import UNNUMBERED
 
 
 @dataclass(frozen=True)
@@ -54,12 +56,17 @@ class Totals:
 
 @dataclass
 class _Run:
-    """What a publisher instance's messages in the file come to."""
+    """A publisher instance's messages in the file, as far as their numbers rise without a jump."""
 
     topic: str
     first: int
+    numbered: bool
     last: int = 0
     messages: int = 0
+
+    def continues_with(self, sequence: int) -> bool:
+        """Return whether a number belongs to this run."""
+        return not self.numbered or self.last < sequence <= self.last + FARTHEST
 
 
 class Recording:
@@ -70,7 +77,7 @@ class Recording:
         self._opened_at = opened_at
         self._opened_s = time.monotonic()
         self._continues = continues
-        self._runs: dict[Publication, _Run] = {}
+        self._runs: dict[Publication, list[_Run]] = {}
         self._repeated: Counter[str] = Counter()
         self._clock_jumps_s: list[float] = []
 
@@ -83,9 +90,11 @@ class Recording:
         """Append a message."""
         self.file.write(received)
         publication, sequence = (received.key, received.attachment.gid), received.attachment.sequence
-        run = self._runs.get(publication)
-        if run is None:
-            run = self._runs[publication] = _Run(received.topic.name, first=sequence)
+        runs = self._runs.setdefault(publication, [])
+        if not runs or not runs[-1].continues_with(sequence):
+            numbered = received.attachment is not UNNUMBERED
+            runs.append(_Run(received.topic.name, first=sequence, numbered=numbered))
+        run = runs[-1]
         run.last = sequence
         run.messages += 1
 
@@ -115,7 +124,7 @@ class Recording:
     def counts(self, closed_at: Totals) -> dict[str, TopicCount]:
         """Return what became of each topic's messages since the log was opened."""
         totals, written = closed_at.since(self._opened_at), Counter[str]()
-        for run in self._runs.values():
+        for run in chain.from_iterable(self._runs.values()):
             written[run.topic] += run.messages
         return {
             topic: TopicCount(**totals.of(topic), written=written[topic], repeated=self._repeated[topic])
@@ -125,8 +134,8 @@ class Recording:
     def _publishers(self, keys: Namespace) -> dict[str, str]:
         """Return the record of the publishers; of a message without a number nobody is known."""
         numbers: dict[str, list[dict[str, str | int]]] = defaultdict(list)
-        for (key, gid), run in self._runs.items():
-            if run.first:
+        for (key, gid), run in ((who, run) for who, runs in self._runs.items() for run in runs):
+            if run.numbered:
                 each = Numbers(key=key, gid=gid.hex(), first=run.first, last=run.last, messages=run.messages)
                 numbers[channel_topic(keys, run.topic)].append(each.model_dump())
         return {topic: json.dumps(each) for topic, each in numbers.items()}

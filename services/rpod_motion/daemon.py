@@ -24,6 +24,8 @@ _SPARE_S = 0.2
 """Time between being told to start and the epoch: longer than the truth's preroll needs."""
 _TAIL_S = 0.1
 """Truth after the end, so that exposures around it are covered."""
+_LONGEST_TAIL_S = 0.9
+"""In lockstep the tail reaches to the hand-over of the last frame, as far as the motion is defined."""
 
 
 def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
@@ -48,7 +50,7 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         if epoch_ns is None:
             return
         truth = TruthPublisher(node, motion, epoch_ns=epoch_ns, rate_hz=config.rate_hz)
-        first, last = truth.tick(-config.preroll_s), truth.tick(config.duration_s + _TAIL_S)
+        first, last = truth.tick(-config.preroll_s), truth.tick(config.duration_s + _tail_s(config))
         node.state = "running"
         node.health.report(Health.OK, f"playing {config.duration_s:g} s")
         if config.speed == "max":
@@ -60,6 +62,14 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         log.info("finished after %g s of scenario time", config.duration_s)
         if config.await_start:
             node.stop.wait()  # whoever started it asks for its state, then stops it
+
+
+def _tail_s(config: MotionServiceConfig) -> float:
+    """Return how long the truth goes on after the end."""
+    if config.speed != "max":
+        return _TAIL_S
+    latest_s = max((sensor.latency_s for sensor in config.sensors), default=0.0)
+    return min(max(_TAIL_S, latest_s + 1.0 / config.rate_hz), _LONGEST_TAIL_S)
 
 
 def _epoch(node: Node, config: MotionServiceConfig) -> int | None:

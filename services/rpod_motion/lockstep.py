@@ -1,6 +1,10 @@
 """Lockstep: motion owns time and goes on when the others are done (ICD section 4)."""
 
 import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import takewhile
 from queue import Empty, SimpleQueue
 
 from rpod_motion.truth import TruthPublisher
@@ -9,7 +13,7 @@ from rpod_runtime.errors import LockstepError, QueryFailedError
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.messages import NANOSECONDS, read_status, write_clock
-from rpod_schemas.schedule import due_frames
+from rpod_schemas.schedule import DueFrame, Step, lockstep_steps
 from rpod_schemas.topics import CLOCK, STATUS, TRUTH
 from rpod_schemas.types import EstimatorStatus
 
@@ -19,14 +23,18 @@ _POLL_S = 0.002
 
 
 class Lockstep:
-    """Plays a scenario as fast as estimator and logger follow."""
+    """Plays a scenario as fast as emulator, estimator and logger follow."""
 
     def __init__(self, node: Node, config: MotionServiceConfig, truth: TruthPublisher) -> None:
         self._node, self._config, self._truth = node, config, truth
         self._statuses: SimpleQueue[EstimatorStatus] = SimpleQueue()
         self._clock = node.publisher(CLOCK)
         self._truth_sent = 0
-        self._frames_done = 0
+        self._statuses_heard = 0
+        self._answered: set[tuple[str, int]] = set()
+        """Sensor and stamp of frames whose status has come and is not waited for yet."""
+        self._published: Counter[str] = Counter()
+        """Frames by sensor that the emulator must have published by now."""
         self._begun_ns = time.time_ns()
         node.subscribe(STATUS, self._take, recover=True)
 
@@ -36,58 +44,72 @@ class Lockstep:
             self._statuses.put(read_status(received.decode()))
 
     def play(self, first_tick: int, last_tick: int) -> None:
-        """Publish all truth, frame by frame.
+        """Publish all truth, step by step; each step hands out one frame and waits until it is answered.
+
+        The clock ends at the last step, the truth at ``last_tick``.
 
         Raises:
             LockstepError: a service did not deliver in time.
         """
-        next_tick = first_tick
-        epoch_ns = self._truth.stamp_ns(0)
-        for frame in due_frames(self._config.sensors, epoch_ns=epoch_ns, duration_s=self._config.duration_s):
-            self._clock.publish(write_clock(frame.available_ns))
-            until = min(last_tick, self._truth.tick((frame.available_ns - epoch_ns) / NANOSECONDS) + 1)
+        next_tick, epoch_ns = first_tick, self._truth.stamp_ns(0)
+        for step in self._steps(epoch_ns, last_tick):
+            self._clock.publish(write_clock(step.time_ns))
+            until = min(last_tick, self._truth.tick((step.time_ns - epoch_ns) / NANOSECONDS) + 1)
             self._publish(range(next_tick, until + 1))
             next_tick = max(next_tick, until + 1)
-            self._await_status(frame.sensor, frame.stamp_ns)
+            self._await_frame(step.frame)
             if self._node.stop.is_set():
                 return
         self._publish(range(next_tick, last_tick + 1))
+
+    def _steps(self, epoch_ns: int, last_tick: int) -> Iterator[Step]:
+        """Yield the steps up to the end of the truth, without which no frame can be made."""
+        last_ns = self._truth.stamp_ns(last_tick)
+        steps = lockstep_steps(self._config.sensors, epoch_ns=epoch_ns, duration_s=self._config.duration_s)
+        return takewhile(lambda step: step.time_ns <= last_ns, steps)
 
     def _publish(self, ticks: range) -> None:
         for tick in ticks:
             self._truth.publish(tick)
             self._truth_sent += 1
             if self._truth_sent % _BATCH == 0:
-                self._await_logger(TRUTH.name, self._truth_sent)
+                self._await_count(self._config.lockstep.logger, f"received/{TRUTH.name}", self._truth_sent)
 
-    def _await_status(self, sensor: str, stamp_ns: int) -> None:
+    def _await_frame(self, frame: DueFrame) -> None:
+        lockstep = self._config.lockstep
+        if lockstep.answered is None or frame.sensor in lockstep.answered:
+            self._await_status(frame)
+            self._await_count(lockstep.logger, f"received/{STATUS.name}", self._statuses_heard)
+        else:
+            self._published[frame.sensor] += 1
+            self._await_count(lockstep.emulator, f"frames/{frame.sensor}", self._published[frame.sensor])
+
+    def _await_status(self, frame: DueFrame) -> None:
+        """Wait for the status of a frame, whatever other statuses come before it."""
         deadline_s = time.monotonic() + self._config.lockstep.timeout_s
-        while not self._node.stop.is_set():
-            self._check(
-                deadline_s, self._config.lockstep.estimator, f"a status for {sensor} at {stamp_ns} ns"
-            )
-            try:
+        answer = frame.sensor, frame.stamp_ns
+        waited_for = f"a status for {frame.sensor} at {frame.stamp_ns} ns"
+        while answer not in self._answered and not self._node.stop.is_set():
+            self._check(deadline_s, self._config.lockstep.estimator, waited_for)
+            with suppress(Empty):
                 status = self._statuses.get(timeout=0.05)
-            except Empty:
-                continue
-            self._frames_done += 1
-            if (status.sensor, status.stamp_ns) == (sensor, stamp_ns):
-                break
-        self._await_logger(STATUS.name, self._frames_done)
+                self._statuses_heard += 1
+                self._answered.add((status.sensor, status.stamp_ns))
+        self._answered.discard(answer)
 
-    def _await_logger(self, topic: str, count: int) -> None:
-        logger = self._config.lockstep.logger
-        if logger is None:
+    def _await_count(self, service: str | None, counter: str, count: int) -> None:
+        """Wait until a service has counted so many; nobody is waited for where there is no service."""
+        if service is None:
             return
         deadline_s = time.monotonic() + self._config.lockstep.timeout_s
         while not self._node.stop.is_set():
             try:
-                counters = self._node.ask(logger, "status", StatusReply, timeout_s=1.0).counters
+                counters = self._node.ask(service, "status", StatusReply, timeout_s=1.0).counters
             except QueryFailedError:
                 counters = {}
-            if counters.get(f"received/{topic}", 0) >= count:
+            if counters.get(counter, 0) >= count:
                 return
-            self._check(deadline_s, logger, f"message {count} of {topic}")
+            self._check(deadline_s, service, f"{count} counted as {counter}")
             self._node.stop.wait(_POLL_S)
 
     def _check(self, deadline_s: float, service: str, waited_for: str) -> None:

@@ -46,9 +46,7 @@ def pmd_methods(sensor: PmdInput, target: Target) -> Methods:
         finisher = JointTracker(JointConfig(), target, calibrated=sensor.calibration is not None)
     acquirer = ViewSearch(sensor.acquisition, target, finisher)
     preparation = DepthPreparation(sensor, target)
-    return Methods(
-        PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation), sensor.verification
-    )
+    return Methods(PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation))
 
 
 def _pmd_tracker(sensor: PmdInput, target: Target) -> Tracker[PmdFrame]:
@@ -78,8 +76,8 @@ def lidar_methods(sensor: LidarInput, target: Target, pattern: ScanPattern) -> M
         acquirer = GlobalSearch(sensor.acquisition, target, **rays)
     else:
         search = OnlineTemplateMatching(sensor.acquisition, target, **rays)
-        acquirer = VerifiedSearch(search, tracker, sensor.verification)
-    return Methods(acquirer, tracker, sensor.verification)
+        acquirer = VerifiedSearch(search, tracker, sensor.acquisition.choice)
+    return Methods(acquirer, tracker)
 
 
 def configured_pattern(sensor: SensorInput) -> ScanPattern | None:

@@ -11,9 +11,9 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rpod_pose.belief import Belief, doubtful
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.verification import VerificationConfig
-from rpod_schemas.types import Hypothesis, LidarScan, PmdFrame, Source
+from rpod_schemas.types import BeliefLevel, Hypothesis, LidarScan, PmdFrame, Source
 
 MeasurementT_contra = TypeVar("MeasurementT_contra", LidarScan, PmdFrame, contravariant=True)
 
@@ -33,8 +33,9 @@ class Registration:
 
     source: Source
     T_sensor_target: RigidTransform | None = None
-    reason: str = ""
-    """Why there is no pose, or why it is not to be believed; empty otherwise."""
+    """The measured pose; None where the frame gives none, and the belief says why."""
+    belief: Belief = field(default_factory=Belief)
+    """Whether the pose is believed; the only part that the navigator decides by."""
     cost_m2: float = float("nan")
     """f_CONV: mean squared residual of the inliers at convergence, m2."""
     inliers: int = 0
@@ -42,46 +43,55 @@ class Registration:
     """Inliers over the points that could have matched."""
     explained_share: float = float("nan")
     """Self-check: of the rays where model or measurement say "surface", the share that agrees."""
-    judged: bool = False
-    """Whether the method has judged the pose by itself, so that its shares and cost are not asked."""
-    contradicted: bool = False
-    """Whether the frame speaks against the pose, rather than too little for it; it may yet be believed."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     """Of (dp, dtheta) in the sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1); shape (6, 6)."""
     iterations: int = 0
 
+    @classmethod
+    def none(cls, source: Source, reason: str, *, iterations: int = 0) -> "Registration":
+        """Return the registration of a frame that gives no pose."""
+        return cls(source, belief=doubtful(reason), iterations=iterations)
 
-class Verdict(StrEnum):
-    """What an acquisition says of its own result."""
+    @property
+    def begins_track(self) -> bool:
+        """Whether a track may begin at the pose."""
+        return self.T_sensor_target is not None and self.belief.begins_track
+
+    @property
+    def continues_track(self) -> bool:
+        """Whether a running track may use the pose."""
+        return self.T_sensor_target is not None and self.belief.continues_track
+
+
+class Outcome(StrEnum):
+    """What became of a search."""
 
     ACCEPTED = "accepted"
     AMBIGUOUS = "ambiguous"
-    """Several poses explain the measurement; the hypotheses list them."""
+    """Several poses explain the measurement: the belief names them as rivals."""
     FAILED = "failed"
 
 
 @dataclass(frozen=True, eq=False)
 class Acquisition:
-    """What a search without a guess made of one measurement, checked and ranked."""
+    """What a search without a guess made of one measurement."""
 
-    verdict: Verdict
     registration: Registration
-    """The best pose with its covariance, cost and self-check; without a pose where nothing was found."""
-    reason: str = ""
-    """Why it failed or what is ambiguous, in words for the operator; empty if accepted."""
-    hypotheses: tuple[Hypothesis, ...] = ()
-    """T_sensor_target of what explains the measurement, best first; weights sum to 1. Empty if failed."""
+    """The best pose with its covariance and belief; without a pose where nothing was found."""
     templates: int = 0
     """Attitudes in the search."""
     excluded_share: float = 0.0
-    """Of them, those left out before they were compared with the measurement."""
-    by_symmetry: bool = False
-    """Whether the hypotheses differ by exact symmetries of the target alone: any of them may be tracked."""
+    """The share of them that was left out before the comparison with the measurement."""
 
     @property
-    def trackable(self) -> bool:
+    def belief(self) -> Belief:
+        """Whether the best pose is believed; rivals are the other poses that explain the measurement."""
+        return self.registration.belief
+
+    @property
+    def begins_track(self) -> bool:
         """Whether a track may begin at the best pose."""
-        return self.verdict is Verdict.ACCEPTED or self.by_symmetry
+        return self.registration.begins_track
 
     @property
     def pose(self) -> RigidTransform | None:
@@ -92,6 +102,21 @@ class Acquisition:
     def covariance(self) -> FloatArray:
         """Of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6)."""
         return self.registration.covariance
+
+    @property
+    def outcome(self) -> Outcome:
+        """What became of the search, in one word."""
+        if self.pose is None or not self.belief.continues_track:
+            return Outcome.FAILED
+        accepted = self.belief.level is BeliefLevel.ACCEPTED or not self.belief.rivals
+        return Outcome.ACCEPTED if accepted else Outcome.AMBIGUOUS
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """T_sensor_target of what explains the measurement, best first; weights sum to 1. Empty if failed."""
+        if self.pose is None or self.outcome is Outcome.FAILED:
+            return ()
+        return self.belief.hypotheses(self.pose)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +165,7 @@ class Tracker(Protocol, Generic[MeasurementT_contra]):
 
 @dataclass(frozen=True, eq=False)
 class Methods:
-    """How one sensor's target is found and tracked, and when a registration is believed."""
+    """How one sensor's target is found and tracked."""
 
     acquirer: Acquirer[Any]
     tracker: Tracker[Any]
-    verification: VerificationConfig

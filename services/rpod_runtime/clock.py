@@ -14,6 +14,10 @@ class Clock(Protocol):
         """Return nanoseconds of UTC since the Unix epoch."""
         ...
 
+    def settled_ns(self) -> int:
+        """Return the newest time up to which everything that was handed out has come."""
+        ...
+
 
 class WallClock:
     """This machine's clock."""
@@ -22,19 +26,24 @@ class WallClock:
         """Return nanoseconds of UTC since the Unix epoch."""
         return time.time_ns()
 
+    def settled_ns(self) -> int:
+        """Return now: what has not come by now is late."""
+        return time.time_ns()
+
 
 class BusClock:
     """The last message of ``clock``; 0 until there was one. Never runs backwards."""
 
     def __init__(self) -> None:
-        self._now_ns = 0
+        self._now_ns = self._before_ns = 0
         self._moved = Condition()
 
     def set(self, message: object) -> None:
         """Take a rosgraph_msgs/Clock."""
         stamp_ns = read_stamp(message)
         with self._moved:
-            self._now_ns = max(self._now_ns, stamp_ns)
+            if stamp_ns > self._now_ns:
+                self._before_ns, self._now_ns = self._now_ns, stamp_ns
             self._moved.notify_all()
 
     def await_ns(self, stamp_ns: int, timeout_s: float) -> None:
@@ -45,3 +54,7 @@ class BusClock:
     def now_ns(self) -> int:
         """Return the time of the last clock message."""
         return self._now_ns
+
+    def settled_ns(self) -> int:
+        """Return the time of the last clock message but one: what the last one hands out is on its way."""
+        return self._before_ns

@@ -1,7 +1,9 @@
 """The errors of the bus."""
 
+from rpod_schemas.errors import RpodError
 
-class BusError(Exception):
+
+class BusError(RpodError):
     """Root of the errors that this package raises."""
 
 

@@ -1,8 +1,10 @@
 """Where the sensors sit: chains of ``tf_static`` to the chaser, and the configuration beside them."""
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime.errors import ExtrinsicsError
+from rpod_schemas.bounds import MOUNT_M
 from rpod_schemas.poses import chained, rotation_of
 from rpod_schemas.topics import CHASER
 
@@ -25,7 +27,7 @@ class Extrinsics:
         """Return the mount of a sensor whose messages are stamped with a frame.
 
         Raises:
-            ExtrinsicsError: neither source tells, or both do and differ.
+            ExtrinsicsError: neither source tells, both do and differ, or the sensor is too far away.
         """
         measured = self._chain(frame_id)
         configured = self._configured.get(sensor)
@@ -35,6 +37,10 @@ class Extrinsics:
                 f"no chain from {frame_id!r} to {CHASER!r}: publish it on tf_static, "
                 "or configure T_chaser_sensor"
             )
+        try:
+            MOUNT_M.check(float(np.linalg.norm(mount.translation)))
+        except ValueError as error:
+            raise ExtrinsicsError(f"distance of {frame_id!r} from {CHASER!r} {error}") from error
         if measured is not None and configured is not None and _differ(measured, configured):
             raise ExtrinsicsError(f"tf_static and the configured T_chaser_sensor of {sensor!r} differ")
         return mount

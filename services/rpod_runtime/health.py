@@ -19,7 +19,8 @@ class HealthBook:
         self._lock = Lock()
         self._counters: Counter[str] = Counter()
         self._measures: dict[str, float] = {}
-        self._commands: dict[str, str] = {}
+        self._texts: dict[str, str] = {}
+        self._warning = ""
         self._level, self._message = Health.OK, "starting"
         self._check: Callable[[], tuple[Health, str]] | None = None
         self._changed = True
@@ -53,7 +54,14 @@ class HealthBook:
         """Count a command that was accepted, and keep its text: so that a log tells who was asked what."""
         with self._lock:
             self._counters[f"commands/{verb}"] += 1
-            self._commands[f"command/{verb}"] = request
+            self._texts[f"command/{verb}"] = request
+            self._changed = True
+
+    def warn(self, name: str, text: str) -> None:
+        """Tell what an operator must look at; the level is at least WARN as long as the process lives."""
+        with self._lock:
+            self._texts[name] = text
+            self._warning = f"look at {name}"
             self._changed = True
 
     def report(self, level: Health, message: str) -> None:
@@ -82,5 +90,8 @@ class HealthBook:
         level, message = self._check() if self._check else (self._level, self._message)
         values = {name: str(value) for name, value in self.counters().items()}
         with self._lock:
-            values |= {name: f"{value:.6g}" for name, value in self._measures.items()} | self._commands
+            values |= {name: f"{value:.6g}" for name, value in self._measures.items()} | self._texts
+            warning = self._warning
+        if warning:
+            level, message = max(level, Health.WARN), f"{message}; {warning}"
         return Diagnostic(stamp_ns=stamp_ns, name=self.name, level=level, message=message, values=values)

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from threading import Event, Thread
 from types import TracebackType
 from typing import Literal, Self, TypeVar
@@ -63,6 +64,7 @@ class Node:
         self._started_s = time.monotonic()
         self._entities = 0
         self._publishers: list[Publisher] = []
+        self._clock_sinks: list[Callable[[Received], None]] = []
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -81,8 +83,7 @@ class Node:
         self.serve("status", Empty, lambda _: self.status())
         self.serve("shutdown", Empty, self._shut_down)
         if isinstance(self.clock, BusClock):
-            bus_clock = self.clock
-            self.subscribe(CLOCK, lambda received: bus_clock.set(received.decode()), recover=True)
+            self.subscribe(CLOCK, partial(self._take_clock, self.clock), recover=True)
         self._heart = Thread(target=self._beat, name="diagnostics", daemon=True)
         self._heart.start()
         self._stack.callback(self._last_beat)
@@ -167,6 +168,15 @@ class Node:
                 self._reception.take_any(sample, sink)
 
         self._declare(key_expression, take, kept=SENSOR_CACHE, recover=True)
+
+    def follow_clock(self, sink: Callable[[Received], None]) -> None:
+        """Hand over each message of ``clock`` too, once it is the time; ``sink`` must only enqueue."""
+        self._clock_sinks.append(sink)
+
+    def _take_clock(self, clock: BusClock, received: Received) -> None:
+        clock.set(received.decode())
+        for sink in self._clock_sinks:
+            sink(received)
 
     def _declare(
         self, key_expression: str, take: Callable[[zenoh.Sample], None], *, kept: int, recover: bool

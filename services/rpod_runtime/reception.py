@@ -8,16 +8,15 @@ from dataclasses import replace
 import zenoh
 import zenoh.ext
 
-from rpod_runtime.accounting import Arrival, Publication, SequenceAccount
+from rpod_runtime.accounting import JumpError, Publication, SequenceAccount
 from rpod_runtime.health import HealthBook
 from rpod_runtime.received import Received
-from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import Namespace, Topic
-from rpod_schemas.wire import GID_BYTES, Attachment, unpack_attachment
+from rpod_schemas.wire import UNNUMBERED, Attachment, unpack_attachment
 
 log = logging.getLogger(__name__)
 
-_NOBODY = Attachment(0, 0, bytes(GID_BYTES))
 _REPLAYED = zenoh.CongestionControl.BLOCK
 """Our publishers drop under congestion; only the replies of their caches never do."""
 
@@ -43,6 +42,9 @@ class Reception:
             attachment = _attachment(sample)
             self._account_for(key, sample, attachment)
             sink(_received(topic, key, sample, attachment))
+        except JumpError as error:
+            self._health.warn(f"sequence_jump/{topic.name}", str(error.jump))
+            self.reject(topic.name, error)
         except MessageRejectedError as error:
             self.reject(topic.name, error)
         except Exception:  # the bus's thread would print it, and nobody would count it
@@ -56,7 +58,7 @@ class Reception:
         if topic.type or _is_numbered(sample):
             self.take(topic, sample, sink)
         else:
-            sink(_received(topic, key, sample, _NOBODY))
+            sink(_received(topic, key, sample, UNNUMBERED))
 
     def miss(self, miss: zenoh.ext.Miss) -> None:
         """Count what the bus could not recover; of a publisher never heard, nothing is missed."""
@@ -79,8 +81,7 @@ class Reception:
             self._gids.add(attachment.gid)
             self._publications[str(sample.source_info.source_id)] = key, attachment.gid
         fetched = sample.congestion_control == _REPLAYED
-        if self._account.take(key, attachment, fetched=fetched) is Arrival.DUPLICATE:
-            raise MessageRejectedError(Reason.DUPLICATE, f"sequence {attachment.sequence}")
+        self._account.take(key, attachment, fetched=fetched)
 
 
 def _attachment(sample: zenoh.Sample) -> Attachment:

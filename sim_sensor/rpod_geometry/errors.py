@@ -1,7 +1,9 @@
 """The errors of rays and lenses."""
 
+from rpod_schemas.errors import RpodError
 
-class GeometryError(Exception):
+
+class GeometryError(RpodError):
     """Root of the errors that this package raises."""
 
 

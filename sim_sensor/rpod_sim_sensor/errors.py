@@ -1,5 +1,7 @@
 """The errors of emulated sensors."""
 
+from rpod_schemas.errors import RpodError
 
-class SimSensorError(Exception):
+
+class SimSensorError(RpodError):
     """Root of the errors that this package raises."""

@@ -255,6 +255,29 @@ def test_a_message_that_is_sent_twice_under_one_number_is_counted(lab):
     assert lab.counter("rejected/pmd/depth/image_raw/duplicate") == before + 2
 
 
+@pytest.mark.parametrize("topic", [CAMERA_INFO, DEPTH, AMPLITUDE], ids=lambda topic: topic.name)
+def test_a_number_far_ahead_under_a_known_gid_does_not_silence_the_camera(lab, topic):
+    assert lab.status(lab.expose()).accepted
+    forged = Attachment(2**40, 0, lab.parts[topic]._gid).pack()
+    lab.watcher._session.put(KEYS.key(topic.of("pmd")), bytes(encode(nan_image(1))), attachment=forged)
+    for _ in range(3):
+        assert lab.status(lab.expose()).accepted
+    name = topic.of("pmd").name
+    assert lab.counter(f"rejected/{name}/sequence_jump") == 1
+    assert lab.told(f"sequence_jump/{name}")
+
+
+def test_a_mount_that_is_told_once_under_number_0_is_used(lab):
+    mount = write_transforms(0, [("chaser", "told_once", MOUNT)])
+    first_of_all = Attachment(0, 0, b"one shot".ljust(16)).pack()
+    lab.watcher._session.put(KEYS.key(TF_STATIC), bytes(encode(mount)), attachment=first_of_all)
+    for _ in range(20):
+        status = lab.status(lab.expose(frame_id="told_once"))
+        if status.accepted:
+            break
+    assert status.accepted, status.reason
+
+
 def test_an_older_attachment_is_refused_by_name(lab):
     key = KEYS.key(DEPTH.of("pmd"))
     lab.watcher._session.put(key, b"", attachment=b"\x0fsequence_number" + bytes(50))

@@ -28,7 +28,7 @@ from rpod_schemas.messages import (
     write_status,
 )
 from rpod_schemas.poses import make_pose
-from rpod_schemas.schedule import due_frames
+from rpod_schemas.schedule import lockstep_steps
 from rpod_schemas.topics import (
     CAMERA_INFO,
     DEPTH,
@@ -171,7 +171,8 @@ def test_in_lockstep_every_frame_is_made_and_waited_for_and_comes_out_the_same_t
         with daemon(run, emulator), daemon(run_motion, motion):
             viewer.ready("emulator", "motion")
             start(viewer, EPOCH_NS)
-            for frame in due_frames((PMD, LIDAR), epoch_ns=EPOCH_NS, duration_s=1.0):
+            for step in lockstep_steps((PMD, LIDAR), epoch_ns=EPOCH_NS, duration_s=1.0):
+                frame = step.frame
                 topic = DEPTH.of("pmd") if frame.sensor == "pmd" else POINTS.of("lidar")
                 message = viewer.next(topic, lambda message: message)
                 assert message is not None, f"{frame} does not come"

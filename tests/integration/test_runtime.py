@@ -170,6 +170,35 @@ def test_duplicates_are_counted_and_not_handed_over(bus, bare):
     assert receiver.status().counters["received/test/stream"] == 2
 
 
+def test_a_forged_number_far_ahead_does_not_silence_its_publisher_and_is_told(bus, bare):
+    inbox, diagnostics, receiver = Inbox(), Inbox(), bus.node("receiver")
+    bus.node("watcher").subscribe(DIAGNOSTICS, diagnostics.put, recover=True)
+    receiver.subscribe(STREAM, inbox.put)
+    gid = b"g" * 16
+    put(bare, STREAM, Attachment(5, 0, gid), inbox)
+    for sequence in (2**40, 6, 7, 2**40 + 1, 8):
+        bare.put(KEYS.key(STREAM), encode(vector(1)), attachment=Attachment(sequence, 0, gid).pack())
+    assert [item.attachment.sequence for item in collect(inbox, 3)] == [6, 7, 8]
+    name = "sequence_jump/test/stream"
+
+    def told(received):
+        return [item for item in read_diagnostics(received.decode()) if name in item.values]
+
+    (told_of,) = first(diagnostics, told)
+    assert told_of.values[name].endswith(f"publisher {gid.hex()}")
+    assert told_of.level == Health.WARN
+    assert receiver.status().counters["rejected/test/stream/sequence_jump"] == 2
+    assert receiver.status().counters["missed/test/stream"] == 0
+
+
+def test_a_publisher_that_begins_at_0_is_heard_from_its_first_message(bus, bare):
+    inbox, receiver = Inbox(), bus.node("receiver")
+    receiver.subscribe(STREAM, inbox.put)
+    put(bare, STREAM, Attachment(0, 0, b"g" * 16), inbox)
+    bare.put(KEYS.key(STREAM), encode(vector(1)), attachment=Attachment(1, 0, b"g" * 16).pack())
+    assert [item.attachment.sequence for item in collect(inbox, 1)] == [1]
+
+
 @pytest.mark.parametrize(
     ("attachment", "reason", "words"),
     [

@@ -38,6 +38,10 @@ class LockstepConfig(Config):
 
     estimator: Name = "estimator"
     """Whose status ends a frame."""
+    answered: tuple[Name, ...] | None = None
+    """Sensors whose frames the estimator answers with a status; all where null."""
+    emulator: Name = "emulator"
+    """Whose count of published frames is waited for where the estimator does not use a sensor."""
     logger: Name | None = "logger"
     """Whose count of received messages is waited for; nobody's where null."""
     timeout_s: Positive = 60.0

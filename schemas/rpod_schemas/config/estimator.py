@@ -1,4 +1,4 @@
-"""The estimator's configuration: sensors, their methods, verification, filter."""
+"""The estimator's configuration: sensors, their methods, navigator, filter."""
 
 from typing import Annotated, Literal, Self
 
@@ -18,7 +18,6 @@ from rpod_schemas.config.pmd_methods import (
 )
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
-from rpod_schemas.config.verification import VerificationConfig
 from rpod_schemas.poses import Pose
 from rpod_schemas.types import Camera
 
@@ -50,14 +49,6 @@ class LidarInput(Config):
     """Without a prior pose."""
     tracking: LidarTrackingConfig = Field(default_factory=ProjectiveIcpConfig)
     """From a predicted pose."""
-    verification: VerificationConfig = VerificationConfig(
-        max_cost_m2=0.003,
-        min_explained_share=0.97,
-        min_tracked_share=0.9,
-        candidates=10,
-        choice="best_explained",
-    )
-    """When a registration is believed."""
 
     @model_validator(mode="after")
     def _the_pattern_is_whole(self) -> Self:
@@ -90,14 +81,6 @@ class PmdInput(Config):
     """Without a prior pose."""
     tracking: PmdTrackingConfig = Field(default_factory=JointConfig)
     """From a predicted pose."""
-    verification: VerificationConfig = VerificationConfig(
-        max_cost_m2=0.003,
-        min_explained_share=0.6,
-        min_inlier_share=0.45,
-        max_sigma_m=0.2,
-        max_sigma_deg=10.0,
-    )
-    """When a registration is believed."""
 
 
 SensorInput = Annotated[LidarInput | PmdInput, Field(discriminator="kind")]
@@ -116,8 +99,8 @@ class NavigatorConfig(Config):
     rejected_frames: Annotated[int, Field(ge=1)] = 3
     """Least number of rejections in a row before LOST, for slow sensors."""
     max_contradicted_share: Share = 0.25
-    """Of a sensor's last 90 frames or so, those that may speak against what is tracked: beyond, it is LOST at
-    once. A hypothesis becomes a track at half of it. The method must tell them; ``joint`` does."""
+    """Greatest share of a sensor's last 90 frames or so that may not support the tracked pose; beyond it the
+    track is LOST at once. A hypothesis becomes a track below half of this share."""
     silence_timeout_s: Positive = 2.5
     """No measurement for longer than this: LOST."""
     near_search_s: NonNegative = 3.0

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.base import Config, NonNegative, Positive
 
 Count = Annotated[int, Field(gt=0)]
@@ -28,7 +29,10 @@ class TemplateMatchingConfig(Config):
     near_deg: Positive = 45.0
     """How far templates may be from a pose that is known roughly, where only that is searched."""
     candidates: Count = 10
-    """Most candidates returned."""
+    """Most candidates that are refined and checked."""
+    choice: Literal["first", "best_explained"] = "best_explained"
+    """Which accepted candidate is taken: the first in the order of the templates' cost, or the one that
+    explains most of the scan."""
     distinct_deg: NonNegative = 45.0
     """Candidates whose attitudes differ by less are one, the better of them."""
     min_points: Annotated[int, Field(ge=3)] = 6
@@ -80,3 +84,5 @@ class IcpNearestNeighbourConfig(Config):
     """Standard deviation of a rotation that no face determines."""
     comparison: ScanComparisonConfig = ScanComparisonConfig()
     """The self-check."""
+    acceptance: AcceptanceConfig = AcceptanceConfig(min_explained_share=0.97, min_tracked_share=0.9)
+    """When a registration is believed."""

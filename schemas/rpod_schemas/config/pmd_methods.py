@@ -4,6 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
 
 Count = Annotated[int, Field(gt=0)]
@@ -88,6 +89,8 @@ class IcpReverseCalibrationConfig(Config):
     """The self-check."""
     errors: DepthErrorConfig = DepthErrorConfig()
     """What the covariance assumes."""
+    acceptance: AcceptanceConfig = AcceptanceConfig(min_explained_share=0.6, min_inlier_share=0.45)
+    """When a registration is believed."""
 
 
 class SignedDistanceConfig(Config):
@@ -110,6 +113,8 @@ class SignedDistanceConfig(Config):
     """The self-check."""
     errors: DepthErrorConfig = DepthErrorConfig()
     """What the covariance assumes."""
+    acceptance: AcceptanceConfig = AcceptanceConfig(min_explained_share=0.6, min_inlier_share=0.45)
+    """When a registration is believed."""
 
     @model_validator(mode="after")
     def _narrows(self) -> Self:

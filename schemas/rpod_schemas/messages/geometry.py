@@ -7,9 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_schemas.bounds import IRRADIANCE_W_M2, POSITION_M, RATE_RAD_S, SPEED_M_S, check_covariance
 from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages.header import build, read_stamp, write_header, write_stamp
+from rpod_schemas.messages.header import (
+    accepted,
+    build,
+    read_stamp,
+    read_text,
+    within,
+    write_header,
+    write_stamp,
+)
 from rpod_schemas.poses import make_pose, rotation_of
 from rpod_schemas.types import Odometry
 
@@ -37,7 +46,14 @@ def _read_translation(vector: Any) -> NDArray[np.float64]:
     numbers = _numbers(vector)
     if not np.isfinite(numbers).all():
         raise MessageRejectedError(Reason.NOT_FINITE, "position")
-    return numbers
+    return within(POSITION_M, "position", numbers)
+
+
+def _read_covariance(field: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    covariance = values.reshape(6, 6)
+    if not np.isfinite(covariance).all():
+        raise MessageRejectedError(Reason.NOT_FINITE, f"{field} holds a value that is not finite")
+    return accepted(check_covariance, field, covariance)
 
 
 def _write_quaternion(rotation: Rotation) -> Any:
@@ -62,8 +78,12 @@ def read_pose(message: Any) -> RigidTransform:
 
 
 def read_vector_stamped(message: Any) -> tuple[int, NDArray[np.float64]]:
-    """Return stamp, ns, and vector, shape (3,), of a Vector3Stamped."""
-    return read_stamp(message.header), _read_translation(message.vector)
+    """Return stamp, ns, and vector, W/m2, shape (3,), of the Vector3Stamped of ``environment/sun``."""
+    vector = _numbers(message.vector)
+    if not np.isfinite(vector).all():
+        raise MessageRejectedError(Reason.NOT_FINITE, "irradiance")
+    within(IRRADIANCE_W_M2, "irradiance", float(np.hypot.reduce(vector)))
+    return read_stamp(message.header), vector
 
 
 def write_vector_stamped(stamp_ns: int, frame_id: str, vector: NDArray[np.float64]) -> Any:
@@ -99,8 +119,8 @@ def read_transforms(message: Any) -> list[tuple[int, str, str, RigidTransform]]:
     return [
         (
             read_stamp(item.header),
-            item.header.frame_id,
-            item.child_frame_id,
+            read_text("frame_id", item.header.frame_id),
+            read_text("child_frame_id", item.child_frame_id),
             make_pose(
                 rotation=_read_rotation(item.transform.rotation),
                 translation_m=_read_translation(item.transform.translation),
@@ -119,10 +139,10 @@ def read_odometry(message: Any) -> Odometry:
         frame_id=message.header.frame_id,
         child_frame_id=message.child_frame_id,
         pose=read_pose(message.pose.pose),
-        linear_m_s=_numbers(twist.linear),
-        angular_rad_s=_numbers(twist.angular),
-        pose_covariance=message.pose.covariance.reshape(6, 6),
-        twist_covariance=message.twist.covariance.reshape(6, 6),
+        linear_m_s=within(SPEED_M_S, "linear velocity", _numbers(twist.linear)),
+        angular_rad_s=within(RATE_RAD_S, "angular velocity", _numbers(twist.angular)),
+        pose_covariance=_read_covariance("pose covariance", message.pose.covariance),
+        twist_covariance=_read_covariance("twist covariance", message.twist.covariance),
     )
 
 

@@ -1,13 +1,16 @@
 """Stamps and headers, and how a refused field becomes a rejected message."""
 
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from rpod_schemas.bounds import TEXT, Bound
 from rpod_schemas.cdr import NANOSECONDS, checked_stamp, message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+CheckedT = TypeVar("CheckedT")
 
 
 def read_stamp(header: Any) -> int:
@@ -35,6 +38,25 @@ def build(model: type[ModelT], **fields: Any) -> ModelT:
         problem = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in problem["loc"])
         reason = Reason.NOT_FINITE if "not finite" in problem["msg"] else Reason.MALFORMED
-        raise MessageRejectedError(
-            reason, f"{field} {problem['msg'].removeprefix('Value error, ')}"
-        ) from error
+        text = f"{field} {problem['msg'].removeprefix('Value error, ')}"
+        raise MessageRejectedError(reason, text.strip()) from error
+
+
+def within(bound: Bound, field: str, value: CheckedT) -> CheckedT:
+    """Return a field's number or array; beyond its limits it is a rejected message."""
+    return accepted(bound.check, field, value)
+
+
+def accepted(check: Callable[[CheckedT], CheckedT], field: str, value: CheckedT) -> CheckedT:
+    """Return what a check makes of a field; what it refuses is a rejected message."""
+    try:
+        return check(value)
+    except ValueError as error:
+        reason = Reason.NOT_FINITE if "not finite" in str(error) else Reason.MALFORMED
+        raise MessageRejectedError(reason, f"{field} {error}") from error
+
+
+def read_text(field: str, text: str) -> str:
+    """Return a text of a message that is no longer than any text can be."""
+    within(TEXT, f"length of {field}", len(text))
+    return text

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from rpod_schemas.bounds import HYPOTHESES, SHARE
 from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.geometry import read_pose, write_pose
-from rpod_schemas.messages.header import build, read_stamp, write_header
+from rpod_schemas.messages.header import build, read_stamp, within, write_header
 from rpod_schemas.types import Diagnostic, EstimatorStatus, Hypothesis
 
 
@@ -19,6 +20,11 @@ def read_status(message: Any) -> EstimatorStatus:
             Reason.WRONG_SIZE,
             f"{len(message.hypotheses)} hypotheses with {len(message.hypothesis_weights)} weights",
         )
+    within(HYPOTHESES, "number of hypotheses", len(message.hypotheses))
+    within(SHARE, "sum of hypothesis_weights", float(np.sum(message.hypothesis_weights)))
+    _not_negative(message, "cost_m2", "nis", "inlier_share", "processing_s")
+    if not np.isnan(message.inlier_share):
+        within(SHARE, "inlier_share", message.inlier_share)
     return build(
         EstimatorStatus,
         stamp_ns=read_stamp(message.header),
@@ -34,11 +40,44 @@ def read_status(message: Any) -> EstimatorStatus:
         inlier_share=message.inlier_share,
         processing_s=message.processing_s,
         ambiguous=message.ambiguous,
-        hypotheses=tuple(
-            build(Hypothesis, pose=read_pose(pose), weight=weight)
-            for pose, weight in zip(message.hypotheses, message.hypothesis_weights, strict=True)
-        ),
+        hypotheses=_read_hypotheses(message),
+        belief=getattr(message, "belief", 0),
+        evidence=dict(zip(*_evidence(message), strict=True)),
     )
+
+
+def _read_hypotheses(message: Any) -> tuple[Hypothesis, ...]:
+    """Return the hypotheses; a status of version 1 names none and gives no likelihoods."""
+    count = len(message.hypotheses)
+    names = getattr(message, "hypothesis_names", [""] * count)
+    logs = getattr(message, "hypothesis_log_likelihoods", [float("nan")] * count)
+    if not len(names) == len(logs) == count:
+        raise MessageRejectedError(
+            Reason.WRONG_SIZE, f"{count} hypotheses with {len(names)} names and {len(logs)} log likelihoods"
+        )
+    rows = zip(message.hypotheses, message.hypothesis_weights, names, logs, strict=True)
+    return tuple(
+        build(Hypothesis, pose=read_pose(pose), weight=weight, name=name, log_likelihood=log)
+        for pose, weight, name, log in rows
+    )
+
+
+def _evidence(message: Any) -> tuple[Sequence[str], Sequence[float]]:
+    names, values = getattr(message, "evidence_names", []), getattr(message, "evidence_values", [])
+    if len(names) != len(values):
+        raise MessageRejectedError(
+            Reason.WRONG_SIZE, f"{len(names)} names of evidence with {len(values)} values"
+        )
+    return names, values
+
+
+def _not_negative(message: Any, *fields: str) -> None:
+    for field in fields:
+        if getattr(message, field) < 0.0:
+            raise MessageRejectedError(
+                Reason.MALFORMED,
+                f"{field} is {getattr(message, field):g}, needs 0 or more, NaN where not known",
+            )
 
 
 def write_status(status: EstimatorStatus) -> Any:
@@ -58,6 +97,11 @@ def write_status(status: EstimatorStatus) -> Any:
         ambiguous=status.ambiguous,
         hypotheses=[write_pose(item.pose) for item in status.hypotheses],
         hypothesis_weights=np.array([item.weight for item in status.hypotheses], np.float64),
+        belief=int(status.belief),
+        evidence_names=list(status.evidence),
+        evidence_values=np.array(list(status.evidence.values()), np.float64),
+        hypothesis_names=[item.name for item in status.hypotheses],
+        hypothesis_log_likelihoods=np.array([item.log_likelihood for item in status.hypotheses], np.float64),
     )
 
 

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_schemas.bounds import AMPLITUDE, DEPTH_M, IMAGE_PIXELS, IMAGE_SIDE
 from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages.header import build, write_header
+from rpod_schemas.messages.header import build, within, write_header
 from rpod_schemas.types import Camera
 
 _ENCODINGS: dict[str, tuple[str, int]] = {
@@ -39,6 +40,9 @@ def read_image(message: Any) -> NDArray[Any]:
             f"{message.width} x {message.height} {message.encoding} by {message.step} "
             f"in {message.data.size} bytes",
         )
+    within(IMAGE_SIDE, "width", message.width)
+    within(IMAGE_SIDE, "height", message.height)
+    within(IMAGE_PIXELS, "width x height", message.width * message.height)
     shape = (message.height, message.width) if channels == 1 else (message.height, message.width, channels)
     strides = (message.step, channels * dtype.itemsize, dtype.itemsize)[: len(shape)]
     return np.ndarray(shape, dtype, buffer=message.data, strides=strides)
@@ -54,8 +58,11 @@ def read_depth(message: Any) -> NDArray[np.float32]:
         image = np.where(image > 0, image.astype(np.float32) * np.float32(1e-3), np.float32(np.nan))
     elif message.encoding != "32FC1":
         raise MessageRejectedError(Reason.WRONG_TYPE, f"depth in {message.encoding}, needs 32FC1 or 16UC1")
-    if not np.isfinite(image).any():
-        raise MessageRejectedError(Reason.NOT_FINITE, "no finite pixel in the depth image")
+    known = np.abs(image) <= DEPTH_M.high  # NaN is not
+    if not known.all():
+        within(DEPTH_M, "a pixel of the depth image", image[~known & np.isfinite(image)])
+        if not known.any():
+            raise MessageRejectedError(Reason.NOT_FINITE, "no finite pixel in the depth image")
     return image.astype(np.float32, copy=False)
 
 
@@ -64,6 +71,8 @@ def read_amplitude(message: Any) -> NDArray[Any]:
     if message.encoding not in ("mono16", "mono8", "32FC1", "16UC1"):
         raise MessageRejectedError(Reason.WRONG_TYPE, f"amplitude in {message.encoding}")
     image = read_image(message)
+    if image.dtype.kind == "f" and not (np.abs(image) <= AMPLITUDE.high).all():
+        within(AMPLITUDE, "a pixel of the amplitude image", image[~np.isnan(image)])
     return image.astype(image.dtype.newbyteorder("="), copy=False)
 
 

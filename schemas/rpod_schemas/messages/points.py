@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_schemas.bounds import RETURN_TIME_S, SCAN_DIRECTIONS
 from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages.header import write_header
+from rpod_schemas.messages.header import within, write_header
 
 _FLOAT32 = 7
 
@@ -26,6 +27,7 @@ def read_points(message: Any) -> dict[str, NDArray[np.float32]]:
         )
     if 0 in (message.width, message.height):
         raise MessageRejectedError(Reason.EMPTY, "a cloud of no points")
+    within(SCAN_DIRECTIONS, "number of points", message.width * message.height)
     order = ">" if message.is_bigendian else "<"
     shape = (message.height, message.width) if message.height > 1 else (message.width,)
     strides = (message.row_step, message.point_step)[2 - len(shape) :]
@@ -44,6 +46,8 @@ def read_points(message: Any) -> dict[str, NDArray[np.float32]]:
         raise MessageRejectedError(
             Reason.WRONG_TYPE, f"point fields {', '.join(sorted(missing))} are missing"
         )
+    if "t" in fields:
+        within(RETURN_TIME_S, "t", fields["t"][~np.isnan(fields["t"])])
     return fields
 
 

@@ -16,7 +16,7 @@ from rpod_analysis.campaign.statistics import quantile, rate
 from rpod_analysis.campaign.trials import judged as trial
 from rpod_analysis.campaign.trials.judged import JudgedCell
 from rpod_analysis.campaign.words import NONE, number, word
-from rpod_pose.ports import Verdict
+from rpod_pose.ports import Outcome
 from rpod_schemas.arrays import FloatArray
 
 Results = Sequence[CellResult[JudgedCell]]
@@ -60,7 +60,7 @@ def summarise(cell: JudgedCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return what is said of a cell: numbers of trials."""
     judged = rows.filter(pl.col("found").is_not_null())
     wrong, accepted = judged["wrong"], judged["accepted"]
-    ambiguous = judged["verdict"] == Verdict.AMBIGUOUS.value
+    ambiguous = judged["verdict"] == Outcome.AMBIGUOUS.value
     return {
         **asdict(cell),
         "trials": rows.height,

@@ -4,6 +4,7 @@ What runs is the daemon's estimator; time is the frames' own. Between two frames
 does for the daemon, so that silence is noticed at the same place.
 """
 
+import logging
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -17,17 +18,14 @@ from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
 from rpod_analysis.replay.timeline import Timeline
 from rpod_analysis.run import estimate_prefix
-from rpod_estimator.estimator import TICK_S, Estimator
+from rpod_estimator.estimator import Estimator
 from rpod_estimator.intake import Intake
 from rpod_pose.measurement import Tick
 from rpod_pose.navigation.state import Output
-from rpod_schemas.cdr import NANOSECONDS
-from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.migration import check_logged
 from rpod_schemas.topics import ESTIMATE, ESTIMATE_POSE, STATUS, TF_STATIC, TRUTH
 from rpod_target import load_target
-
-_TICK_NS = round(TICK_S * NANOSECONDS)
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,13 @@ def configured_estimator(log: Log) -> EstimatorConfig:
     if not found:
         raise NoEstimatorError(log.paths[0])
     model = found.get(name) or next(iter(found.values()))
-    return check(EstimatorConfig, model, source=f"{log.paths[0]}: configuration of the estimator")
+    source = f"{log.paths[0]}: configuration of the estimator"
+    config, unknown = check_logged(EstimatorConfig, model, source=source)
+    if unknown:
+        logging.getLogger(__name__).warning(
+            "%s: fields of an earlier version are left out: %s", source, ", ".join(unknown)
+        )
+    return config
 
 
 def replay(
@@ -94,7 +98,7 @@ def replay(
     estimator, intake = Estimator(config, load_target(config.target)), Intake(config.sensors)
     old = estimate_prefix(log)
     frames = FramesAsLive(intake, status_topic=STATUS.under(old).name) if as_live else Frames(intake)
-    feed = _Feed(estimator, intake, config, as_live=as_live)
+    feed = _Feed(estimator, intake, as_live=as_live)
     try:
         with EstimateLog(target, log, config) as written:
             for logged in _relevant(log, intake, old, start_s=start_s, end_s=end_s):
@@ -136,13 +140,9 @@ def _relevant(
 class _Feed:
     """Feeds the estimator, and lets time pass between the frames."""
 
-    def __init__(
-        self, estimator: Estimator, intake: Intake, config: EstimatorConfig, *, as_live: bool
-    ) -> None:
+    def __init__(self, estimator: Estimator, intake: Intake, *, as_live: bool) -> None:
         self.processing_s: list[float] = []
         self._estimator, self._intake, self._as_live = estimator, intake, as_live
-        self._silence_ns = round(config.navigator.silence_timeout_s * NANOSECONDS) + 2 * _TICK_NS
-        self._now_ns: int | None = None
 
     def outputs(self, events: Iterable[Event]) -> Iterator[Output]:
         """Yield what the estimator has to say."""
@@ -151,19 +151,12 @@ class _Feed:
             if isinstance(event, Tick):
                 yield from self._tick(event.stamp_ns)
                 continue
-            yield from self._pass_time(event.stamp_ns)
+            if not self._as_live:  # there the statuses tell when a tick had something to say
+                yield from self._estimator.let_time_pass(event.stamp_ns)
             started_s = time.perf_counter()
             output = self._estimator.process(event)
             self.processing_s.append(time.perf_counter() - started_s)
             yield output
-
-    def _pass_time(self, until_ns: int) -> Iterator[Output]:
-        """Tick up to a frame's stamp; as live, the statuses tell when a tick had something to say."""
-        if self._now_ns is not None and not self._as_live:
-            last_ns = min(until_ns, self._now_ns + self._silence_ns)  # later ticks say nothing new
-            for now_ns in range(self._now_ns + _TICK_NS, last_ns, _TICK_NS):
-                yield from self._tick(now_ns)
-        self._now_ns = max(until_ns, self._now_ns or 0)
 
     def _tick(self, now_ns: int) -> Iterator[Output]:
         output = self._estimator.tick(now_ns)

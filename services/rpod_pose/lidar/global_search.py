@@ -12,18 +12,19 @@ The verdict needs no other pose to compare with: the scan's likelihood against w
 The weights of the hypotheses are their likelihoods.
 """
 
+from dataclasses import replace
 from math import log, sqrt
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.special import softmax
 
+from rpod_pose.belief import contradicted
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_search import FINE_SCALES_M, Model, Pose, Scanner, ScanSearch
 from rpod_pose.lidar.scan_view import SeenScan
-from rpod_pose.ports import Acquisition, Registration, Verdict
+from rpod_pose.ports import Acquisition, Registration
 from rpod_pose.search.attitude_grid import attitudes_of, within
-from rpod_pose.search.hypotheses import NEGLIGIBLE, hypotheses
+from rpod_pose.search.hypotheses import NEGLIGIBLE, believed_beside, rivals
 from rpod_pose.search.turns import FEW_POINTS, Turns
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
@@ -90,9 +91,8 @@ class GlobalSearch:
             return self._judged(whole, search, poses, 0)
         turn = np.degrees(Rotation.from_matrix(asked.R.T @ poses[0].R).magnitude())
         registration = self._tracker.finish(whole, asked.R, asked.t)
-        return Acquisition(
-            Verdict.FAILED, registration, f"the pose turned by {turn:.0f} deg explains the scan better"
-        )
+        belief = contradicted(f"the pose turned by {turn:.0f} deg explains the scan better")
+        return Acquisition(replace(registration, belief=belief))
 
     def _found(self, measurement: LidarScan, around: FloatArray | None) -> Acquisition:
         config, whole = self._config, self._seen(measurement)
@@ -127,26 +127,20 @@ class GlobalSearch:
 
     def _too_few(self, seen: SeenScan) -> Acquisition:
         reason = f"{seen.returns} returns, {self._config.min_points} needed"
-        return Acquisition(Verdict.FAILED, Registration(Source.NONE), reason)
+        return Acquisition(Registration.none(Source.NONE, reason))
 
     def _judged(self, whole: SeenScan, search: ScanSearch, poses: list[Pose], templates: int) -> Acquisition:
         """Return the verdict on distinct poses, likeliest first."""
         if not poses:
-            reason = "no attitude shows the target to the sensor"
-            return Acquisition(Verdict.FAILED, Registration(Source.NONE), reason, templates=templates)
+            nothing = Registration.none(Source.LIDAR, "no attitude shows the target to the sensor")
+            return Acquisition(nothing, templates=templates)
         registration = self._tracker.finish(whole, poses[0].R, poses[0].t)
-        reason = search.doubt(poses[0]) or registration.reason
-        if reason or registration.T_sensor_target is None:
-            return Acquisition(Verdict.FAILED, registration, reason, templates=templates)
-        weights = softmax([pose.fit.log_likelihood for pose in poses])
-        listed = hypotheses(poses, weights, self._model.turns.exact)
-        alike, best = len(self._model.turns.exact), weights[0]
-        by_symmetry = alike > 1 and best >= self._config.ambiguous_weight
-        if by_symmetry:
-            reason = f"{alike} poses look alike by the target's symmetry"
-        elif best < self._config.ambiguous_weight:
-            reason = f"{len(listed)} poses explain the scan, the best with weight {best / alike:.2f}"
-        verdict = Verdict.AMBIGUOUS if reason else Verdict.ACCEPTED
-        return Acquisition(
-            verdict, registration, reason, listed, templates=templates, by_symmetry=by_symmetry
-        )
+        belief = search.belief(poses[0])
+        if registration.T_sensor_target is None or not registration.belief.continues_track:
+            belief = registration.belief if belief.continues_track else belief
+        if registration.T_sensor_target is not None and belief.continues_track:
+            logs = np.array([pose.fit.log_likelihood for pose in poses])
+            belief = believed_beside(
+                rivals(poses, logs, self._model.turns.exact), belief, least=self._config.ambiguous_weight
+            )
+        return Acquisition(replace(registration, belief=belief), templates=templates)

@@ -90,8 +90,7 @@ class ProjectiveIcp:
         return Registration(
             Source.LIDAR,
             T_sensor_target=pose_of(R, t),
-            reason=self.model.doubt(seen, R, t, fit),
-            judged=True,
+            belief=self.model.belief(seen, R, t, fit),
             cost_m2=squares / inliers,
             inliers=inliers,
             inlier_share=inliers / seen.returns,
@@ -113,4 +112,4 @@ class ProjectiveIcp:
 
 
 def _failed(reason: str) -> Registration:
-    return Registration(Source.LIDAR, reason=reason)
+    return Registration.none(Source.LIDAR, reason)

@@ -19,6 +19,7 @@ from scipy.special import erf
 from scipy.stats import norm, qmc
 
 from rpod_geometry.rays import cast
+from rpod_pose.belief import Belief, contradicted
 from rpod_pose.lidar.scan_likelihood import agreed, judged, likeliest, told
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.surface_model import SurfaceModel
@@ -101,18 +102,25 @@ class ScanModel:
         """Return that part of ``fit`` alone."""
         return float(told(seen.range_m, (R, t), *self._asked))
 
-    def doubt(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> str:
-        """Return why a pose does not explain a scan, whose fit is known; empty if it does."""
+    def belief(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> Belief:
+        """Return whether a pose, whose fit is known, explains a scan."""
+        rays = fit.agreement
+        evidence = {
+            "deficit": fit.deficit,
+            "deficit_sigma": fit.deviation,
+            "returns": float(seen.returns),
+            "agreeing_share": rays.share,
+        }
         if self._content(fit, seen.returns):
-            return ""
+            return Belief(evidence=evidence)
         less = _fit(*judged(seen.range_m, (R, t), *self._asked_of_less))
         if self._content(less, seen.returns):
-            return ""
-        rays = fit.agreement
-        return (
+            return Belief(evidence=evidence)
+        reason = (
             f"does not explain the scan: of {seen.returns} returns {rays.contrary} contradict the pose, "
             f"{rays.missing:.0f} more are missing"
         )
+        return contradicted(reason, **evidence)
 
     def _content(self, fit: ScanFit, returns: int) -> bool:
         verdict = self._verdict

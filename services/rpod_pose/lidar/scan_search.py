@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
 from rpod_pose.lidar.scan_alignment import settle
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
@@ -174,9 +175,9 @@ class ScanSearch:
         better = settled.fit.log_likelihood >= pose.fit.log_likelihood
         return settled if better else replace(pose, information=settled.information)
 
-    def doubt(self, pose: Pose) -> str:
-        """Return why a pose does not explain the scan; empty if it does."""
-        return self._scanner.statistics.doubt(self.seen, pose.R, pose.t, pose.fit)
+    def belief(self, pose: Pose) -> Belief:
+        """Return whether a pose explains the scan."""
+        return self._scanner.statistics.belief(self.seen, pose.R, pose.t, pose.fit)
 
     def _is_sure(self, pose: Pose) -> bool:
         returns = self.seen.returns

@@ -19,13 +19,13 @@ from typing import overload
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rpod_pose.belief import SYMMETRY, Record
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.deskew import as_of_stamp
 from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, start, to_odometry
 from rpod_pose.navigation.history import History, PoseMeasurement, apply
 from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
 from rpod_pose.ports import Acquisition, Methods, Registration
-from rpod_pose.verification import Record, doubt
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
@@ -34,7 +34,7 @@ from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
 from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, Source
 
 BEGINNING = 0.5
-"""Of what may speak against a track, what may do so where one begins: else it would come and go."""
+"""A track begins below this part of the share at which one is lost, so that it does not come and go."""
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.05
 """Of a given first pose whose covariance is not given."""
 
@@ -106,9 +106,9 @@ class Navigator:
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Search without a guess; begin where one pose explains the measurement."""
         found = self._methods[event.sensor].acquirer.acquire(event.data)
-        if found.trackable:
+        if found.begins_track:
             return self._begin(state, event, found.registration)
-        return state, self._output(state, event, found.registration, reason=found.reason, found=found)
+        return state, self._output(state, event, found.registration, reason=found.belief.reason, found=found)
 
     def _begin(
         self, state: NavigatorState, event: Measurement, registration: Registration
@@ -145,10 +145,12 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, believe or reject, update the filter."""
         registration, reason = self._register(event, predicted, tracked=state.mode == Mode.TRACKING)
-        record = state.records.get(event.sensor, Record()).after(registration)
+        record = state.records.get(event.sensor, Record())
+        if registration.T_sensor_target is not None:
+            record = record.after(registration.belief)
         state = replace(state, records={**state.records, event.sensor: record})
         if state.mode == Mode.TRACKING and record.share > self._limits.max_contradicted_share:
-            share = f"{record.share:.0%} of the frames of late speak against what is tracked"
+            share = f"{record.share:.0%} of the recent frames do not support the tracked pose"
             state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
             return self._reject(state, event, registration, reason=f"{share}: {reason}" if reason else share)
         if reason:
@@ -184,13 +186,13 @@ class Navigator:
         T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
         data = as_of_stamp(event, predicted)
         registration = methods.tracker.track(data, T_sensor_target)
-        limits = methods.verification
-        why = doubt(registration, limits.while_tracking if tracked else limits)
-        if why and not (tracked and self._is_sharp(predicted)):
+        if registration.continues_track if tracked else registration.begins_track:
+            return registration, ""
+        if not (tracked and self._is_sharp(predicted)):
             found = methods.acquirer.near(data, T_sensor_target)
-            if found.trackable:
+            if found.begins_track:
                 return found.registration, ""
-        return registration, why
+        return registration, registration.belief.refusal
 
     def _is_sharp(self, predicted: FilterState) -> bool:
         sigma_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[ATTITUDE, ATTITUDE])[-1]))
@@ -277,6 +279,8 @@ class Navigator:
             inlier_share=measured.inlier_share,
             ambiguous=len(hypotheses) > 1,
             hypotheses=hypotheses,
+            belief=measured.belief.level,
+            evidence=dict(measured.belief.evidence),
         )
         if state.mode != Mode.TRACKING or state.history is None:
             return Output(status, None)
@@ -291,14 +295,18 @@ class Navigator:
         """Return T_chaser_target of what explains the frame: as acquired, or by the target's exact turns."""
         if found is not None:
             return tuple(
-                Hypothesis(pose=event.T_chaser_sensor * item.pose, weight=item.weight)
+                item.model_copy(update={"pose": event.T_chaser_sensor * item.pose})
                 for item in found.hypotheses
             )
         if not self._alike or state.history is None:
             return ()
         pose = state.history.state.T_chaser_target
         poses = (pose, *(pose * turn for turn in self._alike))
-        return tuple(Hypothesis(pose=pose, weight=1.0 / len(poses)) for pose in poses)
+        names = ("", *[SYMMETRY] * len(self._alike))
+        return tuple(
+            Hypothesis(pose=pose, weight=1.0 / len(poses), name=name, log_likelihood=0.0)
+            for pose, name in zip(poses, names, strict=True)
+        )
 
 
 def in_chaser(

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 from scipy.spatial.transform import RigidTransform
 
+from rpod_pose.belief import Record
 from rpod_pose.navigation.history import History
-from rpod_pose.verification import Record
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import EstimatorStatus, Mode, Odometry
 
@@ -41,7 +41,7 @@ class NavigatorState:
     confirmations: int = 0
     """Frames that agreed since the acquisition."""
     records: Mapping[str, Record] = field(default_factory=dict)
-    """How often frames contradicted what was tracked, by the sensor's name; outlasts what was tracked."""
+    """How often frames did not support what was tracked, by the sensor's name; outlasts the track."""
 
 
 @dataclass(frozen=True, eq=False)

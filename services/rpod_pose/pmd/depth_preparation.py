@@ -12,6 +12,7 @@ scales what is seen by half or more, and no pose of the target explains that.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,14 +21,17 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import RayGrid
+from rpod_pose.belief import undetermined
 from rpod_pose.pmd.camera_check import difference
-from rpod_pose.ports import Acquirer, Acquisition, Registration, Tracker, Verdict
+from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.depth_calibration import DepthCalibration, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.types import Camera, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
+_MOST_SIGMA_M, _MOST_SIGMA_DEG = 0.2, 10.0
+"""Greatest standard deviations of a pose at which a track may begin."""
 _FARTHEST_M = 15.0
 """How far away the target is looked for without a prediction: beyond, too little light comes back."""
 _MARGIN_M = 0.5
@@ -134,8 +138,9 @@ class PreparedTracker:
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Register the prepared frame; refused where it is of another camera."""
         if why := self._preparation.refusal(measurement):
-            return Registration(Source.NONE, reason=why)
-        return self._tracker.track(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
+            return Registration.none(Source.NONE, why)
+        prepared = self._preparation.predicted(measurement, T_sensor_target)
+        return _determined(self._tracker.track(prepared, T_sensor_target))
 
 
 class PreparedAcquirer:
@@ -151,7 +156,7 @@ class PreparedAcquirer:
         failed: Acquisition | None = None
         for prepared in self._preparation.possible(measurement):
             found = self._acquirer.acquire(prepared)
-            if found.verdict is not Verdict.FAILED:
+            if found.outcome is not Outcome.FAILED:
                 return found
             failed = failed or found
         assert failed is not None  # noqa: S101 - one is always possible
@@ -185,7 +190,20 @@ def _mhz(hertz: tuple[float, ...]) -> str:
 
 
 def _refused(why: str) -> Acquisition:
-    return Acquisition(Verdict.FAILED, Registration(Source.NONE, reason=why), reason=why)
+    return Acquisition(Registration.none(Source.NONE, why))
+
+
+def _determined(registration: Registration) -> Registration:
+    """Return a registration whose belief says whether the frame alone determines the pose well enough.
+
+    What little shows of a large body may be a wall that fills the image: it fits any flat face of the target.
+    """
+    if not registration.begins_track:
+        return registration
+    open_motion = undetermined(
+        registration.covariance, max_sigma_m=_MOST_SIGMA_M, max_sigma_deg=_MOST_SIGMA_DEG
+    )
+    return replace(registration, belief=replace(registration.belief, insufficient=open_motion))
 
 
 def _cosines_of(camera: Camera) -> Float32Array | None:
@@ -230,7 +248,8 @@ def _prepare(depth_m, cosine, unwrapping, corrections_m, out_m):  # type: ignore
             shift_m = interval_m * np.rint((range_m - measured_m) * turns_per_m)
             if shift_m < nothing or abs(measured_m + shift_m - range_m) > reach_m:
                 shift_m = nothing
-        index = np.int32(min((measured_m + shift_m) * steps_per_m + np.float32(0.5), last))
+        step = (measured_m + shift_m) * steps_per_m + np.float32(0.5)
+        index = np.int32(step) if nothing <= step < last else np.int32(last)  # NaN is in no table
         shift_m -= corrections_m[index]
         out[pixel] = (
             depth + shift_m * cosines[pixel] if measured_m + shift_m > nothing else np.float32(np.nan)

@@ -5,9 +5,12 @@ from typing import Protocol
 
 from scipy.spatial.transform import RigidTransform
 
+from rpod_pose.acceptance import accepted_by_residuals
+from rpod_pose.belief import Belief, doubtful
 from rpod_pose.pmd.depth_view import DepthImage
 from rpod_pose.ports import Registration
 from rpod_pose.registration.normal_equations import NormalEquations
+from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.pmd_methods import DepthComparisonConfig, DepthErrorConfig
 from rpod_schemas.types import Source
 from rpod_target import Target
@@ -43,6 +46,11 @@ class Conclusive(Protocol):
         ...
 
     @property
+    def acceptance(self) -> AcceptanceConfig:
+        """When the registration is believed."""
+        ...
+
+    @property
     def errors(self) -> DepthErrorConfig:
         """What the covariance assumes."""
         ...
@@ -58,7 +66,7 @@ def conclude(progress: Progress, image: DepthImage, target: Target, config: Conc
         reason = "degenerate: the matched surface leaves a motion undetermined"
     registration = Registration(
         Source.PMD_DEPTH,
-        reason=reason,
+        belief=doubtful(reason) if reason else Belief(),
         cost_m2=sums.cost_m2,
         inliers=sums.inliers,
         inlier_share=sums.inliers / progress.points if progress.points else 0.0,
@@ -66,9 +74,10 @@ def conclude(progress: Progress, image: DepthImage, target: Target, config: Conc
     )
     if reason:
         return registration
-    return replace(
+    registered = replace(
         registration,
         T_sensor_target=T,
         explained_share=image.compare(target, T, config.comparison).explained_share,
         covariance=sums.covariance(T, config.errors),
     )
+    return accepted_by_residuals(registered, config.acceptance)

@@ -60,7 +60,16 @@ class Contradictions:
         """Of the pixels that say something, those that do not contradict; 0 where none does."""
         return 1.0 - self.contrary / self.pixels if self.pixels else 0.0
 
-    def doubt(self, limits: PmdCheckConfig) -> str:
+    @property
+    def evidence(self) -> dict[str, float]:
+        """The numbers by name, for a belief."""
+        return {
+            "inconsistent_pixel_share": self.contrary / self.pixels if self.pixels else 0.0,
+            "inconsistent_pixels_in_patch": float(self.fullest),
+            "missing_pixels_in_patch": float(self.lacking),
+        }
+
+    def reason(self, limits: PmdCheckConfig) -> str:
         """Return why the pose does not explain the frame; empty if it does."""
         most = limits.most_contrary_share
         if self.contrary > max(most * self.pixels, FEW):

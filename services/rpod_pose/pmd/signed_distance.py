@@ -106,7 +106,7 @@ class SignedDistanceTracker:
         config = self._config
         image = usable_image(measurement, config.image)
         if isinstance(image, str):
-            return Registration(Source.PMD_DEPTH, reason=image)
+            return Registration.none(Source.PMD_DEPTH, image)
         points_m = image.points(config.points)
         progress = Progress(T_sensor_target)
         for scale_m in np.geomspace(config.scale_m, config.final_scale_m, config.iterations):

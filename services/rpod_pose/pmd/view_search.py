@@ -25,17 +25,18 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import softmax
 
+from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
 from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_pose.pmd.signed_distance import measured_equations
-from rpod_pose.ports import Acquisition, Registration, Tracker, Verdict
+from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker
 from rpod_pose.search.attitude_grid import attitudes_of, within
-from rpod_pose.search.hypotheses import hypotheses
+from rpod_pose.search.hypotheses import believed_beside, rivals
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig, PmdLimitsConfig
 from rpod_schemas.poses import pose_of
-from rpod_schemas.types import Float32Array, PmdFrame, Source
+from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 Judge = tuple[PmdFitter, PmdLimitsConfig]
@@ -54,9 +55,9 @@ class _Task:
     """From which none may be far, shape (3, 3); None for any."""
 
     def failed(self, registration: Registration) -> Acquisition:
-        """Return a search that found nothing to believe."""
+        """Return a search that found no pose to believe."""
         nothing = replace(registration, T_sensor_target=None, covariance=np.full((6, 6), np.nan))
-        return Acquisition(Verdict.FAILED, nothing, registration.reason, templates=len(self.attitudes))
+        return Acquisition(nothing, templates=len(self.attitudes))
 
 
 class ViewSearch:
@@ -86,7 +87,7 @@ class ViewSearch:
         config = self._config
         scene = scene_of(measurement, config.scene, radius_m=self._model.target.radius_m)
         if isinstance(scene, str):
-            return Acquisition(Verdict.FAILED, Registration(Source.NONE), scene)
+            return Acquisition(Registration.none(Source.NONE, scene))
         if around is None:
             attitudes = attitudes_of(config.attitudes)
         else:
@@ -96,10 +97,10 @@ class ViewSearch:
         shape = PmdFitter(config.model, self._model.target, scene, as_filed=False), config.verdict.shape
         filed = PmdFitter(config.model, self._model.target, scene), config.verdict.as_filed
         found = self._judged(task, (filed, shape))
-        if found.verdict is not Verdict.FAILED:
+        if found.outcome is not Outcome.FAILED:
             return found
         by_shape = self._judged(task, (shape,))
-        return found if by_shape.verdict is Verdict.FAILED else by_shape
+        return found if by_shape.outcome is Outcome.FAILED else by_shape
 
     def _judged(self, task: _Task, judges: Sequence[Judge]) -> Acquisition:
         """Return the verdict on the distinct poses that are best in the eyes of the first judge."""
@@ -107,62 +108,75 @@ class ViewSearch:
         poses = FrameSearch(self._config, self._model, task.scene, fitter).search(task.attitudes, task.around)
         if not poses:
             reason = "no attitude shows the target to the camera"
-            return task.failed(Registration(Source.NONE, reason=reason))
-        doubts = (self._doubt(poses[0], *judge) for judge in judges)
-        registration = self._registration(task.scene, poses[0], next(filter(None, doubts), ""))
-        weights = softmax([-pose.fit.loss * limits.facts / poses[0].fit.pixels for pose in poses])
-        alike, best = len(self._model.turns.exact), weights[0]
-        sure = best >= self._config.verdict.ambiguous_weight
+            return task.failed(Registration.none(Source.NONE, reason))
+        belief = self._belief(poses[0], judges)
+        registration = self._registration(task.scene, poses[0], belief)
+        logs = np.array([-pose.fit.loss * limits.facts / poses[0].fit.pixels for pose in poses])
+        sure = softmax(logs)[0] >= self._config.verdict.ambiguous_weight
         if sure and registration.T_sensor_target is not None:
             registration = self._tracker.track(task.frame, registration.T_sensor_target)
-        if registration.reason or registration.T_sensor_target is None:
+        if not registration.continues_track or registration.T_sensor_target is None:
             return task.failed(registration)
         matrix = registration.T_sensor_target.as_matrix()
         poses[0] = replace(poses[0], R=matrix[:3, :3], t=matrix[:3, 3])
-        listed = hypotheses(poses, weights, self._model.turns.exact)
-        reason = ""
-        if alike > 1 and sure:
-            reason = f"{alike} poses look alike by the target's symmetry"
-        elif not sure:
-            reason = f"{len(listed)} poses explain the frame, the best with weight {best / alike:.2f}"
-        return Acquisition(
-            Verdict.AMBIGUOUS if reason else Verdict.ACCEPTED,
-            registration,
-            reason,
-            listed,
-            templates=len(task.attitudes),
-            by_symmetry=alike > 1 and sure,
+        evidence = {**belief.evidence, **registration.belief.evidence}
+        believed = believed_beside(
+            rivals(poses, logs, self._model.turns.exact),
+            Belief(evidence=evidence),
+            least=self._config.verdict.ambiguous_weight,
         )
+        return Acquisition(replace(registration, belief=believed), templates=len(task.attitudes))
 
-    def _doubt(self, pose: Pose, fitter: PmdFitter, limits: PmdLimitsConfig) -> str:
-        """Return why a pose does not explain the frame; empty if it does."""
+    def _belief(self, pose: Pose, judges: Sequence[Judge]) -> Belief:
+        """Return whether a pose explains the frame to every judge; the first reason against it stands."""
+        evidence: dict[str, float] = {}
+        for fitter, limits in judges:
+            reason, numbers = self._contradiction(pose, fitter, limits)
+            evidence = {**numbers, **evidence}
+            if reason:
+                return contradicted(reason, **evidence)
+        return Belief(evidence=evidence)
+
+    def _contradiction(
+        self, pose: Pose, fitter: PmdFitter, limits: PmdLimitsConfig
+    ) -> tuple[str, dict[str, float]]:
+        """Return why a pose does not explain the frame, empty if it does, and the numbers asked."""
         verdict, fit = self._config.verdict, fitter.fit(pose.R, pose.t)
-        if fit.explained_share < limits.min_explained_share:
-            share = 1.0 - fit.explained_share
-            return f"does not explain the frame: {share:.0%} of {fit.pixels} pixels contradict the pose"
-        if fit.mean_loss > limits.max_loss:
-            return f"does not explain the frame: mean loss {fit.mean_loss:.2f} above {limits.max_loss:.2f}"
         patch, face = fitter.worst_patches(pose.R, pose.t, verdict.patch_px, verdict.face_px)
-        if patch > limits.max_patch_loss:
-            most = limits.max_patch_loss
-            return f"a detail contradicts the pose: mean loss {patch:.2f} above {most:.2f} there"
-        if face > limits.max_face_loss:
-            return f"a face contradicts the pose: mean loss {face:.2f} above {limits.max_face_loss:.2f} there"
-        return ""
+        evidence = {
+            "explained_share": fit.explained_share,
+            "mean_loss": fit.mean_loss,
+            "worst_patch_loss": patch,
+            "worst_face_loss": face,
+        }
+        share, most = 1.0 - fit.explained_share, limits.max_patch_loss
+        if fit.explained_share < limits.min_explained_share:
+            reason = f"does not explain the frame: {share:.0%} of {fit.pixels} pixels contradict the pose"
+        elif fit.mean_loss > limits.max_loss:
+            reason = f"does not explain the frame: mean loss {fit.mean_loss:.2f} above {limits.max_loss:.2f}"
+        elif patch > most:
+            reason = f"a detail contradicts the pose: mean loss {patch:.2f} above {most:.2f} there"
+        elif face > limits.max_face_loss:
+            most = limits.max_face_loss
+            reason = f"a face contradicts the pose: mean loss {face:.2f} above {most:.2f} there"
+        else:
+            reason = ""
+        return reason, evidence
 
-    def _registration(self, scene: PmdScene, pose: Pose, reason: str) -> Registration:
+    def _registration(self, scene: PmdScene, pose: Pose, belief: Belief) -> Registration:
         config, T = self._config, pose_of(pose.R, pose.t)
         sums = measured_equations(self._model.target, scene.thinned(config.fine_points), T, config.scale_m)
-        if not reason and sums.degenerate(self._model.target.radius_m):
+        if belief.continues_track and sums.degenerate(self._model.target.radius_m):
             reason = "degenerate: the measured surface leaves a motion undetermined"
+            belief = doubtful(reason, **belief.evidence)
+        believed = belief.level is BeliefLevel.ACCEPTED
         return Registration(
             Source.PMD_DEPTH,
-            None if reason else T,
-            reason,
+            T if believed else None,
+            belief,
             cost_m2=sums.cost_m2,
             inliers=sums.inliers,
             inlier_share=sums.inliers / min(len(scene.points_m), config.fine_points),
             explained_share=pose.fit.explained_share,
-            judged=True,
-            covariance=sums.covariance(T, config.errors) if not reason else np.full((6, 6), np.nan),
+            covariance=sums.covariance(T, config.errors) if believed else np.full((6, 6), np.nan),
         )

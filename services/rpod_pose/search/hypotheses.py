@@ -1,14 +1,19 @@
-"""What a search lists beside its best pose: the poses that explain a measurement, with weights."""
+"""The rivals of a search's best pose: the other poses that explain the measurement."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
+import numpy as np
+from scipy.special import softmax
+
+from rpod_pose.belief import SYMMETRY, Belief, Rival
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
-from rpod_schemas.types import Hypothesis
+from rpod_schemas.types import BeliefLevel
 
 NEGLIGIBLE = 1e-3
-"""Hypotheses with a smaller weight are not listed."""
+"""Rivals with a smaller weight are not listed."""
 
 
 class Placed(Protocol):
@@ -25,19 +30,56 @@ class Placed(Protocol):
         ...
 
 
-def hypotheses(poses: Sequence[Placed], weights: FloatArray, turns: FloatArray) -> tuple[Hypothesis, ...]:
-    """Return the poses with all turns that nobody sees, likeliest first; weights sum to 1.
+def rivals(poses: Sequence[Placed], log_likelihoods: FloatArray, turns: FloatArray) -> tuple[Rival, ...]:
+    """Return the poses that explain a measurement beside the best one, likeliest first.
 
     Args:
         poses: best first.
-        weights: of the poses, shape (N,), summing to 1.
-        turns: matrices of the target's exact symmetries, the identity included, shape (K, 3, 3).
+        log_likelihoods: of the measurement under each pose, shape (N,).
+        turns: matrices of the target's exact symmetries, the identity first, shape (K, 3, 3). Each pose is
+            listed with all of them.
     """
-    listed = weights > NEGLIGIBLE
-    shares = weights / weights[listed].sum() / len(turns)
-    return tuple(
-        Hypothesis(pose=pose_of(pose.R @ turn, pose.t), weight=float(share))
-        for pose, share, kept in zip(poses, shares, listed, strict=True)
-        if kept
-        for turn in turns
+    weights = softmax(log_likelihoods)
+    best = poses[0]
+    found = []
+    for pose, log, weight in zip(poses, log_likelihoods, weights, strict=True):
+        if weight <= NEGLIGIBLE:
+            continue
+        for index, turn in enumerate(turns):
+            if pose is best and index == 0:
+                continue
+            name = SYMMETRY if pose is best else _name(best.R, pose.R, turns)
+            found.append(Rival(name, pose_of(pose.R @ turn, pose.t), float(log - log_likelihoods[0])))
+    return tuple(found)
+
+
+def _name(best: FloatArray, other: FloatArray, turns: FloatArray) -> str:
+    """Return by which angle two attitudes differ, modulo the exact symmetries."""
+    cosines = (np.trace(best.T @ other @ turns, axis1=1, axis2=2) - 1.0) / 2.0
+    return f"turned by {np.degrees(np.arccos(np.clip(cosines.max(), -1.0, 1.0))):.0f} deg"
+
+
+def believed_beside(found: tuple[Rival, ...], belief: Belief, *, least: float) -> Belief:
+    """Return the belief in a best pose that is not contradicted, beside its rivals.
+
+    Args:
+        found: ``rivals`` of the best pose.
+        belief: in the best pose alone.
+        least: weight that the best pose, with its exact symmetries, needs to be told from other rivals.
+    """
+    logs = np.array([0.0, *(rival.log_likelihood for rival in found)])
+    weights = softmax(logs)
+    exact = [rival for rival in found if rival.exact]
+    alike = 1 + len(exact)
+    sure = alike * weights[0] >= least
+    if sure and not exact:
+        return replace(belief, rivals=found)
+    if sure:
+        reason = f"{alike} poses look alike by the target's symmetry"
+        return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=tuple(exact))
+    first = next(rival for rival in found if not rival.exact)
+    reason = (
+        f"{len(found) + 1} poses explain the measurement: the best has weight {weights[0]:.2f}, "
+        f"the next is {first.name}"
     )
+    return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=found)

@@ -1,60 +1,64 @@
-"""A search made an acquisition: its candidates are refined by the tracker, judged, and the best is chosen."""
+"""A search made an acquisition: its candidates are refined and checked by the tracker, and one is chosen."""
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.ports import Acquisition, Candidates, Registration, Search, Tracker, Verdict
-from rpod_pose.verification import doubt
-from rpod_schemas.config.verification import VerificationConfig
-from rpod_schemas.types import Hypothesis, LidarScan, PmdFrame, Source
+from rpod_pose.belief import contradicted
+from rpod_pose.ports import Acquisition, Candidates, Registration, Search, Tracker
+from rpod_schemas.types import LidarScan, PmdFrame, Source
 
 
 class VerifiedSearch:
-    """Finds the target by a search and a tracker: ports.Acquirer of either sensor."""
+    """Finds the target by a search and a tracker: ports.Acquirer of either sensor.
 
-    def __init__(self, search: Search[Any], tracker: Tracker[Any], limits: VerificationConfig) -> None:
-        self._search, self._tracker, self._limits = search, tracker, limits
+    Args:
+        search: proposes candidates.
+        tracker: refines and checks them.
+        choice: which accepted candidate is taken: the first, or the one that explains most.
+    """
+
+    def __init__(
+        self, search: Search[Any], tracker: Tracker[Any], choice: Literal["first", "best_explained"]
+    ) -> None:
+        self._search, self._tracker, self._choice = search, tracker, choice
 
     def acquire(self, measurement: LidarScan | PmdFrame) -> Acquisition:
-        """Return the believed candidate that is chosen, else the first of all with its doubt."""
-        return self._judged(measurement, self._search.search(measurement))
+        """Return the accepted candidate that is chosen, else the first of all and why it is refused."""
+        return self._checked(measurement, self._search.search(measurement))
 
     def near(self, measurement: LidarScan | PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the same of candidates around a pose."""
-        return self._judged(measurement, self._search.near(measurement, T_sensor_target))
+        return self._checked(measurement, self._search.near(measurement, T_sensor_target))
 
-    def _judged(self, measurement: LidarScan | PmdFrame, found: Candidates) -> Acquisition:
-        registration, why = self._best(measurement, found)
-        pose = None if why else registration.T_sensor_target
-        return Acquisition(
-            verdict=Verdict.FAILED if pose is None else Verdict.ACCEPTED,
-            registration=registration,
-            reason=why,
-            hypotheses=() if pose is None else (Hypothesis(pose=pose, weight=1.0),),
-            templates=found.templates,
-            excluded_share=found.excluded_share,
-        )
+    def _checked(self, measurement: LidarScan | PmdFrame, found: Candidates) -> Acquisition:
+        registration = self._best(measurement, found)
+        return Acquisition(registration, templates=found.templates, excluded_share=found.excluded_share)
 
-    def _best(self, measurement: LidarScan | PmdFrame, found: Candidates) -> tuple[Registration, str]:
+    def _best(self, measurement: LidarScan | PmdFrame, found: Candidates) -> Registration:
         if not found.poses:
-            return Registration(Source.NONE), "the search found nothing to work on"
-        limits = self._limits
-        believed: list[Registration] = []
-        refused: list[tuple[Registration, str]] = []
-        for candidate in found.poses[: limits.candidates]:
+            return Registration.none(Source.NONE, "the search found nothing to work on")
+        accepted: list[Registration] = []
+        refused: list[Registration] = []
+        for candidate in found.poses:
             registration = self._tracker.track(measurement, candidate.T_sensor_target)
-            why = doubt(registration, limits)
-            if why:
-                refused.append((registration, f"not believed: {why}"))
-            elif limits.choice == "first":
-                return registration, ""
+            if not registration.begins_track:
+                refused.append(registration)
+            elif self._choice == "first":
+                return registration
             else:
-                believed.append(registration)
-        return (max(believed, key=_explained), "") if believed else refused[0]
+                accepted.append(registration)
+        return max(accepted, key=_explained) if accepted else _refused(refused[0])
 
 
 def _explained(registration: Registration) -> float:
     share = registration.explained_share
     return 0.0 if np.isnan(share) else share
+
+
+def _refused(registration: Registration) -> Registration:
+    """Return a registration at which no track may begin, with the reason in its belief."""
+    belief = registration.belief
+    return replace(registration, belief=contradicted(f"not accepted: {belief.refusal}", **belief.evidence))

@@ -15,9 +15,10 @@ from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.control import FaultRequest, StartRequest
-from rpod_schemas.messages import write_odometry, write_vector_stamped
+from rpod_schemas.messages import write_clock, write_odometry, write_vector_stamped
 from rpod_schemas.poses import make_pose
-from rpod_schemas.topics import SUN, TRUTH
+from rpod_schemas.schedule import frame_at
+from rpod_schemas.topics import CLOCK, SUN, TRUTH
 from rpod_schemas.types import Health, Odometry
 from rpod_schemas.wire import Attachment
 
@@ -31,12 +32,16 @@ class FakeNode:
     def __init__(self):
         self.health = HealthBook("emulator")
         self.served, self.refused = {}, []
+        self.follows_clock = False
 
     def serve(self, verb, _, handler):
         self.served[verb] = handler
 
     def subscribe(self, topic, sink, **_):
         setattr(self, topic.name.replace("/", "_"), sink)
+
+    def follow_clock(self, sink):
+        self.clock, self.follows_clock = sink, True
 
     def reject(self, topic, error):
         self.refused.append((topic, str(error.reason)))
@@ -60,8 +65,13 @@ class Bench:
         configuration = EmulatorConfig(target="mockup", sensors=sensors, epoch_ns=epoch_ns, **config)
         self.emulator = Emulator(self.node, configuration, self.channels)
 
-    def truth(self, first_s, last_s, *, epoch_ns=EPOCH_NS, sun_W_m2=1.0):
-        """Send truth at 250 Hz from one time to another, from the epoch, and the sun of its first second."""
+    def truth(self, first_s, last_s, *, epoch_ns=EPOCH_NS, sun_W_m2=1.0, clock_s=None):
+        """Send truth at 250 Hz from one time to another, from the epoch, and the sun of its first second.
+
+        In lockstep the clock is sent first, as of the end of the truth where it is not given.
+        """
+        if self.node.follows_clock:
+            self.clock(epoch_ns + round((last_s if clock_s is None else clock_s) * SECOND_NS))
         if sun_W_m2 is not None:
             first_sun_ns = epoch_ns + int(first_s // 1) * SECOND_NS
             self.receive(SUN, write_vector_stamped(first_sun_ns, "chaser", np.array([0.0, 0.0, sun_W_m2])))
@@ -77,6 +87,9 @@ class Bench:
                 angular_rad_s=np.zeros(3),
             )
             self.receive(TRUTH, write_odometry(odometry), arrival_ns=stamp_ns)
+
+    def clock(self, time_ns):
+        self.receive(CLOCK, write_clock(time_ns))
 
     def receive(self, topic, message, arrival_ns=EPOCH_NS, damage=bytes):
         payload = memoryview(damage(encode(message)))
@@ -154,13 +167,58 @@ def test_by_the_wall_it_is_dark_until_the_sun_comes():
     np.testing.assert_array_equal(bench.channels[0].sun_W_m2, np.zeros(3))
 
 
-def test_in_lockstep_every_frame_is_made_in_order_of_stamp_and_name():
+def test_in_lockstep_every_frame_is_made_in_order_of_hand_over_and_name():
     side = PMD.model_copy(update={"name": "a_side"})
     bench = in_lockstep(PMD, side)
     bench.truth(0.0, 0.25)
     bench.turn()
     assert bench.published == [("a_side", 1), ("pmd", 1), ("a_side", 2), ("pmd", 2)]
     assert bench.counters["frames/pmd"] == 2
+
+
+def test_in_lockstep_a_sensor_that_takes_long_hands_its_frame_out_after_younger_frames():
+    slow = LidarConfig(rate_hz=5.0, readout_s=0.15)
+    bench = in_lockstep(PMD, slow)
+    bench.truth(0.0, 0.45)
+    bench.turn()
+    assert bench.published == [("pmd", 1), ("pmd", 2), ("pmd", 3), ("pmd", 4), ("lidar", 1)]
+
+
+def test_in_lockstep_no_frame_is_made_before_the_clock_hands_it_out():
+    bench = in_lockstep(PMD)
+    bench.truth(0.0, 0.5, clock_s=0.2)
+    bench.turn()
+    assert bench.published == [("pmd", 1)], "the second is read out after its stamp"
+    bench.clock(frame_at(PMD, 2, epoch_ns=EPOCH_NS).available_ns)
+    bench.turn()
+    assert bench.published == [("pmd", 1), ("pmd", 2)]
+
+
+def test_in_lockstep_one_step_hands_out_one_frame_where_two_are_due_at_once():
+    bench = in_lockstep(PMD, PMD.model_copy(update={"name": "a_side"}))
+    first_ns = frame_at(PMD, 1, epoch_ns=EPOCH_NS).available_ns
+    bench.truth(0.0, 0.15, clock_s=(first_ns - EPOCH_NS) / SECOND_NS)
+    bench.turn()
+    assert bench.published == [("a_side", 1)]
+    bench.clock(first_ns + 1)
+    bench.turn()
+    assert bench.published == [("a_side", 1), ("pmd", 1)]
+
+
+def test_in_lockstep_no_frame_is_made_beyond_the_end_of_the_scenario():
+    bench = in_lockstep(PMD, epoch_ns=None, await_start=True)
+    bench.node.served["start"](StartRequest(epoch_ns=EPOCH_NS, duration_s=0.2))
+    bench.truth(0.0, 0.5)
+    bench.turn()
+    assert bench.published == [("pmd", 1), ("pmd", 2)]
+
+
+def test_messages_that_follow_a_start_at_once_belong_to_its_run():
+    bench = in_lockstep(PMD, epoch_ns=None, await_start=True)
+    bench.node.served["start"](StartRequest(epoch_ns=EPOCH_NS))
+    bench.truth(0.0, 0.15)
+    bench.turn()
+    assert bench.published == [("pmd", 1)]
 
 
 def test_by_the_wall_only_the_newest_frame_is_made_and_the_others_are_counted():

@@ -13,7 +13,7 @@ from rpod_schemas.cdr import encode
 from rpod_schemas.messages import write_clock, write_transforms
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import CLOCK, TF_STATIC, Namespace, Topic
-from rpod_schemas.wire import Attachment
+from rpod_schemas.wire import UNNUMBERED, Attachment
 
 KEYS = Namespace()
 ARRIVAL_NS = 1_700_000_000_000_000_000
@@ -38,7 +38,8 @@ def arrive() -> Arrive:
         data = _payload(topic, number) if payload is None else payload
         key = KEYS.key(topic) if topic.type else topic.name
         stamp_ns = ARRIVAL_NS + number
-        return Received(topic, key, memoryview(data), Attachment(number, stamp_ns, gid), stamp_ns + 500)
+        attachment = Attachment(number, stamp_ns, gid) if topic.type or number else UNNUMBERED
+        return Received(topic, key, memoryview(data), attachment, stamp_ns + 500)
 
     return make
 

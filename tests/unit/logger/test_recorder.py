@@ -3,6 +3,7 @@
 import json
 import threading
 from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
 from errno import EIO
 from pathlib import Path
@@ -12,6 +13,7 @@ from logger_desk import Desk, completeness, counts, metadata, read, until
 
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, NotRecordingError
 from rpod_logger.writer import LogFile
+from rpod_runtime.accounting import DuplicateError, JumpError
 from rpod_schemas.control import StatusReply
 from rpod_schemas.errors import Reason
 from rpod_schemas.logs import PUBLISHERS, Completeness, Numbers, TopicCount
@@ -26,7 +28,8 @@ def test_counts_tell_what_was_received_written_missed_and_doubled(desk, arrive):
     one.recorder.start()
     for number in (1, 2, 5, 6):
         one.put(arrive(CLOCK, number))
-    one.account.take(arrive(CLOCK, 6).key, arrive(CLOCK, 6).attachment)
+    with pytest.raises(DuplicateError):
+        one.account.take(arrive(CLOCK, 6).key, arrive(CLOCK, 6).attachment)
     closed = one.recorder.stop()
     assert counts(closed.path) == {"/clock": TopicCount(received=4, written=4, missed=2, duplicates=1)}
     assert closed.messages == len(read(closed.path)) == 4
@@ -86,6 +89,45 @@ def test_sequence_numbers_can_be_counted_again_by_publisher(desk, arrive):
     ought = Counter(n for each in kept[0]["/clock"] for n in range(each.first, each.last + 1))
     assert ought - there == Counter((3, 4, 13, 14))
     assert counts(log.path)["/clock"].missed == 4
+
+
+def test_a_publisher_that_begins_at_0_is_counted_like_any_other(desk, arrive):
+    one = desk()
+    log = one.recorder.start()
+    for number in (0, 1, 2):
+        one.put(arrive(CLOCK, number))
+    one.recorder.stop()
+    assert completeness(log.path) == Completeness(complete=True)
+    key, gid = arrive(CLOCK, 1).key, (b"g" * 16).hex()
+    assert numbers(log.path)["/clock"] == [Numbers(key=key, gid=gid, first=0, last=2, messages=3)]
+
+
+def test_numbers_that_jump_are_refused_told_and_make_a_log_incomplete_that_holds_all_others(desk, arrive):
+    one = desk()
+    log = one.recorder.start()
+    for number in (1, 2, 2**40, 3, 4):
+        with suppress(JumpError):
+            one.put(arrive(CLOCK, number))
+            continue
+        one.health.reject(CLOCK.name, Reason.JUMP)
+    one.recorder.stop()
+    assert [number for _, number in read(log.path)] == [1, 2, 3, 4]
+    assert counts(log.path)["/clock"] == TopicCount(received=4, written=4, rejected=1)
+    assert completeness(log.path).reasons == ("/clock: 1 rejected",)
+
+
+def test_a_publisher_that_truly_jumped_stands_in_the_record_once_a_run_of_numbers(desk, arrive):
+    one = desk()
+    log = one.recorder.start()
+    for number in (1, 2, 3, 5001, 5002, 5003, 5004):
+        with suppress(JumpError):
+            one.put(arrive(CLOCK, number))
+            continue
+        one.health.reject(CLOCK.name, Reason.JUMP)
+    one.recorder.stop()
+    runs = numbers(log.path)["/clock"]
+    assert [(run.first, run.last, run.messages) for run in runs] == [(1, 3, 3), (5003, 5004, 2)]
+    assert counts(log.path)["/clock"] == TopicCount(received=5, written=5, missed=4997, rejected=2)
 
 
 def numbers(path: str) -> dict[str, list[Numbers]]:

@@ -1,11 +1,21 @@
-from rpod_runtime.accounting import Arrival, SequenceAccount
+from contextlib import suppress
+
+import pytest
+
+from rpod_runtime.accounting import FARTHEST, DuplicateError, JumpError, SequenceAccount
 from rpod_schemas.wire import Attachment
 
 A, B = b"a" * 16, b"b" * 16
 
 
 def take(account, *numbers, gid=A, key="k"):
-    return [account.take(key, Attachment(number, 0, gid)) for number in numbers]
+    """Return the numbers that are taken."""
+    taken = []
+    for number in numbers:
+        with suppress(DuplicateError, JumpError):
+            account.take(key, Attachment(number, 0, gid))
+            taken.append(number)
+    return taken
 
 
 def test_counting_begins_with_the_first_number_seen():
@@ -22,7 +32,7 @@ def test_every_gap_is_counted_in_messages():
 
 def test_an_equal_or_lower_number_is_a_duplicate():
     account = SequenceAccount()
-    assert take(account, 3, 3, 2, 4) == [Arrival.NEXT, Arrival.DUPLICATE, Arrival.DUPLICATE, Arrival.NEXT]
+    assert take(account, 3, 3, 2, 4) == [3, 4]
     assert account.counts["k"].duplicates == 2
     assert account.counts["k"].received == 2
 
@@ -69,3 +79,72 @@ def test_what_the_bus_gave_up_is_missed_once_whether_a_later_number_tells_before
     assert account.counts["k"].missed == 7
     account.miss(("k", A), 4)
     assert account.counts["k"].missed == 11
+
+
+# --- jumps ---
+
+
+def test_numbers_may_start_at_0():
+    account = SequenceAccount()
+    assert take(account, 0, 1, 3) == [0, 1, 3]
+    assert (account.counts["k"].received, account.counts["k"].missed) == (3, 1)
+
+
+def test_a_number_far_away_is_refused_with_both_numbers_and_the_gid_and_the_sequence_goes_on():
+    account = SequenceAccount()
+    take(account, 1, 2)
+    with pytest.raises(JumpError, match=f"2 to {2**40}, publisher {A.hex()}") as refused:
+        account.take("k", Attachment(2**40, 0, A))
+    assert (refused.value.jump.before, refused.value.jump.after) == (2, 2**40)
+    assert take(account, *range(3, 100)) == [*range(3, 100)]
+    assert (account.counts["k"].received, account.counts["k"].missed, account.counts["k"].duplicates) == (
+        99,
+        0,
+        0,
+    )
+
+
+def test_jumps_between_the_messages_of_a_sequence_never_become_it():
+    account = SequenceAccount()
+    mixed = [number for genuine in range(1, 50) for number in (genuine, 2**40 + genuine, 2**41 + genuine)]
+    assert take(account, *mixed) == [*range(1, 50)]
+
+
+@pytest.mark.parametrize("first", [2**40, 5 * FARTHEST])
+def test_a_publisher_that_jumps_and_goes_on_is_heard_again_after_three_messages(first):
+    account = SequenceAccount()
+    assert take(account, 1, 2, *range(first, first + 10)) == [1, 2, *range(first + 2, first + 10)]
+
+
+def test_a_sequence_that_was_taken_over_comes_back_after_three_messages():
+    account = SequenceAccount()
+    take(account, 5000, 5001, 2**40, 2**40 + 1, 2**40 + 2)
+    assert take(account, *range(5002, 5010)) == [*range(5004, 5010)]
+    assert take(account, 2**40 + 3) == []
+
+
+def test_one_number_far_away_said_again_and_again_is_not_taken():
+    account = SequenceAccount()
+    assert take(account, 1, *[2**40] * 20) == [1]
+
+
+def test_a_long_gap_is_missed_but_for_what_was_refused_and_one_beyond_reason_is_not_counted():
+    account = SequenceAccount()
+    take(account, 1, 5001, 5002, 5003)
+    assert account.counts["k"].missed == 4999
+    take(account, 2**40, 2**40 + 1, 2**40 + 2)
+    assert account.counts["k"].missed == 4999
+
+
+def test_the_longest_gap_is_taken_at_once():
+    account = SequenceAccount()
+    assert take(account, 1, 1 + FARTHEST) == [1, 1 + FARTHEST]
+    assert account.counts["k"].missed == FARTHEST - 1
+
+
+def test_history_that_is_fetched_late_is_no_jump_backwards():
+    account = SequenceAccount()
+    take(account, 5000)
+    for number in range(1, 10):
+        with pytest.raises(DuplicateError):
+            account.take("k", Attachment(number, 0, A), fetched=True)

@@ -60,6 +60,21 @@ def test_a_command_is_told_at_once_and_its_text_stays():
     assert health.counters() == {"commands/reset": 2}
 
 
+def test_a_warning_is_told_at_once_and_stays():
+    health = HealthBook("estimator")
+    health.report(Health.OK, "tracking")
+    health.take_change()
+    health.warn("sequence_jump/pmd/depth/image_raw", "5 to 1099511627776, publisher 00ff")
+    assert health.take_change()
+    health.report(Health.OK, "tracking")
+    diagnostic = health.diagnostic(5)
+    assert diagnostic.level == Health.WARN
+    assert diagnostic.message == "tracking; look at sequence_jump/pmd/depth/image_raw"
+    assert diagnostic.values["sequence_jump/pmd/depth/image_raw"] == "5 to 1099511627776, publisher 00ff"
+    health.report(Health.ERROR, "disk full")
+    assert health.diagnostic(5).level == Health.ERROR
+
+
 def test_a_diagnostic_carries_level_message_and_counters():
     health = HealthBook("logger")
     health.count("frames/pmd", 3)

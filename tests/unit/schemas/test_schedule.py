@@ -1,10 +1,12 @@
+from itertools import islice, pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_schemas.schedule import due_frames, frame_at, last_number
+from rpod_schemas.schedule import due_frames, frame_at, last_number, lockstep_steps
 
 EPOCH_NS = 1_767_225_600_000_000_000
 SECOND_NS = 1_000_000_000
@@ -67,3 +69,28 @@ def test_a_frame_is_handed_out_after_exposure_or_scan_and_readout(sensor):
     frame = frame_at(sensor, 5, epoch_ns=EPOCH_NS)
     assert frame.available_ns - frame.stamp_ns == round(sensor.latency_s * SECOND_NS)
     assert sensor.latency_s > max(sensor.pose_times_s())
+
+
+LIDARS = st.builds(
+    lambda rate_hz, readout_s: LidarConfig(rate_hz=rate_hz, readout_s=readout_s),
+    st.sampled_from([0.2, 0.5, 1.0, 2.0, 5.0]),
+    st.sampled_from([0.0, 0.001, 0.3]),
+)
+
+
+@given(RATES_HZ, LIDARS, st.floats(0.1, 12.0))
+def test_the_steps_of_lockstep_rise_and_hand_out_each_frame_that_is_due_once(rate_hz, lidar, duration_s):
+    sensors = (pmd(rate_hz), pmd(rate_hz, "a_side"), lidar)
+    steps = list(lockstep_steps(sensors, epoch_ns=EPOCH_NS, duration_s=duration_s))
+    assert all(before.time_ns < after.time_ns for before, after in pairwise(steps))
+    assert all(step.frame.available_ns <= step.time_ns < step.frame.available_ns + 3 for step in steps)
+    due = list(due_frames(sensors, epoch_ns=EPOCH_NS, duration_s=duration_s))
+    assert sorted(step.frame for step in steps) == due
+
+
+@given(RATES_HZ, LIDARS, st.floats(0.1, 12.0))
+def test_the_steps_are_the_same_whether_or_not_the_end_is_known(rate_hz, lidar, duration_s):
+    sensors = (lidar, pmd(rate_hz), pmd(rate_hz, "z_side"))
+    steps = list(lockstep_steps(sensors, epoch_ns=EPOCH_NS, duration_s=duration_s))
+    endless = set(islice(lockstep_steps(sensors, epoch_ns=EPOCH_NS), 3 * len(steps) + 100))
+    assert set(steps) <= endless

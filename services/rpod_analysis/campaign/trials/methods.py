@@ -113,7 +113,6 @@ def lidar_input(
             **TEMPLATE_MATCHING[method],
         },
         "tracking": {"kind": "icp_nearest_neighbour", **MATCHERS[matcher], **sure},
-        "verification": {"max_cost_m2": 0.003, "min_explained_share": 0.97, "candidates": 1},
     }
     return check(LidarInput, document, source=f"--method {method} --matcher {matcher}")
 
@@ -184,7 +183,7 @@ class Acquiring:
         self._acquirer: Acquirer[LidarScan] = methods.acquirer
         if isinstance(sensor.acquisition, TemplateMatchingConfig):
             self._search = TimedSearch(template_search(sensor, target, pattern))
-            self._acquirer = VerifiedSearch(self._search, self._tracker, sensor.verification)
+            self._acquirer = VerifiedSearch(self._search, self._tracker, sensor.acquisition.choice)
         warm_up(methods, target, pattern)
 
     def acquire(self, scan: LidarScan) -> TimedAcquisition:

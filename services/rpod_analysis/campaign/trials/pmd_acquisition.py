@@ -91,11 +91,11 @@ def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
         "attitude_deg": attitude_deg,
         "position_m": position_m,
         "success": _is_right(attitude_deg, position_m),
-        "accepted": found.trackable,
-        "verdict": str(found.verdict),
+        "accepted": found.begins_track,
+        "verdict": str(found.outcome),
         "hypotheses": len(found.hypotheses),
         "right_hypothesis": any(_is_right(*errors(truth, h.pose, stage.target)) for h in found.hypotheses),
-        "reason": found.reason,
+        "reason": found.belief.reason,
         "acquire_s": took_s,
     }
 

@@ -131,10 +131,11 @@ class _ByTracker:
 
     def follow(self, shot: Shot) -> Answer:
         found = self._tracker.track(shot.frame, self._last)
-        measured = found.T_sensor_target is not None and not found.reason
+        measured = found.continues_track
         if measured and found.T_sensor_target is not None:
             self._last = found.T_sensor_target
-        return Answer(self._last, measured, found.covariance, found.reason, found.inliers, found.iterations)
+        reason = found.belief.reason
+        return Answer(self._last, measured, found.covariance, reason, found.inliers, found.iterations)
 
 
 class _FromTruth(_ByTracker):

@@ -26,7 +26,6 @@ from rpod_pose.methods import pmd_methods, warm_up
 from rpod_pose.pmd.frame_check import contradictions
 from rpod_pose.pmd.rendering import Rendering
 from rpod_pose.ports import Methods
-from rpod_pose.verification import doubt
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import SunConfig
 from rpod_schemas.config.pmd_check import PmdCheckConfig
@@ -108,7 +107,6 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
     frame = _spoiled(shot.frame, cell)
     start = off(truth, stream(seed, trial, _START), angle_deg=OFF_DEG, distance_m=OFF_M)
     found, tracked = methods.acquirer.acquire(frame), methods.tracker.track(frame, start)
-    why = doubt(tracked, methods.verification)
     rays = RayGrid.pinhole(stage.camera.camera)
     seen_m = FLIPS[cell.flip](cast(rays, stage.looked_at.triangles_m, truth).range_m)
     row: dict[str, Any] = {
@@ -116,14 +114,16 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
         "range_m": float(np.linalg.norm(truth.translation)),
         "depth_share": shot.depth_share,
     }
-    row |= _judged("acquisition", found.trackable, found.reason, errors(truth, found.pose, looked_for))
-    row |= _judged("tracker", not why, why, errors(truth, tracked.T_sensor_target, looked_for))
+    off_found = errors(truth, found.pose, looked_for)
+    row |= _judged("acquisition", found.begins_track, found.belief.reason, off_found)
+    refusal = "" if tracked.begins_track else tracked.belief.refusal
+    row |= _judged("tracker", not refusal, refusal, errors(truth, tracked.T_sensor_target, looked_for))
     refined = None
     row["tracked_after"] = False
     if found.pose is not None:
         then = methods.tracker.track(frame, found.pose)
         refined = then.T_sensor_target
-        row["tracked_after"] = found.trackable and not doubt(then, methods.verification)
+        row["tracked_after"] = found.begins_track and then.begins_track
     for name, pose in (("acquisition", refined), ("tracker", tracked.T_sensor_target)):
         row[f"{name}_alike"] = None if pose is None else _alike(seen_m, frame.camera, looked_for, pose)
     return row
@@ -168,7 +168,7 @@ def _alike(seen_m: FloatArray, camera: Camera, target: Target, pose: RigidTransf
     measured_m = np.where(np.isfinite(seen_m), seen_m, np.nan)
     shade = np.where(np.isfinite(seen_m), 1.0, 0.1)
     there = contradictions((measured_m, np.zeros(seen_m.shape), shade), expected, _EXACT, typical=1.0)
-    return not there.doubt(_EXACT)
+    return not there.reason(_EXACT)
 
 
 @lru_cache(maxsize=4)

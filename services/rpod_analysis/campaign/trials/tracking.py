@@ -89,7 +89,7 @@ def _single(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
         "position_error_m": position_m,
         "success": attitude_deg is not None and attitude_deg < SUCCESS_DEG,
         "nees": None if found is None else nees(truth, found, registration.covariance),
-        "reason": registration.reason,
+        "reason": registration.belief.reason,
         "returns": len(scan.returns_m),
         "track_s": took_s,
     }

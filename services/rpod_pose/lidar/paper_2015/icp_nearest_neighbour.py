@@ -28,6 +28,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_pose.acceptance import accepted_by_residuals
 from rpod_pose.lidar.paper_2015.scan_check import ScanComparison
 from rpod_pose.ports import Registration
 from rpod_pose.registration.closest_point import Surface
@@ -179,7 +180,7 @@ class NearestNeighbourIcp:
             step = self._step(matches)
             T = T * step
             progress.add(float(np.linalg.norm(step.translation) + self._radius_m * step.rotation.magnitude()))
-        return Registration(
+        registration = Registration(
             Source.LIDAR,
             T_sensor_target=T,
             cost_m2=matches.cost_m2,
@@ -189,6 +190,7 @@ class NearestNeighbourIcp:
             covariance=self._covariance(matches, T),
             iterations=progress.steps,
         )
+        return accepted_by_residuals(registration, config.acceptance)
 
     def _match(
         self, points_m: FloatArray, T_sensor_target: RigidTransform, nearest: NDArray[np.int32]
@@ -222,4 +224,4 @@ class NearestNeighbourIcp:
 
 
 def _failed(reason: str, iterations: int = 0) -> Registration:
-    return Registration(Source.LIDAR, reason=reason, iterations=iterations)
+    return Registration.none(Source.LIDAR, reason, iterations=iterations)

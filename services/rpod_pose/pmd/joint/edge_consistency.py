@@ -27,14 +27,14 @@ def edges_in_place(
     return edges / expected + 1.0 / math.sqrt(expected)
 
 
-def edge_doubt(limits: JointVerdictConfig, in_place: float) -> str:
+def misplaced_edges(limits: JointVerdictConfig, in_place: float) -> str:
     """Return why the edges do not bear out a pose, empty if they do."""
     if in_place >= limits.min_edge_share:
         return ""
     return f"{in_place:.0%} of the edges are in their place, {limits.min_edge_share:.0%} needed"
 
 
-def scale_doubt(limits: JointVerdictConfig, *, bias_m: float, sigma_m: float, range_m: float) -> str:
+def wrong_scale(limits: JointVerdictConfig, *, bias_m: float, sigma_m: float, range_m: float) -> str:
     """Return why ranges and edges are not of one target, empty if they may be.
 
     Edges tell how large the target looks, ranges how far off it is: one of another size, or in an image of

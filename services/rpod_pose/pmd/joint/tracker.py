@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import Hits, cast_pose
+from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, contradictions
-from rpod_pose.pmd.joint.edge_consistency import edge_doubt, edges_in_place, scale_doubt
+from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.fit import NEAREST_M, agreement, align, in_place
 from rpod_pose.pmd.joint.frame import JointFrame
@@ -73,11 +74,11 @@ class JointTracker:
         R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()
         seen = JointFrame.of(measurement, t, radius_m=self._target.radius_m, config=self._config)
         if isinstance(seen, str):
-            return Registration(Source.PMD_JOINT, reason=seen)
-        registration = Registration(Source.PMD_JOINT, reason="nothing to see")
+            return Registration.none(Source.PMD_JOINT, seen)
+        registration = Registration.none(Source.PMD_JOINT, "nothing to see")
         for start in self._starts(seen, R, t):
             registration = self._registered(seen, *start)
-            if not registration.reason:
+            if registration.continues_track:
                 break
         return registration
 
@@ -121,12 +122,12 @@ class JointTracker:
         )
         if points < config.verdict.min_points and asked < config.verdict.min_edges:
             reason = f"nothing to see: {points} points on the target, {asked} places of edges"
-            return Registration(Source.PMD_JOINT, reason=reason)
+            return Registration.none(Source.PMD_JOINT, reason)
         contrary = self._contradictions(seen, R, t, bias)
         in_place = edges_in_place(
             config.verdict, edges=edges, expected=expected, asked=asked, points=len(seen.points_m)
         )
-        reason = self._verdict(contrary, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
+        belief = self._belief(contrary, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
         to_sensor = np.zeros((6, 6))
         to_sensor[:3, :3] = to_sensor[3:, 3:] = R
         covariance = np.linalg.inv(information + self._weak)[:6, :6]
@@ -134,9 +135,7 @@ class JointTracker:
         return Registration(
             self._source(points, asked),
             T_sensor_target=pose_of(R, t),
-            reason=reason,
-            contradicted=bool(reason) or in_place < config.verdict.weak_edge_share,
-            judged=True,
+            belief=belief,
             cost_m2=squares / max(points, 1),
             inliers=points + edges,
             inlier_share=(points + edges) / max(len(seen.points_m) + asked, 1),
@@ -196,14 +195,20 @@ class JointTracker:
             return Source.PMD_DEPTH
         return Source.PMD_JOINT if points >= self._config.verdict.min_points else Source.PMD_AMPLITUDE
 
-    def _verdict(self, contrary: Contradictions, in_place: float, *, bias_m: float, range_m: float) -> str:
-        """Return why a pose is not believed, empty if it is."""
+    def _belief(self, contrary: Contradictions, in_place: float, *, bias_m: float, range_m: float) -> Belief:
+        """Return whether a pose is believed, by its pixels, its edges and its scale."""
         limits, sigma_m = self._config.verdict, self._ranges.bias_m
-        return (
-            contrary.doubt(self._config.check)
-            or edge_doubt(limits, in_place)
-            or scale_doubt(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m)
+        evidence = {**contrary.evidence, "edges_in_place_share": in_place, "range_bias_m": bias_m}
+        reason = (
+            contrary.reason(self._config.check)
+            or misplaced_edges(limits, in_place)
+            or wrong_scale(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m)
         )
+        if reason:
+            return contradicted(reason, **evidence)
+        if in_place < limits.weak_edge_share:
+            return doubtful(f"only {in_place:.0%} of the edges are in their place", **evidence)
+        return Belief(evidence=evidence)
 
     def _buffers_of(self, view: DepthView) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         shape = view.coarse.shape

@@ -177,7 +177,7 @@ class EpnpTracker:
         """Return the registration of the last round's pose, or why it is not believed."""
         pose = fit.T_sensor_target
         covariance = fit.covariance(self._config.noise_px)
-        reason = self._doubt(pose, T_predicted, covariance)
+        reason = self._refusal(pose, T_predicted, covariance)
         if reason:
             return _refused(reason)
         return Registration(
@@ -185,12 +185,11 @@ class EpnpTracker:
             pose,
             cost_m2=(fit.rms_px * pose.translation[2] / camera.fx) ** 2,
             inliers=len(fit.errors_px),
-            judged=True,
             covariance=covariance,
             iterations=self._config.rounds,
         )
 
-    def _doubt(self, pose: RigidTransform, T_predicted: RigidTransform, covariance: FloatArray) -> str:
+    def _refusal(self, pose: RigidTransform, T_predicted: RigidTransform, covariance: FloatArray) -> str:
         config = self._config
         attitude_rad, shift_m = pose_error(T_predicted, pose)
         turn_deg = float(np.rad2deg(np.linalg.norm(attitude_rad)))
@@ -207,4 +206,4 @@ class EpnpTracker:
 
 
 def _refused(reason: str) -> Registration:
-    return Registration(Source.PMD_AMPLITUDE, reason=reason)
+    return Registration.none(Source.PMD_AMPLITUDE, reason)

@@ -22,10 +22,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_pose.pmd.paper_2018.epnp import EpnpTracker
 from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationIcp
 from rpod_pose.ports import Registration
-from rpod_pose.verification import doubt
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.pmd_amplitude import HybridConfig
-from rpod_schemas.config.verification import VerificationConfig
 from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 
@@ -39,25 +38,26 @@ class HybridTracker:
 
     def __init__(self, config: HybridConfig, target: Target) -> None:
         self._config = config
-        self._depth = ReverseCalibrationIcp(config.depth, target)
-        self._amplitude = EpnpTracker(config.amplitude, target)
-        self._limits = VerificationConfig(
+        acceptance = AcceptanceConfig(
             max_cost_m2=config.max_depth_cost_m2,
             min_explained_share=config.min_explained_share,
             min_inlier_share=config.min_inlier_share,
         )
+        self._depth = ReverseCalibrationIcp(
+            config.depth.model_copy(update={"acceptance": acceptance}), target
+        )
+        self._amplitude = EpnpTracker(config.amplitude, target)
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or both reasons why there is none."""
         depth = self._depth.track(measurement, T_sensor_target)
         amplitude = self._amplitude.track(measurement, T_sensor_target)
-        no_depth, no_amplitude = doubt(depth, self._limits), amplitude.reason
-        if no_depth and no_amplitude:
-            return Registration(Source.PMD_JOINT, reason=f"depth: {no_depth}; amplitude: {no_amplitude}")
-        if no_depth:
+        if not depth.begins_track and not amplitude.begins_track:
+            reason = f"depth: {depth.belief.refusal}; amplitude: {amplitude.belief.refusal}"
+            return Registration.none(Source.PMD_JOINT, reason)
+        if not depth.begins_track:
             return amplitude
-        depth = replace(depth, judged=True)
-        if no_amplitude:
+        if not amplitude.begins_track:
             return depth
         if squared_difference(depth, amplitude) <= self._config.agreement:
             return fused(depth, amplitude)

@@ -191,7 +191,7 @@ class ReverseCalibrationIcp:
         config = self._config
         image = usable_image(measurement, config.image)
         if isinstance(image, str):
-            return Registration(Source.PMD_DEPTH, reason=image)
+            return Registration.none(Source.PMD_DEPTH, image)
         measured_m = image.points(config.cover_points if self._slides else 0)
         progress, shown = Progress(T_sensor_target), np.empty(0, np.intp)
         while progress.iterations < config.iterations and not self._settled(progress):

@@ -20,7 +20,7 @@ from lidar_scans import (
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.lidar import acquire
-from rpod_pose.ports import Verdict
+from rpod_pose.ports import Outcome
 from rpod_pose.search.turns import Turns
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
 from rpod_schemas.poses import make_pose
@@ -38,7 +38,7 @@ def found(seed, range_m=20.0, target=BULKY):
 
 
 def assert_accepted(acquisition, T, *, angle_deg=1.0, distance_m=0.15):
-    assert acquisition.verdict is Verdict.ACCEPTED, acquisition.reason
+    assert acquisition.outcome is Outcome.ACCEPTED, acquisition.belief.reason
     off_deg, off_m = errors(T, acquisition.pose)
     assert off_deg < angle_deg
     assert off_m < distance_m
@@ -51,9 +51,9 @@ def test_any_attitude_is_found_in_a_single_scan(target, range_m):
     for seed in range(20):
         acquisition = found(seed, range_m, target)
         assert_accepted(acquisition, random_pose(seed, range_m))
-        assert acquisition.trackable
-        assert acquisition.reason == ""
-        assert not acquisition.by_symmetry
+        assert acquisition.begins_track
+        assert acquisition.belief.reason == ""
+        assert not any(rival.exact for rival in acquisition.belief.rivals)
         assert acquisition.templates >= 900
 
 
@@ -77,7 +77,6 @@ def test_what_only_the_outline_tells_decides_between_rivals(target, range_m, see
 def test_what_is_found_is_described_in_full():
     for seed in range(5):
         acquisition = found(seed)
-        assert acquisition.registration.judged
         assert acquisition.registration.explained_share > 0.9
         assert sum(hypothesis.weight for hypothesis in acquisition.hypotheses) == pytest.approx(1.0)
         assert errors(acquisition.pose, acquisition.hypotheses[0].pose)[0] < 1.0
@@ -92,10 +91,10 @@ def test_a_symmetric_target_is_ambiguous_and_one_of_its_hypotheses_is_right(targ
     range_m, alike = SYMMETRIC[target]
     for seed in range(8):
         acquisition, T = found(seed, range_m, target), random_pose(seed, range_m)
-        assert acquisition.verdict is Verdict.AMBIGUOUS
-        assert acquisition.by_symmetry
-        assert acquisition.trackable
-        assert acquisition.reason == f"{alike} poses look alike by the target's symmetry"
+        assert acquisition.outcome is Outcome.AMBIGUOUS
+        assert all(rival.exact for rival in acquisition.belief.rivals)
+        assert acquisition.begins_track
+        assert acquisition.belief.reason == f"{alike} poses look alike by the target's symmetry"
         hypotheses = acquisition.hypotheses
         assert len(hypotheses) == alike
         assert sum(hypothesis.weight for hypothesis in hypotheses) == pytest.approx(1.0)
@@ -107,10 +106,10 @@ def test_a_symmetric_target_is_ambiguous_and_one_of_its_hypotheses_is_right(targ
 @pytest.mark.parametrize("scan", STRANGE)
 def test_no_scan_raises_and_none_that_is_strange_is_believed(scan):
     acquisition = search().acquire(scan)
-    assert acquisition.verdict is Verdict.FAILED
-    assert acquisition.reason
+    assert acquisition.outcome is Outcome.FAILED
+    assert acquisition.belief.reason
     assert acquisition.hypotheses == ()
-    assert not acquisition.trackable
+    assert not acquisition.begins_track
 
 
 @pytest.mark.parametrize(
@@ -127,9 +126,9 @@ def test_another_object_is_not_taken_for_the_target(shown, expected, range_m):
     for seed in range(2):
         scan = scan_at(random_pose(seed, range_m), shown, frame=seed)
         acquisition = search(expected).acquire(scan)
-        assert acquisition.verdict is Verdict.FAILED
-        assert f"of {len(scan.returns_m)} returns" in acquisition.reason
-        assert not acquisition.trackable
+        assert acquisition.outcome is Outcome.FAILED
+        assert f"of {len(scan.returns_m)} returns" in acquisition.belief.reason
+        assert not acquisition.begins_track
 
 
 @pytest.mark.parametrize(("seed", "range_m"), [(0, 20.0), (3, 20.0), (2, 50.0), (4, 50.0)])
@@ -149,7 +148,11 @@ def test_the_same_scan_gives_the_same_result_bit_for_bit():
         np.testing.assert_array_equal(one.pose.as_matrix(), other.pose.as_matrix())
         np.testing.assert_array_equal(one.covariance, other.covariance)
         assert [h.weight for h in one.hypotheses] == [h.weight for h in other.hypotheses]
-        assert (one.verdict, one.reason, one.templates) == (other.verdict, other.reason, other.templates)
+        assert (one.outcome, one.belief.reason, one.templates) == (
+            other.outcome,
+            other.belief.reason,
+            other.templates,
+        )
 
 
 @pytest.mark.parametrize(("target", "range_m"), [(BULKY, 20.0), (SLIM, 50.0), (MESH, 30.0)])
@@ -167,8 +170,8 @@ def test_a_pose_turned_by_half_a_turn_is_judged_wrong_and_told_by_how_much(targe
         scan = scan_at(T, target, frame=seed)
         for turn in load(target).turns():
             judged = search(target).judge(scan, T * turn)
-            assert judged.verdict is Verdict.FAILED
-            assert judged.reason in {
+            assert judged.outcome is Outcome.FAILED
+            assert judged.belief.reason in {
                 f"the pose turned by {deg} deg explains the scan better" for deg in (179, 180)
             }
             assert errors(T, judged.pose)[0] > 170.0
@@ -178,14 +181,14 @@ def test_a_pose_beside_the_target_or_a_scan_of_nothing_is_judged_wrong():
     T = random_pose(2)
     for z_m in (-20.0, 500.0):
         judged = search().judge(scan_at(T), make_pose(translation_m=(0.0, 0.0, z_m)))
-        assert judged.verdict is Verdict.FAILED
-        assert judged.reason
+        assert judged.outcome is Outcome.FAILED
+        assert judged.belief.reason
     nothing = search().judge(scan_of(np.full((41, 41, 3), np.nan)), T)
-    assert (nothing.verdict, nothing.reason) == (Verdict.FAILED, "0 returns, 6 needed")
+    assert (nothing.outcome, nothing.belief.reason) == (Outcome.FAILED, "0 returns, 6 needed")
 
 
 def test_a_pose_in_the_sensor_itself_is_judged_wrong():
-    assert search().judge(scan_at(random_pose(2)), make_pose()).verdict is Verdict.FAILED
+    assert search().judge(scan_at(random_pose(2)), make_pose()).outcome is Outcome.FAILED
 
 
 @pytest.mark.parametrize(("target", "range_m"), [(BULKY, 20.0), (SLIM, 50.0), (MESH, 30.0)])

@@ -65,7 +65,7 @@ def test_without_noise_the_truth_is_found_to_the_precision_of_the_rays():
 def test_returns_beside_the_pattern_are_on_no_face():
     beside = scan_of(np.tile((15.0, 0.0, 20.0), (20, 1)))
     registration = tracker().track(beside, random_pose(3))
-    assert registration.reason == "0 returns on faces, 6 needed"
+    assert registration.belief.reason == "0 returns on faces, 6 needed"
     assert registration.T_sensor_target is None
 
 
@@ -78,8 +78,7 @@ def test_a_scan_is_tracked_from_five_degrees_and_thirty_centimetres(target, rang
         angle_deg, distance_m = errors(T, registration.T_sensor_target)
         assert angle_deg < 0.7
         assert distance_m < 0.25
-        assert registration.reason == ""
-        assert registration.judged
+        assert registration.belief.reason == ""
         assert registration.source == Source.LIDAR
         assert registration.explained_share > 0.9
         assert registration.inlier_share > 0.8
@@ -134,7 +133,7 @@ def test_a_target_that_turns_is_followed_from_scan_to_scan():
     for frame in range(10):
         T = off(T, 4.0, 0.1, 7)
         registration = tracker().track(scan_at(T, frame=frame), estimate)
-        assert registration.reason == ""
+        assert registration.belief.reason == ""
         estimate = registration.T_sensor_target
         assert errors(T, estimate)[0] < 0.5
 
@@ -151,7 +150,10 @@ def test_a_prediction_that_is_quite_wrong_is_told_by_the_tracker_itself():
     for seed in range(20):
         T = random_pose(seed)
         registration = tracker().track(scan_at(T, frame=seed), off(T, 90.0, 1.0, seed))
-        assert "contradict the pose" in registration.reason or "returns on faces" in registration.reason
+        assert (
+            "contradict the pose" in registration.belief.reason
+            or "returns on faces" in registration.belief.reason
+        )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -181,7 +183,7 @@ def test_a_tracker_may_do_without_the_steps_from_afar():
 @pytest.mark.parametrize("z_m", [20.0, 0.0, -20.0, 1e5])
 def test_no_scan_raises_and_none_that_is_strange_is_believed(scan, z_m):
     registration = tracker().track(scan, make_pose(translation_m=(0.0, 0.0, z_m)))
-    assert registration.reason
+    assert registration.belief.reason
     assert registration.source == Source.LIDAR
 
 
@@ -195,4 +197,4 @@ def test_a_return_at_zero_is_none():
 
 def test_too_few_returns_are_told():
     few = scan_of(scan_at(random_pose(0)).returns_m[:5])
-    assert tracker().track(few, random_pose(0)).reason == "5 returns, 6 needed"
+    assert tracker().track(few, random_pose(0)).belief.reason == "5 returns, 6 needed"

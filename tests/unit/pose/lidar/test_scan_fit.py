@@ -27,9 +27,9 @@ def fitted(T, scan, target=BULKY):
     return model.fit(seen, *parts(T)), seen
 
 
-def doubt(T, scan, target=BULKY):
+def reason_against(T, scan, target=BULKY):
     fit, seen = fitted(T, scan, target)
-    return tracker(target).model.doubt(seen, *parts(T), fit)
+    return tracker(target).model.belief(seen, *parts(T), fit).reason
 
 
 @pytest.mark.parametrize("threshold", ["usual", "printed"])
@@ -79,7 +79,7 @@ def test_scans_drawn_from_the_model_lack_nothing_but_chance(target, range_m):
 
 
 @pytest.mark.parametrize(("target", "range_m"), SCENES)
-def test_the_truth_is_never_in_deficit_and_never_doubted_on_the_sensors_scans(target, range_m):
+def test_the_truth_is_never_in_deficit_and_never_refused_on_the_sensors_scans(target, range_m):
     for seed in range(20):
         T = random_pose(seed, range_m)
         scan = scan_at(T, target, frame=seed)
@@ -87,7 +87,7 @@ def test_the_truth_is_never_in_deficit_and_never_doubted_on_the_sensors_scans(ta
         assert fit.deficit <= 0.0
         assert fit.agreement.share > 0.9
         assert fit.agreement.agreeing >= 0.95 * seen.returns
-        assert doubt(T, scan, target) == ""
+        assert reason_against(T, scan, target) == ""
 
 
 @pytest.mark.parametrize(("target", "range_m"), SCENES)
@@ -98,7 +98,7 @@ def test_a_wrong_attitude_lacks_several_units_a_return(target, range_m):
         wrong = make_pose(rotation=random_pose(1000 + seed).rotation, translation_m=T.translation)
         fit, seen = fitted(wrong, scan, target)
         assert fit.deficit > 3.0 * seen.returns
-        assert "contradict the pose" in doubt(wrong, scan, target)
+        assert "contradict the pose" in reason_against(wrong, scan, target)
 
 
 @pytest.mark.parametrize(("target", "range_m"), [(BULKY, 20.0), (SLIM, 20.0), (MESH, 30.0)])
@@ -132,7 +132,7 @@ def test_a_scan_of_half_the_target_says_that_the_other_half_is_missing():
     assert whole.agreement.missing < 20.0
     assert half.agreement.missing > 50.0
     assert half.agreement.contrary <= whole.agreement.contrary
-    assert doubt(T, scan_of(points_m)) == (
+    assert reason_against(T, scan_of(points_m)) == (
         f"does not explain the scan: of {seen.returns} returns {half.agreement.contrary} contradict "
         f"the pose, {half.agreement.missing:.0f} more are missing"
     )

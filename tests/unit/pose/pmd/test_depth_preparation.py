@@ -1,5 +1,8 @@
 """Depth before the methods: unwrapped, calibrated, or refused by the field that is wrong."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from rpod_geometry.rays import RayGrid
 from rpod_pose.methods import pmd_methods
 from rpod_pose.pmd.depth_preparation import DepthPreparation, PreparedAcquirer, calibrated
-from rpod_pose.ports import Acquisition, Registration, Verdict
+from rpod_pose.ports import Acquisition, Outcome, Registration
 from rpod_schemas.config.depth_calibration import DepthCalibration, Harmonic, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.poses import make_pose, pose_error
@@ -150,7 +153,7 @@ def test_an_approach_from_10_m_to_5_m_is_tracked_through_the_wrap(target, hertz)
     for range_m in np.arange(10.0, 4.9, -0.25):
         frame = seen_by(depth_frame(target, pose_at(range_m), noise_m=0.01), hertz)
         found = tracker.track(frame, guess)
-        assert not found.reason
+        assert not found.belief.reason
         attitude_rad, position_m = pose_error(pose_at(range_m), found.T_sensor_target)
         assert np.linalg.norm(attitude_rad) < np.radians(4.0), range_m
         assert np.linalg.norm(position_m) < 0.08, range_m
@@ -166,8 +169,9 @@ class Listener:
     def acquire(self, frame):
         seen_m = float(np.nanmedian(frame.depth_m))
         self.tried_m.append(seen_m)
-        verdict = Verdict.ACCEPTED if abs(seen_m - self.true_m) < 1.0 else Verdict.FAILED
-        return Acquisition(verdict, Registration(Source.PMD_DEPTH), reason=f"at {seen_m:.1f} m")
+        if abs(seen_m - self.true_m) < 1.0:
+            return Acquisition(Registration(Source.PMD_DEPTH, make_pose()))
+        return Acquisition(Registration.none(Source.PMD_DEPTH, f"at {seen_m:.1f} m"))
 
     def near(self, frame, _pose):
         return self.acquire(frame)
@@ -178,7 +182,7 @@ def test_without_a_prediction_the_image_is_joined_and_the_multiple_is_tried(targ
     ideal = depth_frame(target, pose_at(range_m))
     inner = Listener(range_m)
     acquirer = PreparedAcquirer(inner, DepthPreparation(PmdInput(), target))
-    assert acquirer.acquire(seen_by(ideal, MHZ_20)).verdict is Verdict.ACCEPTED
+    assert acquirer.acquire(seen_by(ideal, MHZ_20)).outcome is Outcome.ACCEPTED
     assert inner.tried_m[-1] == pytest.approx(float(np.nanmedian(ideal.depth_m)), abs=1e-3)
 
 
@@ -193,8 +197,8 @@ def test_noise_has_no_distance_to_be_joined_around(target):
 def test_what_fails_at_every_multiple_fails_for_the_reason_of_the_nearest(target):
     frame = seen_by(depth_frame(target, pose_at(3.0)), MHZ_20)
     failed = PreparedAcquirer(Listener(-9.0), DepthPreparation(PmdInput(), target)).acquire(frame)
-    assert failed.verdict is Verdict.FAILED
-    assert failed.reason.startswith("at 2.")
+    assert failed.outcome is Outcome.FAILED
+    assert failed.belief.reason.startswith("at 2.")
 
 
 def test_a_search_around_a_pose_is_given_the_multiple_by_it(target):
@@ -239,10 +243,10 @@ def test_a_frame_of_another_camera_is_refused_by_the_field(target, configured, t
     frame = frame_of(4.0).model_copy(update={"info": info(*told) if told else None})
     tracked = methods.tracker.track(frame, pose_at(4.0))
     assert tracked.T_sensor_target is None
-    assert tracked.reason.startswith(reason)
+    assert tracked.belief.reason.startswith(reason)
     for found in (methods.acquirer.acquire(frame), methods.acquirer.near(frame, pose_at(4.0))):
-        assert found.verdict is Verdict.FAILED
-        assert found.reason == tracked.reason
+        assert found.outcome is Outcome.FAILED
+        assert found.belief.reason == tracked.belief.reason
 
 
 def test_a_frame_of_the_configured_camera_is_taken(target):
@@ -256,7 +260,7 @@ def test_strange_frames_pass_to_the_methods_without_an_error(target, name):
     frame = strange_frames()[name].model_copy(update={"info": info(MHZ_20)})
     sensor = PmdInput(calibration=WIGGLING)
     registration = pmd_methods(sensor, target).tracker.track(frame, pose_at(4.0))
-    assert registration.reason
+    assert registration.belief.reason
     for prepared in DepthPreparation(sensor, target).possible(frame):
         assert prepared.depth_m.shape == frame.depth_m.shape
 
@@ -268,3 +272,22 @@ def test_what_is_farther_than_the_camera_can_tell_has_not_been_wrapped(target):
     near = frame_of(7.0).model_copy(update={"info": info(MHZ_20)})
     prepared = DepthPreparation(PmdInput(), target).predicted(near, pose_at(0.5))
     np.testing.assert_allclose(prepared.depth_m, 7.0, rtol=1e-6, err_msg="not to behind the camera")
+
+
+_KERNEL = """
+import subprocess
+import sys
+
+import numpy as np
+from rpod_pose.pmd.depth_preparation import _prepare
+depth = np.full((4, 5), 3.0, np.float32)
+for interval in (float("inf"), float("nan"), 1e300, 1e-300, 0.0):
+    for reach in (0.0, 0.5, float("nan")):
+        out = np.zeros_like(depth)
+        _prepare(depth, np.ones_like(depth), (4.0, reach, interval), np.zeros(30_000, np.float32), out)
+"""
+
+
+def test_the_kernel_reads_no_correction_outside_its_table_whatever_the_unambiguous_range():
+    finished = subprocess.run([sys.executable, "-c", _KERNEL], capture_output=True, text=True, check=False)
+    assert finished.returncode == 0, finished.stderr

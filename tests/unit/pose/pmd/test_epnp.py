@@ -28,7 +28,7 @@ def off(T, degrees, metres, axis=(0.6, 0.64, -0.48)):
 
 
 def errors(T_truth, registration):
-    assert registration.reason == ""
+    assert registration.belief.reason == ""
     assert registration.source == Source.PMD_AMPLITUDE
     attitude_rad, position_m = pose_error(T_truth, registration.T_sensor_target)
     return np.rad2deg(np.linalg.norm(attitude_rad)), np.linalg.norm(position_m)
@@ -68,7 +68,7 @@ def test_the_lens_distortion_is_taken_into_account():
     assert attitude_deg < 0.7
     assert position_m < 0.02
     straight = epnp().track(frame.model_copy(update={"camera": CAMERA}), off(T, 1.0, 0.02))
-    assert straight.reason or errors(T, straight)[1] > 0.02
+    assert straight.belief.reason or errors(T, straight)[1] > 0.02
 
 
 def test_depth_is_not_asked():
@@ -81,13 +81,13 @@ def test_no_frame_raises_and_without_a_pose_there_is_a_reason(frame):
     registration = epnp().track(frame, FRONTAL)
     assert registration.source == Source.PMD_AMPLITUDE
     assert registration.T_sensor_target is None
-    assert registration.reason
+    assert registration.belief.reason
 
 
 @pytest.mark.parametrize("z", [-5.0, 0.0, 0.3, 40.0, 1e4])
 def test_a_prediction_far_from_the_image_is_a_reason(z):
     guess = make_pose(rotation=FACING, translation_m=(0.0, 0.0, z))
-    assert epnp().track(view(FRONTAL), guess).reason
+    assert epnp().track(view(FRONTAL), guess).belief.reason
 
 
 def test_corners_of_one_plane_without_the_nose_are_a_reason():
@@ -97,7 +97,7 @@ def test_corners_of_one_plane_without_the_nose_are_a_reason():
     noseless = frame.amplitude.copy()
     noseless[np.hypot(column - centre[0], row - centre[1]) < 0.2 * CAMERA.fx / 4.6] = 300
     registration = epnp().track(frame.model_copy(update={"amplitude": noseless}), FRONTAL)
-    assert "one plane without the nose" in registration.reason
+    assert "one plane without the nose" in registration.belief.reason
 
 
 def test_too_few_corners_are_a_reason():
@@ -106,18 +106,18 @@ def test_too_few_corners_are_a_reason():
     half[:, : int(CAMERA.cx + 20)] = 0
     assert (
         "corners and circles found"
-        in epnp().track(frame.model_copy(update={"amplitude": half}), FRONTAL).reason
+        in epnp().track(frame.model_copy(update={"amplitude": half}), FRONTAL).belief.reason
     )
 
 
 def test_a_target_without_a_face_towards_the_camera_is_a_reason():
     behind = make_pose(rotation=FACING, translation_m=(0.0, 0.0, 0.2))
-    assert epnp().track(view(FRONTAL), behind).reason
+    assert epnp().track(view(FRONTAL), behind).belief.reason
 
 
 def test_another_target_s_prediction_is_a_reason_or_no_pose_is_believed():
     other = EpnpTracker(EpnpConfig(), load_target("envisat-slim"))
-    assert other.track(view(FRONTAL), FRONTAL).reason
+    assert other.track(view(FRONTAL), FRONTAL).belief.reason
 
 
 def test_the_nearest_place_to_three_lines_through_a_point_is_the_point():

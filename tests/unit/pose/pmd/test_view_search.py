@@ -7,9 +7,10 @@ import pytest
 from pmd_frames import depth_frame, frame_of, strange_frames
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_pose.belief import contradicted
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.pmd.view_search import ViewSearch
-from rpod_pose.ports import Registration, Verdict
+from rpod_pose.ports import Outcome, Registration
 from rpod_pose.search.attitude_grid import even_directions
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
@@ -65,11 +66,11 @@ def test_any_attitude_is_found_without_a_guess(seed):
 
 
 def test_what_explains_the_frame_is_accepted():
-    assert found().verdict is Verdict.ACCEPTED
-    assert found().trackable
+    assert found().outcome is Outcome.ACCEPTED
+    assert found().begins_track
     assert found().hypotheses[0].weight > 0.95
     assert np.isfinite(found().covariance).all()
-    assert found().reason == ""
+    assert found().belief.reason == ""
 
 
 def test_what_is_accepted_is_laid_on_the_edges_too():
@@ -81,13 +82,13 @@ def test_what_is_accepted_is_laid_on_the_edges_too():
 
 
 def test_what_the_tracker_does_not_believe_is_refused():
-    class Doubting:
+    class Refusing:
         def track(self, _, T_sensor_target):
-            return Registration(Source.PMD_JOINT, T_sensor_target, "edges are elsewhere")
+            return Registration(Source.PMD_JOINT, T_sensor_target, contradicted("edges are elsewhere"))
 
-    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Doubting())
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Refusing())
     result = search.acquire(seen("mockup", OBLIQUE))
-    assert (result.verdict, result.reason) == (Verdict.FAILED, "edges are elsewhere")
+    assert (result.outcome, result.belief.reason) == (Outcome.FAILED, "edges are elsewhere")
     assert result.pose is None
 
 
@@ -115,10 +116,10 @@ def test_near_a_guess_no_pose_far_from_it_is_considered():
 def test_a_bare_body_of_one_material_is_ambiguous_by_its_symmetry_alone():
     result = found("hexagonal-body")
     turns = [RigidTransform.identity(), *target("hexagonal-body").turns(exact=True)]
-    assert result.verdict is Verdict.AMBIGUOUS
-    assert result.by_symmetry
-    assert result.trackable
-    assert "symmetry" in result.reason
+    assert result.outcome is Outcome.AMBIGUOUS
+    assert all(rival.exact for rival in result.belief.rivals)
+    assert result.begins_track
+    assert "symmetry" in result.belief.reason
     assert sum(hypothesis.weight for hypothesis in result.hypotheses) == pytest.approx(1.0)
     for turn in turns:
         nearest = min(attitude_error_deg(OBLIQUE * turn, one.pose) for one in result.hypotheses)
@@ -129,8 +130,8 @@ def test_a_view_without_details_is_ambiguous():
     depth_m = seen("mockup", REAR).depth_m
     rear_face = frame_of(np.where(depth_m < 3.4, depth_m, np.nan))
     result = searching("mockup").acquire(rear_face)
-    assert result.verdict is Verdict.AMBIGUOUS
-    assert not result.trackable
+    assert result.outcome is Outcome.AMBIGUOUS
+    assert not result.begins_track
     assert len(result.hypotheses) > 1
     assert sum(hypothesis.weight for hypothesis in result.hypotheses) == pytest.approx(1.0)
 
@@ -139,8 +140,8 @@ def test_a_mirrored_frame_is_refused():
     frame = seen("mockup", OBLIQUE)
     mirrored = frame_of(frame.depth_m[:, ::-1], amplitude=frame.amplitude[:, ::-1])
     result = searching("mockup").acquire(mirrored)
-    assert result.verdict is Verdict.FAILED
-    assert "contradict" in result.reason or "explain" in result.reason
+    assert result.outcome is Outcome.FAILED
+    assert "contradict" in result.belief.reason or "explain" in result.belief.reason
 
 
 def test_a_body_that_is_told_by_its_material_alone_is_ambiguous():
@@ -149,8 +150,8 @@ def test_a_body_that_is_told_by_its_material_alone_is_ambiguous():
         translation_m=(0.0, 0.0, 4.5),
     )
     result = searching("mockup").acquire(seen("hexagonal-body", T))
-    assert result.verdict is Verdict.AMBIGUOUS
-    assert not result.trackable
+    assert result.outcome is Outcome.AMBIGUOUS
+    assert not result.begins_track
     assert len(result.hypotheses) > 1
 
 
@@ -161,7 +162,7 @@ def test_the_target_in_other_materials_is_found_by_its_shape(material):
     coated = replace(mockup, triangle_material=np.full_like(mockup.triangle_material, index))
     exposure = PmdEmulator(PmdConfig(), coated, seed=4).expose([OBLIQUE] * 4, sun_W_m2=SUN_W_M2, frame=0)
     result = searching("mockup").acquire(frame_of(exposure.depth_m, amplitude=exposure.amplitude))
-    assert result.verdict is Verdict.ACCEPTED
+    assert result.outcome is Outcome.ACCEPTED
     assert_right(OBLIQUE, result.pose)
 
 
@@ -180,7 +181,7 @@ def test_depth_that_is_lost_in_patches_is_missed_little(seed):
     result = searching("mockup").acquire(
         frame_of(np.where(lost, np.nan, frame.depth_m), amplitude=frame.amplitude)
     )
-    assert result.verdict is Verdict.ACCEPTED
+    assert result.outcome is Outcome.ACCEPTED
     assert_right(OBLIQUE, result.pose)
 
 
@@ -195,7 +196,7 @@ def test_glints_that_wipe_out_both_images_contradict_nothing(seed):
             amplitude=np.where(wiped, 0, frame.amplitude).astype(np.uint16),
         )
     )
-    assert result.verdict is Verdict.ACCEPTED
+    assert result.outcome is Outcome.ACCEPTED
     assert_right(OBLIQUE, result.pose)
 
 
@@ -203,28 +204,28 @@ def test_glints_that_wipe_out_both_images_contradict_nothing(seed):
 def test_a_wrong_focal_length_is_refused(share):
     frame = seen("mockup", OBLIQUE)
     wrong = changed(frame, fx=share * frame.camera.fx, fy=share * frame.camera.fy)
-    assert searching("mockup").acquire(wrong).verdict is Verdict.FAILED
+    assert searching("mockup").acquire(wrong).outcome is Outcome.FAILED
 
 
 @pytest.mark.parametrize("wrong", [{"cx": 100.0}, {"cy": 10.0}, {"fx": 500.0}, {"fy": 1000.0}])
 def test_the_camera_matrix_of_another_image_is_named(wrong):
     result = searching("mockup").acquire(changed(seen("mockup", OBLIQUE), **wrong))
-    assert result.verdict is Verdict.FAILED
-    assert result.reason.startswith("the camera matrix is another image's")
+    assert result.outcome is Outcome.FAILED
+    assert result.belief.reason.startswith("the camera matrix is another image's")
 
 
 @pytest.mark.parametrize("name", ["envisat-slim", "rocket-stage"])
 def test_another_target_is_refused(name):
     result = searching("mockup").acquire(seen(name, OBLIQUE))
-    assert result.verdict is Verdict.FAILED
-    assert result.reason
+    assert result.outcome is Outcome.FAILED
+    assert result.belief.reason
 
 
 @pytest.mark.parametrize("frame", strange_frames().values(), ids=strange_frames().keys())
 def test_a_strange_frame_fails_with_a_reason(frame):
     for result in (searching("mockup").acquire(frame), searching("mockup").near(frame, OBLIQUE)):
-        assert result.verdict is Verdict.FAILED
-        assert result.reason
+        assert result.outcome is Outcome.FAILED
+        assert result.belief.reason
         assert result.hypotheses == ()
 
 

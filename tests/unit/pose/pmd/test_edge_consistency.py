@@ -1,7 +1,7 @@
 import pytest
 from pydantic import ValidationError
 
-from rpod_pose.pmd.joint.edge_consistency import edge_doubt, edges_in_place, scale_doubt
+from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
 from rpod_schemas.config.pmd_joint import JointConfig, JointVerdictConfig
 
 LIMITS = JointVerdictConfig(
@@ -23,18 +23,18 @@ def test_the_share_of_edges_in_place_grants_what_chance_may_take_off(counts, sha
     assert edges_in_place(LIMITS, **counts) == pytest.approx(share)
 
 
-def test_edges_out_of_place_are_a_doubt_in_words():
-    assert edge_doubt(LIMITS, 0.5) == ""
-    assert edge_doubt(LIMITS, 0.41) == "41% of the edges are in their place, 50% needed"
+def test_misplaced_edges_are_a_reason_with_figures():
+    assert misplaced_edges(LIMITS, 0.5) == ""
+    assert misplaced_edges(LIMITS, 0.41) == "41% of the edges are in their place, 50% needed"
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_ranges_that_do_not_fit_the_size_are_a_doubt_and_farther_off_more_is_tolerated(sign):
-    assert scale_doubt(LIMITS, bias_m=sign * 0.059, sigma_m=0.025, range_m=2.5) == ""
-    assert "0.061 m off where edges have the target, 0.060 at most" in scale_doubt(
+def test_ranges_that_do_not_fit_the_size_are_a_reason_and_farther_off_more_is_tolerated(sign):
+    assert wrong_scale(LIMITS, bias_m=sign * 0.059, sigma_m=0.025, range_m=2.5) == ""
+    assert "0.061 m off where edges have the target, 0.060 at most" in wrong_scale(
         LIMITS, bias_m=sign * 0.061, sigma_m=0.025, range_m=2.5
     )
-    assert scale_doubt(LIMITS, bias_m=sign * 0.061, sigma_m=0.025, range_m=5.0) == ""
+    assert wrong_scale(LIMITS, bias_m=sign * 0.061, sigma_m=0.025, range_m=5.0) == ""
 
 
 def test_what_is_not_believed_is_weak():

@@ -1,0 +1,49 @@
+"""The belief in a registration by its residuals, for methods without a statistical model of their sensor.
+
+f_MAX is the 2015 paper's failure detection (section 4.5). Alone it accepts wrong poses on sparse scans, so
+the shares of points and of rays or pixels on which model and measurement agree are asked as well.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from rpod_pose.belief import Belief, contradicted, doubtful
+from rpod_pose.ports import Registration
+from rpod_schemas.config.acceptance import AcceptanceConfig
+
+
+def accepted_by_residuals(registration: Registration, limits: AcceptanceConfig) -> Registration:
+    """Return a registration with its belief by cost, inliers and self-check; one without a pose as it is.
+
+    A share that the method does not know, NaN, is not asked.
+    """
+    if registration.T_sensor_target is None:
+        return registration
+    if registration.inliers < limits.min_inliers:
+        reason = f"{registration.inliers} inliers, {limits.min_inliers} needed"
+        return replace(registration, T_sensor_target=None, belief=doubtful(reason))
+    return replace(registration, belief=_belief(registration, limits))
+
+
+def _belief(registration: Registration, limits: AcceptanceConfig) -> Belief:
+    cost, inliers = registration.cost_m2, registration.inliers
+    share, explained = registration.inlier_share, registration.explained_share
+    evidence = {"cost_m2": cost, "inliers": inliers, "inlier_share": share, "explained_share": explained}
+    if not np.isfinite(registration.covariance).all():
+        return contradicted("no covariance", **evidence)
+    if not cost <= limits.max_cost_m2:
+        return contradicted(f"cost {cost:.2g} m2 above {limits.max_cost_m2:.2g} m2", **evidence)
+    if share < limits.min_inlier_share:
+        return contradicted(f"inlier share {share:.2f} below {limits.min_inlier_share:.2f}", **evidence)
+    if explained < limits.least_tracked_share:
+        return contradicted(_too_little(explained, limits.least_tracked_share), **evidence)
+    insufficient = ""
+    if not math.isnan(explained) and explained < limits.min_explained_share:
+        insufficient = _too_little(explained, limits.min_explained_share)
+    return Belief(evidence=evidence, insufficient=insufficient)
+
+
+def _too_little(explained: float, least: float) -> str:
+    return f"explained share {explained:.2f} below {least:.2f}"

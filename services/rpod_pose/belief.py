@@ -1,0 +1,134 @@
+"""Whether a measured pose is believed: one value that its method makes and the navigator reads.
+
+A stream of measurements has a record besides: the share of them that did not support what was tracked.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+from scipy.special import softmax
+
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import BeliefLevel, Hypothesis
+
+MEMORY_FRAMES, PRIOR_FRAMES = 90.0, 20.0
+"""Frames that a record remembers, and frames that it assumes to have agreed before the first."""
+SYMMETRY = "symmetry of the target"
+"""Name of a rival that is the best pose turned by an exact symmetry of the target."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """Another pose that explains a measurement about as well as the best one."""
+
+    name: str
+    """What it is beside the best pose: ``SYMMETRY``, or "turned by 180 deg"."""
+    T_sensor_target: RigidTransform
+    log_likelihood: float
+    """Of the measurement under this pose, less that under the best one."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether no measurement can tell the rival from the best pose."""
+        return self.name == SYMMETRY
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """What a method says of its own result."""
+
+    level: BeliefLevel = BeliefLevel.ACCEPTED
+    reason: str = ""
+    """Why the result is not accepted, with figures, for the operator; empty if it is."""
+    evidence: Mapping[str, float] = field(default_factory=dict)
+    """The numbers that the level follows from, by name; each name carries its unit or is a share."""
+    rivals: tuple[Rival, ...] = ()
+    """Other poses that explain the measurement, likeliest first; of an accepted pose, too unlikely ones."""
+    insufficient: str = ""
+    """Why the measurement alone is not enough to begin a track, although a running track may use it."""
+
+    @property
+    def begins_track(self) -> bool:
+        """Whether a track may begin at the pose: no likely rival is left that a measurement could exclude."""
+        alone = self.level is BeliefLevel.ACCEPTED or all(rival.exact for rival in self.rivals)
+        return self.continues_track and alone and not self.insufficient
+
+    @property
+    def refusal(self) -> str:
+        """Why a pose at which no track may begin is refused."""
+        return self.reason or self.insufficient
+
+    @property
+    def continues_track(self) -> bool:
+        """Whether a running track may use the pose."""
+        return self.level is not BeliefLevel.CONTRADICTED
+
+    def hypotheses(self, T_sensor_target: RigidTransform) -> tuple[Hypothesis, ...]:
+        """Return the pose and its rivals with weights by their likelihoods, which sum to 1."""
+        logs = np.array([0.0, *(rival.log_likelihood for rival in self.rivals)])
+        poses = (("", T_sensor_target), *((rival.name, rival.T_sensor_target) for rival in self.rivals))
+        return tuple(
+            Hypothesis(pose=pose, weight=float(weight), name=name, log_likelihood=float(log))
+            for (name, pose), weight, log in zip(poses, softmax(logs), logs, strict=True)
+        )
+
+
+def doubtful(reason: str, **evidence: float) -> Belief:
+    """Return the belief in a result that the measurement supports too little."""
+    return Belief(BeliefLevel.DOUBTFUL, reason, evidence)
+
+
+def contradicted(reason: str, **evidence: float) -> Belief:
+    """Return the belief in a result that is inconsistent with the measurement."""
+    return Belief(BeliefLevel.CONTRADICTED, reason, evidence)
+
+
+def undetermined(covariance: FloatArray, *, max_sigma_m: float, max_sigma_deg: float) -> str:
+    """Return which part of a pose a measurement leaves undetermined; empty if none.
+
+    Args:
+        covariance: of (dp, dtheta), m and rad, shape (6, 6).
+        max_sigma_m: greatest standard deviation of the position in its worst direction.
+        max_sigma_deg: greatest standard deviation of the attitude about its worst axis.
+    """
+    for name, block, most, unit in (
+        ("position", covariance[:3, :3], max_sigma_m, "m"),
+        ("attitude", np.rad2deg(np.rad2deg(covariance[3:, 3:])), max_sigma_deg, "deg"),
+    ):
+        if not (sigma := worst_sigma(block)) <= most:
+            return f"the {name} is undetermined: sigma {sigma:.2g} {unit}, limit {most:g} {unit}"
+    return ""
+
+
+def worst_sigma(covariance: FloatArray) -> float:
+    """Return the standard deviation in the worst direction; NaN where the covariance is unknown."""
+    if not np.isfinite(covariance).all():
+        return float("nan")
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+
+
+@dataclass(frozen=True)
+class Record:
+    """How often a sensor's frames did not support the pose that was tracked; older frames fade.
+
+    A single frame of something else may look like the target by chance, or by the side that it shows. A
+    stream of such frames does so for a while only.
+    """
+
+    frames: float = 0.0
+    """Frames with a pose."""
+    unsupported: float = 0.0
+    """Those of them whose belief was doubtful or contradicted."""
+
+    @property
+    def share(self) -> float:
+        """The share of frames that did not support the pose."""
+        return self.unsupported / (self.frames + PRIOR_FRAMES)
+
+    def after(self, belief: Belief) -> "Record":
+        """Return the record with one more frame that gave a pose."""
+        kept = 1.0 - 1.0 / MEMORY_FRAMES
+        against = belief.level is not BeliefLevel.ACCEPTED
+        return Record(kept * self.frames + 1.0, kept * self.unsupported + against)
