@@ -33,14 +33,14 @@ def log_of(tmp_path_factory) -> Callable[[str], Path]:
         if not found:
             options = ["--duration", f"{RUN_S:g}", "--speed", "max", "--out", str(folder)]
             command = [sys.executable, "-m", "rpod", "run", scenario, *options]
-            subprocess.run(command, check=True, capture_output=True, timeout=150.0)
+            subprocess.run(command, check=True, capture_output=True, timeout=240.0)
             found = sorted(folder.glob(f"{scenario}-*/{scenario}.mcap"))
         return found[0]
 
     return made
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("document", DOCUMENTS, ids=str)
 def test_the_blocks_of_a_document_run(document, tmp_path, log_of):
     with closing(Playground(tmp_path, log_of)) as playground:
