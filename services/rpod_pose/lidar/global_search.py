@@ -56,7 +56,8 @@ class GlobalSearch:
         elevation_rad: FloatArray,
         sigma_range_m: float = 0.0,
     ) -> None:
-        self._config, self._radius_m, self._sigma_range_m = config, target.radius_m, sigma_range_m
+        self._config, self._tuning = config, config.tuning
+        self._radius_m, self._sigma_range_m = target.radius_m, sigma_range_m
         self._tracker = ProjectiveIcp(
             config.tracking,
             target,
@@ -68,9 +69,9 @@ class GlobalSearch:
         views = ViewModel.of(
             target,
             surface.coarse_field,
-            count=config.model_points,
+            count=self._tuning.model_points,
             few=FEW_POINTS,
-            truncation_m=config.truncation_m,
+            truncation_m=self._tuning.truncation_m,
         )
         self._model = Model(views, surface, Turns.of(target))
         self._scanners: dict[int, Scanner] = {}
@@ -90,7 +91,7 @@ class GlobalSearch:
         where it does so as well.
         """
         whole = self._seen(measurement)
-        if whole.returns < self._config.min_points:
+        if whole.returns < self._tuning.min_points:
             return self._too_few(whole)
         search = self._search_in(whole)
         asked = search.settled(
@@ -107,16 +108,16 @@ class GlobalSearch:
         return Acquisition(replace(registration, belief=belief))
 
     def _found(self, measurement: LidarScan, around: FloatArray | None) -> Acquisition:
-        config, whole = self._config, self._seen(measurement)
-        if whole.returns < config.min_points:
+        tuning, whole = self._tuning, self._seen(measurement)
+        if whole.returns < tuning.min_points:
             return self._too_few(whole)
         search = self._search_in(whole)
-        first = 0 if search.seen.returns >= config.sure_returns else min(1, len(config.levels) - 1)
+        first = 0 if search.seen.returns >= tuning.sure_returns else min(1, len(tuning.levels) - 1)
         templates, poses = 0, list[Pose]()
-        for level in config.levels[first:]:
+        for level in tuning.levels[first:]:
             attitudes = attitudes_of(level.attitudes)
             if around is not None:
-                attitudes = attitudes[within(attitudes, around, config.near_deg)]
+                attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
             templates += len(attitudes)
             poses = search.search(attitudes, level)
             if poses and poses[0].fit.deficit <= 0.0:  # it could not be explained better
@@ -130,7 +131,7 @@ class GlobalSearch:
 
     def _search_in(self, whole: SeenScan) -> ScanSearch:
         """Return the search in a scan, of a dense one in some of its rows and columns."""
-        stride = max(1, round(sqrt(whole.returns / self._config.most_returns)))
+        stride = max(1, round(sqrt(whole.returns / self._tuning.most_returns)))
         seen = whole.every(stride) if stride > 1 else whole
         if stride not in self._scanners:
             view = self._tracker.view if stride == 1 else self._tracker.view.every(stride)
@@ -140,7 +141,7 @@ class GlobalSearch:
         return ScanSearch(self._config, self._model, self._scanners[stride], seen)
 
     def _too_few(self, seen: SeenScan) -> Acquisition:
-        reason = f"{seen.returns} returns, {self._config.min_points} needed"
+        reason = f"{seen.returns} returns, {self._tuning.min_points} needed"
         return Acquisition(Registration.none(Source.NONE, reason))
 
     def _judged(self, whole: SeenScan, search: ScanSearch, poses: list[Pose], templates: int) -> Acquisition:
@@ -155,6 +156,6 @@ class GlobalSearch:
         if registration.T_sensor_target is not None and belief.continues_track:
             logs = np.array([pose.fit.log_likelihood for pose in poses])
             belief = believed_beside(
-                rivals(poses, logs, self._model.turns.exact), belief, least=self._config.ambiguous_weight
+                rivals(poses, logs, self._model.turns.exact), belief, least=self._tuning.ambiguous_weight
             )
         return Acquisition(replace(registration, belief=belief), templates=templates)

@@ -47,35 +47,39 @@ class ProjectiveIcp:
         elevation_rad: FloatArray,
         sigma_range_m: float = 0.0,
     ) -> None:
-        self._config = config
-        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
+        tuning = config.tuning
+        self._tuning = tuning
+        weak = np.repeat((tuning.unobserved_m, radians(tuning.unobserved_deg)), 3)
         self._weak = np.diag(weak**-2)
         self.view = ScanView.of(azimuth_rad, elevation_rad)
         self.surface = SurfaceModel.of(target)
         self.model = ScanModel(
-            config.model, config.verdict, self.view, self.surface, sigma_range_m=sigma_range_m
+            tuning.model, tuning.verdict, self.view, self.surface, sigma_range_m=sigma_range_m
         )
         self._errors = ScanErrors(
-            self.model.sigma_range_m, config.model.slack_m, config.steep_cosine**2, 1.0 / config.outline_m
+            self.model.sigma_range_m,
+            tuning.model.slack_m,
+            tuning.steep_cosine**2,
+            1.0 / tuning.outline_m,
         )
-        middle_m = np.sqrt(config.widest_m * config.narrowest_m)
-        self._far = np.geomspace(config.widest_m, middle_m, config.draw_in_steps)
-        self._near = np.geomspace(middle_m, config.narrowest_m, config.settle_steps)
+        middle_m = np.sqrt(tuning.widest_m * tuning.narrowest_m)
+        self._far = np.geomspace(tuning.widest_m, middle_m, tuning.draw_in_steps)
+        self._near = np.geomspace(middle_m, tuning.narrowest_m, tuning.settle_steps)
 
     def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why there is none."""
         seen = self.view.seen(measurement)
-        if seen.returns < self._config.min_points:
-            return _failed(f"{seen.returns} returns, {self._config.min_points} needed")
+        if seen.returns < self._tuning.min_points:
+            return _failed(f"{seen.returns} returns, {self._tuning.min_points} needed")
         pose = PoseArrays.of(T_sensor_target)
-        if self.model.agreement(seen, *pose).share < self._config.near_share:
-            points = Points.equal(seen.thinned(self._config.points))
+        if self.model.agreement(seen, *pose).share < self._tuning.near_share:
+            points = Points.equal(seen.thinned(self._tuning.points))
             pose = field_aligned(points, pose, self.surface.coarse_field, self._far)
         return self.finish(seen, *pose)
 
     def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
         """Return the registration from a pose R, t, sensor axes, that is nearly right."""
-        config, hits = self._config, self.view.hits
+        tuning, hits = self._tuning, self.view.hits
         problem = FaceProblem(
             Returns(seen.points_m, seen.rays),
             self.view.grid.arrays,
@@ -86,8 +90,8 @@ class ProjectiveIcp:
             hits.arrays,
         )
         (settled_R, settled_t), information, squares, inliers = settle(problem, PoseArrays(R, t))
-        if inliers < config.min_points:
-            return _failed(f"{inliers} returns on faces, {config.min_points} needed")
+        if inliers < tuning.min_points:
+            return _failed(f"{inliers} returns on faces, {tuning.min_points} needed")
         fit = self.model.fit(seen, settled_R, settled_t)
         if self.model.log_likelihood(seen, R, t) > fit.log_likelihood:
             fit = self.model.fit(seen, R, t)  # the faces led astray what the outline had right

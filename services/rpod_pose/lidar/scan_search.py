@@ -64,7 +64,7 @@ class Scanner:
         cls, view: ScanView, config: GlobalSearchConfig, surface: SurfaceModel, *, sigma_range_m: float
     ) -> Self:
         """Return the scanner of a view; the sigma of a range is what the sensor says, 0 where it does not."""
-        model, verdict = config.tracking.model, config.tracking.verdict
+        model, verdict = config.tracking.tuning.model, config.tracking.tuning.verdict
         statistics = ScanModel(model, verdict, view, surface, sigma_range_m=sigma_range_m)
         return cls(view, ReturnDistances.of(view), statistics)
 
@@ -82,11 +82,12 @@ class ScanSearch:
     """Searches one scan."""
 
     def __init__(self, config: GlobalSearchConfig, model: Model, scanner: Scanner, seen: SeenScan) -> None:
-        self._config, self._model, self._scanner, self.seen = config, model, scanner, seen
+        self._config, self._tuning = config, config.tuning
+        self._model, self._scanner, self.seen = model, scanner, seen
         self._image = scanner.distances.image(seen)
         self._centroid_m = seen.points_m.mean(axis=0)
-        self._few = Points.equal(seen.thinned(config.draw_in_points))
-        self._far_m = np.geomspace(*DRAW_IN_SCALES_M, config.draw_in_steps)
+        self._few = Points.equal(seen.thinned(self._tuning.draw_in_points))
+        self._far_m = np.geomspace(*DRAW_IN_SCALES_M, self._tuning.draw_in_steps)
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
         """Return distinct poses, likeliest first; empty where no attitude shows the target to the sensor.
@@ -100,16 +101,16 @@ class ScanSearch:
             found.append(self._drawn_in(R, t))
             if self._is_sure(found[-1]):
                 return self.completed(found, siblings=1)
-        return self.completed(found, siblings=self._config.siblings)
+        return self.completed(found, siblings=self._tuning.siblings)
 
     def completed(self, found: list[Pose], *, siblings: int) -> list[Pose]:
         """Return distinct poses, likeliest first: those found, and what they may be mistaken for.
 
         The best of them, ``siblings`` of their number, have all been turned.
         """
-        config, turned = self._config, list[Pose]()
+        tuning, turned = self._tuning, list[Pose]()
         found = list(found)
-        for _ in range(config.turned):
+        for _ in range(tuning.turned):
             best = self._distinct(found)[:siblings]
             asked = next((pose for pose in best if not self._is_turned(pose, turned)), None)
             if asked is None:
@@ -117,13 +118,13 @@ class ScanSearch:
             asked = self._finished(asked)
             turned.append(asked)
             found += [asked, *self._turned(asked)]
-        best = self._distinct(found)[: config.finished]
+        best = self._distinct(found)[: tuning.finished]
         finished = self._distinct([self._improved(pose, FINE_SCALES_M) for pose in best])
         if not finished:
             return finished
-        least = finished[0].fit.log_likelihood - config.rival_log_likelihood
+        least = finished[0].fit.log_likelihood - tuning.rival_log_likelihood
         rivals = [pose for pose in finished if pose.fit.log_likelihood >= least]
-        if len(rivals) == 1 and self.seen.returns >= config.sharpened_returns:
+        if len(rivals) == 1 and self.seen.returns >= tuning.sharpened_returns:
             return finished
         return self._distinct([*map(self._sharpened, rivals), *finished[len(rivals) :]])
 
@@ -131,7 +132,7 @@ class ScanSearch:
         """Return a pose finished, so that its turns are no worse than it is itself."""
         pose = self._improved(pose, FINE_SCALES_M)
         halfway = 0.0 < pose.fit.deficit < HALFWAY * self.seen.returns
-        few = self.seen.returns < self._config.sharpened_returns  # which are sharpened in the end
+        few = self.seen.returns < self._tuning.sharpened_returns  # which are sharpened in the end
         return self._sharpened(pose) if halfway and not few else pose
 
     def _is_turned(self, pose: Pose, turned: Sequence[Pose]) -> bool:
@@ -143,7 +144,7 @@ class ScanSearch:
 
     def alike(self, poses: Sequence[Pose], others: Sequence[Pose]) -> NDArray[np.bool_]:
         """Return which poses' attitudes are close to which others', or to their exact turns, shape (P, O)."""
-        least = 1.0 + 2.0 * cos(radians(self._config.distinct_deg))
+        least = 1.0 + 2.0 * cos(radians(self._tuning.distinct_deg))
         exact = self._model.turns.exact
         R = np.array([pose.R for pose in poses]).reshape(-1, 1, 3, 3) @ exact
         other_R = np.array([other.R for other in others]).reshape(-1, 9)
@@ -153,7 +154,7 @@ class ScanSearch:
 
     def settled(self, R: FloatArray, t: FloatArray, scales_m: FloatArray) -> Pose:
         """Return a nearly right pose after a step to the faces for each scale."""
-        view, model = self._scanner.view, self._config.tracking.model
+        view, model = self._scanner.view, self._config.tracking.tuning.model
         problem = FaceProblem(
             Returns(self.seen.points_m, self.seen.rays),
             view.grid.arrays,
@@ -183,7 +184,7 @@ class ScanSearch:
     def _is_sure(self, pose: Pose) -> bool:
         returns = self.seen.returns
         return (
-            returns >= self._config.sure_returns and pose.fit.deficit <= -self._config.sure_surplus * returns
+            returns >= self._tuning.sure_returns and pose.fit.deficit <= -self._tuning.sure_surplus * returns
         )
 
     def _candidates(
@@ -231,7 +232,7 @@ class ScanSearch:
             detection=self._scanner.statistics.expected_shares(self.seen),
             returns=FEW_RETURNS if roughly else MORE_RETURNS,
             rounds=rounds,
-            truncation_m=self._config.truncation_m,
+            truncation_m=self._tuning.truncation_m,
         )
 
     def _turned(self, pose: Pose) -> list[Pose]:
@@ -244,7 +245,7 @@ class ScanSearch:
         anew, anew_m = self._laid(turned)
         laid = self._energies(anew, anew_m, rounds=2).reshape(len(turned), -1)
         best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), laid.argmin(axis=1)]
-        order = np.argsort(np.concatenate((here, laid.min(axis=1))), kind="stable")[: self._config.turns]
+        order = np.argsort(np.concatenate((here, laid.min(axis=1))), kind="stable")[: self._tuning.turns]
         return [
             self._improved(self._there(pose.R @ turns.all[index], pose.t), SETTLE_SCALES_M)
             if index < len(turned)

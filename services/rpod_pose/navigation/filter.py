@@ -152,7 +152,7 @@ def update(
 
     S = state.covariance[POSE, POSE] + noise
     nis = float(innovation @ np.linalg.solve(S, innovation))
-    if not 0.0 <= nis <= config.gate_nis:  # negative: the covariance is not one
+    if not 0.0 <= nis <= config.tuning.gate_nis:  # negative: the covariance is not one
         return Update(state, nis, accepted=False)
 
     gain = np.linalg.solve(S, state.covariance[POSE]).T

@@ -148,7 +148,7 @@ class Navigator:
         if registration.T_sensor_target is not None:
             record = record.after(registration.belief)
         state = replace(state, records={**state.records, event.sensor: record})
-        if state.mode == Mode.TRACKING and record.share > self._limits.max_contradicted_share:
+        if state.mode == Mode.TRACKING and record.share > self._limits.tuning.max_contradicted_share:
             share = f"{record.share:.0%} of the recent frames do not support the tracked pose"
             state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
             return self._reject(state, event, registration, reason=f"{share}: {reason}" if reason else share)
@@ -195,7 +195,7 @@ class Navigator:
 
     def _is_sharp(self, predicted: FilterState) -> bool:
         sigma_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[ATTITUDE, ATTITUDE])[-1]))
-        return sigma_rad <= radians(self._limits.vague_deg)
+        return sigma_rad <= radians(self._limits.tuning.vague_deg)
 
     def _reject(
         self,
@@ -217,7 +217,7 @@ class Navigator:
     def _is_credible(self, state: NavigatorState, event: Measurement) -> bool:
         """Return whether a track may begin: few of the sensor's frames spoke against what was tracked."""
         share = state.records.get(event.sensor, Record()).share
-        return share <= BEGINNING * self._limits.max_contradicted_share
+        return share <= BEGINNING * self._limits.tuning.max_contradicted_share
 
     def _lost(self, state: NavigatorState, stamp_ns: int) -> bool:
         silent_s = (stamp_ns - state.accepted_ns) / NANOSECONDS

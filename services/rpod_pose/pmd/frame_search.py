@@ -19,7 +19,7 @@ from rpod_pose.search.energy import NOTHING_IN_VIEW, energies
 from rpod_pose.search.turns import FEW_POINTS, FEW_RETURNS, MORE_RETURNS, Turns
 from rpod_pose.search.view_model import ViewModel, centroids_in_view
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.config.pmd_search import PmdAcquisitionTuning
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
@@ -58,7 +58,7 @@ class Model:
     turns: Turns
 
     @classmethod
-    def of(cls, target: Target, config: PmdAcquisitionConfig) -> Self:
+    def of(cls, target: Target, tuning: PmdAcquisitionTuning) -> Self:
         """Return the model of a target.
 
         Raises:
@@ -68,9 +68,9 @@ class Model:
         views = ViewModel.of(
             target,
             surface.coarse_field,
-            count=config.model_points,
+            count=tuning.model_points,
             few=FEW_POINTS,
-            truncation_m=config.truncation_m,
+            truncation_m=tuning.truncation_m,
         )
         return cls(target, views, surface, field_arrays(target), Turns.of(target))
 
@@ -79,13 +79,13 @@ class FrameSearch:
     """Searches one frame."""
 
     def __init__(
-        self, config: PmdAcquisitionConfig, model: Model, scene: PmdScene, fitter: PmdFitter
+        self, tuning: PmdAcquisitionTuning, model: Model, scene: PmdScene, fitter: PmdFitter
     ) -> None:
-        self._config, self._model, self._scene, self._fitter = config, model, scene, fitter
+        self._tuning, self._model, self._scene, self._fitter = tuning, model, scene, fitter
         self._image = scene.distances()
         self._centroid_m = scene.middle_m()
-        self._few = Points.equal(scene.thinned(config.draw_in_points))
-        self._fine = Points.equal(scene.thinned(config.fine_points))
+        self._few = Points.equal(scene.thinned(tuning.draw_in_points))
+        self._fine = Points.equal(scene.thinned(tuning.fine_points))
 
     def search(self, attitudes: Float32Array, around: FloatArray | None) -> list[Pose]:
         """Return distinct poses, best first; empty where no attitude shows the target to the sensor.
@@ -94,33 +94,33 @@ class FrameSearch:
             attitudes: R_sensor_target to begin with, shape (M, 3, 3).
             around: R_sensor_target, shape (3, 3), from which no pose may be far, None for any.
         """
-        config = self._config
-        refined = config.refined if around is None else config.near_refined
+        tuning = self._tuning
+        refined = tuning.refined if around is None else tuning.near_refined
         found = [self._drawn_in(R, t) for R, t in self._candidates(attitudes, refined)]
         turned: list[Pose] = []
-        for _ in range(config.turned):
+        for _ in range(tuning.turned):
             asked = next((pose for pose in self._distinct(found) if not self._alike(pose, turned)), None)
             if asked is None:
                 break
             asked = self._refined(asked)
             turned.append(asked)
             found += [asked, *self._turned(asked, around)]
-        return self._finished(self._distinct(found)[: config.finished])
+        return self._finished(self._distinct(found)[: tuning.finished])
 
     def _finished(self, poses: Iterable[Pose]) -> list[Pose]:
         """Return poses refined, and sharpened where they may yet be the best."""
         refined = self._distinct(self._refined(pose) for pose in poses)
         if not refined:
             return []
-        most = refined[0].fit.loss + self._config.rival_loss
+        most = refined[0].fit.loss + self._tuning.rival_loss
         return self._distinct(self._sharpened(pose) if pose.fit.loss <= most else pose for pose in refined)
 
     def _candidates(self, attitudes: Float32Array, refined: int) -> Iterable[tuple[FloatArray, FloatArray]]:
         """Return rough poses R, t, least energy first."""
-        config = self._config
+        tuning = self._tuning
         places_m = self._laid(attitudes)
         energy = self._energies(attitudes, places_m, rounds=1, roughly=True)
-        better = np.argsort(energy, kind="stable")[: config.compared]
+        better = np.argsort(energy, kind="stable")[: tuning.compared]
         attitudes, places_m = attitudes[better], places_m[better]
         energy = self._energies(attitudes, places_m, rounds=2)
         for index in np.argsort(energy, kind="stable")[:refined]:
@@ -151,7 +151,7 @@ class FrameSearch:
             detection=ANY_ECHO,
             returns=FEW_RETURNS if roughly else MORE_RETURNS,
             rounds=rounds,
-            truncation_m=self._config.truncation_m,
+            truncation_m=self._tuning.truncation_m,
         )
 
     def _there(self, R: FloatArray, t: FloatArray) -> Pose:
@@ -179,7 +179,7 @@ class FrameSearch:
         turned = exactly.astype(np.float32)
         allowed = np.ones(len(turned), bool)
         if around is not None:
-            allowed = within(turned, around, self._config.near_deg)
+            allowed = within(turned, around, self._tuning.near_deg)
         if not allowed.any():
             return []
         anew_m = self._laid(turned)
@@ -187,7 +187,7 @@ class FrameSearch:
         declared = np.arange(len(turned)) < turns.declared
         energy[declared] = 0.0
         energy[~allowed] = NOTHING_IN_VIEW
-        order = np.argsort(energy, kind="stable")[: self._config.turns]
+        order = np.argsort(energy, kind="stable")[: self._tuning.turns]
         return [
             self._drawn_in(exactly[index], pose.t if declared[index] else anew_m[index].astype(np.float64))
             for index in order
@@ -196,7 +196,7 @@ class FrameSearch:
 
     def _alike(self, pose: Pose, others: Sequence[Pose]) -> bool:
         """Return whether a pose's attitude is close to another's, or to one of its exact turns."""
-        least = 1.0 + 2.0 * cos(radians(self._config.distinct_deg))
+        least = 1.0 + 2.0 * cos(radians(self._tuning.distinct_deg))
         turns = self._model.turns.exact
         return any((np.einsum("kij,ij->k", other.R @ turns, pose.R) > least).any() for other in others)
 

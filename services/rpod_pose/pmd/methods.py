@@ -42,9 +42,10 @@ def joint(config: JointConfig, task: Task) -> Tracker[PmdFrame]:
     calibration = task.sensor.calibration
     if calibration is not None and calibration.evidence is not None:
         bias_m = max(calibration.evidence.bias_after_m, LEAST_BIAS_M)
-        left = config.depth.calibrated.model_copy(update={"bias_m": bias_m})
-        depth = config.depth.model_copy(update={"calibrated": left})
-        config = config.model_copy(update={"depth": depth})
+        tuning = config.tuning
+        left = tuning.depth.calibrated.model_copy(update={"bias_m": bias_m})
+        depth = tuning.depth.model_copy(update={"calibrated": left})
+        config = config.model_copy(update={"tuning": tuning.model_copy(update={"depth": depth})})
     return JointTracker(config, task.target, calibrated=calibration is not None)
 
 

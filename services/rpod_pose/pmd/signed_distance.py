@@ -45,20 +45,20 @@ class SignedDistanceTracker:
     """
 
     def __init__(self, config: SignedDistanceConfig, target: Target) -> None:
-        self._config, self._target = config, target
+        self._tuning, self._target = config.tuning, target
         target.require_field()
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why there is none."""
-        config = self._config
-        image = usable_image(measurement, config.image)
+        tuning = self._tuning
+        image = usable_image(measurement, tuning.image)
         if isinstance(image, str):
             return Registration.none(Source.PMD_DEPTH, image)
-        points_m = image.points(config.points)
-        scales_m = np.geomspace(config.scale_m, config.final_scale_m, config.iterations)
+        points_m = image.points(tuning.points)
+        scales_m = np.geomspace(tuning.scale_m, tuning.final_scale_m, tuning.iterations)
         problem = FieldProblem(Points.equal(points_m), field_arrays(self._target), scales_m)
-        fit = minimised(problem, State(PoseArrays.of(T_sensor_target), 0.0), config.iterations)
+        fit = minimised(problem, State(PoseArrays.of(T_sensor_target), 0.0), tuning.iterations)
         step_m = step_length_m(fit.step[:6], self._target.radius_m)
         T = pose_of(*fit.state.pose)
         progress = Progress(T, _equations(fit.linear), len(points_m), step_m, fit.steps)
-        return conclude(progress, image, self._target, config)
+        return conclude(progress, image, self._target, tuning)

@@ -73,7 +73,8 @@ class ViewSearch:
     """
 
     def __init__(self, config: PmdAcquisitionConfig, target: Target, tracker: Tracker[PmdFrame]) -> None:
-        self._config, self._model, self._tracker = config, Model.of(target, config), tracker
+        self._config, self._tuning = config, config.tuning
+        self._model, self._tracker = Model.of(target, config.tuning), tracker
 
     def acquire(self, measurement: PmdFrame) -> Acquisition:
         """Return the pose that explains the frame best, the others that do, and the verdict."""
@@ -84,18 +85,21 @@ class ViewSearch:
         return self._found(measurement, T_sensor_target.rotation.as_matrix())
 
     def _found(self, measurement: PmdFrame, around: FloatArray | None) -> Acquisition:
-        config = self._config
-        scene = scene_of(measurement, config.scene, radius_m=self._model.target.radius_m)
+        tuning = self._tuning
+        scene = scene_of(measurement, tuning.scene, radius_m=self._model.target.radius_m)
         if isinstance(scene, str):
             return Acquisition(Registration.none(Source.NONE, scene))
         if around is None:
-            attitudes = attitudes_of(config.attitudes)
+            attitudes = attitudes_of(self._config.attitudes)
         else:
-            attitudes = attitudes_of(config.near_attitudes)
-            attitudes = attitudes[within(attitudes, around, config.near_deg)]
+            attitudes = attitudes_of(tuning.near_attitudes)
+            attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
         task = _Task(measurement, scene, attitudes, around)
-        shape = PmdFitter(config.model, self._model.target, scene, as_filed=False), config.verdict.shape
-        filed = PmdFitter(config.model, self._model.target, scene), config.verdict.as_filed
+        shape = (
+            PmdFitter(tuning.model, self._model.target, scene, as_filed=False),
+            tuning.verdict.shape,
+        )
+        filed = PmdFitter(tuning.model, self._model.target, scene), tuning.verdict.as_filed
         found = self._judged(task, (filed, shape))
         if found.outcome is not Outcome.FAILED:
             return found
@@ -105,14 +109,14 @@ class ViewSearch:
     def _judged(self, task: _Task, judges: Sequence[Judge]) -> Acquisition:
         """Return the verdict on the distinct poses that are best in the eyes of the first judge."""
         fitter, limits = judges[0]
-        poses = FrameSearch(self._config, self._model, task.scene, fitter).search(task.attitudes, task.around)
+        poses = FrameSearch(self._tuning, self._model, task.scene, fitter).search(task.attitudes, task.around)
         if not poses:
             reason = "no attitude shows the target to the camera"
             return task.failed(Registration.none(Source.NONE, reason))
         belief = self._belief(poses[0], judges)
         registration = self._registration(task.scene, poses[0], belief)
         logs = np.array([-pose.fit.loss * limits.facts / poses[0].fit.pixels for pose in poses])
-        sure = softmax(logs)[0] >= self._config.verdict.ambiguous_weight
+        sure = softmax(logs)[0] >= self._tuning.verdict.ambiguous_weight
         if sure and registration.T_sensor_target is not None:
             registration = self._tracker.track(task.frame, registration.T_sensor_target)
         if not registration.continues_track or registration.T_sensor_target is None:
@@ -123,7 +127,7 @@ class ViewSearch:
         believed = believed_beside(
             rivals(poses, logs, self._model.turns.exact),
             Belief(evidence=evidence),
-            least=self._config.verdict.ambiguous_weight,
+            least=self._tuning.verdict.ambiguous_weight,
         )
         return Acquisition(replace(registration, belief=believed), templates=len(task.attitudes))
 
@@ -141,7 +145,7 @@ class ViewSearch:
         self, pose: Pose, fitter: PmdFitter, limits: PmdLimitsConfig
     ) -> tuple[str, dict[str, float]]:
         """Return why a pose does not explain the frame, empty if it does, and the numbers asked."""
-        verdict, fit = self._config.verdict, fitter.fit(pose.R, pose.t)
+        verdict, fit = self._tuning.verdict, fitter.fit(pose.R, pose.t)
         patch, face = fitter.worst_patches(pose.R, pose.t, verdict.patch_px, verdict.face_px)
         evidence = {
             "explained_share": fit.explained_share,
@@ -164,8 +168,8 @@ class ViewSearch:
         return reason, evidence
 
     def _registration(self, scene: PmdScene, pose: Pose, belief: Belief) -> Registration:
-        config, T = self._config, pose_of(pose.R, pose.t)
-        sums = measured_equations(self._model.target, scene.thinned(config.fine_points), T, config.scale_m)
+        tuning, T = self._tuning, pose_of(pose.R, pose.t)
+        sums = measured_equations(self._model.target, scene.thinned(tuning.fine_points), T, tuning.scale_m)
         if belief.continues_track and sums.degenerate(self._model.target.radius_m):
             reason = "degenerate: the measured surface leaves a motion undetermined"
             belief = doubtful(reason, **belief.evidence)
@@ -176,7 +180,7 @@ class ViewSearch:
             belief,
             cost_m2=sums.cost_m2,
             inliers=sums.inliers,
-            inlier_share=sums.inliers / min(len(scene.points_m), config.fine_points),
+            inlier_share=sums.inliers / min(len(scene.points_m), tuning.fine_points),
             explained_share=pose.fit.explained_share,
-            covariance=sums.covariance(T, config.errors) if believed else np.full((6, 6), np.nan),
+            covariance=sums.covariance(T, tuning.errors) if believed else np.full((6, 6), np.nan),
         )

@@ -14,7 +14,7 @@ from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
-from rpod_schemas.config.pmd_joint import JointConfig, JointEdgeConfig
+from rpod_schemas.config.pmd_joint import JointEdgeConfig, JointTuning
 from rpod_schemas.types import Camera, Float32Array, PmdFrame
 
 MARGIN_PX = 16
@@ -66,14 +66,14 @@ class JointFrame:
 
     @classmethod
     def of(
-        cls, frame: PmdFrame, t: FloatArray, *, radius_m: float, config: JointConfig
+        cls, frame: PmdFrame, t: FloatArray, *, radius_m: float, tuning: JointTuning
     ) -> "JointFrame | str":
         """Return a frame for a target expected at ``t``, shape (3,), m, or why nothing can be made of it."""
         if frame.camera.distortion[PLUMB_BOB:].any():
             return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
         around = _around(frame.camera, t, radius_m)
         radius_px = frame.camera.fx * radius_m / max(t[2], 1e-3)
-        stride = _stride(frame, around, radius_px=radius_px, points=config.depth.points)
+        stride = _stride(frame, around, radius_px=radius_px, points=tuning.depth.points)
         try:
             view = DepthView.of(frame.camera, stride)
         except DistortionError as error:
@@ -81,24 +81,24 @@ class JointFrame:
         amplitude = np.ones_like(frame.depth_m) if frame.amplitude is None else frame.amplitude
         sparse = slice(None, None, SPARSE)
         lit = np.where(frame.depth_m[sparse, sparse] > 0.0, amplitude[sparse, sparse], 0.0)
-        least = config.ghost_share * float(lit.mean())
+        least = tuning.ghost_share * float(lit.mean())
         images, pixels = DepthImages(frame.depth_m, amplitude, least), CoarsePixels(view.stride, view.offset)
         range_m, sigma_m, strengths, shade = coarse_ranges(images, view.coarse.components[2], pixels)
-        range_m[sigma_m > config.check.most_noise_m] = np.nan
+        range_m[sigma_m > tuning.check.most_noise_m] = np.nan
         measured = np.flatnonzero(np.isfinite(range_m))
-        if len(measured) > config.depth.points:
-            measured = measured[np.linspace(0, len(measured) - 1, config.depth.points).astype(np.intp)]
+        if len(measured) > tuning.depth.points:
+            measured = measured[np.linspace(0, len(measured) - 1, tuning.depth.points).astype(np.intp)]
         rays = view.coarse.components.reshape(3, -1)[:, measured]
         points_m = np.ascontiguousarray((rays * range_m.ravel()[measured]).T)
         strength = strengths.ravel()[measured]
         typical = float(np.median(strength)) if len(measured) else 1.0
-        trust = _trust(sigma_m.ravel()[measured], strength, config.depth.noise_m)
-        typical = typical if len(measured) >= config.verdict.min_points else 0.0
+        trust = _trust(sigma_m.ravel()[measured], strength, tuning.depth.noise_m)
+        typical = typical if len(measured) >= tuning.verdict.min_points else 0.0
         patch = _NO_PATCH
         if frame.amplitude is None:
             shade[:] = np.nan
         else:
-            patch = _patch(frame.amplitude, around, typical=typical, config=config.edges)
+            patch = _patch(frame.amplitude, around, typical=typical, config=tuning.edges)
         return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch)
 
     @property

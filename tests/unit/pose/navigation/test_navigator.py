@@ -352,7 +352,7 @@ def test_tracking_searches_nothing():
 
 
 def test_a_track_whose_prediction_has_become_vague_is_searched_around():
-    made = tracking(vague_deg=3.0)
+    made = tracking(tuning={"vague_deg": 3.0})
     made.see(replace(untracked(START_S + 1.5), nearby=(registration(in_sensor(START_S + 1.5)),)))
     assert made.method.asked == ["track"]
     output = made.see(replace(untracked(START_S + 9.0), nearby=(registration(in_sensor(START_S + 9.0)),)))
