@@ -35,15 +35,16 @@ class LidarInput(SensorInput):
     kind: str = "lidar"
     """Selects a LIDAR's messages and methods."""
     name: Name = "lidar"
-    """Name of the sensor, the first part of its topics. Set it where the driver publishes under another one."""
+    """Name of the sensor, the first part of its topics. Set it where the driver publishes under another
+    one."""
     azimuth_rad: VectorN | None = None
     """Azimuths of the scan's columns. Set them where the driver sends no ``<lidar>/info``; without either no
     scan is used."""
     elevation_rad: VectorN | None = None
     """Elevations of the scan's rows; they are set together with ``azimuth_rad``."""
     sigma_range_m: NonNegative | None = None
-    """Standard deviation of a range. Set it where ``<lidar>/info`` does not tell it, else 0.05 m is assumed: one
-    that is too small makes right poses contradict their scans."""
+    """Standard deviation of a range. Set it where ``<lidar>/info`` does not tell it, else 0.05 m is
+    assumed: one that is too small makes right poses contradict their scans."""
     acquisition: LidarAcquisition = Field(default_factory=GlobalSearchConfig)
     """Method that finds the target without a prior pose; change ``kind`` to compare methods."""
     tracking: LidarTracking = Field(default_factory=ProjectiveIcpConfig)
@@ -72,7 +73,8 @@ class PmdInput(SensorInput):
     kind: str = "pmd"
     """Selects a PMD camera's messages and methods."""
     name: Name = "pmd"
-    """Name of the sensor, the first part of its topics. Set it where the driver publishes under another one."""
+    """Name of the sensor, the first part of its topics. Set it where the driver publishes under another
+    one."""
     camera: Camera | None = None
     """Size and intrinsics that the frames must have. Set it to refuse frames of another camera or lens; left
     out, camera_info is believed whatever it says."""
@@ -80,8 +82,9 @@ class PmdInput(SensorInput):
     """Modulation frequencies of the camera. Set them where ``<camera>/info`` does not tell, so that distances
     beyond the unambiguous range are unwrapped; a camera with several unwraps by itself."""
     calibration: CalibrationSource | None = None
-    """Error of the distances, which is taken off every frame. Set it to the file that ``rpod calibrate`` wrote,
-    or write its content inline; with it the ranges' bias is trusted to millimetres instead of centimetres."""
+    """Error of the distances, which is taken off every frame. Set it to the file that ``rpod calibrate``
+    wrote, or write its content inline; with it the ranges' bias is trusted to millimetres instead of
+    centimetres."""
     unwrapping: Literal["predicted", "none"] = "predicted"
     """Whether depth is moved by whole unambiguous ranges to where the target is predicted, where the camera
     measures with one frequency and it is known; without a prediction every multiple up to 15 m is tried. Set
@@ -110,8 +113,8 @@ class NavigatorConfig(Config):
     """The state machine."""
 
     confirmations: Annotated[int, Field(ge=0)] = 1
-    """Frames after the acquisition's own that must verify it before TRACKING. Raise it where a wrong first pose
-    costs more than a later one; 0 tracks from the first pose that is believed."""
+    """Frames after the acquisition's own that must verify it before TRACKING. Raise it where a wrong first
+    pose costs more than a later one; 0 tracks from the first pose that is believed."""
     rejection_timeout_s: Positive = 1.5
     """How long measurements may be rejected before the track is LOST. Raise it for targets that are hidden or
     blinded for seconds; the output is a prediction that long."""
@@ -122,8 +125,8 @@ class NavigatorConfig(Config):
     """How long no measurement may come before the track is LOST. Set it above the longest regular gap of the
     slowest sensor."""
     near_search_s: NonNegative = 3.0
-    """How long after a loss the attitudes near the prediction are searched before all are. Lower it for targets
-    that tumble fast, whose prediction is worth little soon."""
+    """How long after a loss the attitudes near the prediction are searched before all are. Lower it for
+    targets that tumble fast, whose prediction is worth little soon."""
     tuning: NavigatorTuning = NavigatorTuning()
     """Limits and numbers that are no part of the promise; change them only to study the method."""
 

@@ -14,7 +14,7 @@ from rpod_schemas.sensors import methods, sensor_kinds
 
 MOST_PUBLIC_FIELDS = 60
 """For the whole estimator. A capability that needs more raises it, with a decision record."""
-MOST_BY_HAND = 999
+MOST_BY_HAND = 134
 """Values that a hand fitted on emulated frames, mostly of the mock-up. It only ever falls."""
 FEWEST_WORDS = 4
 """Of the sentence that tells what a field does."""
@@ -56,7 +56,7 @@ def tuning_roots() -> list[type[BaseModel]]:
 def test_the_estimator_has_at_most_sixty_public_fields(capsys: pytest.CaptureFixture[str]) -> None:
     names = estimator_fields()
     with capsys.disabled():
-        print(f"\n[configuration] {len(names)} public fields of the estimator, {MOST_PUBLIC_FIELDS} at most")
+        print(f"\n[configuration] {len(names)} public fields of the estimator, {MOST_PUBLIC_FIELDS} at most")  # noqa: T201 - for who reads the run of the tests
     assert len(names) <= MOST_PUBLIC_FIELDS, "\n".join(names)
 
 
@@ -81,7 +81,7 @@ def test_every_tuning_value_says_where_it_comes_from(capsys: pytest.CaptureFixtu
     counts = sources([value for of in values.values() for value in of])
     with capsys.disabled():
         told = ", ".join(f"{count} {source}" for source, count in counts.most_common())
-        print(f"\n[configuration] {counts.total()} tuning values: {told}")
+        print(f"\n[configuration] {counts.total()} tuning values: {told}")  # noqa: T201 - for who reads the run of the tests
     assert counts["hand, mock-up"] <= MOST_BY_HAND
 
 
