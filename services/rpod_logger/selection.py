@@ -1,4 +1,4 @@
-"""What is recorded: every topic of the ICD and of the installed kinds of sensors, and what is asked for."""
+"""Selection of what is recorded: topics of the ICD and of installed sensor kinds, and configured keys."""
 
 from collections.abc import Sequence
 from functools import cache

@@ -64,7 +64,7 @@ def _target(node: Node, name: str | None) -> Target | None:
 
 
 class _Ears:
-    """What is subscribed; what is not fetched in time is lost, and that is meant."""
+    """Topics that the view subscribes to; messages that are not fetched in time are dropped on purpose."""
 
     def __init__(self, node: Node, config: ViewConfig) -> None:
         self._node = node

@@ -1,4 +1,4 @@
-"""How the screen is divided: the scene and the images above, what the estimator does below."""
+"""Layout of the screen: scene and images above, plots of the estimator below."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ POSITION, ATTITUDE, PROCESSING, RANGE = (
     f"{PLOTS}/{name}" for name in ("position", "attitude", "processing", "range")
 )
 _WINDOW_S = 30.0
-"""What the plots show of the past."""
+"""Time span of the plots."""
 _SCENE_RADII = 2.7
 """Distance of the eye from the target, in its radii."""
 _UNCERTAINTY_RADII = 2.6
@@ -40,7 +40,7 @@ class Eye:
     """How a scene is seen first: a direction, since its distance is the view's affair."""
 
     offset: FloatArray
-    """From what is looked at to the eye, chaser axes, unit vector, shape (3,)."""
+    """Unit vector from the centre of the scene to the eye, chaser axes, shape (3,)."""
     up: FloatArray
     """Shape (3,)."""
 

@@ -1,4 +1,4 @@
-"""What the view knows: the poses of the last seconds, and what has come since it was drawn last.
+"""State of the view: poses of the last seconds, and messages that have not been drawn yet.
 
 Messages come from the bus or from a log. The parts of frames are told apart by topic and stamp; only
 the newest complete frame of each sensor is decoded, and only when it is drawn.
@@ -28,7 +28,7 @@ from rpod_view.track import Track
 Reject = Callable[[str, MessageRejectedError], None]
 """Is told of the messages that cannot be used, with the name of their topic."""
 _PATIENCE_NS = NANOSECONDS
-"""How long an estimate waits for its truth."""
+"""Time that an estimate waits for its truth."""
 _ENOUGH_NS = 16_000_000
 """No more of the truth than so often is decoded."""
 _MOST_WAITING = 512
@@ -52,7 +52,7 @@ class Frame:
     sensor: str
     data: SensorFrame
     T_chaser_sensor: RigidTransform | None
-    """None where nobody tells."""
+    """Mount of the sensor; None if it is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Scored:
 
 
 class Scene:
-    """Takes messages; hands out what is to be drawn."""
+    """Collects messages and returns what is to be drawn."""
 
     def __init__(self, prefix: str) -> None:
         self.truth = Track(gap_s=0.1, reach_s=0.1)

@@ -16,11 +16,11 @@ from rpod_view.scene import Frame, Reject, Scene, Scored
 from rpod_view.summary import summary
 
 _RADIUS_M = 1.0
-"""Of a target that is not known."""
+"""Radius of an unknown target."""
 
 
 class View:
-    """Takes messages and draws the newest.
+    """Collects messages and draws the newest.
 
     Args:
         recording: where it is drawn.

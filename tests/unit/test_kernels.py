@@ -13,15 +13,11 @@ import rpod_pose
 import rpod_sim_sensor
 
 MOST_ARGUMENTS, MOST_RETURNED = 7, 3
-IN_WORK = {"rpod_pose.pmd.fit", "rpod_pose.lidar.scan_likelihood"}
-"""Rewritten together with their physics: to be taken out of here then."""
 
 
 def kernels():
     for package in (rpod_geometry, rpod_pose, rpod_sim_sensor):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            if module.name in IN_WORK:
-                continue
             for name, found in vars(importlib.import_module(module.name)).items():
                 if isinstance(found, Dispatcher) and found.py_func.__module__ == module.name:
                     yield pytest.param(found, id=f"{module.name}.{name}")

@@ -32,7 +32,7 @@ class UnreadableKind:
     reason: str
     count: int
     example: str
-    """What was wrong with the first one."""
+    """Description of the first of these messages."""
 
 
 class Unreadable:
@@ -53,7 +53,7 @@ class Unreadable:
         self.note(logged.topic, str(rejection.reason), rejection.text)
 
     def note(self, topic: str, reason: str, example: str) -> None:
-        """Count what is no message of a topic."""
+        """Count an unreadable item that is not a message, such as a metadata record."""
         self._counts[topic, reason] += 1
         self._examples.setdefault((topic, reason), example)
 

@@ -1,4 +1,4 @@
-"""A log's sensor data as an estimator meets them: in the order of arrival, or as a live run took them."""
+"""Sensor data of a log as input of an estimator: in the order of arrival, or as the live run used them."""
 
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -21,12 +21,12 @@ from rpod_schemas.types import EstimatorStatus
 _BY_ARRIVAL = tuple(f"{reason}:" for reason in (Reason.LATE, Reason.FUTURE, Reason.DUPLICATE))
 """Why a live run refused a frame before it looked at it: what only that run can know."""
 _PATIENCE_NS = NANOSECONDS
-"""How much later than its status a frame may have been logged."""
+"""Largest delay between the arrival of a status and that of its frame."""
 _MOST_WAITING = 64
 """Frames whose status has not come yet; older ones were passed over."""
 
 Event = Arrived | Tick
-"""What the estimator is fed."""
+"""Input of the estimator."""
 
 
 @dataclass
@@ -85,7 +85,7 @@ class Frames:
 
 @dataclass
 class FramesAsLive(Frames):
-    """The same, with just the frames that a live run took, in its order: those that its status names."""
+    """Frames of the live run only, in its order: those that its status messages name."""
 
     status_topic: str = ""
     _waiting: dict[tuple[str, int], Assembled[Received]] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""A log through the live view: the same drawing, as fast as it goes."""
+"""Draws a log with the live view's code, as fast as possible."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,7 +22,7 @@ _AGAIN_NS = NANOSECONDS
 
 @dataclass(frozen=True)
 class Part:
-    """What of a log is shown; by arrival, ns, the end excluded."""
+    """Part of a log to show, by time of arrival, ns; the end is excluded."""
 
     start_ns: int | None = None
     end_ns: int | None = None

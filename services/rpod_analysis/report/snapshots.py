@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.log import Log
 from rpod_analysis.log.sensors import Sensor, sensor_frames
-from rpod_analysis.report.plot_data import Digest
+from rpod_analysis.report.plot_data import PlotData
 from rpod_analysis.report.wireframe import svg_path
 from rpod_analysis.scoring.run import Run, StreamedRun
 from rpod_analysis.scoring.score import Track, interpolate
@@ -36,7 +36,7 @@ class Picture:
 
     title: str
     view: tuple[float, float, float, float]
-    """What is shown: left, top, width, height."""
+    """Window of the picture: left, top, width, height."""
     image: str
     """Data URI; empty where points are drawn."""
     size: tuple[int, int]
@@ -45,9 +45,9 @@ class Picture:
     """Colour and SVG path of points, near to far."""
     low: str
     high: str
-    """What the ends of the scale mean."""
+    """Labels of the ends of the scale."""
     scale: str
-    """Which scale: ``depth`` or ``grey``."""
+    """Name of the scale: ``depth`` or ``grey``."""
 
 
 @dataclass(frozen=True)
@@ -63,20 +63,20 @@ class Snapshot:
     truth_path: str
 
 
-def take_snapshots(log: Log, run: StreamedRun, digest: Digest, target: Target | None) -> list[Snapshot]:
+def take_snapshots(log: Log, run: StreamedRun, plot_data: PlotData, target: Target | None) -> list[Snapshot]:
     """Return about four frames of each sensor, evenly over the run, estimated ones first of all."""
     return [
         snapshot
         for sensor in run.sensors.values()
-        for stamp_ns in _sample_stamps(digest, sensor)
+        for stamp_ns in _sample_stamps(plot_data, sensor)
         for frame in _read_frame(log, run.at(stamp_ns), sensor, stamp_ns)
         if (snapshot := _snapshot(run.at(stamp_ns), sensor, frame, target))
     ]
 
 
-def _sample_stamps(digest: Digest, sensor: Sensor) -> list[int]:
-    estimated = digest.frames[sensor.name].stamp_ns
-    choice = estimated if estimated.size else digest.any_frames[sensor.name].stamp_ns
+def _sample_stamps(plot_data: PlotData, sensor: Sensor) -> list[int]:
+    estimated = plot_data.frames[sensor.name].stamp_ns
+    choice = estimated if estimated.size else plot_data.any_frames[sensor.name].stamp_ns
     if not choice.size:
         return []
     places = np.quantile(np.arange(choice.size), np.linspace(0.02, 0.98, _SAMPLES), method="nearest")

@@ -9,9 +9,9 @@ told how many there are, or how large.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, cast_pose
 from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG, Detection
 from rpod_pose.registration.lie_group import turned
@@ -90,8 +90,8 @@ class Judgement(NamedTuple):
     """Rays that meet a face and did not come back, beyond the number that is expected of their echo."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def judged(returns, R, t, rays, assumed):  # type: ignore[no-untyped-def]
+@kernel
+def judged(returns: Returns, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions) -> Judgement:
     """Return the ``Judgement`` on a pose R, t of the target in the sensor.
 
     Args:
@@ -108,23 +108,25 @@ def judged(returns, R, t, rays, assumed):  # type: ignore[no-untyped-def]
     return Judgement(told, mean, variance, counts[0], counts[1], counts[2])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def log_likelihood(returns, R, t, rays, assumed):  # type: ignore[no-untyped-def]
+@kernel
+def log_likelihood(returns: Returns, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions) -> float:
     """Return that part of ``judged`` alone."""
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
     return _log_likelihood(returns, R, rays, assumed)[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def agreed(returns, R, t, rays, assumed):  # type: ignore[no-untyped-def]
+@kernel
+def agreed(
+    returns: Returns, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
+) -> tuple[int, int, float]:
     """Return the counts of ``judged`` alone: agreeing, contrary, missing."""
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
     power = _log_likelihood(returns, R, rays, assumed)[1]
     return _agreement(returns, R, rays, assumed, power)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _met(returns, R, rays, i, j):  # type: ignore[no-untyped-def]
+@kernel
+def _met(returns: Returns, R: FloatArray, rays: Rays, i: int, j: int) -> tuple[float, float, int]:
     """Return the predicted range of a ray, its cosine of incidence, and the step of its echo in the table."""
     directions, (_, normals, _, albedo) = rays.grid[0], rays.faces
     face = rays.face[i, j]
@@ -138,17 +140,18 @@ def _met(returns, R, rays, i, j):  # type: ignore[no-untyped-def]
     return r, cosine, min(max(rung, 0), RUNGS - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _density(error_m, cosine, assumed):  # type: ignore[no-untyped-def]
+@kernel
+def _density(error_m: float, cosine: float, assumed: Assumptions) -> float:
     """Return the density of a range error on a face, 1/m."""
     lateral_m = assumed.slack_m / max(cosine, STEEPEST)
     variance = assumed.sigma_m * assumed.sigma_m + lateral_m * lateral_m
     tail = 1.0 + 0.25 * error_m * error_m / variance
-    return PEAK / (np.sqrt(variance * tail) * tail * tail)
+    density: float = PEAK / (np.sqrt(variance * tail) * tail * tail)
+    return density
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _log_likelihood(returns, R, rays, assumed):  # type: ignore[no-untyped-def]
+@kernel
+def _log_likelihood(returns: Returns, R: FloatArray, rays: Rays, assumed: Assumptions) -> tuple[float, int]:
     """Return the log likelihood of a scan against that of an empty sky, and the likeliest of ``HALVES``.
 
     A return that clutter explains better than the face does tells nothing of what is detected.
@@ -175,8 +178,8 @@ def _log_likelihood(returns, R, rays, assumed):  # type: ignore[no-untyped-def]
     return total + evidence, power
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _detected(returned, missing, detection):  # type: ignore[no-untyped-def]
+@kernel
+def _detected(returned: FloatArray, missing: FloatArray, detection: Detection) -> tuple[float, int]:
     """Return the log of the mean likelihood over ``HALVES`` of which rays came back, and the likeliest one.
 
     Args:
@@ -189,12 +192,15 @@ def _detected(returned, missing, detection):  # type: ignore[no-untyped-def]
         for rung in range(RUNGS):
             told[h] += returned[rung] * detection.log_share[h, rung]
             told[h] += missing[rung] * detection.log_missing[h, rung]
-    power = np.argmax(told)
-    return told[power] + np.log(np.mean(np.exp(told - told[power]))), power
+    power = int(np.argmax(told))
+    evidence: float = told[power] + np.log(np.mean(np.exp(told - told[power])))
+    return evidence, power
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _expectation(returns, R, rays, assumed, power):  # type: ignore[no-untyped-def]
+@kernel
+def _expectation(
+    returns: Returns, R: FloatArray, rays: Rays, assumed: Assumptions, power: int
+) -> tuple[float, float]:
     """Return mean and variance of the log likelihood over the scans that the pose lets expect."""
     log_clear, mean, variance = np.log(1.0 - assumed.clutter_share), 0.0, 0.0
     share, log_share, log_missing = assumed.detection
@@ -212,8 +218,10 @@ def _expectation(returns, R, rays, assumed, power):  # type: ignore[no-untyped-d
     return mean, variance
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _agreement(returns, R, rays, assumed, power):  # type: ignore[no-untyped-def]
+@kernel
+def _agreement(
+    returns: Returns, R: FloatArray, rays: Rays, assumed: Assumptions, power: int
+) -> tuple[int, int, float]:
     """Return how many returns agree, how many contradict, and how many are missing.
 
     What is missing is counted for each echo apart: no sensor loses bright surfaces and returns dark ones. One
@@ -241,8 +249,16 @@ def _agreement(returns, R, rays, assumed, power):  # type: ignore[no-untyped-def
     return agreeing, contrary, missing
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def likeliest(returns, R, t, rays, assumed, covariance, draws):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+@kernel
+def likeliest(  # noqa: PLR0917
+    returns: Returns,
+    R: FloatArray,
+    t: FloatArray,
+    rays: Rays,
+    assumed: Assumptions,
+    covariance: FloatArray,
+    draws: Draws,
+) -> tuple[FloatArray, FloatArray]:
     """Return the likeliest pose R, t near one (``scan_fit.ScanModel.sharpen``).
 
     The samples of the first round have a covariance of (dtau, dtheta), shape (6, 6), those of each next one

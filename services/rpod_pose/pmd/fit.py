@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, cast_pose
 from rpod_pose.pmd.scene import PmdScene
 from rpod_pose.registration.brightness import albedos, spreads
@@ -156,12 +156,17 @@ class PmdFitter:
         block = _around(scene.lit | scene.blind)
         noise_m = np.minimum(scene.sigma_m, config.most_noise_m)
         amplitude = np.log(np.maximum(scene.amplitude, np.float32(0.1)))
-        images = scene.range_m, noise_m, amplitude, scene.lit, scene.blind
         shape = noise_m[block].shape
         self._compared = Comparison(
             _surface(target, config, as_filed=as_filed),
             scene.view.coarse.block(*block),
-            Seen(*(np.ascontiguousarray(image[block]) for image in images)),
+            Seen(
+                range_m=np.ascontiguousarray(scene.range_m[block]),
+                sigma_m=np.ascontiguousarray(noise_m[block]),
+                log_amplitude=np.ascontiguousarray(amplitude[block]),
+                lit=np.ascontiguousarray(scene.lit[block]),
+                blind=np.ascontiguousarray(scene.blind[block]),
+            ),
             Losses(
                 sigma_m=config.sigma_m,
                 slack_m=config.slack_m,
@@ -231,8 +236,8 @@ def _widened(lines: NDArray[np.intp]) -> slice:
     return slice(max(0, lines[0] - MARGIN), lines[-1] + 1 + MARGIN)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def compare(compared, R, t):  # type: ignore[no-untyped-def]
+@kernel
+def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, int, int]:
     """Return the summed loss, and the numbers of pixels asked and agreeing; fill their losses.
 
     Args:
@@ -278,23 +283,24 @@ def compare(compared, R, t):  # type: ignore[no-untyped-def]
     return total, pixels, agreeing
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _saturated(square, most):  # type: ignore[no-untyped-def]
+@kernel
+def _saturated(square: float, most: float) -> float:
     """Return half of a squared error in standard deviations, which grows to ``most`` (Geman-McClure)."""
     return most * square / (2.0 * most + square)
 
 
-@njit(cache=True, nogil=True)
-def _facing(normal, R, x, y, z):  # type: ignore[no-untyped-def]
+@kernel
+def _facing(normal: FloatArray, R: FloatArray, x: float, y: float, z: float) -> float:
     """Return the cosine of incidence of the ray (x, y, z) on a face whose normal is in target axes."""
     a = R[0, 0] * normal[0] + R[0, 1] * normal[1] + R[0, 2] * normal[2]
     b = R[1, 0] * normal[0] + R[1, 1] * normal[1] + R[1, 2] * normal[2]
     c = R[2, 0] * normal[0] + R[2, 1] * normal[1] + R[2, 2] * normal[2]
-    return abs(a * x + b * y + c * z)
+    cosine: float = abs(a * x + b * y + c * z)
+    return cosine
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _predict(compared, R):  # type: ignore[no-untyped-def]
+@kernel
+def _predict(compared: Comparison, R: FloatArray) -> float:
     """Fill in logarithms of predicted amplitudes up to a gain, and their sigmas; return the gain's logarithm.
 
     The expectation is Lambert's: albedo cos(theta) / range^2. The gain is a median, weighted by what is known
@@ -324,20 +330,24 @@ def _predict(compared, R):  # type: ignore[no-untyped-def]
     return _weighted_median(ratios[:count], weights[:count]) if count else 0.0
 
 
-@njit(cache=True, nogil=True)
-def _weighted_median(values, weights):  # type: ignore[no-untyped-def]
+@kernel
+def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
     """Return the value, shape (N,), below which half of the weights, shape (N,), lie."""
     half, below = 0.5 * weights.sum(), 0.0
     order = np.argsort(values)
+    median = float(values[order[-1]])
     for n in order:
         below += weights[n]
         if below >= half:
-            return values[n]
-    return values[order[-1]]
+            median = float(values[n])
+            break
+    return median
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sharpen(compared, R, t, deviations, draws):  # type: ignore[no-untyped-def]
+@kernel
+def _sharpen(
+    compared: Comparison, R: FloatArray, t: FloatArray, deviations: FloatArray, draws: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the pose R, t of least loss of all that the samples tried (``PmdFitter.sharpened``)."""
     rounds, samples = draws.shape[0], draws.shape[1]
     best_R, best_t = R, t
