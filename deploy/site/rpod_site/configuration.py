@@ -89,7 +89,13 @@ def _section(model: type[BaseModel], where: dict[type[BaseModel], str]) -> str:
 
 def _row(name: str, field: FieldInfo, where: dict[type[BaseModel], str]) -> str:
     default = "required" if field.is_required() else default_text(_default(field), where)
-    cells = (f"`{name}`", type_text(field.annotation, where), default, bounds(field), meaning(field))
+    cells = (
+        f"`{name}`",
+        type_text(field.rebuild_annotation(), where),
+        default,
+        bounds(field),
+        meaning(field),
+    )
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 
