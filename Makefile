@@ -9,7 +9,7 @@ PEERS := .venv-peers
 SCENARIO ?= mockup-tumbling
 ARGS ?=
 
-.PHONY: help run test check format lint types layers bench recording busy reading cluster peers check-viewers setup clean
+.PHONY: help run test check format lint types layers docs bench recording busy reading cluster peers check-viewers setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -26,7 +26,7 @@ run: $(READY) ## Play a scenario: make run SCENARIO=mockup-oblique
 test: $(READY) ## The tests
 	$(BIN)/python -m pytest $(ARGS)
 
-check: format lint types layers test ## All that CI checks, but the viewers
+check: format lint types layers test docs ## All that CI checks, but the viewers
 
 format: $(READY) ## Formatting, checked
 	$(BIN)/ruff format --check
@@ -40,6 +40,10 @@ types: $(READY) ## mypy strict and pyright
 
 layers: $(READY) ## Import layers
 	$(BIN)/lint-imports
+
+docs: $(READY) ## The site in build/site/html, its notebooks run, and every command and code block of the documents
+	@PYTHONPATH=deploy/site $(BIN)/python -m rpod_site
+	$(BIN)/python -m pytest tests/documents $(ARGS)
 
 check-viewers: $(READY) ## A log and a report in other people's readers and viewers; gets what it needs
 	@bash deploy/viewers.sh $(VENV)

@@ -13,11 +13,12 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from rpod_campaign.catalogue import find
 from rpod_campaign.engine.executor import Executor
 from rpod_campaign.engine.executor.cluster import Cluster
 from rpod_campaign.engine.executor.pool import ProcessPool
 from rpod_campaign.engine.run import prepare, run_campaign
+from rpod_campaign.lidar_acquisition.campaign import CAMPAIGN
+from rpod_campaign.lidar_acquisition.options import Options
 
 
 def main(
@@ -45,12 +46,9 @@ def main(
 
 
 def _time_s(executor: Executor, trials: int) -> float:
-    campaign = find("lidar-acquisition")
-    options = campaign.options.model_validate(
-        {"method": ("global",), "ranges": (20.0, 50.0), "trials": trials, "seed": 7}
-    )
+    options = Options(method=("global",), ranges=(20.0, 50.0), trials=trials, seed=7)
     with tempfile.TemporaryDirectory() as folder:
-        prepared = prepare(campaign, options, out=Path(folder), version="benchmark")
+        prepared = prepare(CAMPAIGN, options, out=Path(folder), version="benchmark")
         begin_s = time.perf_counter()
         run_campaign(prepared, executor)
         return time.perf_counter() - begin_s

@@ -11,7 +11,7 @@ from peers.clouds import model_cloud
 from peers.open3d_icp import Estimation
 from peers.small_gicp_icp import Setup
 from rpod_campaign.pmd.methods import DEFAULT, PAPER_ICP, pmd_input
-from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.methods import ready_methods
 
 POINT_SPACING_M, PLANE_SPACING_M = 0.02, 0.02
 """Of the model's points for Open3D; of 0.02, 0.03 and 0.05."""
@@ -40,8 +40,7 @@ def _small_gicp(scene: CameraScene, *, kind: str) -> Register[CameraView]:
 
 
 def _own(scene: CameraScene, *, method: str) -> Register[CameraView]:
-    methods = pmd_methods(pmd_input(method), scene.target)
-    warm_up(methods, scene.target, None)
+    methods = ready_methods(pmd_input(method), scene.target)
 
     def register(view: CameraView, start: RigidTransform) -> RigidTransform | None:
         return methods.tracker.track(view.frame, start).T_sensor_target
@@ -50,8 +49,7 @@ def _own(scene: CameraScene, *, method: str) -> Register[CameraView]:
 
 
 def _searching(scene: CameraScene) -> Register[CameraView]:
-    methods = pmd_methods(pmd_input(DEFAULT), scene.target)
-    warm_up(methods, scene.target, None)
+    methods = ready_methods(pmd_input(DEFAULT), scene.target)
 
     def register(view: CameraView, start: RigidTransform) -> RigidTransform | None:
         return methods.acquirer.near(view.frame, start).pose

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from peers.benchmark import Register, Scene
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.methods import lidar_methods, warm_up
+from rpod_pose.methods import ready_methods
 from rpod_pose.ports import Methods
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import LidarInput
@@ -55,6 +55,4 @@ def from_centroid(_: Scene) -> Register[LidarScan]:
 
 def _methods(document: Mapping[str, Any], scene: Scene) -> Methods:
     pattern = ScanPattern(scene.lidar.azimuth_rad, scene.lidar.elevation_rad)
-    methods = lidar_methods(check(LidarInput, document, source="peers"), scene.target, pattern)
-    warm_up(methods, scene.target, pattern)
-    return methods
+    return ready_methods(check(LidarInput, document, source="peers"), scene.target, pattern)

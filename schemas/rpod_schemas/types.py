@@ -4,8 +4,9 @@ Arrays are views of the received bytes wherever the layout allows it, so they ma
 Stamps are nanoseconds of UTC since the Unix epoch (ICD section 1).
 """
 
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +113,38 @@ class PmdInfo(Model):
         return value
 
 
-class PmdFrame(Stamped):
+@dataclass(frozen=True, eq=False)
+class FrameImage:
+    """An image that a frame shows to people."""
+
+    title: str
+    """As ``depth``."""
+    values: NDArray[Any]
+    """Shape (height, width); NaN where there is none."""
+    scale: Literal["depth", "grey"]
+    """Metres along the boresight, or brightness in any unit."""
+
+
+class SensorFrame(Stamped):
+    """One frame of a sensor of any kind; a kind adds its data, and tells what of it people are shown."""
+
+    @property
+    def lens(self) -> Camera | None:
+        """The camera that made it; None where it is no camera's."""
+        return None
+
+    @property
+    def images(self) -> tuple[FrameImage, ...]:
+        """What a report and a view draw as images, the most telling first."""
+        return ()
+
+    @property
+    def returns_m(self) -> Float32Array:
+        """Points that they draw, sensor axes, shape (N, 3)."""
+        return np.zeros((0, 3), np.float32)
+
+
+class PmdFrame(SensorFrame):
     """One exposure of a PMD camera; ``frame_id`` is the optical frame."""
 
     depth_m: Floats
@@ -122,6 +154,19 @@ class PmdFrame(Stamped):
     camera: Camera
     info: PmdInfo | None = None
     """What the camera says of itself; None where it does not."""
+
+    @property
+    def lens(self) -> Camera:
+        """The camera."""
+        return self.camera
+
+    @property
+    def images(self) -> tuple[FrameImage, ...]:
+        """Depth, and amplitude where it was sent."""
+        depth = FrameImage("depth", self.depth_m, "depth")
+        return (
+            (depth,) if self.amplitude is None else (depth, FrameImage("amplitude", self.amplitude, "grey"))
+        )
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Self:
@@ -133,7 +178,7 @@ class PmdFrame(Stamped):
         return self
 
 
-class LidarScan(Stamped):
+class LidarScan(SensorFrame):
     """One scan of a LIDAR."""
 
     points_m: Floats
@@ -218,6 +263,8 @@ class Source(IntEnum):
     PMD_DEPTH = 2
     PMD_AMPLITUDE = 3
     PMD_JOINT = 4
+    OTHER = 255
+    """A method of another package; the status names the sensor."""
 
 
 class BeliefLevel(IntEnum):

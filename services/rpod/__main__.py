@@ -186,9 +186,9 @@ def view(
     if logs:
         raise typer.Exit(view_log(logs, config=config, changes=given, start_s=start, end_s=end))
     from rpod_view import daemon
-    from rpod_view.priority import give_way
+    from rpod_view.scheduling import lower_priority
 
-    give_way()
+    lower_priority()
     _serve("view", ViewConfig, daemon.run, config=config, changes=given, connect=connect, wait=wait)
 
 

@@ -23,7 +23,7 @@ from rpod import __version__
 from rpod_geometry.rays import RayGrid, cast
 from rpod_logger.writer import LogFile, WriterSettings
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.methods import lidar_methods, pmd_methods
+from rpod_pose.methods import methods_of
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.lifecycle import EXIT_OK
 from rpod_runtime.session import free_endpoint, open_router
@@ -144,7 +144,7 @@ def _rays() -> Iterator[Row]:
 def _lidar() -> Iterator[Row]:
     config, target = LidarConfig(), load_target("envisat-bulky")
     emulator = LidarEmulator(config, target, seed=1)
-    methods = lidar_methods(LidarInput(), target, ScanPattern.of(config.info()))
+    methods = methods_of(LidarInput(), target, ScanPattern.of(config.info()))
     for range_m in (20.0, 50.0):
         pose = _facing(range_m) * make_pose(rotation=_OBLIQUE)
         poses = [pose] * len(config.pose_times_s())
@@ -181,7 +181,7 @@ def _next_exposure(emulator: PmdEmulator, poses: list[RigidTransform], frames: I
 def _pmd() -> Iterator[Row]:
     config, target = PmdConfig(rate_hz=MAX_RATE_HZ), load_target("mockup")
     emulator = PmdEmulator(config, target, seed=1)
-    methods = pmd_methods(PmdInput(), target)
+    methods = methods_of(PmdInput(), target)
     for range_m in (7.0, 4.0, 2.5, 1.0):
         pose = _facing(range_m)
         yield _timed(

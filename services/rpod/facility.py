@@ -9,8 +9,7 @@ from pydantic import BaseModel
 
 from rpod_runtime.session import free_endpoint
 from rpod_schemas.config.emulator import EmulatorConfig, LockstepConfig, MotionServiceConfig
-from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings, LidarInput
-from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
@@ -79,18 +78,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
 
 
 def _settings(scenario: Scenario) -> EstimatorSettings:
-    """Return the estimator's settings with the LIDARs' patterns, so that it is warm before the first scan."""
-    patterns = {sensor.name: sensor for sensor in scenario.sensors if isinstance(sensor, LidarConfig)}
-    sensors = tuple(
-        sensor.model_copy(
-            update={
-                "azimuth_rad": patterns[sensor.name].azimuth_rad,
-                "elevation_rad": patterns[sensor.name].elevation_rad,
-                "sigma_range_m": patterns[sensor.name].info().sigma_range_m,
-            }
-        )
-        if isinstance(sensor, LidarInput)
-        else sensor
-        for sensor in scenario.estimator.sensors
-    )
+    """Return the estimator's settings with what the sensors will say, so that it is warm before they do."""
+    emulated = {sensor.name: sensor for sensor in scenario.sensors}
+    sensors = tuple(sensor.informed_by(emulated[sensor.name]) for sensor in scenario.estimator.sensors)
     return scenario.estimator.model_copy(update={"sensors": sensors})

@@ -1,4 +1,4 @@
-"""What a run came to: reading logs, scoring estimates against truth, the report."""
+"""Analysis of runs: reads logs, scores estimates against truth, writes reports."""
 
 from rpod_analysis.errors import AnalysisError
 from rpod_analysis.log import Log, Logged, TopicInfo, open_log

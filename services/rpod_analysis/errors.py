@@ -1,4 +1,4 @@
-"""What can be wrong with a log. Each message is one line that says what to do."""
+"""Errors of this package. Each text is one line and says what to do."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -7,15 +7,16 @@ from collections.abc import Iterator
 from importlib.metadata import version as installed
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 from rpod_driver.errors import DriverError, SilentSensorError, WrongKindError
 from rpod_driver.ports import Driver
 from rpod_runtime import Node, lifecycle
-from rpod_runtime.sensors import CameraPublisher, LidarPublisher
+from rpod_runtime.sensors import open_publisher
 from rpod_schemas.config.base import load
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.types import Health, LidarInfo, LidarScan, PmdFrame, PmdInfo
+from rpod_schemas.types import Health, SensorFrame
 
 log = logging.getLogger(__name__)
 
@@ -56,7 +57,7 @@ class Host:
 
     def __init__(self, node: Node, driver: Driver, config: DriverConfig) -> None:
         self._node, self._driver, self._config = node, driver, config
-        self._publisher = _open_publisher(node, config)
+        self._publisher = open_publisher(node, config.kind, config.name, config.T_chaser_sensor)
         self._arrivals_s: deque[float] = deque(maxlen=_RATE_FRAMES)
         self._heard_s = time.monotonic()
         self._trouble = ""
@@ -75,14 +76,15 @@ class Host:
         except Exception as error:  # noqa: BLE001 - drivers raise what their device's library raises
             self._recover(error)
 
-    def _begin(self, info: PmdInfo | LidarInfo | None) -> None:
+    def _begin(self, info: Any) -> None:
         self._heard_s = time.monotonic()
         self._arrivals_s.clear()
         if info is not None:
-            _announce(self._publisher, info, self._config)
+            self._check(info, self._publisher.info_type)
+            self._publisher.announce(info)
         self._node.ready(f"publishing {self._config.name}")
 
-    def _publish_all(self, frames: Iterator[PmdFrame | None] | Iterator[LidarScan | None]) -> None:
+    def _publish_all(self, frames: Iterator[SensorFrame | None]) -> None:
         for frame in frames:
             if self._node.stop.is_set():
                 return
@@ -93,23 +95,22 @@ class Host:
         self.finished = True
         log.info("the source has ended")
 
-    def _publish(self, frame: PmdFrame | LidarScan) -> None:
+    def _publish(self, frame: SensorFrame) -> None:
         self._heard_s = time.monotonic()
         self._arrivals_s.append(self._heard_s)
         try:
-            match self._publisher, frame:
-                case CameraPublisher() as camera, PmdFrame():
-                    camera.publish(frame)
-                case LidarPublisher() as lidar, LidarScan():
-                    lidar.publish(frame)
-                case _:
-                    raise WrongKindError(self._config.kind, frame)
+            self._check(frame, self._publisher.frame_type)
+            self._publisher.publish(frame)
         except MessageRejectedError as error:
             self._node.reject(self._config.name, error)
         else:
             self._node.health.count(f"frames/{self._config.name}")
             if self._trouble:
                 self._overcome()
+
+    def _check(self, given: object, expected: type[Any] | None) -> None:
+        if expected is None or not isinstance(given, expected):
+            raise WrongKindError(self._config.kind, given)
 
     def _overcome(self) -> None:
         log.info("frames come again")
@@ -145,20 +146,3 @@ class Host:
         if len(arrivals_s) < 2 or arrivals_s[-1] <= arrivals_s[0]:
             return 0.0
         return (len(arrivals_s) - 1) / (arrivals_s[-1] - arrivals_s[0])
-
-
-def _open_publisher(node: Node, config: DriverConfig) -> CameraPublisher | LidarPublisher:
-    publisher = CameraPublisher if config.kind == "pmd" else LidarPublisher
-    return publisher(node, config.name, T_chaser_sensor=config.T_chaser_sensor)
-
-
-def _announce(
-    publisher: CameraPublisher | LidarPublisher, info: PmdInfo | LidarInfo, config: DriverConfig
-) -> None:
-    match publisher, info:
-        case CameraPublisher() as camera, PmdInfo():
-            camera.announce(info)
-        case LidarPublisher() as lidar, LidarInfo():
-            lidar.announce(info)
-        case _:
-            raise WrongKindError(config.kind, info)

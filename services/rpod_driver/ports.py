@@ -1,22 +1,22 @@
 """The ports: what a driver must offer. Emulator, recording and real device are equal behind them."""
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import Any, Protocol
 
-from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo
+from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame
 
 
-class CameraDriver(Protocol):
-    """A PMD camera."""
+class Driver(Protocol):
+    """A sensor of any kind; what it returns is of the kind's types."""
 
-    def connect(self) -> PmdInfo | None:
+    def connect(self) -> Any:
         """Open the device; return what it says of itself, None where that is not known.
 
         Either succeeds or leaves nothing open. Whatever it raises is told, and it is called again later.
         """
         ...
 
-    def frames(self) -> Iterator[PmdFrame | None]:
+    def frames(self) -> Iterator[SensorFrame | None]:
         """Yield frames as they come, and None at least once a second while there is none.
 
         Each carries the middle of its exposure, ns of UTC (a PTP clock's TAI is 37 s ahead). Ends where
@@ -29,21 +29,25 @@ class CameraDriver(Protocol):
         ...
 
 
-class LidarDriver(Protocol):
+class CameraDriver(Driver, Protocol):
+    """A PMD camera."""
+
+    def connect(self) -> PmdInfo | None:
+        """See ``Driver.connect``."""
+        ...
+
+    def frames(self) -> Iterator[PmdFrame | None]:
+        """See ``Driver.frames``."""
+        ...
+
+
+class LidarDriver(Driver, Protocol):
     """A LIDAR; like a camera, with scans stamped with their middle."""
 
     def connect(self) -> LidarInfo | None:
-        """See ``CameraDriver.connect``."""
+        """See ``Driver.connect``."""
         ...
 
     def frames(self) -> Iterator[LidarScan | None]:
-        """See ``CameraDriver.frames``."""
+        """See ``Driver.frames``."""
         ...
-
-    def close(self) -> None:
-        """See ``CameraDriver.close``."""
-        ...
-
-
-Driver = CameraDriver | LidarDriver
-"""Any sensor."""

@@ -23,7 +23,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
         node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
         while not stop.is_set():
             arrived = subscriptions.newest(TICK_S)
-            estimator.use_patterns(subscriptions.patterns)
+            estimator.learn(subscriptions.said)
             if arrived is not None:
                 if config.time_source == "clock":
                     for output in estimator.let_time_pass(arrived.stamp_ns):

@@ -7,15 +7,15 @@ import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from queue import Empty, SimpleQueue
+from typing import Any
 
 from rpod_estimator.frame_reader import Arrived
-from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.measurement import Tick
-from rpod_pose.methods import configured_pattern, lidar_methods, pmd_methods, warm_up
+from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
-from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, SensorInput
+from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.messages import NANOSECONDS
@@ -36,10 +36,9 @@ class Estimator:
     def __init__(self, config: EstimatorConfig, target: Target) -> None:
         self._config, self._target = config, target
         self._sensors = {sensor.name: sensor for sensor in config.sensors}
-        self._patterns = {name: configured_pattern(sensor) for name, sensor in self._sensors.items()}
+        self._setups: dict[str, Any] = {}
         self._methods: dict[str, Methods] = {}
-        for sensor in config.sensors:
-            self._build(sensor)
+        self.learn({})
         self._navigator = Navigator(
             config,
             self._methods,
@@ -56,27 +55,22 @@ class Estimator:
         """State of the navigator."""
         return self._state.mode
 
-    def _build(self, sensor: SensorInput) -> None:
-        """Build a sensor's methods and load their compiled code; a LIDAR's only once its pattern is known."""
-        pattern = self._patterns[sensor.name]
-        if isinstance(sensor, LidarInput):
-            if pattern is None:
-                return
-            self._methods[sensor.name] = lidar_methods(sensor, self._target, pattern)
-        else:
-            self._methods[sensor.name] = pmd_methods(sensor, self._target)
-        warm_up(self._methods[sensor.name], self._target, pattern)
+    def learn(self, said: Mapping[str, Any]) -> None:
+        """Make a sensor's methods once it is known what they need, and anew where it says something else.
 
-    def use_patterns(self, patterns: Mapping[str, ScanPattern]) -> None:
-        """Build the methods of a LIDAR again if its latched info gives another scan pattern."""
-        for name, pattern in patterns.items():
-            known = self._patterns[name]
-            if known is None or not known.equals(pattern):
-                log.info(
-                    "scan pattern of %s: %d x %d", name, pattern.elevation_rad.size, pattern.azimuth_rad.size
-                )
-                self._patterns[name] = pattern
-                self._build(self._sensors[name])
+        Their compiled code is loaded.
+
+        Args:
+            said: what the sensors say of themselves, by name.
+        """
+        for name, sensor in self._sensors.items():
+            setup = kind_methods(sensor).setup(sensor, said.get(name))
+            if setup is None or setup == self._setups.get(name):
+                continue
+            if said.get(name) is not None:
+                log.info("%s: %s", name, setup)
+            self._setups[name] = setup
+            self._methods[name] = ready_methods(sensor, self._target, setup)
 
     def request_reset(self, request: ResetRequest) -> Accepted:
         """Start again with the next frame, without a pose or from a given pose."""
@@ -105,7 +99,7 @@ class Estimator:
         if arrived.measurement is None:
             return self._rejected(arrived, arrived.reason)
         if arrived.sensor not in self._methods:
-            return self._rejected(arrived, "no scan pattern: neither lidar info nor configuration tells it")
+            return self._rejected(arrived, kind_methods(self._sensors[arrived.sensor]).missing)
         before = self._state.mode
         self._state, output = self._navigator.step(self._state, arrived.measurement)
         self._log_change(before, output)

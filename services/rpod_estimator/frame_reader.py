@@ -4,37 +4,23 @@ Parts are identified by topic and by the stamp in their first bytes. Only frames
 processed are decoded.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.measurement import Measurement
 from rpod_pose.pmd.camera_check import CameraWatch
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.extrinsics import Extrinsics
-from rpod_runtime.frames import (
-    CAMERA_PARTS,
-    LIDAR_PARTS,
-    PartRejectedError,
-    assembler_of,
-    read_frame,
-    read_scan,
-)
-from rpod_schemas.config.estimator import LidarInput, SensorInput
+from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
+from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages import read_lidar_info, read_pmd_info, read_transforms
-from rpod_schemas.topics import (
-    LIDAR_INFO,
-    PMD_INFO,
-    TF_STATIC,
-    Topic,
-)
-from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo
-
-LEADING = frozenset({"points", "depth"})
-"""The part whose refusal is reported as the refusal of the whole frame."""
+from rpod_schemas.messages import read_transforms
+from rpod_schemas.sensors import sensor_kind
+from rpod_schemas.topics import TF_STATIC, Topic
+from rpod_schemas.types import Camera
 
 
 @dataclass(frozen=True)
@@ -60,24 +46,31 @@ class FrameReader:
         self.parts: dict[str, tuple[str, str]] = {}
         """Sensor and part, by the name of the stream topic."""
         self.assemblers: dict[str, Assembler[Received]] = {}
-        """Frame assemblers, by sensor."""
-        self.patterns: dict[str, ScanPattern] = {}
-        """Scan patterns of the LIDARs from their latched info, by sensor."""
-        self.infos: dict[str, PmdInfo] = {}
-        """Latched info of the cameras, by sensor; every frame carries it."""
+        """By sensor."""
+        self.leading: dict[str, str] = {}
+        """The part, by sensor, in whose place a frame is refused that never gets complete."""
+        self._readers: dict[str, SensorReader] = {}
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
         self._cameras = CameraWatch()
         for sensor in sensors:
             self._expect(sensor)
 
     def _expect(self, sensor: SensorInput) -> None:
-        topics, info = (
-            (LIDAR_PARTS, LIDAR_INFO) if isinstance(sensor, LidarInput) else (CAMERA_PARTS, PMD_INFO)
-        )
-        self.latched += (info.of(sensor.name),)
-        self.assemblers[sensor.name] = assembler_of(topics)
-        self.streams += tuple(topic.of(sensor.name) for topic in topics.values())
-        self.parts |= {topic.of(sensor.name).name: (sensor.name, part) for part, topic in topics.items()}
+        kind = sensor_kind(sensor.kind)
+        if kind.info is not None:
+            self.latched += (kind.info.of(sensor.name),)
+        self._readers[sensor.name] = open_reader(kind)
+        self.assemblers[sensor.name] = assembler_of(kind)
+        self.leading[sensor.name] = next(iter(kind.parts))
+        for name, part in kind.parts.items():
+            topic = part.topic.of(sensor.name)
+            self.streams += (topic,)
+            self.parts[topic.name] = sensor.name, name
+
+    @property
+    def said(self) -> Mapping[str, Any]:
+        """What the sensors say of themselves, by name; None where one says nothing."""
+        return {sensor: reader.said for sensor, reader in self._readers.items()}
 
     def learn(self, received: Received) -> None:
         """Store the content of a latched message. Raises ``MessageRejectedError``."""
@@ -85,37 +78,23 @@ class FrameReader:
         if topic.name == TF_STATIC.name:
             for _, parent, child, pose in read_transforms(received.decode()):
                 self._extrinsics.set(parent, child, pose)
-        elif topic.type == PMD_INFO.type:
-            self.infos[_sensor_of(topic)] = read_pmd_info(received.decode())
         else:
-            self._learn_pattern(_sensor_of(topic), read_lidar_info(received.decode()))
-
-    def _learn_pattern(self, sensor: str, info: LidarInfo) -> None:
-        if info.azimuth_rad.size and info.elevation_rad.size:  # else it is a LIDAR without a pattern
-            self.patterns[sensor] = ScanPattern.of(info)
+            self._readers[topic.name.split("/", 1)[0]].learn(received.decode())
 
     def measurement(self, sensor: str, frame: Assembled[Received]) -> Measurement:
-        """Return the decoded and checked frame with its mount. Raises ``PartRejectedError``."""
-        leading = next(part for name, part in frame.parts.items() if name in LEADING)
-        data: PmdFrame | LidarScan
-        if "depth" in frame.parts:
-            data = read_frame(frame, self.infos.get(sensor))
-            self._check_camera(sensor, data, frame.parts["camera_info"])
-        else:
-            pattern = self.patterns.get(sensor)
-            data = read_scan(frame, rows_are_elevation=pattern is None or pattern.rows_are_elevation)
+        """Return a frame decoded and checked, with its mount. Raises ``PartRejectedError``."""
+        leading = frame.parts[self.leading[sensor]]
+        data = self._readers[sensor].read(frame)
+        if data.lens is not None:
+            self._check_camera(sensor, data.lens, frame.parts.get("camera_info", leading))
         try:
             return Measurement(sensor, data, self._extrinsics.mount(sensor, data.frame_id))
         except ExtrinsicsError as error:
             rejection = MessageRejectedError(Reason.UNKNOWN_FRAME, str(error))
             raise PartRejectedError(leading, rejection) from error
 
-    def _check_camera(self, sensor: str, data: PmdFrame, camera_info: Received) -> None:
+    def _check_camera(self, sensor: str, camera: Camera, received: Received) -> None:
         try:
-            self._cameras.check(sensor, data.camera)
+            self._cameras.check(sensor, camera)
         except MessageRejectedError as rejection:
-            raise PartRejectedError(camera_info, rejection) from rejection
-
-
-def _sensor_of(topic: Topic) -> str:
-    return topic.name.split("/", 1)[0]
+            raise PartRejectedError(received, rejection) from rejection

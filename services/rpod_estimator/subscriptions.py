@@ -5,9 +5,9 @@ The estimator subscribes to sensors, ``tf_static`` and the clock only, never to 
 
 from collections import deque
 from collections.abc import Iterator, Mapping
+from typing import Any
 
-from rpod_estimator.frame_reader import LEADING, Arrived, FrameReader
-from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.frames import PartRejectedError
@@ -15,7 +15,6 @@ from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.types import PmdInfo
 
 _WAITING_PARTS = 512
 """Largest number of parts between the bus and the assembler; about 200 MB of images."""
@@ -40,14 +39,9 @@ class Subscriptions:
             node.subscribe(topic, self._waiting.put, recover=self._in_lockstep)
 
     @property
-    def patterns(self) -> Mapping[str, ScanPattern]:
-        """Scan patterns of the LIDARs, from their latched info."""
-        return self._reader.patterns
-
-    @property
-    def infos(self) -> Mapping[str, PmdInfo]:
-        """Latched info of the cameras, by sensor."""
-        return self._reader.infos
+    def said(self) -> Mapping[str, Any]:
+        """What the sensors say of themselves, by name; None where one says nothing."""
+        return self._reader.said
 
     def newest(self, timeout_s: float) -> Arrived | None:
         """Return the newest complete frame with the oldest stamp over all sensors; None after the timeout.
@@ -96,7 +90,7 @@ class Subscriptions:
             if stamp_ns == assembler.done_ns and part in assembler.required:
                 raise MessageRejectedError(Reason.DUPLICATE, "a frame of this stamp is complete already")
         except MessageRejectedError as error:
-            if part in LEADING:
+            if part == self._reader.leading[sensor]:
                 self._refused.append(Arrived(sensor, stamp_ns, received.arrival_s, None, str(error)))
             raise
         self._put(sensor, assembler.add(part, stamp_ns, received))

@@ -12,7 +12,7 @@ from threading import Condition
 from rpod_runtime import Received
 
 _OVERHEAD_BYTES = 512
-"""What a queued message takes beside its payload."""
+"""Memory of a queued message beside its payload."""
 _BATCH_BYTES = 4 << 20
 """For so much the writer is woken, and so much it takes at once; for less it comes by itself, so that not
 each message costs a wake-up."""
@@ -102,6 +102,6 @@ class Backlog:
 
     @property
     def finished(self) -> bool:
-        """Whether it is closed and empty."""
+        """Whether the queue is closed and empty."""
         with self._changed:
             return self._closed and not self._items

@@ -24,7 +24,7 @@ class DiskFile:
     def __init__(self, path: Path, *, reserve_bytes: int) -> None:
         self.path = path
         self.full = False
-        """Whether the disk had no room any more; the reserve is then in use."""
+        """Whether the disk is full and the reserve is in use."""
         self._reserve: IO[bytes] | None = _allocate(path.parent, reserve_bytes)
         try:
             self._stream = path.open("xb", buffering=0)
@@ -71,7 +71,7 @@ class DiskFile:
 
     @property
     def vanished(self) -> bool:
-        """Whether what is written is no longer to be found under its name: deleted, or its mount is gone."""
+        """Whether the file was deleted or its mount is gone."""
         try:
             found = self.path.stat()
         except OSError:

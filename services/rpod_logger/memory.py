@@ -1,4 +1,4 @@
-"""What the process does with freed memory."""
+"""Returns freed memory to the system."""
 
 import ctypes
 

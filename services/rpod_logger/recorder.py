@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 _COMMAND_TIMEOUT_S = 30.0
 _IDLE_S = 0.05
-"""How long messages gather before the writer takes them."""
+"""Time that messages gather before the writer takes them."""
 _LOSSES_PERIOD_S = 5.0
 _CLOCK_JUMP_S = 0.5
 """More than a process is held up between reading the two clocks, and than a clock is slewed."""
@@ -49,7 +49,7 @@ class Recorder:
         self._failure: CannotWriteError | None = None
         self._latched: dict[tuple[str, bytes], Received] = {}
         self._written: Counter[str] = Counter()
-        """By topic, of the batch in hand."""
+        """Counts by topic of the current batch."""
         self._services: dict[str, StatusReply] = {}
         self._lost_told = 0
         self._next_telling_s = 0.0

@@ -83,7 +83,7 @@ class Recording:
 
     @property
     def age_s(self) -> float:
-        """How long it has been open, whatever the clock says."""
+        """Time since the file was opened, by the monotonic clock."""
         return time.monotonic() - self._opened_s
 
     def write(self, received: Received) -> None:

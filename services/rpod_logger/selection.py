@@ -1,4 +1,4 @@
-"""What is recorded: every topic of the ICD, for any sensor and any estimator, and what is asked for."""
+"""Selection of what is recorded: topics of the ICD and of installed sensor kinds, and configured keys."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -6,12 +6,14 @@ from functools import cache
 import zenoh
 
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.sensors import sensor_kinds
 from rpod_schemas.topics import ESTIMATE, ESTIMATE_POSE, STATUS, TOPICS, Namespace, Topic
 
 
 def patterns() -> list[Topic]:
-    """Return the ICD's topics as patterns that do not overlap, so that nothing is subscribed twice."""
-    wanted = [_pattern(topic) for topic in TOPICS]
+    """Return the topics as patterns that do not overlap, so that nothing is subscribed twice."""
+    of_sensors = [topic for kind in sensor_kinds() for topic in kind.topics]
+    wanted = [_pattern(topic) for topic in (*TOPICS, *of_sensors)]
     return [
         topic
         for topic in dict.fromkeys(wanted)

@@ -33,14 +33,14 @@ from rpod_schemas.topics import Namespace, Topic
 Compression = Literal["lz4", "zstd", "none"]
 
 _RECORD_BYTES = 31
-"""Of a message record beside its payload."""
+"""Size of a message record beside its payload."""
 _SEQUENCE_MASK = 0xFFFF_FFFF
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
 @dataclass(frozen=True)
 class WriterSettings:
-    """How files are written."""
+    """Options of the files."""
 
     keys: Namespace
     library: str
@@ -58,7 +58,7 @@ class LogFile:
         self.path = path
         self.messages = 0
         self.bytes = 0
-        """Of payload."""
+        """Bytes of payload."""
         self._settings = settings
         self._disk = DiskFile(path, reserve_bytes=settings.reserve_bytes)
         self._writer = Writer(
@@ -76,17 +76,17 @@ class LogFile:
 
     @property
     def size_bytes(self) -> int:
-        """Of the file, without the open chunk."""
+        """Size of the file without the open chunk."""
         return self._disk.tell()
 
     @property
     def full(self) -> bool:
-        """Whether the disk is full: there is room left to close the file, for no more messages."""
+        """Whether the disk is full: the file can still be closed, but takes no more messages."""
         return self._disk.full
 
     @property
     def vanished(self) -> bool:
-        """Whether the file is no longer to be found under its name."""
+        """Whether the file was deleted or its mount is gone."""
         return self._disk.vanished
 
     def write(self, received: Received) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_schemas.types import LidarScan, PmdFrame
+from rpod_schemas.types import SensorFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -12,7 +12,7 @@ class Measurement:
     """One frame of one sensor with its mount."""
 
     sensor: str
-    data: PmdFrame | LidarScan
+    data: SensorFrame
     T_chaser_sensor: RigidTransform
 
     @property

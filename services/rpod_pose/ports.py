@@ -4,18 +4,20 @@ A method is a value behind one of these protocols, chosen in the configuration. 
 measurement in its sensor's axes and the target's model, and neither bus, clock nor truth.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import Belief, doubtful
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import BeliefLevel, Hypothesis, LidarScan, PmdFrame, Source
+from rpod_schemas.types import BeliefLevel, Hypothesis, SensorFrame, Source
+from rpod_target import Target
 
-MeasurementT_contra = TypeVar("MeasurementT_contra", LidarScan, PmdFrame, contravariant=True)
+MeasurementT_contra = TypeVar("MeasurementT_contra", bound=SensorFrame, contravariant=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +165,73 @@ class Tracker(Protocol, Generic[MeasurementT_contra]):
         ...
 
 
+class Deskew(Protocol):
+    """Moves what a frame measured at other times to where it was at the frame's stamp."""
+
+    def __call__(
+        self,
+        frame: Any,
+        T_sensor_target: RigidTransform,
+        /,
+        *,
+        velocity_m_s: FloatArray,
+        rate_rad_s: FloatArray,
+    ) -> Any:
+        """Return the frame as of its stamp.
+
+        Args:
+            frame: as measured.
+            T_sensor_target: at the stamp, as predicted.
+            velocity_m_s: of the target's origin, sensor axes, shape (3,).
+            rate_rad_s: of the target relative to the sensor, sensor axes, shape (3,).
+        """
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Methods:
     """How one sensor's target is found and tracked."""
 
     acquirer: Acquirer[Any]
     tracker: Tracker[Any]
+    deskew: Deskew | None = None
+    """For a sensor whose frame is not measured all at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What a method is made for."""
+
+    target: Target
+    """What to look for."""
+    sensor: Any
+    """Configuration of the sensor, a ``rpod_schemas.config.sensor.SensorInput`` of its kind."""
+    setup: Any = ()
+    """What ``KindMethods.setup`` returned."""
+    tracker: Tracker[Any] | None = None
+    """The sensor's tracker, where an acquirer is made."""
+
+    def with_tracker(self, tracker: Tracker[Any]) -> Self:
+        """Return the task of the acquirer beside a tracker."""
+        return replace(self, tracker=tracker)
+
+
+def _nothing_to_know(_sensor: Any, _said: Any) -> Any:
+    return ()
+
+
+@dataclass(frozen=True, eq=False)
+class KindMethods:
+    """How the methods of a sensor kind are made and warmed up."""
+
+    make: Callable[[Task], Methods]
+    """Returns the configured methods of a sensor."""
+    frames: Callable[[Target, RigidTransform, Any], Sequence[Any]]
+    """Returns frames without noise at T_sensor_target for a setup: acquisition is warmed up with the first,
+    tracking with all, so that compiled code is loaded before the first frame."""
+    setup: Callable[[Any, Any], Any] = _nothing_to_know
+    """Returns what the methods must know of a sensor before they are made, from its configuration and what it
+    says of itself (None as long as it says nothing); None where neither tells. Methods are made anew where
+    this has changed."""
+    missing: str = ""
+    """Why frames are refused as long as that is not known."""

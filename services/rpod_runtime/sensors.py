@@ -1,8 +1,11 @@
 """Publishers of a camera and of a LIDAR, used by every driver and by the emulator (ICD section 2).
 
 A sensor announces itself once, with its latched info and its mount. Its frames follow; all parts of a
-frame carry one stamp. The publisher sets the frame of reference and ignores a given ``frame_id``.
+frame carry one stamp. The publisher sets the frame of reference and ignores a given ``frame_id``. A kind
+names its publisher; the ones of the PMD camera and the LIDAR are here.
 """
+
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,8 @@ from rpod_schemas.messages import (
     write_points,
     write_transforms,
 )
+from rpod_schemas.registry import resolve
+from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import (
     AMPLITUDE,
     CAMERA_INFO,
@@ -36,8 +41,35 @@ from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo
 _AMPLITUDE_ENCODING = {"uint8": "mono8", "uint16": "mono16", "float32": "32FC1"}
 
 
+class SensorPublisher(Protocol):
+    """A sensor on the bus, made as ``(node, name, *, T_chaser_sensor)``. Lives as long as the node."""
+
+    frame_type: type[Any]
+    """Of what ``publish`` takes."""
+    info_type: type[Any] | None
+    """Of what ``announce`` takes; None where such a sensor says nothing of itself."""
+
+    def announce(self, info: Any) -> None:
+        """Publish what the sensor says of itself, latched."""
+        ...
+
+    def publish(self, frame: Any) -> None:
+        """Publish a frame. Raises ``MessageRejectedError`` for one that no message can hold."""
+        ...
+
+
+def open_publisher(node: Node, kind: str, name: str, T_chaser_sensor: RigidTransform) -> SensorPublisher:
+    """Return the publisher of a sensor of a kind; its mount is announced."""
+    publisher: SensorPublisher = resolve(sensor_kind(kind).publisher)(
+        node, name, T_chaser_sensor=T_chaser_sensor
+    )
+    return publisher
+
+
 class CameraPublisher:
     """Publishes as a PMD camera. It announces itself when created and lives as long as the node."""
+
+    frame_type, info_type = PmdFrame, PmdInfo
 
     def __init__(
         self, node: Node, name: str, *, T_chaser_sensor: RigidTransform, info: PmdInfo | None = None
@@ -46,7 +78,7 @@ class CameraPublisher:
         self._node, self._name = node, name
         self._info: Publisher | None = None
         self._phase: Publisher | None = None
-        _announce_mount(node, self.frame_id, T_chaser_sensor)
+        announce_mount(node, self.frame_id, T_chaser_sensor)
         if info is not None:
             self.announce(info)
         self._camera_info = node.publisher(CAMERA_INFO.of(name))
@@ -86,13 +118,15 @@ class CameraPublisher:
 class LidarPublisher:
     """Publishes as a LIDAR. It announces itself when created and lives as long as the node."""
 
+    frame_type, info_type = LidarScan, LidarInfo
+
     def __init__(
         self, node: Node, name: str, *, T_chaser_sensor: RigidTransform, info: LidarInfo | None = None
     ) -> None:
         self.frame_id = name
         self._node, self._name = node, name
         self._info: Publisher | None = None
-        _announce_mount(node, self.frame_id, T_chaser_sensor)
+        announce_mount(node, self.frame_id, T_chaser_sensor)
         if info is not None:
             self.announce(info)
         self._points = node.publisher(POINTS.of(name))
@@ -112,7 +146,8 @@ class LidarPublisher:
         self._points.publish(write_points(scan.stamp_ns, self.frame_id, fields))
 
 
-def _announce_mount(node: Node, frame_id: str, T_chaser_sensor: RigidTransform) -> None:
+def announce_mount(node: Node, frame_id: str, T_chaser_sensor: RigidTransform) -> None:
+    """Publish where a sensor sits, latched."""
     mount = (CHASER, frame_id, T_chaser_sensor)
     node.publisher(TF_STATIC).publish(write_transforms(node.clock.now_ns(), [mount]))
 

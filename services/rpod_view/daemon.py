@@ -13,7 +13,7 @@ from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.topics import TF, TRUTH
 from rpod_target import Target, TargetError, load_target
-from rpod_view.scene import SENSOR_TOPICS, pose_topics
+from rpod_view.scene import pose_topics, sensor_topics
 from rpod_view.view import View
 from rpod_view.viewer import open_viewer
 
@@ -64,7 +64,7 @@ def _target(node: Node, name: str | None) -> Target | None:
 
 
 class _Ears:
-    """What is subscribed; what is not fetched in time is lost, and that is meant."""
+    """Topics that the view subscribes to; messages that are not fetched in time are dropped on purpose."""
 
     def __init__(self, node: Node, config: ViewConfig) -> None:
         self._node = node
@@ -72,7 +72,7 @@ class _Ears:
         truth = TF if config.truth == "tf" else TRUTH
         for topic in (truth, *pose_topics(config.prefix)):
             node.subscribe(topic, self._others.put)
-        node.subscribe_all(SENSOR_TOPICS, self._parts.put, recover=False)
+        node.subscribe_all(sensor_topics(), self._parts.put, recover=False)
 
     def hand_over(self, view: View) -> None:
         """Give the view everything that has come."""

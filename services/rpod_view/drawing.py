@@ -9,7 +9,7 @@ from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import RayGrid
 from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import Camera, Odometry, PmdFrame
+from rpod_schemas.types import Camera, FrameImage, Odometry
 from rpod_target import Target
 from rpod_view import palette
 from rpod_view.layout import CHASER, ESTIMATE, FOCUS, IMAGES, TIMELINE, TRUTH, UNCERTAINTY
@@ -68,33 +68,35 @@ class Drawing:
         self._at(frame.data.stamp_ns)
         if frame.T_chaser_sensor is not None:
             self._place(f"{CHASER}/{frame.sensor}", frame.T_chaser_sensor)
-        if isinstance(frame.data, PmdFrame):
-            self._images(frame, frame.data, T_chaser_target)
-        else:
-            returns_m = frame.data.returns_m
+        if frame.data.lens is not None:
+            self._images(frame, frame.data.lens, T_chaser_target)
+        if len(returns_m := frame.data.returns_m):
             self._cloud(frame, returns_m, depth_span_m(returns_m[:, 2]))
 
-    def _images(self, frame: Frame, data: PmdFrame, T_chaser_target: RigidTransform | None) -> None:
-        span_m = depth_span_m(data.depth_m)
-        depth = rr.DepthImage(
-            depth_mm(data.depth_m, span_m),
+    def _images(self, frame: Frame, camera: Camera, T_chaser_target: RigidTransform | None) -> None:
+        outline = self._outline(frame, camera, T_chaser_target).astype(np.float32)
+        lines = rr.LineStrips2D(outline, colors=palette.ESTIMATE, radii=_LINE)
+        rays = self._rays_of(frame.sensor, camera)
+        for image in frame.data.images:
+            path = f"{IMAGES}/{frame.sensor}/{image.title}"
+            if image.scale == "depth":
+                self._recording.log(path, self._depth(frame, image, rays))
+            else:
+                self._recording.log(path, rr.Image(grey(image.values)))
+            self._recording.log(f"{path}/wireframe", lines)
+
+    def _depth(self, frame: Frame, image: FrameImage, rays: FloatArray | None) -> rr.DepthImage:
+        """Return a depth image, and draw its points where the lens tells their rays."""
+        span_m = depth_span_m(image.values)
+        if rays is not None:
+            seen = np.isfinite(image.values)
+            self._cloud(frame, rays[seen] * image.values[seen][:, None], span_m)
+        return rr.DepthImage(
+            depth_mm(image.values, span_m),
             meter=MILLIMETRES,
             colormap="viridis",
             depth_range=(MILLIMETRES * span_m[1], MILLIMETRES * span_m[0]),
         )
-        outline = self._outline(frame, data.camera, T_chaser_target).astype(np.float32)
-        lines = rr.LineStrips2D(outline, colors=palette.ESTIMATE, radii=_LINE)
-        self._image(f"{IMAGES}/{frame.sensor}/depth", depth, lines)
-        if data.amplitude is not None:
-            self._image(f"{IMAGES}/{frame.sensor}/amplitude", rr.Image(grey(data.amplitude)), lines)
-        rays = self._rays_of(frame.sensor, data.camera)
-        if rays is not None:
-            seen = np.isfinite(data.depth_m)
-            self._cloud(frame, rays[seen] * data.depth_m[seen][:, None], span_m)
-
-    def _image(self, path: str, image: rr.DepthImage | rr.Image, lines: rr.LineStrips2D) -> None:
-        self._recording.log(path, image)
-        self._recording.log(f"{path}/wireframe", lines)
 
     def _outline(
         self, frame: Frame, camera: Camera, T_chaser_target: RigidTransform | None

@@ -1,4 +1,4 @@
-"""How the screen is divided: the scene and the images above, what the estimator does below."""
+"""Layout of the screen: scene and images above, plots of the estimator below."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,11 +26,13 @@ POSITION, ATTITUDE, PROCESSING, RANGE = (
     f"{PLOTS}/{name}" for name in ("position", "attitude", "processing", "range")
 )
 _WINDOW_S = 30.0
-"""What the plots show of the past."""
+"""Time span of the plots."""
 _SCENE_RADII = 2.7
 """Distance of the eye from the target, in its radii."""
 _UNCERTAINTY_RADII = 2.6
 _Part = rrb.View | rrb.Container
+Images = Mapping[str, Mapping[str, tuple[int, int]]]
+"""Width and height of the images of each camera, by its name and their titles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ class Eye:
     """How a scene is seen first: a direction, since its distance is the view's affair."""
 
     offset: FloatArray
-    """From what is looked at to the eye, chaser axes, unit vector, shape (3,)."""
+    """Unit vector from the centre of the scene to the eye, chaser axes, shape (3,)."""
     up: FloatArray
     """Shape (3,)."""
 
@@ -50,24 +52,22 @@ def over_shoulder(T_chaser_sensor: RigidTransform) -> Eye:
     return Eye(offset / np.linalg.norm(offset), -down)
 
 
-def layout(image_sizes: Mapping[str, tuple[int, int]], eye: Eye | None, radius_m: float) -> rrb.Blueprint:
+def layout(images: Images, eye: Eye | None, radius_m: float) -> rrb.Blueprint:
     """Return the layout.
 
     Args:
-        image_sizes: width and height of the images of each camera, by name.
+        images: of each camera, by name.
         eye: None where the viewer is to choose.
         radius_m: of the target.
     """
-    images = [
-        _image(name, kind, size) for name, size in image_sizes.items() for kind in ("depth", "amplitude")
-    ]
+    shown = [_image(name, title, size) for name, sizes in images.items() for title, size in sizes.items()]
     above: list[_Part] = [_scene(eye, radius_m)]
-    if images:
-        above.append(rrb.Vertical(*images))
+    if shown:
+        above.append(rrb.Vertical(*shown))
     above.append(rrb.Vertical(rrb.TextDocumentView(origin=SUMMARY, name="Navigator"), _uncertainty(eye)))
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(*above, column_shares=[10, 6, 4] if images else [10, 4]),
+            rrb.Horizontal(*above, column_shares=[10, 6, 4] if shown else [10, 4]),
             rrb.Horizontal(_history(), *_plots(), column_shares=[4, 4, 4, 3]),
             row_shares=[5, 3],
         ),
@@ -106,11 +106,11 @@ def _controls(eye: Eye | None, distance: float) -> rrb.EyeControls3D | None:
     return rrb.EyeControls3D(position=distance * eye.offset, look_target=(0.0, 0.0, 0.0), eye_up=eye.up)
 
 
-def _image(camera: str, kind: str, size: tuple[int, int]) -> rrb.Spatial2DView:
+def _image(camera: str, title: str, size: tuple[int, int]) -> rrb.Spatial2DView:
     width, height = size
     return rrb.Spatial2DView(
-        origin=f"{IMAGES}/{camera}/{kind}",
-        name=f"{camera} {kind}, wireframe at the estimate",
+        origin=f"{IMAGES}/{camera}/{title}",
+        name=f"{camera} {title}, wireframe at the estimate",
         background=palette.BACKGROUND,
         visual_bounds=rrb.VisualBounds2D(x_range=(0.0, width), y_range=(0.0, height)),
     )

@@ -21,4 +21,5 @@ SOURCES = {
     Source.PMD_DEPTH: ACCENT,
     Source.PMD_AMPLITUDE: (191, 120, 214),
     Source.PMD_JOINT: (33, 150, 166),
+    Source.OTHER: (184, 134, 84),
 }

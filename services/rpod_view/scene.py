@@ -1,4 +1,4 @@
-"""What the view knows: the poses of the last seconds, and what has come since it was drawn last.
+"""State of the view: poses of the last seconds, and messages that have not been drawn yet.
 
 Messages come from the bus or from a log. The parts of frames are told apart by topic and stamp; only
 the newest complete frame of each sensor is decoded, and only when it is drawn.
@@ -14,33 +14,30 @@ from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler, NewestFrames
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.extrinsics import Extrinsics
-from rpod_runtime.frames import (
-    CAMERA_PARTS,
-    LIDAR_PARTS,
-    PartRejectedError,
-    assembler_of,
-    read_frame,
-    read_scan,
-)
+from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_odometry, read_status, read_transforms
 from rpod_schemas.poses import pose_error
+from rpod_schemas.sensors import SensorKind, sensor_kinds
 from rpod_schemas.topics import ESTIMATE, STATUS, TARGET, TF, TF_STATIC, TRUTH, Topic
-from rpod_schemas.types import EstimatorStatus, LidarScan, Mode, Odometry, PmdFrame
+from rpod_schemas.types import EstimatorStatus, Mode, Odometry, SensorFrame
 from rpod_view.track import Track
 
-_SENSORS = {"camera": CAMERA_PARTS, "lidar": LIDAR_PARTS}
-SENSOR_TOPICS = tuple(topic.of("*") for parts in _SENSORS.values() for topic in parts.values())
-"""What is drawn of any sensor; patterns."""
 Reject = Callable[[str, MessageRejectedError], None]
 """Is told of the messages that cannot be used, with the name of their topic."""
 _PATIENCE_NS = NANOSECONDS
-"""How long an estimate waits for its truth."""
+"""Time that an estimate waits for its truth."""
 _ENOUGH_NS = 16_000_000
 """No more of the truth than so often is decoded."""
 _MOST_WAITING = 512
+
+
+def sensor_topics() -> tuple[Topic, ...]:
+    """Return what is drawn of any sensor of the installed kinds; patterns."""
+    parts = (part for kind in sensor_kinds() for part in kind.parts.values())
+    return tuple(dict.fromkeys(part.topic.of("*") for part in parts))
 
 
 def pose_topics(prefix: str) -> tuple[Topic, ...]:
@@ -53,9 +50,9 @@ class Frame:
     """A sensor's frame and where the sensor sits."""
 
     sensor: str
-    data: PmdFrame | LidarScan
+    data: SensorFrame
     T_chaser_sensor: RigidTransform | None
-    """None where nobody tells."""
+    """Mount of the sensor; None if it is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +67,7 @@ class Scored:
 
 
 class Scene:
-    """Takes messages; hands out what is to be drawn."""
+    """Collects messages and returns what is to be drawn."""
 
     def __init__(self, prefix: str) -> None:
         self.truth = Track(gap_s=0.1, reach_s=0.1)
@@ -81,7 +78,10 @@ class Scene:
         """The last one."""
         self._estimate, self._status = ESTIMATE.under(prefix).name, STATUS.under(prefix).name
         self._extrinsics = Extrinsics({})
-        self._assemblers: dict[str, Assembler[Received]] = {}
+        self._kinds = sensor_kinds()
+        self._assemblers: dict[tuple[str, str], Assembler[Received]] = {}
+        """By sensor and kind: a topic alone may not tell the kind, a whole frame does."""
+        self._readers: dict[str, SensorReader] = {}
         self._frames: NewestFrames[Received] = NewestFrames()
         self._statuses: deque[EstimatorStatus] = deque(maxlen=_MOST_WAITING)
         self._unscored: deque[Odometry] = deque(maxlen=_MOST_WAITING)
@@ -123,13 +123,17 @@ class Scene:
                 self.truth.add(stamp_ns, pose)
 
     def _take_part(self, received: Received) -> None:
-        found = _part_of(received.topic)
-        if found is None:
-            return
-        sensor, kind, part = found
-        if sensor not in self._assemblers:
-            self._assemblers[sensor] = assembler_of(_SENSORS[kind])
-        for frame in self._assemblers[sensor].add(part, peek_stamp(received.payload), received):
+        sensor = received.topic.name.partition("/")[0]
+        for kind in self._kinds:
+            for name, part in kind.parts.items():
+                if part.topic.of(sensor) == received.topic:
+                    self._assemble(sensor, kind, name, received)
+
+    def _assemble(self, sensor: str, kind: SensorKind, part: str, received: Received) -> None:
+        if (sensor, kind.name) not in self._assemblers:
+            self._assemblers[sensor, kind.name] = assembler_of(kind)
+        for frame in self._assemblers[sensor, kind.name].add(part, peek_stamp(received.payload), received):
+            self._readers.setdefault(sensor, open_reader(kind))
             self._frames.put(sensor, frame)
 
     # --- what is drawn ---
@@ -145,7 +149,7 @@ class Scene:
                 yield frame
 
     def _frame(self, sensor: str, frame: Assembled[Received]) -> Frame:
-        data = read_frame(frame) if "depth" in frame.parts else read_scan(frame)
+        data = self._readers[sensor].read(frame)
         try:
             mount = self._extrinsics.mount(sensor, data.frame_id)
         except ExtrinsicsError:
@@ -182,13 +186,3 @@ class Scene:
         if self.status is not None and self.status.mode != Mode.TRACKING:
             return None
         return self.estimates.at(stamp_ns)
-
-
-def _part_of(topic: Topic) -> tuple[str, str, str] | None:
-    """Return sensor, kind and part of a topic; None where it is of no frame."""
-    sensor, _, _ = topic.name.partition("/")
-    for kind, parts in _SENSORS.items():
-        for part, pattern in parts.items():
-            if pattern.of(sensor) == topic:
-                return sensor, kind, part
-    return None

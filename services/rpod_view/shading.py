@@ -1,4 +1,4 @@
-"""From measurements to what an eye can read: ranges, tones, colours, ellipsoids. Knows no viewer."""
+"""Turns measurements into colours, grey tones and ellipsoids. Independent of the viewer."""
 
 import numpy as np
 from numpy.typing import NDArray

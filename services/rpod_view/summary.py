@@ -1,4 +1,4 @@
-"""What an operator reads first: the navigator in one short table."""
+"""Short table of the navigator's state for the operator."""
 
 import numpy as np
 
@@ -12,8 +12,9 @@ SOURCES = {
     Source.PMD_DEPTH: "PMD depth",
     Source.PMD_AMPLITUDE: "PMD amplitude",
     Source.PMD_JOINT: "PMD depth and amplitude",
+    Source.OTHER: "other sensor",
 }
-"""What measured the pose, in words."""
+"""Names of the pose's sources."""
 
 
 def summary(status: EstimatorStatus | None, scored: Scored | None) -> str:

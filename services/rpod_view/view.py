@@ -8,7 +8,6 @@ import rerun as rr
 
 from rpod_runtime import Received
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.types import PmdFrame
 from rpod_target import Target
 from rpod_view.drawing import Drawing
 from rpod_view.layout import SUMMARY, TIMELINE, Eye, layout, over_shoulder
@@ -17,11 +16,11 @@ from rpod_view.scene import Frame, Reject, Scene, Scored
 from rpod_view.summary import summary
 
 _RADIUS_M = 1.0
-"""Of a target that is not known."""
+"""Radius of an unknown target."""
 
 
 class View:
-    """Takes messages and draws the newest.
+    """Collects messages and draws the newest.
 
     Args:
         recording: where it is drawn.
@@ -38,7 +37,7 @@ class View:
         self._drawing, self._plots = Drawing(recording, target), Plots(recording)
         self._scored: Scored | None = None
         self._radius_m = target.radius_m if target else _RADIUS_M
-        self._image_sizes: dict[str, tuple[int, int]] = {}
+        self._images: dict[str, dict[str, tuple[int, int]]] = {}
         self._eye: Eye | None = None
         recording.send_blueprint(layout({}, None, self._radius_m))
 
@@ -86,11 +85,13 @@ class View:
 
     def _arrange(self, frame: Frame) -> None:
         """Divide the screen again where a camera is new, or it is known for the first time how to look."""
-        sizes, eye = dict(self._image_sizes), self._eye
-        if isinstance(frame.data, PmdFrame):
-            sizes[frame.sensor] = frame.data.camera.width, frame.data.camera.height
+        images, eye = dict(self._images), self._eye
+        if shown := {
+            image.title: (image.values.shape[1], image.values.shape[0]) for image in frame.data.images
+        }:
+            images[frame.sensor] = images.get(frame.sensor, {}) | shown
         if eye is None and frame.T_chaser_sensor is not None:
             eye = over_shoulder(frame.T_chaser_sensor)
-        if sizes != self._image_sizes or eye is not self._eye:
-            self._image_sizes, self._eye = sizes, eye
-            self._recording.send_blueprint(layout(sizes, eye, self._radius_m))
+        if images != self._images or eye is not self._eye:
+            self._images, self._eye = images, eye
+            self._recording.send_blueprint(layout(images, eye, self._radius_m))

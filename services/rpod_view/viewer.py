@@ -1,4 +1,4 @@
-"""Where it is seen: a window, a web page, or a file. The viewer is Rerun's own program, as a process."""
+"""Output of the view: a window, a web page or a file. The viewer is Rerun's program in its own process."""
 
 import os
 import signal
@@ -33,11 +33,11 @@ class Viewer:
     where: str
     """For an operator: where it is to be seen."""
     process: subprocess.Popen[bytes] | None = None
-    """None where it is written to a file."""
+    """Process of the viewer; None if the output is a file."""
 
     @property
     def closed(self) -> bool:
-        """Whether nobody looks any more."""
+        """Whether the viewer was closed."""
         return self.process is not None and self.process.poll() is not None
 
     def has_taken(self, timeout_s: float) -> bool:
@@ -121,7 +121,7 @@ def _process(config: ViewConfig, *, web: bool) -> Iterator[subprocess.Popen[byte
     with (
         _private_environment() as environment,
         subprocess.Popen(
-            [sys.executable, "-m", "rpod_view.guarded", *where, *page, *limits],
+            [sys.executable, "-m", "rpod_view.viewer_process", *where, *page, *limits],
             stdin=subprocess.PIPE,  # closed at the end
             stdout=sys.stderr.fileno(),
             start_new_session=True,

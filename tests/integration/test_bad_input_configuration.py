@@ -57,7 +57,7 @@ def written(directory: Path, document: object) -> Path:
         (
             "emulator",
             {"sensors": [{"kind": "pmd", "T_chaser_sensor": {"translation_m": {"x": 1}}}]},
-            "sensors.0.pmd.T_chaser_sensor",
+            "sensors.0.T_chaser_sensor",
             "three finite numbers",
         ),
         ("estimator", {"sensors": []}, "sensors", "at least 1 item"),

@@ -21,6 +21,7 @@ FACTS = {
     "str | None": None,
     "int": 7,
     "float": 1.5,
+    "bool": True,
     "bool | None": None,
     "list[str]": ["one", "two"],
     "Sequence[str]": ("one", "two"),

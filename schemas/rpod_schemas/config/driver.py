@@ -1,12 +1,14 @@
 """A sensor's driver: which sensor it is, where it is mounted, and when its silence is an error."""
 
-from typing import Literal, Self
+from typing import Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from rpod_schemas.config.base import Name, Positive
 from rpod_schemas.config.service import ServiceConfig
+from rpod_schemas.errors import SchemaError
 from rpod_schemas.poses import Pose, make_pose
+from rpod_schemas.sensors import sensor_kind
 
 
 class DriverConfig(ServiceConfig):
@@ -14,8 +16,8 @@ class DriverConfig(ServiceConfig):
 
     instance: Name = "driver"
     """Name of the process on the bus; give each driver its own."""
-    kind: Literal["pmd", "lidar"]
-    """What the sensor delivers: frames of a PMD camera, or scans of a LIDAR."""
+    kind: str
+    """What the sensor delivers: ``pmd``, ``lidar``, or a kind that another installed package brings."""
     name: Name
     """Of the sensor: the first part of its topics."""
     T_chaser_sensor: Pose = Field(default_factory=make_pose)
@@ -26,6 +28,14 @@ class DriverConfig(ServiceConfig):
     """Wait after the first failure; it doubles with each further one."""
     max_retry_s: Positive = 30.0
     """Longest wait between two attempts to connect."""
+
+    @field_validator("kind")
+    @classmethod
+    def _the_kind_is_known(cls, kind: str) -> str:
+        try:
+            return sensor_kind(kind).name
+        except SchemaError as error:
+            raise ValueError(str(error)) from error
 
     @model_validator(mode="after")
     def _waits_are_in_order(self) -> Self:

@@ -5,13 +5,13 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
-from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.motion import MotionConfig
-from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.config.service import ServiceConfig
+from rpod_schemas.sensors.fields import EMULATED
 
-SensorConfig = Annotated[LidarConfig | PmdConfig, Field(discriminator="kind")]
-"""A sensor to emulate, told by ``kind``."""
+SensorConfig = Annotated[EmulatedSensor, EMULATED]
+"""A sensor to emulate; ``kind`` chooses among the installed ones."""
 
 
 WorldName = Literal[

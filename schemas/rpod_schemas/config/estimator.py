@@ -8,49 +8,51 @@ from rpod_schemas.arrays import VectorN
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.config.depth_calibration import CalibrationSource
 from rpod_schemas.config.filter import FilterConfig
-from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
+from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
-from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
 from rpod_schemas.config.pmd_joint import JointConfig
-from rpod_schemas.config.pmd_methods import (
-    IcpReverseCalibrationConfig,
-    SignedDistanceConfig,
-)
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.config.sensor import EmulatedSensor, MethodConfig, SensorInput
 from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
 from rpod_schemas.poses import Pose
+from rpod_schemas.sensors.fields import HEARD, chosen
 from rpod_schemas.types import Camera
 
-LidarAcquisitionConfig = Annotated[GlobalSearchConfig | TemplateMatchingConfig, Field(discriminator="kind")]
-"""How a LIDAR's target is found, told by ``kind``."""
-LidarTrackingConfig = Annotated[ProjectiveIcpConfig | IcpNearestNeighbourConfig, Field(discriminator="kind")]
-"""How a LIDAR's target is tracked, told by ``kind``."""
-PmdTrackingConfig = Annotated[
-    JointConfig | IcpReverseCalibrationConfig | SignedDistanceConfig | EpnpConfig | HybridConfig,
-    Field(discriminator="kind"),
-]
-"""How a PMD camera's target is tracked, told by ``kind``."""
+LidarAcquisition = Annotated[MethodConfig, chosen("lidar", "acquisition")]
+"""How a LIDAR's target is found; ``kind`` chooses among the installed methods."""
+LidarTracking = Annotated[MethodConfig, chosen("lidar", "tracking")]
+"""How a LIDAR's target is tracked; ``kind`` chooses among the installed methods."""
+PmdAcquisition = Annotated[MethodConfig, chosen("pmd", "acquisition", default="view_search")]
+"""How a PMD camera's target is found; ``kind`` chooses among the installed methods."""
+PmdTracking = Annotated[MethodConfig, chosen("pmd", "tracking")]
+"""How a PMD camera's target is tracked; ``kind`` chooses among the installed methods."""
 
 
-class LidarInput(Config):
+class LidarInput(SensorInput):
     """A LIDAR and the methods for it."""
 
-    kind: Literal["lidar"] = "lidar"
+    kind: str = "lidar"
     """Which methods."""
     name: Name = "lidar"
     """Of the sensor: the first part of its topics."""
-    T_chaser_sensor: Pose | None = None
-    """Mount, where tf_static does not tell."""
     azimuth_rad: VectorN | None = None
     """Scan pattern, where the latched info does not tell."""
     elevation_rad: VectorN | None = None
     """Scan pattern, where the latched info does not tell."""
     sigma_range_m: NonNegative | None = None
     """Standard deviation of a range, where the latched info does not tell."""
-    acquisition: LidarAcquisitionConfig = Field(default_factory=GlobalSearchConfig)
+    acquisition: LidarAcquisition = Field(default_factory=GlobalSearchConfig)
     """Without a prior pose."""
-    tracking: LidarTrackingConfig = Field(default_factory=ProjectiveIcpConfig)
+    tracking: LidarTracking = Field(default_factory=ProjectiveIcpConfig)
     """From a predicted pose."""
+
+    def informed_by(self, emulated: EmulatedSensor) -> Self:
+        """Return this input with the scan pattern and the range noise of the emulated LIDAR."""
+        if not isinstance(emulated, LidarConfig):
+            return self
+        info = emulated.info()
+        said = {name: getattr(info, name) for name in ("azimuth_rad", "elevation_rad", "sigma_range_m")}
+        return self.model_copy(update=said)
 
     @model_validator(mode="after")
     def _the_pattern_is_whole(self) -> Self:
@@ -61,15 +63,13 @@ class LidarInput(Config):
         return self
 
 
-class PmdInput(Config):
+class PmdInput(SensorInput):
     """A PMD camera and the methods for it."""
 
-    kind: Literal["pmd"] = "pmd"
+    kind: str = "pmd"
     """Which methods."""
     name: Name = "pmd"
     """Of the sensor: the first part of its topics."""
-    T_chaser_sensor: Pose | None = None
-    """Mount, where tf_static does not tell."""
     camera: Camera | None = None
     """Size and intrinsics that the frames must have; left out, camera_info is believed whatever it says."""
     modulation_frequency_hz: tuple[Positive, ...] = ()
@@ -79,14 +79,14 @@ class PmdInput(Config):
     unwrapping: Literal["predicted", "none"] = "predicted"
     """Whether depth is moved by whole unambiguous ranges to where the target is predicted, where the camera
     measures with one frequency and it is known; without a prediction every multiple up to 15 m is tried."""
-    acquisition: PmdAcquisitionConfig = Field(default_factory=PmdAcquisitionConfig)
+    acquisition: PmdAcquisition = Field(default_factory=PmdAcquisitionConfig)
     """Without a prior pose."""
-    tracking: PmdTrackingConfig = Field(default_factory=JointConfig)
+    tracking: PmdTracking = Field(default_factory=JointConfig)
     """From a predicted pose."""
 
 
-SensorInput = Annotated[LidarInput | PmdInput, Field(discriminator="kind")]
-"""A sensor that the estimator listens to, told by ``kind``."""
+HeardSensor = Annotated[SensorInput, HEARD]
+"""A sensor that the estimator listens to; ``kind`` chooses among the installed ones."""
 
 
 class NavigatorConfig(Config):
@@ -112,7 +112,7 @@ class NavigatorConfig(Config):
 class EstimatorSettings(Config):
     """How poses are estimated; part of a scenario."""
 
-    sensors: tuple[SensorInput, ...] = Field(min_length=1)
+    sensors: tuple[HeardSensor, ...] = Field(min_length=1)
     """What the estimator listens to."""
     initial_pose: Pose | None = None
     """T_chaser_target at the first frame, where it is given as in the 2018 paper; else it is searched."""

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
+from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.poses import Pose, make_pose
 from rpod_schemas.types import LidarInfo
 
@@ -119,10 +120,10 @@ class LidarNoiseConfig(Config):
     """Gross outliers are spread evenly up to this far before and behind the true range."""
 
 
-class LidarConfig(Config):
+class LidarConfig(EmulatedSensor):
     """A scanning LIDAR: pattern, detection, noise and mount."""
 
-    kind: Literal["lidar"] = "lidar"
+    kind: str = "lidar"
     """Selects this sensor."""
     name: Name = "lidar"
     """Prefix of its topics, and its frame."""

@@ -6,14 +6,15 @@ from pydantic import Field
 
 from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.base import Config, NonNegative, Positive
+from rpod_schemas.config.sensor import MethodConfig
 
 Count = Annotated[int, Field(gt=0)]
 
 
-class TemplateMatchingConfig(Config):
+class TemplateMatchingConfig(MethodConfig):
     """On-line template matching (2015 paper, section 2)."""
 
-    kind: Literal["template_matching"] = "template_matching"
+    kind: str = "template_matching"
     """Selects this method."""
     step_deg: Annotated[float, Field(ge=5, le=90)] = 30.0
     """Delta, step of the grid of Euler angles: 60, 30 and 10 give 196, 1183 and 26011 templates."""
@@ -51,10 +52,10 @@ class ScanComparisonConfig(Config):
     from there may be missing. With the printed reading of the detection threshold it is 150 m."""
 
 
-class IcpNearestNeighbourConfig(Config):
+class IcpNearestNeighbourConfig(MethodConfig):
     """ICP from measured points to the target's surface."""
 
-    kind: Literal["icp_nearest_neighbour"] = "icp_nearest_neighbour"
+    kind: str = "icp_nearest_neighbour"
     """Selects this method."""
     matcher: Literal["nearest_neighbour", "normal_shooting"] = "nearest_neighbour"
     """What a point is matched with: the surface's closest point, or the closest face along its normal."""

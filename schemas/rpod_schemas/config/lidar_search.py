@@ -1,10 +1,11 @@
 """Parameters of the global search in LIDAR scans, and of the tracker that casts the target."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+from rpod_schemas.config.sensor import MethodConfig
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -45,10 +46,10 @@ class ScanVerdictConfig(Config):
     """A sensor that errs more than it says, and a target that was not built as drawn."""
 
 
-class ProjectiveIcpConfig(Config):
+class ProjectiveIcpConfig(MethodConfig):
     """Tracking by casting the target: each return against the face that its own ray meets."""
 
-    kind: Literal["projective_point_to_plane"] = "projective_point_to_plane"
+    kind: str = "projective_point_to_plane"
     """Selects this method."""
     points: Count = 100
     """Returns that the first steps work on."""
@@ -91,10 +92,10 @@ class SearchLevelConfig(Config):
     """Of those, the best ones that are drawn onto the scan."""
 
 
-class GlobalSearchConfig(Config):
+class GlobalSearchConfig(MethodConfig):
     """Search over all attitudes by predicted against measured scans."""
 
-    kind: Literal["global"] = "global"
+    kind: str = "global"
     """Selects this method."""
     levels: tuple[SearchLevelConfig, ...] = Field(
         default=(

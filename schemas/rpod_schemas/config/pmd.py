@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from scipy import constants
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
+from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.poses import Pose, make_pose
 from rpod_schemas.types import Camera, PmdInfo
 
@@ -114,10 +115,10 @@ class AutomaticExposureConfig(Config):
     """Most of them: 14 take the 4 ms of the profile fast down to 31 us (assumed)."""
 
 
-class PmdConfig(Config):
+class PmdConfig(EmulatedSensor):
     """A PMD camera: optics, timing, physics and mount."""
 
-    kind: Literal["pmd"] = "pmd"
+    kind: str = "pmd"
     """Selects this sensor."""
     name: Name = "pmd"
     """Prefix of its topics, and of its frame ``<name>_optical``."""

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
 from rpod_schemas.config.pmd_methods import Count, IcpReverseCalibrationConfig
+from rpod_schemas.config.sensor import MethodConfig
 
 
 class EdgeImageConfig(Config):
@@ -90,10 +91,10 @@ class CircleConfig(Config):
     """Least share of the rim on which there is an edge."""
 
 
-class EpnpConfig(Config):
+class EpnpConfig(MethodConfig):
     """The 2018 paper's amplitude technique: lines and a circle, their corners and centre, EPnP."""
 
-    kind: Literal["epnp"] = "epnp"
+    kind: str = "epnp"
     """Selects this method."""
     points: Literal["front", "all"] = "front"
     """front: the paper's, the largest face that is seen and the extreme circle before it; all: corners and
@@ -129,10 +130,10 @@ class EpnpConfig(Config):
     """A pose whose covariance says more about some axis is not believed."""
 
 
-class HybridConfig(Config):
+class HybridConfig(MethodConfig):
     """Both techniques of the 2018 paper on every frame, and the arbitration between them."""
 
-    kind: Literal["hybrid"] = "hybrid"
+    kind: str = "hybrid"
     """Selects this method."""
     depth: IcpReverseCalibrationConfig = IcpReverseCalibrationConfig()
     """The first technique."""

@@ -1,11 +1,12 @@
 """Parameters of the joint tracker: depth points and amplitude edges in one least squares."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
 from rpod_schemas.config.pmd_check import PmdCheckConfig
+from rpod_schemas.config.sensor import MethodConfig
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -83,10 +84,10 @@ class JointVerdictConfig(Config):
     """Fewer matched samples of edges say nothing."""
 
 
-class JointConfig(Config):
+class JointConfig(MethodConfig):
     """Signed distance of depth points and places of edges in one least squares."""
 
-    kind: Literal["joint"] = "joint"
+    kind: str = "joint"
     far_iterations: Annotated[int, Field(ge=0)] = 8
     """Steps on depth alone before, from afar."""
     far_scale_m: Positive = 0.6

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+from rpod_schemas.config.sensor import MethodConfig
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -46,10 +47,10 @@ class DepthErrorConfig(Config):
     """Standard deviation of the attitude error that an uneven depth error leaves, about each axis."""
 
 
-class IcpReverseCalibrationConfig(Config):
+class IcpReverseCalibrationConfig(MethodConfig):
     """ICP with reverse calibration: matches are looked up in the depth image around the projected model."""
 
-    kind: Literal["icp_reverse_calibration"] = "icp_reverse_calibration"
+    kind: str = "icp_reverse_calibration"
     metric: Literal["point_to_plane", "point_to_point"] = "point_to_plane"
     """point_to_point is the 2018 paper's: every visible model point goes to its nearest neighbour, with equal
     weights. point_to_plane slides along the model's faces and keeps point to point at outlines only."""
@@ -93,10 +94,10 @@ class IcpReverseCalibrationConfig(Config):
     """When a registration is believed."""
 
 
-class SignedDistanceConfig(Config):
+class SignedDistanceConfig(MethodConfig):
     """Depth points in the target's distance field: no matches are searched."""
 
-    kind: Literal["signed_distance"] = "signed_distance"
+    kind: str = "signed_distance"
     points: Count = 2000
     """Most measured points used."""
     scale_m: Positive = 0.10

@@ -1,11 +1,12 @@
 """Parameters of the search for the target in one PMD frame."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
 from rpod_schemas.config.pmd_methods import DepthErrorConfig
+from rpod_schemas.config.sensor import MethodConfig
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -89,10 +90,10 @@ class PmdVerdictConfig(Config):
     """Below this weight of the best hypothesis the result is ambiguous."""
 
 
-class PmdAcquisitionConfig(Config):
+class PmdAcquisitionConfig(MethodConfig):
     """Search over all attitudes for the target in one frame of a PMD camera."""
 
-    kind: Literal["view_search"] = "view_search"
+    kind: str = "view_search"
     """Selects this method."""
     attitudes: Count = 3000
     """Spread over all of SO(3), each compared with some of the frame."""

@@ -1,4 +1,4 @@
-"""What a logged PMD camera measured beside what it should have: pixels on faces, with truth.
+"""Measured and true distances of a logged PMD camera, at pixels on the target's faces.
 
 The target is rendered at the true pose along every pixel's ray. A pixel counts where its surroundings see the
 same plane, not at a grazing angle, in sufficient light and below saturation: at outlines the light of two
@@ -31,7 +31,7 @@ _MOST_IN_FRAME = 400
 _SAME_PLANE_PX = 5
 """Side of the square around a pixel in which all rays meet its plane."""
 _LEAST_COSINE = 0.35
-"""Of the angle of incidence: beyond 70 deg an error of the pose is tripled."""
+"""Least cosine of the angle of incidence; beyond 70 deg a pose error is tripled."""
 _LEAST_AMPLITUDE = 0.3
 """Share of the median amplitude of the target's pixels."""
 _MOST_SATURATION = 0.9
@@ -157,7 +157,7 @@ def _truth(log: Log) -> Track:
 
 
 class _Reference:
-    """What every pixel should have measured."""
+    """Computes the true distance of every pixel."""
 
     def __init__(
         self, target: Target, T_chaser_sensor: RigidTransform, truth: Track, frequencies_hz: tuple[float, ...]

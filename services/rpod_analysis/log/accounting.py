@@ -1,4 +1,4 @@
-"""How many messages there were, how many the log holds, and what the services counted."""
+"""Counts of messages: published, in the log, missed; and the services' own counters."""
 
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ _PUBLISHED = "published/"
 _DROPPED = "dropped"
 _INCOMPLETE = "incomplete"
 _PASSED_OVER = (f"{_DROPPED}/", f"{_INCOMPLETE}/")
-"""By sensor: complete but not the newest, and never complete before a newer one was."""
+"""Counters of each sensor: frames complete but not the newest, and frames never complete."""
 _COMMANDS = "commands/"
 _MOST_COMMANDS = 12
 _MOST_ALARMS = 100
@@ -21,7 +21,7 @@ _MOST_ALARMS = 100
 
 @dataclass(frozen=True)
 class Command:
-    """A service was asked for something, and accepted."""
+    """A command that a service accepted."""
 
     stamp_ns: int
     service: str
@@ -32,7 +32,7 @@ class Command:
 
 @dataclass(frozen=True)
 class SensorFlow:
-    """What became of a sensor's frames at the estimator."""
+    """Number of a sensor's frames by their outcome at the estimator."""
 
     sensor: str
     published: int
@@ -45,14 +45,14 @@ class SensorFlow:
 
     @property
     def rest(self) -> int:
-        """Of which nothing is told: before the estimator listened, after it, or lost on the way to it."""
+        """Number of frames without an outcome: the estimator did not run, or they were lost on the way."""
         told = self.accepted + self.rejected + self.dropped + self.incomplete
         return max(self.published - told, 0)
 
 
 @dataclass
 class Account:
-    """Takes a log's messages and diagnostics, in the order of arrival."""
+    """Counts a log's messages and reads the services' diagnostics, in the order of arrival."""
 
     logged: Counter[str] = field(default_factory=Counter)
     first: dict[str, int] = field(default_factory=dict)
@@ -62,9 +62,9 @@ class Account:
     counters: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
     """Last value of every counter, by service; the lives of a service that was restarted add up."""
     alarms: Counter[str] = field(default_factory=Counter)
-    """Diagnostics of level ERROR, by service and what it said; of many kinds the first."""
+    """Diagnostics of level ERROR by service and text; the first kinds only."""
     commands: list[Command] = field(default_factory=list)
-    """What services were asked and accepted; of many the first."""
+    """Commands that services accepted, the first ones only."""
     command_count: int = 0
     _lives: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
 
@@ -76,7 +76,7 @@ class Account:
         self.last[name] = max(sequence, self.last.get(name, sequence))
 
     def hear(self, diagnostic: Diagnostic) -> None:
-        """Take a service's counters, and its alarm where it raises one."""
+        """Add a service's counters, and its alarm if it raises one."""
         if diagnostic.level == Health.ERROR:
             alarm = f"{diagnostic.name}: {diagnostic.message}"
             known = alarm in self.alarms or len(self.alarms) < _MOST_ALARMS

@@ -1,4 +1,4 @@
-"""What a log says of its own completeness, held against what is in it (ICD section 5)."""
+"""Completeness of a log: its own record, checked against its content (ICD section 5)."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -25,31 +25,31 @@ _NUMBERS = TypeAdapter(list[Numbers])
 
 
 @dataclass(frozen=True)
-class FileStatement:
-    """Of one file of a log."""
+class FileCompleteness:
+    """Completeness of one file of a log."""
 
     name: str
     messages: int
     complete: bool | None
-    """None where the file says nothing: it is not of this project's logger, or of an old one."""
+    """None if the file has no record: another program or an old version of the logger wrote it."""
     reasons: tuple[str, ...]
-    """What speaks against it, a sentence each."""
+    """Why the file is not complete, a sentence each."""
     continues: str | None = None
     """Name of the file at whose last message this one begins."""
     clock_jumps_s: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
-class Statement:
-    """Of a log, over all its files."""
+class CheckedCompleteness:
+    """Completeness of a log over all its files."""
 
-    files: tuple[FileStatement, ...]
+    files: tuple[FileCompleteness, ...]
     between: tuple[str, ...]
-    """Where a file does not begin at the end of the one before it, a sentence each."""
+    """Gaps between files that should follow each other, a sentence each."""
 
     @property
     def complete(self) -> bool | None:
-        """Whether all that was published while the log was open is in it; None where nothing says so."""
+        """Whether the log holds every message published while it was open; None if no record says so."""
         said = [file.complete for file in self.files]
         if False in said or self.between:
             return False
@@ -57,18 +57,18 @@ class Statement:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """What speaks against it, a sentence each, the file named where there are several."""
+        """Why the log is not complete, a sentence each, with the file's name if there are several."""
         one = len(self.files) == 1
         told = (reason if one else f"{file.name}: {reason}" for file in self.files for reason in file.reasons)
         return (*told, *self.between)
 
     def summary(self) -> LogCompleteness:
-        """Return it as it stands in ``summary.json``."""
+        """Return the completeness in the form of ``summary.json``."""
         return LogCompleteness(complete=self.complete, reasons=self.reasons)
 
 
-def find_statement(log: Log) -> Statement:
-    """Return what a log says of itself; what contradicts it speaks against it."""
+def check_log_completeness(log: Log) -> CheckedCompleteness:
+    """Return the completeness that a log records, checked against its content."""
     files = tuple(_of_file(file) for file in log.files)
     between = [
         f"nothing says that {after.name} begins where {before.name} ends"
@@ -77,24 +77,24 @@ def find_statement(log: Log) -> Statement:
     ]
     if files[0].continues:
         between.insert(0, f"{files[0].name} goes on from {files[0].continues}, which is not here")
-    return Statement(files, tuple(between))
+    return CheckedCompleteness(files, tuple(between))
 
 
-def _of_file(file: LogFile) -> FileStatement:
+def _of_file(file: LogFile) -> FileCompleteness:
     name, messages = file.path.name, file.statistics.message_count
     if record := file.metadata(RECOVERY):
         reasons = _of_recovery(Recovery.model_validate_json(record["recovery"]))
-        return FileStatement(name, messages, not reasons, reasons)
+        return FileCompleteness(name, messages, not reasons, reasons)
     statement = file.metadata(COMPLETENESS)
     if not statement:
-        return FileStatement(name, messages, None, ())
+        return FileCompleteness(name, messages, None, ())
     try:
         counts = file.metadata(COUNTS)
         said = check_completeness(statement, counts, _counted(file))
         said = said.with_reasons(tuple(_count_again(file.metadata(PUBLISHERS), counts)))
     except ValueError:
-        return FileStatement(name, messages, False, ("its statement cannot be read",))
-    return FileStatement(
+        return FileCompleteness(name, messages, False, ("its record of completeness cannot be read",))
+    return FileCompleteness(
         name, messages, said.complete, said.reasons, said.continues, clock_jumps_s=said.clock_jumps_s
     )
 

@@ -19,7 +19,8 @@ from rpod_schemas.cdr import learn
 from rpod_schemas.logs import SCHEMA_ENCODING
 
 SUFFIX, RECOVERED, REPLAY = ".mcap", ".recovered", ".replay"
-"""Of logs; of what is made of ``run.mcap`` beside it: ``run.recovered.mcap`` and ``run.replay.mcap``."""
+"""Suffix of logs, and of the files that recovery and replay write beside ``run.mcap``:
+``run.recovered.mcap`` and ``run.replay.mcap``."""
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = struct.Struct("<QQI")
@@ -28,7 +29,7 @@ _CHUNK = struct.Struct("<BQQQQ")
 """Opcode, length, first and last time, size of the content; checksum and compression follow."""
 _FRAME_BYTES = 9
 _DAMAGE = (McapError, RuntimeError, ValueError, KeyError, struct.error, EOFError)
-"""What the MCAP reader and the decompression raise on damaged bytes."""
+"""Exceptions that the MCAP reader and the decompression raise on damaged bytes."""
 
 
 def beside(log: Path, kind: str) -> Path:
@@ -95,7 +96,7 @@ class LogFile:
     reader: McapReader
     summary: Summary
     statistics: Statistics
-    """How many messages, and from when to when."""
+    """Number of messages, and the times of the first and the last one."""
 
     def metadata(self, record: str) -> dict[str, str]:
         """Return a metadata record, empty where there is none; what was written later counts."""

@@ -1,4 +1,4 @@
-"""Whether a logged message can be read, told as cheaply as its type allows.
+"""Checks that a logged message can be read, at the least cost that its type allows.
 
 A report goes through every message of a log. Poses at 250 Hz and images are checked by their bare numbers;
 what is small or rare is read as a service reads it.
@@ -76,4 +76,4 @@ _READERS: dict[str, Callable[[Any], Any]] = {
     POINTS.type: read_points,
     LIDAR_INFO.type: read_lidar_info,
 }
-"""By type."""
+"""Readers by message type."""

@@ -3,24 +3,21 @@
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, cast
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_analysis.log.log import Log, Logged
+from rpod_runtime import Received
+from rpod_runtime.assembler import Assembled
+from rpod_runtime.frames import SensorReader, open_reader
+from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.messages import (
-    build,
-    read_amplitude,
-    read_camera,
-    read_depth,
-    read_pmd_info,
-    read_points,
-    read_stamp,
-)
-from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, CHASER, DEPTH, PMD_INFO, POINTS
-from rpod_schemas.types import LidarScan, PmdFrame, PmdInfo
+from rpod_schemas.messages import read_pmd_info
+from rpod_schemas.sensors import SensorKind, sensor_kind, sensor_kinds
+from rpod_schemas.topics import CHASER, PMD_INFO, Topic
+from rpod_schemas.types import LidarScan, PmdFrame, PmdInfo, SensorFrame
+from rpod_schemas.wire import GID_BYTES, Attachment
 
 _MOST_PENDING = 8
 """Incomplete frames kept while their parts are awaited."""
@@ -31,22 +28,43 @@ class Sensor:
     """A sensor whose data are in the log."""
 
     name: str
-    kind: Literal["pmd", "lidar"]
+    kind: str
+    """As the registry names it: ``pmd``, ``lidar``, or what another package brings."""
     T_chaser_sensor: RigidTransform | None
     """Mount, from tf_static, else from the configuration; None where neither tells."""
 
+    @property
+    def leading(self) -> Topic:
+        """Topic on which each of its frames has one message."""
+        return sensor_kind(self.kind).leading.of(self.name)
+
 
 def find_sensors(log: Log) -> dict[str, Sensor]:
-    """Return the sensors of a log by name: by their topics and types, whatever they are called."""
+    """Return the sensors of a log by name: by their topics and types, whatever they are called.
+
+    Where the topics of two kinds are alike, the configuration in the log decides.
+    """
     sensors: dict[str, Sensor] = {}
-    for kind, topic in (("pmd", DEPTH), ("lidar", POINTS)):
-        suffix = topic.name.split("/", 1)[1]
-        for name, info in log.topics.items():
-            sensor = name.removesuffix(f"/{suffix}")
-            if info.type == topic.type and sensor != name and info.count:
-                mount = _mount(log, sensor, _frame_id(log, name))
-                sensors[sensor] = Sensor(sensor, kind, mount)  # type: ignore[arg-type]
+    configured = _configured_kinds(log.configuration)
+    for kind in sensor_kinds():
+        _, suffix = kind.leading.name.split("/", 1)
+        for topic, info in log.topics.items():
+            sensor, _, rest = topic.partition("/")
+            if rest != suffix or info.type != kind.leading.type or not info.count:
+                continue
+            if sensor not in sensors or configured.get(sensor) == kind.name:
+                mount = _mount(log, sensor, _frame_id(log, topic))
+                sensors[sensor] = Sensor(sensor, kind.name, mount)
     return sensors
+
+
+def _configured_kinds(configuration: dict[str, dict[str, Any]]) -> dict[str, str]:
+    return {
+        str(entry["name"]): str(entry["kind"])
+        for service in configuration.values()
+        for entry in service.get("sensors") or ()
+        if {"name", "kind"} <= entry.keys()
+    }
 
 
 def _frame_id(log: Log, topic: str) -> str:
@@ -97,72 +115,81 @@ def pmd_info(log: Log, sensor: str) -> PmdInfo | None:
     return info
 
 
-def pmd_frames(
-    log: Log, sensor: str, *, start_ns: int | None = None, end_ns: int | None = None
-) -> Iterator[PmdFrame]:
-    """Iterate over the frames of a PMD camera, put together by stamp; arrival within the slice.
+def as_received(logged: Logged) -> Received:
+    """Return a logged message as it came off the wire."""
+    attachment = Attachment(logged.sequence, logged.publish_ns, bytes(GID_BYTES))
+    topic = Topic(logged.topic, logged.type)
+    return Received(topic, logged.topic, memoryview(logged.payload), attachment, logged.log_ns, 0.0)
 
-    Depth and camera_info are required, the amplitude is optional. Frames that are incomplete, or that an
-    estimator would refuse (no finite depth), are left out.
+
+def sensor_frames(
+    log: Log, sensor: str, kind: str, *, start_ns: int | None = None, end_ns: int | None = None
+) -> Iterator[SensorFrame]:
+    """Iterate over the frames of a sensor of any kind, put together by stamp; arrival within the slice.
+
+    Frames that lack a required part, or that an estimator would refuse, are left out.
     """
-    info = pmd_info(log, sensor)
-    topics = [topic.of(sensor) for topic in (DEPTH, CAMERA_INFO, AMPLITUDE)]
-    wanted = {topic.name for topic in topics if topic.name in log.topics}
-    pending: dict[int, dict[str, Any]] = {}
+    described = sensor_kind(kind)
+    reader = _informed_reader(log, sensor, described)
+    parts = {part.topic.of(sensor).name: name for name, part in described.parts.items()}
+    wanted = {name for topic, name in parts.items() if topic in log.topics}
+    pending: dict[int, dict[str, Logged]] = {}
+    topics = [part.topic.of(sensor) for part in described.parts.values()]
     for logged in log.messages(*topics, start_ns=start_ns, end_ns=end_ns):
         stamp_ns = -1
         with log.unreadable.left_out(logged):
-            message = logged.decode()
-            stamp_ns = read_stamp(message.header)
+            stamp_ns = peek_stamp(logged.payload)
         if stamp_ns < 0:
             continue
-        parts = pending.setdefault(stamp_ns, {})
-        parts[logged.topic] = message
-        if parts.keys() == wanted:
-            yield from _complete(sensor, pending, info, up_to_ns=stamp_ns)
+        found = pending.setdefault(stamp_ns, {})
+        found[parts[logged.topic]] = logged
+        if found.keys() == wanted:
+            yield from _complete(log, pending, described, reader, up_to_ns=stamp_ns)
         elif len(pending) > _MOST_PENDING:
-            yield from _complete(sensor, pending, info, up_to_ns=min(pending))
+            yield from _complete(log, pending, described, reader, up_to_ns=min(pending))
     if pending:
-        yield from _complete(sensor, pending, info, up_to_ns=max(pending))
+        yield from _complete(log, pending, described, reader, up_to_ns=max(pending))
+
+
+def _informed_reader(log: Log, sensor: str, kind: SensorKind) -> SensorReader:
+    reader = open_reader(kind)
+    for logged in () if kind.info is None else log.messages(kind.info.of(sensor)):
+        with suppress(MessageRejectedError):
+            reader.learn(logged.decode())
+    return reader
 
 
 def _complete(
-    sensor: str, pending: dict[int, dict[str, Any]], info: PmdInfo | None, *, up_to_ns: int
-) -> Iterator[PmdFrame]:
-    depth, camera, amplitude = (topic.of(sensor).name for topic in (DEPTH, CAMERA_INFO, AMPLITUDE))
+    log: Log,
+    pending: dict[int, dict[str, Logged]],
+    kind: SensorKind,
+    reader: SensorReader,
+    *,
+    up_to_ns: int,
+) -> Iterator[SensorFrame]:
     for stamp_ns in sorted(stamp for stamp in pending if stamp <= up_to_ns):
         parts = pending.pop(stamp_ns)
-        if depth not in parts or camera not in parts:
-            continue
-        with suppress(MessageRejectedError):
-            yield build(
-                PmdFrame,
-                stamp_ns=stamp_ns,
-                frame_id=parts[depth].header.frame_id,
-                depth_m=read_depth(parts[depth]),
-                amplitude=read_amplitude(parts[amplitude]) if amplitude in parts else None,
-                camera=read_camera(parts[camera]),
-                info=info,
-            )
+        if kind.required <= parts.keys():
+            received = {name: as_received(part) for name, part in parts.items()}
+            try:
+                yield reader.read(Assembled(stamp_ns, received))
+            except MessageRejectedError:
+                for part in parts.values():
+                    with log.unreadable.left_out(part):
+                        part.decode()
+
+
+def pmd_frames(
+    log: Log, sensor: str, *, start_ns: int | None = None, end_ns: int | None = None
+) -> Iterator[PmdFrame]:
+    """Iterate over the frames of a PMD camera, see ``sensor_frames``; the amplitude is optional."""
+    frames = sensor_frames(log, sensor, "pmd", start_ns=start_ns, end_ns=end_ns)
+    return cast("Iterator[PmdFrame]", frames)
 
 
 def lidar_scans(
     log: Log, sensor: str, *, start_ns: int | None = None, end_ns: int | None = None
 ) -> Iterator[LidarScan]:
-    """Iterate over the scans of a LIDAR; arrival within the slice."""
-    for logged in log.messages(POINTS.of(sensor), start_ns=start_ns, end_ns=end_ns):
-        with log.unreadable.left_out(logged):
-            yield _read_scan(logged)
-
-
-def _read_scan(logged: Logged) -> LidarScan:
-    message = logged.decode()
-    fields = read_points(message)
-    return build(
-        LidarScan,
-        stamp_ns=read_stamp(message.header),
-        frame_id=message.header.frame_id,
-        points_m=np.stack([fields[axis] for axis in "xyz"], axis=-1),
-        intensity=fields.get("intensity"),
-        time_s=fields.get("t"),
-    )
+    """Iterate over the scans of a LIDAR, see ``sensor_frames``."""
+    frames = sensor_frames(log, sensor, "lidar", start_ns=start_ns, end_ns=end_ns)
+    return cast("Iterator[LidarScan]", frames)

@@ -1,4 +1,4 @@
-"""From a damaged log to a readable one: copies what is whole, and counts what is not there any more."""
+"""Makes a readable log of a damaged one: copies whole records, and counts what is lost."""
 
 import os
 from collections import Counter, defaultdict
@@ -75,7 +75,7 @@ def _copy(stream: IO[bytes], written: IO[bytes], *, source: Path, out: Path, siz
 
 @dataclass
 class _Account:
-    """What a channel has, and signs of what it has not."""
+    """Messages found of a channel, and evidence of lost ones."""
 
     had: int = 0
     first_ns: int = 0
@@ -146,7 +146,7 @@ class _Copier:
         self._orphans = 0
         self._closed = False
         self._behind_damage = False
-        """Whether the indexes that come now are of a chunk that is lost."""
+        """Whether the following indexes belong to a lost chunk."""
         self._cut_ns: int | None = None
 
     def take(self, found: Found) -> None:

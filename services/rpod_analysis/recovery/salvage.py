@@ -1,4 +1,4 @@
-"""What is whole in a damaged MCAP file: its records in the order of the file, and where there are none.
+"""Finds the whole records of a damaged MCAP file, in the order of the file, and the gaps between them.
 
 A record is believed only as a whole: its length fits the file, and it says the same once it is written anew.
 A chunk is believed by its checksum. Where bytes are no record, the search goes on byte by byte for the next
@@ -50,7 +50,7 @@ DAMAGE = (
     MemoryError,
     zstandard.ZstdError,
 )
-"""What the MCAP library and the decompression raise on damaged bytes."""
+"""Exceptions that the MCAP library and the decompression raise on damaged bytes."""
 
 _FRAME = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
@@ -97,9 +97,9 @@ class DamagedChunk:
     definitions: tuple[Schema | Channel, ...]
     """Read out of it all the same: without them, later messages mean nothing."""
     whole: tuple[Message, ...] = ()
-    """Of a cut chunk: the messages before the cut."""
+    """Messages of a cut chunk that lie before the cut."""
     end_ns: int | None = None
-    """Of a cut chunk: arrival of the last message that it held."""
+    """Time of arrival of the last message of a cut chunk."""
 
 
 Found = McapRecord | Gap | DamagedChunk

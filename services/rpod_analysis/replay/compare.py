@@ -11,7 +11,7 @@ from rpod_analysis.replay.navigate import Replayed
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.run import Run, read_run
 from rpod_analysis.scoring.score import Track
-from rpod_analysis.scoring.totals import Tally, summarise_size
+from rpod_analysis.scoring.totals import RunTotals, summarise_size
 from rpod_schemas.logs import REPLAY
 from rpod_schemas.replay import Difference, Side
 
@@ -64,13 +64,13 @@ def _run(log: Log, prefix: str, sensors: dict[str, Sensor]) -> Run | None:
 def _side(run: Run | None) -> Side | None:
     if run is None:
         return None
-    tally = Tally.of(run)
+    totals = RunTotals.of(run)
     return Side(
         frames=len(run.statuses),
         estimates=len(run.estimates),
-        accepted=tally.accepted,
-        lost_s=tally.lost_ns * 1e-9,
-        modes=tally.modes(),
-        error=tally.error(),
-        consistency=tally.consistency(),
+        accepted=totals.accepted,
+        lost_s=totals.lost_ns * 1e-9,
+        modes=totals.modes(),
+        error=totals.error(),
+        consistency=totals.consistency(),
     )

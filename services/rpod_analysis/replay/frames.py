@@ -1,4 +1,4 @@
-"""A log's sensor data as an estimator meets them: in the order of arrival, or as a live run took them."""
+"""Sensor data of a log as input of an estimator: in the order of arrival, or as the live run used them."""
 
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from rpod_analysis.log import Logged
+from rpod_analysis.log.sensors import as_received
 from rpod_analysis.log.unreadable import StampCheck
 from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_pose.measurement import Tick
@@ -15,26 +16,17 @@ from rpod_runtime.frames import PartRejectedError
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_status
-from rpod_schemas.topics import Topic
 from rpod_schemas.types import EstimatorStatus
-from rpod_schemas.wire import GID_BYTES, Attachment
 
 _BY_ARRIVAL = tuple(f"{reason}:" for reason in (Reason.LATE, Reason.FUTURE, Reason.DUPLICATE))
 """Why a live run refused a frame before it looked at it: what only that run can know."""
 _PATIENCE_NS = NANOSECONDS
-"""How much later than its status a frame may have been logged."""
+"""Largest delay between the arrival of a status and that of its frame."""
 _MOST_WAITING = 64
 """Frames whose status has not come yet; older ones were passed over."""
 
 Event = Arrived | Tick
-"""What the estimator is fed."""
-
-
-def as_received(logged: Logged) -> Received:
-    """Return a logged message as it came off the wire."""
-    attachment = Attachment(logged.sequence, logged.publish_ns, bytes(GID_BYTES))
-    topic = Topic(logged.topic, logged.type)
-    return Received(topic, logged.topic, memoryview(logged.payload), attachment, logged.log_ns, 0.0)
+"""Input of the estimator."""
 
 
 @dataclass
@@ -93,7 +85,7 @@ class Frames:
 
 @dataclass
 class FramesAsLive(Frames):
-    """The same, with just the frames that a live run took, in its order: those that its status names."""
+    """Frames of the live run only, in its order: those that its status messages name."""
 
     status_topic: str = ""
     _waiting: dict[tuple[str, int], Assembled[Received]] = field(default_factory=dict)

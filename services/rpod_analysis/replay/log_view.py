@@ -1,4 +1,4 @@
-"""A log through the live view: the same drawing, as fast as it goes."""
+"""Draws a log with the live view's code, as fast as possible."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from itertools import chain, islice
 
 from rpod_analysis.log import Log, Logged
+from rpod_analysis.log.sensors import as_received
 from rpod_analysis.log.unreadable import StampCheck
-from rpod_analysis.replay.frames import as_received
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import TF, TF_STATIC, TRUTH, Topic
-from rpod_view.scene import SENSOR_TOPICS, pose_topics
+from rpod_view.scene import pose_topics, sensor_topics
 from rpod_view.view import View
 
 _MOST_MOMENTS = 1200
@@ -22,7 +22,7 @@ _AGAIN_NS = NANOSECONDS
 
 @dataclass(frozen=True)
 class Part:
-    """What of a log is shown; by arrival, ns, the end excluded."""
+    """Part of a log to show, by time of arrival, ns; the end is excluded."""
 
     start_ns: int | None = None
     end_ns: int | None = None
@@ -116,7 +116,7 @@ def _span_ns(log: Log, topics: list[str], part: Part) -> int:
 def _topics(log: Log, prefix: str) -> list[str]:
     """Return the topics of a log that are drawn; the truth's own where it is there, else its transforms."""
     truth = TRUTH if TRUTH.name in log.topics else TF
-    wanted = (truth, *pose_topics(prefix), *SENSOR_TOPICS)
+    wanted = (truth, *pose_topics(prefix), *sensor_topics())
     return [
         name
         for name, info in log.topics.items()

@@ -31,20 +31,20 @@ from rpod_target import load_target
 
 @dataclass(frozen=True)
 class Replayed:
-    """What a replay did."""
+    """Result of a replay."""
 
     out: Path
     """The new log: truth, the old estimates, and the new ones under ``replay``."""
     prefix: str
-    """Of the old estimates."""
+    """Prefix of the logged estimates' topics."""
     frames: int
-    """Handed to the estimator."""
+    """Number of frames handed to the estimator."""
     missing: int
     """Frames that the live run took and the log has not."""
     refused: dict[str, int]
     """Messages that could not be used, by topic."""
     processing_s: tuple[float, ...]
-    """Of each frame, on this machine."""
+    """Processing time of each frame on this machine."""
 
 
 def configured_estimator(log: Log) -> EstimatorConfig:
@@ -151,9 +151,9 @@ class _Feed:
         self._estimator, self._intake, self._as_live = estimator, intake, as_live
 
     def outputs(self, events: Iterable[Event]) -> Iterator[Output]:
-        """Yield what the estimator has to say."""
+        """Yield the estimator's outputs."""
         for event in events:
-            self._estimator.use_patterns(self._intake.patterns)
+            self._estimator.learn(self._intake.said)
             if isinstance(event, Tick):
                 yield from self._tick(event.stamp_ns)
                 continue

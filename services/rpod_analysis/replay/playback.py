@@ -1,4 +1,4 @@
-"""A log onto the bus: the recorded bytes, at their pace, with the time that they were recorded at.
+"""Publishes a log on the bus: the recorded bytes at their recorded times.
 
 A receiver whose time comes from ``clock`` cannot tell it from the sensors: keys, attachments, latched topics
 and stamps are theirs.
@@ -23,19 +23,20 @@ from rpod_schemas.topics import CLOCK, DIAGNOSTICS, STATUS, TF, Topic
 _CLOCK_PERIOD_NS = NANOSECONDS // 250
 _BETWEEN_LAPS_NS = NANOSECONDS // 10
 _SETTLE_S = 0.3
-"""Before the first message and after the last: publishers are found, what was missed is asked for again."""
+"""Wait before the first message and after the last, so that subscribers find the publishers and recover
+missed messages."""
 
 
 @dataclass(frozen=True)
 class Playback:
-    """How a log is played."""
+    """Options of a playback."""
 
     speed: float = 1.0
     """Times as fast as it was recorded."""
     start_s: float = 0.0
-    """Where to begin, from the log's first message on."""
+    """Beginning, s after the log's first message."""
     end_s: float | None = None
-    """Where to end; with the log where left out."""
+    """End, s after the log's first message; None for the end of the log."""
     loop: bool = False
     """Begin again at the end; stamps and clock go on rising."""
     topics: tuple[str, ...] = ()
@@ -46,16 +47,16 @@ class Playback:
 
 @dataclass
 class Played:
-    """What was played."""
+    """Result of a playback."""
 
     messages: Counter[str] = field(default_factory=Counter)
-    """By topic."""
+    """Number of messages by topic."""
     left_out: tuple[str, ...] = ()
     """Topics that were asked for and whose type is not known."""
     laps: int = 0
-    """How often the end was reached."""
+    """Number of times that the end was reached."""
     behind_s: float = 0.0
-    """How late a message was at most."""
+    """Largest delay of a message."""
 
 
 def play(log: Log, node: Node, playback: Playback, *, stop: Event) -> Played:

@@ -7,7 +7,7 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from rpod_analysis.report.content import Story
+from rpod_analysis.report.content import ReportContent
 from rpod_analysis.report.downsampling import Line
 from rpod_analysis.report.figures import BAD, SEVERAL, draw_limit, styled, with_gaps
 from rpod_analysis.scoring.score import NEES_95
@@ -21,15 +21,15 @@ class ComparedRow:
     title: str
     unit: str
     name: str
-    """In ``summary.json``, dotted."""
+    """Path of the value in ``summary.json``, with dots."""
     form: str = ".3g"
     scale: float = 1.0
     better: int = -1
-    """Whether less (-1) or more (1) is better; 0 where neither is."""
+    """-1 if a smaller value is better, 1 if a larger one is, 0 if neither is."""
 
-    def cells(self, stories: Sequence[Story]) -> list[tuple[str, bool]]:
+    def cells(self, contents: Sequence[ReportContent]) -> list[tuple[str, bool]]:
         """Return the number of each run as text, and whether it is the best of different ones."""
-        values = [self._of(story.summary) for story in stories]
+        values = [self._of(content.summary) for content in contents]
         known = [value for value in values if value is not None]
         best = (min if self.better < 0 else max)(known) if self.better and len(set(known)) > 1 else None
         return [
@@ -68,10 +68,10 @@ ROWS = (
     ComparedRow("frames dropped", "", "estimates.dropped", ".0f"),
     ComparedRow("messages missed by the log", "", "missed", ".0f"),
 )
-"""In the order of the table."""
+"""Rows in the order of the table."""
 
 
-def comparison_figure(stories: Sequence[Story]) -> go.Figure:
+def comparison_figure(contents: Sequence[ReportContent]) -> go.Figure:
     """Errors, NEES and distance of all runs over one another, from the start of each."""
     figure = make_subplots(
         rows=2,
@@ -86,11 +86,16 @@ def comparison_figure(stories: Sequence[Story]) -> go.Figure:
         vertical_spacing=0.1,
         horizontal_spacing=0.08,
     )
-    for story, colour in zip(stories, SEVERAL * (len(stories) // len(SEVERAL) + 1), strict=False):
-        digest = story.digest
-        panels = ((digest.angle_deg, "°"), (digest.distance_m, "m"), (digest.nees, ""), (digest.range_m, "m"))
+    for content, colour in zip(contents, SEVERAL * (len(contents) // len(SEVERAL) + 1), strict=False):
+        plot_data = content.plot_data
+        panels = (
+            (plot_data.angle_deg, "°"),
+            (plot_data.distance_m, "m"),
+            (plot_data.nees, ""),
+            (plot_data.range_m, "m"),
+        )
         for place, (line, unit) in enumerate(panels):
-            trace = _line(story, line, unit, colour=colour, legend=place == 0)
+            trace = _line(content, line, unit, colour=colour, legend=place == 0)
             figure.add_trace(trace, row=place // 2 + 1, col=place % 2 + 1)
     for place, title in enumerate(("error [°]", "error [m]", "NEES [-]", "distance [m]")):
         figure.update_yaxes(title_text=title, row=place // 2 + 1, col=place % 2 + 1)
@@ -101,15 +106,15 @@ def comparison_figure(stories: Sequence[Story]) -> go.Figure:
     return styled(figure, height=620, top=66, legend=True)
 
 
-def _line(story: Story, line: Line, unit: str, *, colour: str, legend: bool) -> go.Scatter:
-    x, y = with_gaps(story.digest.seconds(line.stamp_ns), line.values)
+def _line(content: ReportContent, line: Line, unit: str, *, colour: str, legend: bool) -> go.Scatter:
+    x, y = with_gaps(content.plot_data.seconds(line.stamp_ns), line.values)
     return go.Scatter(
         x=x,
         y=y,
         mode="lines",
         line={"color": colour, "width": 1.3},
-        name=story.name,
-        legendgroup=story.name,
+        name=content.name,
+        legendgroup=content.name,
         showlegend=legend,
-        hovertemplate=f"%{{x:.2f}} s: %{{y:.4g}} {unit}<extra>{story.name}</extra>",
+        hovertemplate=f"%{{x:.2f}} s: %{{y:.4g}} {unit}<extra>{content.name}</extra>",
     )

@@ -1,4 +1,4 @@
-"""All that a report tells of one log, gathered in one pass and ready for the page."""
+"""Content of the report of one log, gathered in one pass over it."""
 
 import json
 from collections import Counter
@@ -11,20 +11,19 @@ import plotly.io
 
 from rpod_analysis.log import Log
 from rpod_analysis.log.accounting import Command, SensorFlow
-from rpod_analysis.log.completeness import Statement, find_statement
+from rpod_analysis.log.completeness import CheckedCompleteness, check_log_completeness
 from rpod_analysis.log.unreadable import UnreadableKind
 from rpod_analysis.report.figures import error_figure, state_figure
 from rpod_analysis.report.figures_path import path_figure
 from rpod_analysis.report.figures_statistics import consistency_figure, timing_figure
-from rpod_analysis.report.plot_data import Digest
+from rpod_analysis.report.plot_data import PlotData
 from rpod_analysis.report.snapshots import Snapshot, take_snapshots
 from rpod_analysis.scoring.run import StreamedRun
-from rpod_analysis.scoring.run_checks import Check, find_checks, headline, verdict
+from rpod_analysis.scoring.run_checks import Check, assess, find_checks, headline
 from rpod_analysis.scoring.summarise import summarise
-from rpod_analysis.scoring.totals import Tally
+from rpod_analysis.scoring.totals import RunTotals
 from rpod_schemas.logs import SOFTWARE, TopicCount
 from rpod_schemas.summary import Summary
-from rpod_schemas.topics import DEPTH, POINTS
 from rpod_target import Target, TargetError, load_target
 
 _PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
@@ -32,21 +31,21 @@ _MOST_REASONS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Story:
-    """Of one log."""
+class ReportContent:
+    """Content of the report of one log."""
 
     name: str
-    """Of the log, to tell it from others."""
+    """Name of the log in a comparison."""
     files: tuple[str, ...]
     summary: Summary
-    tally: Tally
-    digest: Digest
-    statement: Statement
+    totals: RunTotals
+    plot_data: PlotData
+    completeness: CheckedCompleteness
     counts: dict[str, TopicCount]
     """The logger's own account by topic; empty where it left none."""
     flows: tuple[SensorFlow, ...]
     commands: tuple[tuple[float | None, Command], ...]
-    """What services were asked, and when, s from the start of the run; of many the first.
+    """Times, s from the start of the run, and commands that services accepted; the first ones only.
 
     None where the clock is not the wall's, by which services stamp their diagnostics.
     """
@@ -64,64 +63,64 @@ class Story:
     """JSON by service."""
 
     @property
-    def verdict(self) -> str:
+    def assessment(self) -> str:
         """The run in one sentence."""
-        return verdict(list(self.checks))
+        return assess(list(self.checks))
 
     @property
     def went_well(self) -> bool:
-        """Whether no check failed."""
+        """Whether every check passed or is unknown."""
         return all(check.good is not False for check in self.checks)
 
     @property
     def headline(self) -> str:
-        """What is to be known first: complete, lost, worst errors."""
-        return headline(self.summary, self.tally)
+        """The most important facts in one line: acquisition, losses, worst errors, completeness."""
+        return headline(self.summary, self.totals)
 
     @property
     def reasons(self) -> list[tuple[str, int]]:
         """Why frames were rejected, most frequent first, whatever the numbers in the reason."""
-        return self.tally.reasons.most_common(_MOST_REASONS)
+        return self.totals.reasons.most_common(_MOST_REASONS)
 
     def figures(self, prefix: str = "") -> dict[str, str]:
         """Return the figures as HTML by name, empty where nothing is to be drawn; ``prefix`` of their ids."""
-        scored = self.digest.angle_deg.values.size
+        scored = self.plot_data.angle_deg.values.size
         drawn = {
-            "state": state_figure(self.digest),
-            "errors": error_figure(self.digest) if scored else None,
-            "consistency": consistency_figure(self.digest, self.tally),
-            "timing": timing_figure(self.tally),
-            "path": path_figure(self.digest),
+            "state": state_figure(self.plot_data),
+            "errors": error_figure(self.plot_data) if scored else None,
+            "consistency": consistency_figure(self.plot_data, self.totals),
+            "timing": timing_figure(self.totals),
+            "path": path_figure(self.plot_data),
         }
         return {name: figure_html(figure, f"{prefix}figure-{name}") for name, figure in drawn.items()}
 
 
-def tell(log: Log, run: StreamedRun, *, name: str, report: Path | None = None) -> Story:
-    """Go through a run once and return what is to be told of it; ``report`` where it will stand."""
-    tally = Tally()
-    digest = Digest(run.start_ns, run.end_ns, tuple(run.sensors))
+def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None = None) -> ReportContent:
+    """Read a run once and return the content of its report; ``report`` is the path of the page."""
+    totals = RunTotals()
+    plot_data = PlotData(run.start_ns, run.end_ns, tuple(run.sensors))
     for minute in run:
-        tally.take(minute)
-        digest.take(minute)
+        totals.take(minute)
+        plot_data.take(minute)
     software = log.metadata(SOFTWARE)
     target, target_note = _target(log, software.get("target_digest", "").split())
     alarms = run.account.alarms
-    snapshots = tuple(take_snapshots(log, run, digest, target))
-    summary = summarise(log, run, tally, report=report)  # last: it tells what could not be read
-    return Story(
+    snapshots = tuple(take_snapshots(log, run, plot_data, target))
+    summary = summarise(log, run, totals, report=report)  # last: it tells what could not be read
+    return ReportContent(
         name=name,
         files=tuple(path.name for path in log.paths),
         summary=summary,
-        tally=tally,
-        digest=digest,
-        statement=find_statement(log),
+        totals=totals,
+        plot_data=plot_data,
+        completeness=check_log_completeness(log),
         counts=log.counts,
         commands=tuple(
             (None if run.clock else (command.stamp_ns - run.start_ns) * 1e-9, command)
             for command in run.account.commands
         ),
         command_count=run.account.command_count,
-        flows=tuple(_flows(run, tally, summary)),
+        flows=tuple(_flows(run, totals, summary)),
         alarms=tuple(alarms.most_common(_MOST_REASONS)),
         checks=tuple(find_checks(summary, alarms.total())),
         snapshots=snapshots,
@@ -141,16 +140,15 @@ def figure_html(figure: go.Figure | None, identity: str) -> str:
     return str(plotly.io.to_html(figure, div_id=identity, **options))
 
 
-def _flows(run: StreamedRun, tally: Tally, summary: Summary) -> list[SensorFlow]:
+def _flows(run: StreamedRun, totals: RunTotals, summary: Summary) -> list[SensorFlow]:
     flows = []
     for sensor in run.sensors.values():
-        topic = (DEPTH if sensor.kind == "pmd" else POINTS).of(sensor.name)
-        outcomes = tally.by_sensor.get(sensor.name, Counter[str]())
+        outcomes = totals.by_sensor.get(sensor.name, Counter[str]())
         dropped, incomplete = run.account.passed_over(run.status_topic, sensor.name)
         flows.append(
             SensorFlow(
                 sensor=sensor.name,
-                published=summary.frames[topic.name].published,
+                published=summary.frames[sensor.leading.name].published,
                 accepted=outcomes["accepted"],
                 rejected=outcomes["rejected"],
                 dropped=dropped,

@@ -7,9 +7,9 @@ from rpod_analysis.scoring.score import BoolArray, IntArray
 from rpod_schemas.arrays import FloatArray
 
 MOST_POINTS = 5000
-"""Of a line."""
+"""Largest number of points of a line."""
 MOST_STRETCHES = 2000
-"""Of a band."""
+"""Largest number of stretches of a band."""
 
 
 class Bins:

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from rpod_analysis.report.downsampling import Band, Line
-from rpod_analysis.report.plot_data import Digest
+from rpod_analysis.report.plot_data import PlotData
 from rpod_analysis.scoring.score import BoolArray
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Mode, Source
@@ -20,7 +20,7 @@ ACCENT = "#2f7df6"
 BAD = "#d9534f"
 QUIET = "#8b949e"
 SEVERAL = (ACCENT, "#e8833a", "#2aa876", "#a05fd6", "#d6487e", "#8a6d3b", "#17a2b8", "#6c757d")
-"""Of several logs in one figure, in their order."""
+"""Colours of the logs in a figure of several, in their order."""
 _BAND = "rgba(139,148,158,0.22)"
 _MODES = {
     Mode.TRACKING: ACCENT,
@@ -34,16 +34,17 @@ _SOURCES = {
     Source.PMD_DEPTH: "#a05fd6",
     Source.PMD_AMPLITUDE: "#e8833a",
     Source.PMD_JOINT: "#d6487e",
+    Source.OTHER: "#8a6d3b",
 }
 _AXES = (
     ("roll", "pitch", "yaw"),
     ("x, right", "y, down", "z, boresight"),
 )
 _LIMITS = (10.0, 0.3)
-"""Of attitude, deg, and position, m: worse is off the target."""
+"""Limits of attitude error, deg, and position error, m, beyond which an estimate is off the target."""
 
 
-def error_figure(digest: Digest) -> go.Figure:
+def error_figure(plot_data: PlotData) -> go.Figure:
     """Attitude and position errors over time: size, and each axis with the covariance's 3-sigma band."""
     titles = [title for pair in (("attitude", "position"), *zip(*_AXES, strict=True)) for title in pair]
     figure = make_subplots(
@@ -55,16 +56,16 @@ def error_figure(digest: Digest) -> go.Figure:
         horizontal_spacing=0.08,
     )
     columns = (
-        (digest.angle_deg, digest.attitude_deg, digest.sigma_deg, "°"),
-        (digest.distance_m, digest.position_m, digest.sigma_m, "m"),
+        (plot_data.angle_deg, plot_data.attitude_deg, plot_data.sigma_deg, "°"),
+        (plot_data.distance_m, plot_data.position_m, plot_data.sigma_m, "m"),
     )
     for col, (size, axes, sigmas, unit) in enumerate(columns, start=1):
-        _line(figure, digest, size, unit, row=1, col=col)
+        _line(figure, plot_data, size, unit, row=1, col=col)
         if size.values.max(initial=0.0) > 0.6 * _LIMITS[col - 1]:
             draw_limit(figure, "y", _LIMITS[col - 1], BAD, row=1, col=col)
         for row, (axis, sigma) in enumerate(zip(axes, sigmas, strict=True), start=2):
-            _band(figure, digest, sigma, unit, row=row, col=col)
-            _line(figure, digest, axis, unit, row=row, col=col)
+            _band(figure, plot_data, sigma, unit, row=row, col=col)
+            _line(figure, plot_data, axis, unit, row=row, col=col)
             reach = _reach(axis.values, sigma.values)
             figure.update_yaxes(range=[-reach, reach], row=row, col=col)
         for row in range(1, 5):
@@ -74,14 +75,14 @@ def error_figure(digest: Digest) -> go.Figure:
     return styled(figure, height=860)
 
 
-def state_figure(digest: Digest) -> go.Figure:
+def state_figure(plot_data: PlotData) -> go.Figure:
     """State and source as bands, rejected frames as ticks on them, and the distance to the target."""
     figure = make_subplots(
         rows=3, cols=1, shared_xaxes=True, row_heights=[0.13, 0.13, 0.74], vertical_spacing=0.03
     )
-    _stretches(figure, digest, digest.mode, _MODES, row=1)
-    _stretches(figure, digest, digest.source, _SOURCES, row=2)
-    time_s = digest.seconds(digest.rejected.stamp_ns)
+    _stretches(figure, plot_data, plot_data.mode, _MODES, row=1)
+    _stretches(figure, plot_data, plot_data.source, _SOURCES, row=2)
+    time_s = plot_data.seconds(plot_data.rejected.stamp_ns)
     figure.add_trace(
         go.Scatter(
             x=time_s,
@@ -90,18 +91,18 @@ def state_figure(digest: Digest) -> go.Figure:
             marker={"symbol": "line-ns-open", "size": 14, "color": "#111"},
             name="rejected",
             showlegend=bool(time_s.size),
-            text=digest.reasons,
+            text=plot_data.reasons,
             hovertemplate="%{x:.2f} s: %{text}<extra>rejected</extra>",
         ),
         row=1,
         col=1,
     )
     for line, name, style in (
-        (digest.true_range_m, "truth", {"color": QUIET, "width": 4}),
-        (digest.range_m, "estimate", {"color": ACCENT, "width": 1.6}),
+        (plot_data.true_range_m, "truth", {"color": QUIET, "width": 4}),
+        (plot_data.range_m, "estimate", {"color": ACCENT, "width": 1.6}),
     ):
         if line.values.size:
-            x, y = with_gaps(digest.seconds(line.stamp_ns), line.values)
+            x, y = with_gaps(plot_data.seconds(line.stamp_ns), line.values)
             hover = "%{x:.2f} s: %{y:.3f} m<extra></extra>"
             figure.add_trace(
                 go.Scatter(x=x, y=y, mode="lines", name=name, line=style, hovertemplate=hover), row=3, col=1
@@ -133,8 +134,8 @@ def draw_limit(figure: go.Figure, axis: str, value: float, colour: str, *, row: 
     figure.add_shape(**ends, **reference, type="line", line=line, row=row, col=col)
 
 
-def _line(figure: go.Figure, digest: Digest, line: Line, unit: str, *, row: int, col: int) -> None:
-    x, y = with_gaps(digest.seconds(line.stamp_ns), line.values)
+def _line(figure: go.Figure, plot_data: PlotData, line: Line, unit: str, *, row: int, col: int) -> None:
+    x, y = with_gaps(plot_data.seconds(line.stamp_ns), line.values)
     figure.add_trace(
         go.Scatter(
             x=x,
@@ -156,10 +157,10 @@ def _alone(values: FloatArray) -> BoolArray:
     return alone
 
 
-def _band(figure: go.Figure, digest: Digest, sigma: Line, unit: str, *, row: int, col: int) -> None:
+def _band(figure: go.Figure, plot_data: PlotData, sigma: Line, unit: str, *, row: int, col: int) -> None:
     if not (sigma.values > 0.0).any():
         return
-    x, y = with_gaps(digest.seconds(sigma.stamp_ns), 3.0 * sigma.values)
+    x, y = with_gaps(plot_data.seconds(sigma.stamp_ns), 3.0 * sigma.values)
     breaks = np.flatnonzero(np.isnan(y))
     pieces = [part[np.isfinite(y[part])] for part in np.split(np.arange(y.size), breaks)]
     figure.add_trace(
@@ -188,11 +189,11 @@ def with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, Float
 
 
 def _stretches(
-    figure: go.Figure, digest: Digest, band: Band, colours: Mapping[Any, str], *, row: int
+    figure: go.Figure, plot_data: PlotData, band: Band, colours: Mapping[Any, str], *, row: int
 ) -> None:
     """One bar a stretch of equal value; bars of one value are one trace."""
-    starts_s = digest.seconds(band.start_ns)
-    ends_s = np.append(starts_s[1:], digest.seconds(np.array([band.end_ns])))[: starts_s.size]
+    starts_s = plot_data.seconds(band.start_ns)
+    ends_s = np.append(starts_s[1:], plot_data.seconds(np.array([band.end_ns])))[: starts_s.size]
     for value, colour in colours.items():
         mine = band.values == value
         if mine.any():

@@ -8,23 +8,23 @@ from plotly.subplots import make_subplots
 
 from rpod_analysis.report.downsampling import Samples
 from rpod_analysis.report.figures import ACCENT, QUIET, styled, with_gaps
-from rpod_analysis.report.plot_data import Digest
+from rpod_analysis.report.plot_data import PlotData
 from rpod_schemas.arrays import FloatArray
 
 _AXES = "xyz"
 _CAMERA = {"eye": {"x": 1.5, "y": 1.5, "z": 1.0}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}}
 
 
-def path_figure(digest: Digest) -> go.Figure | None:
+def path_figure(plot_data: PlotData) -> go.Figure | None:
     """Position of the target's origin in chaser axes, truth and estimate; None where neither is known.
 
     The plane projections need no WebGL, which a browser may not have.
     """
     paths: list[tuple[str, Samples, dict[str, Any]]] = [
-        ("truth", digest.true_path, {"color": QUIET, "width": 4}),
-        ("estimate", digest.path, {"color": ACCENT, "width": 1.4}),
+        ("truth", plot_data.true_path, {"color": QUIET, "width": 4}),
+        ("estimate", plot_data.path, {"color": ACCENT, "width": 1.4}),
     ]
-    known = [(name, _with_gaps(digest, path), line) for name, path, line in paths if len(path.rows)]
+    known = [(name, _with_gaps(plot_data, path), line) for name, path, line in paths if len(path.rows)]
     if not known:
         return None
     figure = make_subplots(
@@ -74,8 +74,8 @@ def path_figure(digest: Digest) -> go.Figure | None:
     return styled(figure, height=520, top=34, legend=True)
 
 
-def _with_gaps(digest: Digest, path: Samples) -> FloatArray:
-    time_s = digest.seconds(path.stamp_ns)
+def _with_gaps(plot_data: PlotData, path: Samples) -> FloatArray:
+    time_s = plot_data.seconds(path.stamp_ns)
     return np.column_stack([with_gaps(time_s, column)[1] for column in path.rows.T])
 
 

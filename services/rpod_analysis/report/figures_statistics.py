@@ -6,10 +6,10 @@ from plotly.subplots import make_subplots
 
 from rpod_analysis.report.downsampling import Line
 from rpod_analysis.report.figures import ACCENT, BAD, QUIET, draw_limit, styled
-from rpod_analysis.report.plot_data import Digest
+from rpod_analysis.report.plot_data import PlotData
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.score import NEES_95
-from rpod_analysis.scoring.totals import Tally
+from rpod_analysis.scoring.totals import RunTotals
 from rpod_schemas.arrays import FloatArray
 
 EXPECTED = 6.0
@@ -18,11 +18,11 @@ _DECADES = (-3.0, 3.0)
 _BINS_A_DECADE = 8
 
 
-def timing_figure(tally: Tally) -> go.Figure | None:
+def timing_figure(totals: RunTotals) -> go.Figure | None:
     """Latency and processing time, median and 99 % marked; None where neither is known."""
     panels = [
-        ("latency: stamp to publication", "latency [ms]", tally.latency_s),
-        ("processing: last part received to publication", "processing [ms]", tally.processing_s),
+        ("latency: stamp to publication", "latency [ms]", totals.latency_s),
+        ("processing: last part received to publication", "processing [ms]", totals.processing_s),
     ]
     known = [panel for panel in panels if panel[2].count]
     if not known:
@@ -47,11 +47,11 @@ def timing_figure(tally: Tally) -> go.Figure | None:
     return styled(figure, height=290)
 
 
-def consistency_figure(digest: Digest, tally: Tally) -> go.Figure | None:
+def consistency_figure(plot_data: PlotData, totals: RunTotals) -> go.Figure | None:
     """NEES and NIS over time and as distributions, with their 95 % bound; None where neither is known."""
     panels = [
-        ("NEES of the tracked frames", "NEES [-]", digest.nees, tally.nees),
-        ("NIS of the measurements", "NIS [-]", digest.nis, tally.nis),
+        ("NEES of the tracked frames", "NEES [-]", plot_data.nees, totals.nees),
+        ("NIS of the measurements", "NIS [-]", plot_data.nis, totals.nis),
     ]
     known = [panel for panel in panels if panel[3].count]
     if not known:
@@ -67,7 +67,7 @@ def consistency_figure(digest: Digest, tally: Tally) -> go.Figure | None:
         vertical_spacing=0.1,
     )
     for row, (_, axis, line, column) in enumerate(known, start=1):
-        _over_time(figure, digest, line, row=row)
+        _over_time(figure, plot_data, line, row=row)
         _distribution(figure, column, row=row)
         for col in (1, 2):
             draw_limit(figure, "y", NEES_95, BAD, row=row, col=col)
@@ -85,11 +85,11 @@ def consistency_figure(digest: Digest, tally: Tally) -> go.Figure | None:
     return styled(figure, height=60 + 240 * len(known))
 
 
-def _over_time(figure: go.Figure, digest: Digest, line: Line, *, row: int) -> None:
+def _over_time(figure: go.Figure, plot_data: PlotData, line: Line, *, row: int) -> None:
     known = line.values > 0.0
     figure.add_trace(
         go.Scatter(
-            x=digest.seconds(line.stamp_ns)[known],
+            x=plot_data.seconds(line.stamp_ns)[known],
             y=line.values[known],
             mode="markers",
             marker={"size": 3, "color": ACCENT, "opacity": 0.6},

@@ -1,4 +1,4 @@
-"""What is drawn of a run, in bounded memory whatever its length: fewer points, all peaks."""
+"""Data of a run's figures in bounded memory: downsampled lines that keep all peaks."""
 
 import numpy as np
 
@@ -12,14 +12,14 @@ _MOST_STEPS = 1200
 _MOST_FRAMES = 200
 
 
-class Digest:
-    """Takes the minutes of a run in their order."""
+class PlotData:
+    """Collects the data of the figures, minute by minute."""
 
     def __init__(self, start_ns: int, end_ns: int, sensors: tuple[str, ...] = ()) -> None:
         self.start_ns = start_ns
         span_ns = start_ns, end_ns
         self.angle_deg, self.distance_m = Line(span_ns), Line(span_ns)
-        """Sizes of the errors."""
+        """Magnitudes of the errors."""
         self.attitude_deg = tuple(Line(span_ns) for _ in range(3))
         """Roll, pitch, yaw: in target axes."""
         self.position_m = tuple(Line(span_ns) for _ in range(3))
@@ -28,11 +28,11 @@ class Digest:
         self.sigma_m = tuple(Line(span_ns) for _ in range(3))
         self.nees, self.nis = Line(span_ns), Line(span_ns)
         self.true_range_m, self.range_m = Line(span_ns), Line(span_ns)
-        """Distance of the target, as it was and as estimated."""
+        """True and estimated distance of the target."""
         self.mode, self.source = Band(), Band()
         self.rejected = Samples(span_ns, _MOST_TICKS)
         self.reasons: list[str] = []
-        """Of the rejected frames that are drawn."""
+        """Reasons of the rejected frames that are drawn."""
         self.true_path, self.path = Samples(span_ns, _MOST_STEPS, 3), Samples(span_ns, _MOST_STEPS, 3)
         """Positions of the target, chaser axes, m."""
         self.frames = {sensor: Samples(span_ns, _MOST_FRAMES) for sensor in sensors}
@@ -40,19 +40,19 @@ class Digest:
         self.any_frames = {sensor: Samples(span_ns, _MOST_FRAMES) for sensor in sensors}
 
     @classmethod
-    def of(cls, run: StreamedRun) -> "Digest":
-        """Return what is drawn of a run."""
-        digest = cls(run.start_ns, run.end_ns, tuple(run.sensors))
+    def of(cls, run: StreamedRun) -> "PlotData":
+        """Return the data of a run's figures."""
+        plot_data = cls(run.start_ns, run.end_ns, tuple(run.sensors))
         for minute in run:
-            digest.take(minute)
-        return digest
+            plot_data.take(minute)
+        return plot_data
 
     def seconds(self, stamp_ns: IntArray) -> FloatArray:
         """Return stamps as seconds from the start of the run."""
         return (stamp_ns - self.start_ns) * np.float64(1e-9)
 
     def take(self, run: Run) -> None:
-        """Take a minute."""
+        """Add a minute of the run."""
         self._take_errors(run)
         self._take_statuses(run)
         for track, line, path in (

@@ -15,7 +15,7 @@ from plotly.offline import get_plotlyjs
 from rpod_analysis.log import open_log
 from rpod_analysis.log.log_file import RECOVERED
 from rpod_analysis.report.comparison import ROWS, comparison_figure
-from rpod_analysis.report.content import Story, figure_html, tell
+from rpod_analysis.report.content import ReportContent, figure_html, gather_content
 from rpod_analysis.report.tables import write_tables
 from rpod_analysis.scoring.run import stream_run
 from rpod_schemas.summary import Comparison
@@ -25,7 +25,7 @@ _PART = re.compile(r"_\d{4}$")
 
 @dataclass(frozen=True)
 class ReportPaths:
-    """What was written."""
+    """Paths of the files that a report consists of."""
 
     html: Path
     summary: Path
@@ -57,19 +57,19 @@ def write_comparison(runs: Sequence[Sequence[Path]], out: Path | None = None) ->
     Raises:
         AnalysisError: a log cannot be read, or no estimator spoke in it.
     """
-    names, stories = tell_apart([logs[0] for logs in runs]), []
+    names, contents = tell_apart([logs[0] for logs in runs]), []
     folders = [logs[0].absolute().parent for logs in runs]
     for logs, name, folder in zip(runs, names, folders, strict=True):
         alone = out is None and folders.count(folder) == 1
-        stories.append(_report_one(logs, None if alone else (out or folder) / name, name=name)[1])
+        contents.append(_report_one(logs, None if alone else (out or folder) / name, name=name)[1])
     directory = out or Path(os.path.commonpath(folders))
     paths = ReportPaths(directory / "comparison.html", directory / "comparison.json")
     page = _template("comparison.html.j2").render(
-        stories=stories, rows=ROWS, figure=figure_html(comparison_figure(stories), "figure-comparison"),
+        contents=contents, rows=ROWS, figure=figure_html(comparison_figure(contents), "figure-comparison"),
         plotly=get_plotlyjs(),
     )  # fmt: skip
     paths.html.write_text(page, encoding="utf-8")
-    comparison = Comparison(report=str(paths.html), runs=tuple(story.summary for story in stories))
+    comparison = Comparison(report=str(paths.html), runs=tuple(content.summary for content in contents))
     paths.summary.write_text(comparison.model_dump_json(indent=2) + "\n", encoding="utf-8")
     return paths
 
@@ -94,18 +94,18 @@ def tell_apart(paths: Sequence[Path]) -> list[str]:
     return next(names for names in choices if len(set(names)) == len(names))
 
 
-def _report_one(logs: Sequence[Path], out: Path | None, *, name: str) -> tuple[ReportPaths, Story]:
+def _report_one(logs: Sequence[Path], out: Path | None, *, name: str) -> tuple[ReportPaths, ReportContent]:
     with open_log(*logs) as log:
         run = stream_run(log)
         directory = out or log.paths[0].parent
         paths = ReportPaths(directory / "report.html", directory / "summary.json")
-        story = tell(log, run, name=name, report=paths.html)
+        content = gather_content(log, run, name=name, report=paths.html)
     directory.mkdir(parents=True, exist_ok=True)
     write_tables(directory, run)
-    page = _template("report.html.j2").render(story=story, plotly=get_plotlyjs())
+    page = _template("report.html.j2").render(content=content, plotly=get_plotlyjs())
     paths.html.write_text(page, encoding="utf-8")
-    paths.summary.write_text(story.summary.model_dump_json(indent=2) + "\n", encoding="utf-8")
-    return paths, story
+    paths.summary.write_text(content.summary.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    return paths, content
 
 
 def _template(name: str) -> Template:

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.log import Log
-from rpod_analysis.log.sensors import Sensor, lidar_scans, pmd_frames
-from rpod_analysis.report.plot_data import Digest
+from rpod_analysis.log.sensors import Sensor, sensor_frames
+from rpod_analysis.report.plot_data import PlotData
 from rpod_analysis.report.wireframe import svg_path
 from rpod_analysis.scoring.run import Run, StreamedRun
 from rpod_analysis.scoring.score import Track, interpolate
 from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.arrays import Array, FloatArray
-from rpod_schemas.types import Camera, LidarScan, PmdFrame
+from rpod_schemas.types import Camera, Float32Array, FrameImage, SensorFrame
 from rpod_target import Target
 
 _SAMPLES = 4
@@ -36,7 +36,7 @@ class Picture:
 
     title: str
     view: tuple[float, float, float, float]
-    """What is shown: left, top, width, height."""
+    """Window of the picture: left, top, width, height."""
     image: str
     """Data URI; empty where points are drawn."""
     size: tuple[int, int]
@@ -45,9 +45,9 @@ class Picture:
     """Colour and SVG path of points, near to far."""
     low: str
     high: str
-    """What the ends of the scale mean."""
+    """Labels of the ends of the scale."""
     scale: str
-    """Which scale: ``depth`` or ``grey``."""
+    """Name of the scale: ``depth`` or ``grey``."""
 
 
 @dataclass(frozen=True)
@@ -63,53 +63,47 @@ class Snapshot:
     truth_path: str
 
 
-def take_snapshots(log: Log, run: StreamedRun, digest: Digest, target: Target | None) -> list[Snapshot]:
+def take_snapshots(log: Log, run: StreamedRun, plot_data: PlotData, target: Target | None) -> list[Snapshot]:
     """Return about four frames of each sensor, evenly over the run, estimated ones first of all."""
     return [
         snapshot
         for sensor in run.sensors.values()
-        for stamp_ns in _sample_stamps(digest, sensor)
+        for stamp_ns in _sample_stamps(plot_data, sensor)
         for frame in _read_frame(log, run.at(stamp_ns), sensor, stamp_ns)
         if (snapshot := _snapshot(run.at(stamp_ns), sensor, frame, target))
     ]
 
 
-def _sample_stamps(digest: Digest, sensor: Sensor) -> list[int]:
-    estimated = digest.frames[sensor.name].stamp_ns
-    choice = estimated if estimated.size else digest.any_frames[sensor.name].stamp_ns
+def _sample_stamps(plot_data: PlotData, sensor: Sensor) -> list[int]:
+    estimated = plot_data.frames[sensor.name].stamp_ns
+    choice = estimated if estimated.size else plot_data.any_frames[sensor.name].stamp_ns
     if not choice.size:
         return []
     places = np.quantile(np.arange(choice.size), np.linspace(0.02, 0.98, _SAMPLES), method="nearest")
     return [int(stamp_ns) for stamp_ns in choice[np.unique(places).astype(np.int64)]]
 
 
-def _read_frame(log: Log, run: Run, sensor: Sensor, stamp_ns: int) -> Iterator[PmdFrame | LidarScan]:
+def _read_frame(log: Log, run: Run, sensor: Sensor, stamp_ns: int) -> Iterator[SensorFrame]:
     frames = run.frames[sensor.name]
     log_ns = int(frames.log_ns[np.argmax(frames.stamp_ns == stamp_ns)])
-    read = pmd_frames if sensor.kind == "pmd" else lidar_scans
-    near = read(log, sensor.name, start_ns=log_ns - _SLICE_NS, end_ns=log_ns + _SLICE_NS)
+    slice_ns = {"start_ns": log_ns - _SLICE_NS, "end_ns": log_ns + _SLICE_NS}
+    near = sensor_frames(log, sensor.name, sensor.kind, **slice_ns)
     yield from (frame for frame in near if frame.stamp_ns == stamp_ns)
 
 
-def _snapshot(
-    run: Run, sensor: Sensor, frame: PmdFrame | LidarScan, target: Target | None
-) -> Snapshot | None:
-    camera = frame.camera if isinstance(frame, PmdFrame) else None
+def _snapshot(run: Run, sensor: Sensor, frame: SensorFrame, target: Target | None) -> Snapshot | None:
+    camera = frame.lens
     index = _index_of(run.estimates, frame.stamp_ns)
     drawn = [
         _outline(sensor, target, camera, pose)
         for pose in (None if index is None else run.estimates.poses[index], _truth_at(run, frame.stamp_ns))
     ]
     outline = np.concatenate([segments.reshape(-1, 2) for segments in drawn])
-    if isinstance(frame, PmdFrame):
-        pictures = camera_pictures(frame, outline)
-    else:
-        pictures = _lidar_pictures(frame, outline)
     return Snapshot(
         sensor=sensor.name,
         time_s=float(run.seconds(np.array([frame.stamp_ns]))[0]),
         note=_note(run, index),
-        pictures=pictures,
+        pictures=frame_pictures(frame, outline),
         estimate_path=svg_path(drawn[0]),
         truth_path=svg_path(drawn[1]),
     )
@@ -142,26 +136,35 @@ def _note(run: Run, index: int | None) -> str:
     return f"{np.rad2deg(run.errors.angle_rad[index]):.2f}°, {100 * run.errors.distance_m[index]:.1f} cm"
 
 
-def camera_pictures(frame: PmdFrame, outline: FloatArray) -> tuple[Picture, ...]:
-    """Return depth and, where it is sent, amplitude, with the window on an outline, pixels, shape (N, 2)."""
-    size = frame.camera.width, frame.camera.height
-    rows, columns = np.nonzero(np.isfinite(frame.depth_m))
+def frame_pictures(frame: SensorFrame, outline: FloatArray) -> tuple[Picture, ...]:
+    """Return the images of a frame, else its points, with the window on an outline, pixels, shape (N, 2)."""
+    if not frame.images:
+        return _points_pictures(frame.returns_m, outline)
+    first = frame.images[0].values
+    size = first.shape[1], first.shape[0]
+    rows, columns = np.nonzero(np.isfinite(first))
     view = _view(outline if len(outline) else np.column_stack([columns, rows]).astype(np.float64), size)
-    near, far = _span(frame.depth_m[rows, columns])
-    shade = _shade(frame.depth_m, far, near)
-    opaque = np.where(np.isfinite(frame.depth_m), 255, 0).astype(np.uint8)
-    depth = np.dstack([cv2.applyColorMap(shade, cv2.COLORMAP_VIRIDIS), opaque]).astype(np.uint8)
-    pictures = [Picture("depth", view, _data_uri(depth), size, (), f"{near:.2f} m", f"{far:.2f} m", "depth")]
-    if frame.amplitude is not None:
-        low, high = _span(frame.amplitude)
-        grey = (255.0 * (_shade(frame.amplitude, low, high) / 255.0) ** 0.6).astype(np.uint8)
-        uri = _data_uri(grey)
-        pictures.append(Picture("amplitude", view, uri, size, (), f"{high:.0f}", f"{low:.0f}", "grey"))
-    return tuple(pictures)
+    return tuple(_image_picture(image, view, size) for image in frame.images)
 
 
-def _lidar_pictures(scan: LidarScan, outline: FloatArray) -> tuple[Picture, ...]:
-    points = scan.returns_m[:: len(scan.returns_m) // _MOST_POINTS + 1].astype(np.float64)
+def _image_picture(
+    image: FrameImage, view: tuple[float, float, float, float], size: tuple[int, int]
+) -> Picture:
+    values = image.values
+    if image.scale == "grey":
+        low, high = _span(values)
+        grey = (255.0 * (_shade(values, low, high) / 255.0) ** 0.6).astype(np.uint8)
+        return Picture(image.title, view, _data_uri(grey), size, (), f"{high:.0f}", f"{low:.0f}", "grey")
+    known = np.isfinite(values)
+    near, far = _span(values[known])
+    opaque = np.where(known, 255, 0).astype(np.uint8)
+    coloured = cv2.applyColorMap(_shade(values, far, near), cv2.COLORMAP_VIRIDIS)
+    depth = np.dstack([coloured, opaque]).astype(np.uint8)
+    return Picture(image.title, view, _data_uri(depth), size, (), f"{near:.2f} m", f"{far:.2f} m", "depth")
+
+
+def _points_pictures(returns_m: Float32Array, outline: FloatArray) -> tuple[Picture, ...]:
+    points = returns_m[:: len(returns_m) // _MOST_POINTS + 1].astype(np.float64)
     points = points[points[:, 2] > 0.0]
     if not len(points):
         return ()

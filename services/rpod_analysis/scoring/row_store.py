@@ -1,4 +1,4 @@
-"""Where the rows and numbers of a run of any length are kept: in memory while they are few, then on disk.
+"""Storage for the rows and numbers of a run of any length: in memory at first, then on disk.
 
 Memory is bounded by a minute of the run; what is asked of the numbers is exact all the same.
 """
@@ -17,9 +17,9 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.cdr import NANOSECONDS
 
 BLOCK_NS = 60 * NANOSECONDS
-"""Rows are taken out by the minute of their stamps."""
+"""Length of a block of rows: a minute."""
 Row = tuple[Any, ...]
-"""The first of it is the stamp, ns."""
+"""A row; its first item is the stamp, ns."""
 
 _MOST_PENDING = 20_000
 _RECENT = 3
@@ -28,8 +28,8 @@ _BINS = 4096
 _GATHERED = 1 << 15
 
 
-class Spool:
-    """Rows that come in any order and are taken out by the minute of their stamps."""
+class RowStore:
+    """Rows that arrive in any order and are read by the minute of their stamps."""
 
     def __init__(self) -> None:
         self._file: IO[bytes] = TemporaryFile()  # noqa: SIM115
@@ -45,7 +45,7 @@ class Spool:
         """Highest stamp."""
 
     def add(self, row: Row) -> None:
-        """Keep a row."""
+        """Add a row."""
         stamp_ns = row[0]
         self._pending[stamp_ns // BLOCK_NS].append(row)
         self._recent.pop(stamp_ns // BLOCK_NS, None)
@@ -86,7 +86,7 @@ class Spool:
 
 
 class Column:
-    """Finite numbers, any many of them, and exact statistics of them; NaN is left out."""
+    """Any number of finite numbers with exact statistics; NaN is left out."""
 
     def __init__(self, values: FloatArray | None = None) -> None:
         self._file: IO[bytes] = SpooledTemporaryFile(max_size=_IN_MEMORY_BYTES)  # noqa: SIM115
@@ -101,7 +101,7 @@ class Column:
         return self.count
 
     def extend(self, values: FloatArray) -> None:
-        """Take more numbers."""
+        """Add numbers."""
         finite = np.asarray(values, np.float64)[np.isfinite(values)]
         if not finite.size:
             return
@@ -115,12 +115,12 @@ class Column:
 
     @property
     def mean(self) -> float:
-        """Of one number at least."""
+        """Mean of at least one number."""
         return self._sum / self.count
 
     @property
     def rms(self) -> float:
-        """Of one number at least."""
+        """Root mean square of at least one number."""
         return float(np.sqrt(self._squares / self.count))
 
     def share_up_to(self, bound: float) -> float:

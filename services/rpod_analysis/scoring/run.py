@@ -1,4 +1,4 @@
-"""A run as its log tells it: everything that is scored and drawn, read in one pass.
+"""A run, read from its log in one pass: everything that is scored and drawn.
 
 The pass keeps what it finds by the minute (``StreamedRun``), so that a run of any length is scored minute by
 minute in bounded memory; ``read_run`` gives all of it at once.
@@ -27,7 +27,7 @@ DEFAULT_PREFIX = STATUS.name.split("/")[0]
 
 @dataclass(frozen=True, eq=False)
 class Statuses:
-    """What the estimator said of N frames, in the order of their stamps."""
+    """The estimator's status of N frames, in the order of their stamps."""
 
     stamp_ns: IntArray
     mode: IntArray
@@ -45,7 +45,7 @@ class Statuses:
 
 @dataclass(frozen=True, eq=False)
 class SensorFrames:
-    """When the frames of a sensor were taken and when they came, each shape (N,)."""
+    """Stamps and times of arrival of a sensor's frames, each shape (N,)."""
 
     stamp_ns: IntArray
     log_ns: IntArray
@@ -62,7 +62,7 @@ class Run:
     truth: Track
     estimates: Track
     covariance: FloatArray
-    """Of (dp, dtheta) in chaser axes, shape (N, 6, 6)."""
+    """Covariance of (dp, dtheta) in chaser axes, shape (N, 6, 6)."""
     latency_s: FloatArray
     """Stamp to publication of the estimates, shape (N,); NaN where the clock is not the wall's."""
     tracked: BoolArray
@@ -77,13 +77,13 @@ class Run:
     statuses: Statuses
     sensors: dict[str, Sensor]
     frames: dict[str, SensorFrames]
-    """By sensor."""
+    """Frames by sensor."""
     account: Account
-    """Of the whole run."""
+    """Counts of the whole run."""
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last stamp of truth and estimator."""
+        """Time from the first to the last stamp of truth and estimator."""
         return (self.end_ns - self.start_ns) * 1e-9
 
     def seconds(self, stamp_ns: IntArray) -> FloatArray:
@@ -96,14 +96,14 @@ class StreamedRun:
 
     def __init__(self, found: Found) -> None:
         self._found = found
-        spools = (found.truth, found.estimates, found.statuses)
+        stores = (found.truth, found.estimates, found.statuses)
         self.minutes: list[int] = sorted(
-            {minute for spool in (*spools, found.frames) for minute in spool.minutes}
+            {minute for store in (*stores, found.frames) for minute in store.minutes}
         )
         """Minutes of UTC in which anything happened."""
-        self.start_ns = min(spool.first_ns for spool in spools if spool.first_ns is not None)
+        self.start_ns = min(store.first_ns for store in stores if store.first_ns is not None)
         """First stamp of truth and estimator."""
-        self.end_ns = max(spool.last_ns for spool in spools if spool.last_ns is not None)
+        self.end_ns = max(store.last_ns for store in stores if store.last_ns is not None)
         """Last stamp of truth and estimator."""
         self.sensors, self.account = found.sensors, found.account
         self.status_topic = found.status_topic
@@ -112,7 +112,7 @@ class StreamedRun:
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last stamp of truth and estimator."""
+        """Time from the first to the last stamp of truth and estimator."""
         return (self.end_ns - self.start_ns) * 1e-9
 
     def __iter__(self) -> Iterator[Run]:
@@ -145,8 +145,8 @@ class StreamedRun:
     def _build(self, minutes: list[int], truth_around: list[Row], status_before: list[Row]) -> Run:
         found = self._found
         truth_rows, estimate_rows, status_rows, frame_rows = (
-            [row for minute in minutes for row in spool.rows(minute)]
-            for spool in (found.truth, found.estimates, found.statuses, found.frames)
+            [row for minute in minutes for row in store.rows(minute)]
+            for store in (found.truth, found.estimates, found.statuses, found.frames)
         )
         truth, estimates, statuses = _track(truth_rows), _track(estimate_rows), _statuses(status_rows)
         tracked, sensor_of = _behind(estimates, _statuses(status_before + status_rows))

@@ -1,19 +1,19 @@
-"""Whether a run went well: a few questions with thresholds, answered from its summary."""
+"""Checks of a run: questions with thresholds, answered from its summary."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from rpod_analysis.scoring.totals import Tally
+from rpod_analysis.scoring.totals import RunTotals
 from rpod_schemas.summary import Summary
 
 MIN_TRACKING_SHARE = 0.99
-"""Of the frames after the first acquisition."""
+"""Least share of frames in TRACKING after the first acquisition."""
 MAX_OFF_TARGET_SHARE = 0.01
-"""Of the tracked frames, worse than 10 degrees or 0.3 m."""
+"""Largest share of tracked frames whose error exceeds 10 degrees or 0.3 m."""
 MIN_NEES_SHARE = 0.80
-"""Of the tracked frames within the 95 % bound: below it the covariance is too small to be used."""
+"""Least share of tracked frames within the 95 % bound; below it the covariance is too small to be used."""
 MAX_DROPPED_SHARE = 0.05
-"""Of the frames that reached the estimator."""
+"""Largest share of the frames that reached the estimator and were dropped."""
 
 _COMPLETE = {
     True: "the log is complete",
@@ -24,7 +24,7 @@ _COMPLETE = {
 
 @dataclass(frozen=True)
 class Check:
-    """One question, its answer, and whether that is good; None where it cannot be told."""
+    """A question, its answer, and whether the check passed; None if that is unknown."""
 
     question: str
     answer: str
@@ -32,7 +32,7 @@ class Check:
     good: bool | None
 
 
-def verdict(checks: list[Check]) -> str:
+def assess(checks: list[Check]) -> str:
     """Return the run in one sentence."""
     failed = [check.question.lower() for check in checks if check.good is False]
     if not failed:
@@ -42,8 +42,8 @@ def verdict(checks: list[Check]) -> str:
     return f"The run has findings: {', '.join(failed)}."
 
 
-def headline(summary: Summary, tally: Tally) -> str:
-    """Return what is to be known first, in one line: acquired, lost, worst errors, log complete."""
+def headline(summary: Summary, totals: RunTotals) -> str:
+    """Return the most important facts in one line: acquisition, losses, worst errors, completeness."""
     told = []
     if summary.modes.first_tracking_s is None:
         told.append("Never acquired")
@@ -51,10 +51,10 @@ def headline(summary: Summary, tally: Tally) -> str:
         lost_s = summary.estimates.lost_s
         told.append(f"Acquired after {summary.modes.first_tracking_s:.2f} s")
         told.append(f"lost for {lost_s:.3g} s" if lost_s else "never lost")
-    if tally.worst_deg and tally.worst_m:
+    if totals.worst_deg and totals.worst_m:
         told.append(
-            f"worst errors {tally.worst_deg.value:.2f}° (at {tally.worst_deg.time_s:.1f} s) "
-            f"and {100.0 * tally.worst_m.value:.1f} cm (at {tally.worst_m.time_s:.1f} s)"
+            f"worst errors {totals.worst_deg.value:.2f}° (at {totals.worst_deg.time_s:.1f} s) "
+            f"and {100.0 * totals.worst_m.value:.1f} cm (at {totals.worst_m.time_s:.1f} s)"
         )
     else:
         told.append("errors not known")

@@ -1,4 +1,4 @@
-"""One pass over a log: its messages sorted by what they are for, as bare numbers.
+"""One pass over a log that sorts its messages by purpose, as plain numbers.
 
 The domain types cost ten times as much as the decoding.
 """
@@ -11,25 +11,25 @@ from rpod_analysis.log.accounting import Account
 from rpod_analysis.log.message_checks import check_message, pose_numbers
 from rpod_analysis.log.sensors import Sensor
 from rpod_analysis.log.unreadable import StampCheck
-from rpod_analysis.scoring.row_store import Spool
+from rpod_analysis.scoring.row_store import RowStore
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.messages import read_diagnostics, read_odometry, read_stamp, read_status
-from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE, POINTS, STATUS, TRUTH
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, STATUS, TRUTH
 
 
 @dataclass(eq=False)
 class Found:
-    """What a log has of a run; rows begin with their stamp, ns."""
+    """Messages of a run by purpose; each row begins with its stamp, ns."""
 
     sensors: dict[str, Sensor]
     status_topic: str
-    truth: Spool = field(default_factory=Spool)
+    truth: RowStore = field(default_factory=RowStore)
     """Pose as x, y, z, qx, qy, qz, qw."""
-    estimates: Spool = field(default_factory=Spool)
+    estimates: RowStore = field(default_factory=RowStore)
     """Pose, covariance as bytes, time of publication."""
-    statuses: Spool = field(default_factory=Spool)
+    statuses: RowStore = field(default_factory=RowStore)
     """Mode, source, accepted, nis, processing_s, sensor, reason."""
-    frames: Spool = field(default_factory=Spool)
+    frames: RowStore = field(default_factory=RowStore)
     """Sensor, arrival."""
     parents: set[str] = field(default_factory=set)
     """Frames of truth and estimates."""
@@ -53,11 +53,10 @@ class Reader:
             CLOCK.name: self._take_clock,
         }
         for sensor in sensors.values():
-            topic = (DEPTH if sensor.kind == "pmd" else POINTS).of(sensor.name)
-            self._takers[topic.name] = self._frame_taker(sensor.name)
+            self._takers[sensor.leading.name] = self._frame_taker(sensor.name)
 
     def take(self, logged: Logged) -> None:
-        """Take a message, whatever it is."""
+        """Add a message of any topic."""
         self.found.account.take(logged)
         with self._unreadable.left_out(logged):
             self._stamps.peek(logged)

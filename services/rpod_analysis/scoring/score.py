@@ -16,7 +16,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 MAX_TRUTH_GAP_NS = 8_000_000
-"""Where two neighbours in the truth are farther apart, nothing between them is scored."""
+"""Largest gap between two neighbours in the truth; estimates in a longer gap are not scored."""
 NEES_95 = 12.59
 """95 % quantile of chi-squared with six degrees of freedom."""
 OFF_TARGET_RAD = math.radians(10.0)
@@ -51,7 +51,7 @@ class Errors:
 
     @property
     def scored(self) -> BoolArray:
-        """Where there is truth, shape (N,)."""
+        """Whether there is truth at the estimate's stamp, shape (N,)."""
         return np.isfinite(self.angle_rad)
 
     @property
@@ -66,7 +66,7 @@ class Errors:
 
     @property
     def off_target(self) -> BoolArray:
-        """Where the estimate is worse than 10 degrees or 0.3 m, shape (N,)."""
+        """Whether the error exceeds 10 degrees or 0.3 m, shape (N,)."""
         return (self.angle_rad > OFF_TARGET_RAD) | (self.distance_m > OFF_TARGET_M)
 
     def at(self, where: BoolArray) -> "Errors":

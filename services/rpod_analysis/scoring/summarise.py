@@ -1,20 +1,20 @@
-"""From a run to ``summary.json``."""
+"""Makes ``summary.json`` of a run."""
 
 from pathlib import Path
 
 from rpod_analysis.log import Log
-from rpod_analysis.log.completeness import find_statement
+from rpod_analysis.log.completeness import check_log_completeness
 from rpod_analysis.scoring.run import StreamedRun
-from rpod_analysis.scoring.totals import Tally, summarise_durations
+from rpod_analysis.scoring.totals import RunTotals, summarise_durations
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.summary import EstimateCount, Summary
 
 
 def summarise(
-    log: Log, run: StreamedRun, tally: Tally | None = None, *, report: Path | None = None
+    log: Log, run: StreamedRun, totals: RunTotals | None = None, *, report: Path | None = None
 ) -> Summary:
-    """Return the summary of a run, read from its log; ``tally`` where the run was gone through before."""
-    tally = tally or Tally.of(*run)
+    """Return the summary of a run, read from its log; ``totals`` if they were added up before."""
+    totals = totals or RunTotals.of(*run)
     return Summary(
         scenario=_scenario(log),
         seed=_seed(log),
@@ -24,20 +24,20 @@ def summarise(
         report=str(report) if report else None,
         frames=run.account.frames(),
         estimates=EstimateCount(
-            count=tally.estimates,
-            accepted=tally.accepted,
-            rejected=tally.rejected,
+            count=totals.estimates,
+            accepted=totals.accepted,
+            rejected=totals.rejected,
             dropped=run.account.dropped(run.status_topic),
-            unscored=tally.unscored,
-            lost_s=tally.lost_ns * 1e-9,
+            unscored=totals.unscored,
+            lost_s=totals.lost_ns * 1e-9,
         ),
-        modes=tally.modes(),
-        error=tally.error(),
-        latency_s=summarise_durations(tally.latency_s),
-        processing_s=summarise_durations(tally.processing_s),
-        consistency=tally.consistency(),
-        innovation=tally.innovation(),
-        completeness=find_statement(log).summary(),
+        modes=totals.modes(),
+        error=totals.error(),
+        latency_s=summarise_durations(totals.latency_s),
+        processing_s=summarise_durations(totals.processing_s),
+        consistency=totals.consistency(),
+        innovation=totals.innovation(),
+        completeness=check_log_completeness(log).summary(),
         unreadable=log.unreadable.by_topic(),
     )
 

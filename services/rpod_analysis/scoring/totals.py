@@ -1,4 +1,4 @@
-"""What a run adds up to, taken minute by minute: exact, whatever its length, in bounded memory.
+"""Totals of a run, added up minute by minute: exact for any length, in bounded memory.
 
 Source: ICD section 1 ("Errors") and section 6 (``summary.json``).
 """
@@ -32,14 +32,14 @@ _AXES = ("roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m")
 
 @dataclass(frozen=True)
 class Change:
-    """The navigator went from one state to another."""
+    """A change of the navigator's state."""
 
     time_s: float
     """From the start of the run."""
     before: Mode
     after: Mode
     reason: str
-    """Of the frame in which it happened; empty where its measurement was accepted."""
+    """Reason in the status of that frame; empty if its measurement was accepted."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Worst:
 
 
 class Kinds:
-    """How often each kind of text came, whatever the numbers in it."""
+    """Counts texts that differ only in their numbers as one kind."""
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
@@ -71,8 +71,8 @@ class Kinds:
         return self._counts.most_common(number)
 
 
-class Tally:
-    """Takes the minutes of a run in their order; of a whole run, that."""
+class RunTotals:
+    """Adds up a run, minute by minute or whole."""
 
     def __init__(self) -> None:
         self.estimates = self.accepted = self.rejected = self.unscored = 0
@@ -80,9 +80,9 @@ class Tally:
         """Time in LOST or ACQUIRING after the first TRACKING; a mode holds until the next status."""
         self.latency_s, self.processing_s, self.nis = Column(), Column(), Column()
         self.nees = Column()
-        """Of the tracked frames, as all errors."""
+        """NEES of the tracked frames, as are all errors below."""
         self.reasons = Kinds()
-        """Of the rejected frames."""
+        """Reasons of the rejected frames."""
         self.changes: list[Change] = []
         """The first ones."""
         self.change_count = 0
@@ -98,20 +98,20 @@ class Tally:
         self._last: tuple[int, int] | None = None
 
     @classmethod
-    def of(cls, *runs: Run) -> "Tally":
-        """Return what runs, minutes of one in their order, come to."""
-        tally = cls()
+    def of(cls, *runs: Run) -> "RunTotals":
+        """Return the totals of runs, which are the minutes of one in their order."""
+        totals = cls()
         for run in runs:
-            tally.take(run)
-        return tally
+            totals.take(run)
+        return totals
 
     @property
     def statuses(self) -> int:
-        """Frames of which the estimator told."""
+        """Number of frames with a status."""
         return self.accepted + self.rejected
 
     def take(self, run: Run) -> None:
-        """Take a minute."""
+        """Add a minute of the run."""
         self.estimates += len(run.estimates)
         self.unscored += int((~run.errors.scored).sum())
         self.latency_s.extend(run.latency_s)
@@ -185,7 +185,7 @@ class Tally:
     # --- what it comes to ---
 
     def modes(self) -> Tracking:
-        """Return how well the run held the target."""
+        """Return how long the run tracked the target, and how well."""
         return Tracking(
             first_tracking_s=self._first_tracking_s,
             tracking_share=self._tracking_since / self._since if self._since else None,

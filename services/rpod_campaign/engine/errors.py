@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from rpod_schemas.errors import RpodError
 
-class CampaignError(Exception):
+
+class CampaignError(RpodError):
     """Root of the errors that this package raises."""
 
 
@@ -12,11 +14,7 @@ class ForeignFolderError(CampaignError):
     """The folder belongs to something else."""
 
     def __init__(self, path: Path, reason: str) -> None:
-        self.path, self.reason = path, reason
         super().__init__(f"{path}: {reason}; give another --out, or remove the folder")
-
-    def __reduce__(self) -> tuple[type["ForeignFolderError"], tuple[Path, str]]:
-        return type(self), (self.path, self.reason)
 
 
 class TrialFailedError(CampaignError):

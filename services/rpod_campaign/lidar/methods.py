@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.methods import lidar_methods, warm_up
+from rpod_pose.methods import methods_of, warm_up
 from rpod_pose.ports import Acquirer, Acquisition, Candidates, Registration, Search, Tracker
 from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.base import check
@@ -173,14 +173,14 @@ class Acquiring:
 
     def __init__(self, sensor: LidarInput, target: Target, pattern: ScanPattern) -> None:
         self.target = target
-        methods = lidar_methods(sensor, target, pattern)
+        methods = methods_of(sensor, target, pattern)
         self._search: TimedSearch | None = None
         self._tracker = TimedTracker(methods.tracker)
         self._acquirer: Acquirer[LidarScan] = methods.acquirer
         if isinstance(sensor.acquisition, TemplateMatchingConfig):
             self._search = TimedSearch(template_search(sensor, target, pattern))
             self._acquirer = VerifiedSearch(self._search, self._tracker, sensor.acquisition.choice)
-        warm_up(methods, target, pattern)
+        warm_up(sensor, methods, target, pattern)
 
     def acquire(self, scan: LidarScan) -> TimedAcquisition:
         """Return what the method makes of a scan, and how long it took."""

@@ -19,7 +19,7 @@ from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
 from rpod_campaign.lidar.scores import SUCCESS_DEG
 from rpod_motion.motion import Motion, build_motion
 from rpod_pose.measurement import Measurement
-from rpod_pose.methods import lidar_methods, warm_up
+from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.ports import Methods
 from rpod_schemas.arrays import FloatArray
@@ -165,8 +165,7 @@ def _off(truth: RigidTransform, generator: Generator) -> RigidTransform:
 @lru_cache(maxsize=4)
 def _bench(cell: TrackingCell, seed: int) -> tuple[LidarEmulator, Methods, Navigator]:
     lidar, target, sensor = lidar_config(), cached_target(cell.target), tracking_input(cell.tracker)
-    methods = lidar_methods(sensor, target, pattern_of(lidar))
-    warm_up(methods, target, pattern_of(lidar))
+    methods = ready_methods(sensor, target, pattern_of(lidar))
     navigator = Navigator(
         EstimatorSettings(sensors=(sensor,)),
         {SENSOR: methods},

@@ -17,7 +17,7 @@ from rpod_campaign.lidar.methods import TimedSearch, lidar_config, lidar_input, 
 from rpod_campaign.lidar.scene import emulator_of, scan_of
 from rpod_campaign.lidar.scores import SUCCESS_DEG
 from rpod_motion.motion import Motion, build_motion
-from rpod_pose.methods import lidar_methods
+from rpod_pose.methods import methods_of
 from rpod_pose.ports import Registration, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import WorldName
@@ -166,7 +166,7 @@ def _bench(
     }
     pattern = pattern_of(lidar)
     search = TimedSearch(template_search(sensors["nn"], target, pattern))
-    trackers = {icp: lidar_methods(sensor, target, pattern).tracker for icp, sensor in sensors.items()}
+    trackers = {icp: methods_of(sensor, target, pattern).tracker for icp, sensor in sensors.items()}
     emulator = emulator_of(cell.target, lidar, seed, world=cell.world)
     search.search(scan_of(emulator, motion_of(cell.target).state(0.0).T_chaser_target, trial=0))  # warm
     return emulator, search, trackers

@@ -19,7 +19,7 @@ from rpod_pose.lidar.global_search import GlobalSearch
 from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.methods import lidar_methods
+from rpod_pose.methods import methods_of
 from rpod_pose.ports import Acquisition
 from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig
@@ -79,7 +79,7 @@ class Judge:
             cell.method, step_deg=cell.step_deg, centroid="offset", matcher="nearest-neighbour"
         )
         config = GlobalSearchConfig()
-        self._acquirer = lidar_methods(sensor, target, pattern).acquirer
+        self._acquirer = methods_of(sensor, target, pattern).acquirer
         self._judges_itself = sensor.acquisition == config
         sigma_range_m = pattern.sigma_range_m
         self._verdict = GlobalSearch(config, target, **rays, sigma_range_m=sigma_range_m)

@@ -5,9 +5,10 @@ from typing import Any
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.sensors import methods
 
 PAPER_ICP = "icp-reverse-calibration"
-_REVERSE_CALIBRATION: dict[str, dict[str, Any]] = {
+_VARIANTS: dict[str, dict[str, Any]] = {
     PAPER_ICP: {
         "kind": "icp_reverse_calibration",
         "metric": "point_to_point",
@@ -17,21 +18,19 @@ _REVERSE_CALIBRATION: dict[str, dict[str, Any]] = {
     "icp-reverse-calibration-plane": {"kind": "icp_reverse_calibration"},
 }
 """The 2018 paper's, point to point with equal weights, in many small steps; and ours, point to plane."""
-TRACKING: dict[str, dict[str, Any]] = {
-    **_REVERSE_CALIBRATION,
-    "epnp": {"kind": "epnp"},
-    "hybrid": {"kind": "hybrid"},
-    "signed-distance": {"kind": "signed_distance"},
-    "joint": {"kind": "joint"},
-}
-"""All methods and the fields of their tracking."""
 DEFAULT = "default"
 """Whatever the facility's configuration has."""
 
 
 def has_radius(method: str) -> bool:
     """Return whether a method searches for neighbours in a radius."""
-    return method in _REVERSE_CALIBRATION
+    return method in _VARIANTS
+
+
+def method_names() -> tuple[str, ...]:
+    """Return the methods that ``--method`` takes: variants above, and all that installed packages bring."""
+    brought = (each.name.replace("_", "-") for each in methods("pmd", "tracking"))
+    return tuple(dict.fromkeys((*_VARIANTS, *brought)))
 
 
 def pmd_input(method: str, *, radius_px: int | None = None, name: str = "pmd") -> PmdInput:
@@ -42,7 +41,9 @@ def pmd_input(method: str, *, radius_px: int | None = None, name: str = "pmd") -
     """
     if method == DEFAULT:
         return PmdInput(name=name)
-    if method not in TRACKING:
-        raise ConfigurationError("--method", "", f"needs {', '.join(TRACKING)}, not {method!r}")
+    known = method_names()
+    if method.replace("_", "-") not in known:
+        raise ConfigurationError("--method", "", f"needs {', '.join(known)}, not {method!r}")
+    tracking = _VARIANTS.get(method) or {"kind": method.replace("-", "_")}
     radius = {} if radius_px is None else {"radius_px": radius_px}
-    return check(PmdInput, {"name": name, "tracking": TRACKING[method] | radius}, source=f"--method {method}")
+    return check(PmdInput, {"name": name, "tracking": tracking | radius}, source=f"--method {method}")

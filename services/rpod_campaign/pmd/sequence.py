@@ -18,7 +18,7 @@ from rpod_campaign.pmd.methods import pmd_input
 from rpod_campaign.pmd.scene import Shot, Stage, off, scenario_of, times_s, turned
 from rpod_campaign.pmd.world import NOMINAL, World
 from rpod_pose.measurement import Measurement
-from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.ports import Methods, Tracker
 from rpod_schemas.arrays import FloatArray
@@ -184,9 +184,7 @@ def _follower(cell: SequenceCell, stage: Stage, first: RigidTransform) -> Follow
 @lru_cache(maxsize=8)
 def _methods(cell: SequenceCell) -> Methods:
     target = cached_target(scenario_of(cell.document).target)
-    methods = pmd_methods(_input(cell), target)
-    warm_up(methods, target, None)
-    return methods
+    return ready_methods(_input(cell), target)
 
 
 def _input(cell: SequenceCell) -> PmdInput:

@@ -14,7 +14,7 @@ from rpod_campaign.pmd.methods import pmd_input
 from rpod_campaign.pmd.poses import SUCCESS_DEG, SUCCESS_M, drawn
 from rpod_campaign.pmd.scene import Stage, off, scenario_of, still
 from rpod_campaign.pmd.world import World
-from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.methods import ready_methods
 from rpod_pose.ports import Methods
 from rpod_schemas.config.emulator import WorldName
 
@@ -104,6 +104,5 @@ def _is_right(attitude_deg: float | None, position_m: float | None) -> bool:
 def _bench(cell: AcquisitionCell, seed: int) -> tuple[Stage, Methods]:
     scenario = scenario_of(cell.document)
     stage = Stage(scenario, World(), seed=seed, trial=0)
-    methods = pmd_methods(pmd_input(cell.method, name=stage.camera.name), stage.target)
-    warm_up(methods, stage.target, None)
+    methods = ready_methods(pmd_input(cell.method, name=stage.camera.name), stage.target)
     return stage, methods

@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_analysis.report.figures import QUIET
-from rpod_analysis.report.snapshots import Picture, camera_pictures
+from rpod_analysis.report.snapshots import Picture, frame_pictures
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import COLOURS, with_legend
 from rpod_campaign.engine.trial.targets import cached_target
@@ -37,7 +37,7 @@ def picture(results: Sequence[CellResult[SequenceCell]], *, number: int) -> go.F
         return project(visible_pieces(target, pose), camera)
 
     truth = outline(shot.T_sensor_target)
-    shown = camera_pictures(shot.frame, truth.reshape(-1, 2))
+    shown = frame_pictures(shot.frame, truth.reshape(-1, 2))
     figure = make_subplots(
         1, len(shown), subplot_titles=[f"{each.title}, image {number + 1}" for each in shown],
         horizontal_spacing=0.03,

@@ -23,7 +23,7 @@ from rpod_campaign.pmd.poses import SUCCESS_DEG, SUCCESS_M, drawn
 from rpod_campaign.pmd.scene import Stage, camera_of, off, scenario_of, still
 from rpod_campaign.pmd.world import World
 from rpod_geometry.rays import RayGrid, cast
-from rpod_pose.methods import pmd_methods, warm_up
+from rpod_pose.methods import ready_methods
 from rpod_pose.pmd.frame_check import SeenPixels, contradictions
 from rpod_pose.pmd.rendering import Rendering
 from rpod_pose.ports import Methods
@@ -177,6 +177,4 @@ def _alike(seen_m: FloatArray, camera: Camera, target: Target, pose: RigidTransf
 def _methods(cell: VerdictCell) -> Methods:
     scenario = scenario_of(cell.document)
     target = cached_target(scenario.target)
-    methods = pmd_methods(pmd_input(DEFAULT, name=camera_of(scenario).name), target)
-    warm_up(methods, target, None)
-    return methods
+    return ready_methods(pmd_input(DEFAULT, name=camera_of(scenario).name), target)

@@ -19,7 +19,7 @@ from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
 from rpod_campaign.lidar.scores import SUCCESS_DEG
 from rpod_pose.lidar.paper_2015.tau_sweep import sweep_tau
 from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching, euler_grid
-from rpod_pose.methods import lidar_methods
+from rpod_pose.methods import methods_of
 from rpod_pose.ports import Tracker
 from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
@@ -96,7 +96,7 @@ def _bench(
     sensor = lidar_input(
         "template-matching", step_deg=cell.step_deg, centroid="plain", matcher="nearest-neighbour"
     )
-    tracker = lidar_methods(sensor, target, pattern).tracker
+    tracker = methods_of(sensor, target, pattern).tracker
     return (
         emulator_of(cell.target, lidar, seed, world=cell.world),
         matching,

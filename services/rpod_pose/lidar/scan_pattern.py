@@ -24,10 +24,18 @@ class ScanPattern:
         """Return what a LIDAR says of itself."""
         return cls(info.azimuth_rad, info.elevation_rad, info.rows_are_elevation, info.sigma_range_m)
 
-    def equals(self, other: "ScanPattern") -> bool:
-        """Return whether two patterns are the same."""
+    def __eq__(self, other: object) -> bool:
+        """Return whether two patterns have the same directions and the same noise."""
+        if not isinstance(other, ScanPattern):
+            return NotImplemented
         return (
             np.array_equal(self.azimuth_rad, other.azimuth_rad)
             and np.array_equal(self.elevation_rad, other.elevation_rad)
             and self.sigma_range_m == other.sigma_range_m
         )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __str__(self) -> str:
+        """Return its size."""
+        return f"scan pattern of {self.elevation_rad.size} x {self.azimuth_rad.size}"

@@ -259,7 +259,9 @@ class ScanSearch:
         return self.settled(*aligned, SETTLE_SCALES_M)
 
     def _sharpened(self, pose: Pose) -> Pose:
-        """Return a pose moved to where the outline is explained best too."""
+        """Return a pose moved to where the outline is explained best too; as it is without rays to ask."""
+        if not self.seen.range_m.any():  # all returns lie beside the pattern
+            return pose
         held: FloatArray = np.repeat((OPEN_M, OPEN_RAD), 3)
         covariance = np.linalg.inv(pose.information / STRETCH**2 + np.diag(held**-2)).astype(np.float64)
         R, t = self._scanner.statistics.sharpen(self.seen, pose.R, pose.t, covariance)

@@ -21,17 +21,16 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import SYMMETRY, Record
 from rpod_pose.measurement import Measurement, Tick
-from rpod_pose.navigation.deskew import as_of_stamp
 from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, start, to_odometry
 from rpod_pose.navigation.history import History, PoseMeasurement, apply
 from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
-from rpod_pose.ports import Acquisition, Methods, Registration
+from rpod_pose.ports import Acquisition, Deskew, Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import chained, rotation_matrix
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
-from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, Source
+from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, SensorFrame, Source
 
 BEGINNING = 0.5
 """A track begins below this part of the share at which one is lost, so that it does not come and go."""
@@ -184,7 +183,7 @@ class Navigator:
         """
         methods = self._methods[event.sensor]
         T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
-        data = as_of_stamp(event, predicted)
+        data = as_of_stamp(event, predicted, methods.deskew)
         registration = methods.tracker.track(data, T_sensor_target)
         if registration.continues_track if tracked else registration.begins_track:
             return registration, ""
@@ -307,6 +306,24 @@ class Navigator:
             Hypothesis(pose=pose, weight=1.0 / len(poses), name=name, log_likelihood=0.0)
             for pose, name in zip(poses, names, strict=True)
         )
+
+
+def as_of_stamp(measurement: Measurement, predicted: FilterState, deskew: Deskew | None) -> SensorFrame:
+    """Return what was measured as of its stamp: moved with the prediction's twist where the kind asks for it.
+
+    Before a second frame the prediction knows no twist, and the frame stays as it is.
+    """
+    if deskew is None:
+        return measurement.data
+    T_sensor_chaser = measurement.T_chaser_sensor.inv()
+    R_sensor_chaser = rotation_matrix(T_sensor_chaser)
+    deskewed: SensorFrame = deskew(
+        measurement.data,
+        chained(T_sensor_chaser, predicted.T_chaser_target),
+        velocity_m_s=R_sensor_chaser @ predicted.velocity_m_s,
+        rate_rad_s=R_sensor_chaser @ predicted.rate_rad_s,
+    )
+    return deskewed
 
 
 def in_chaser(

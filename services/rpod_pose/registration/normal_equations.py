@@ -31,6 +31,8 @@ DEGENERATE = 1e-4
 """Least information of the worst direction, as a share of what one fully determined by every residual has."""
 UNKNOWNS = 7
 """Of the sums: six of the pose, and the length by which all ranges are too long."""
+LEAST_PIVOT = 1e-14
+"""Of a diagonal element, what must be left of it once the unknowns before are eliminated."""
 SUMS = 35
 """Entries of the sums: 8 + 7 + 6 + 5 + 4 + 3 + 2."""
 
@@ -191,17 +193,38 @@ def gradient_of(sums: FloatArray, unknowns: int) -> FloatArray:
 
 @kernel
 def held_step(sums: FloatArray, hold: FloatArray) -> FloatArray:
-    """Return the Gauss-Newton step, shape (7,), of sums, shape (35,).
+    """Return the Gauss-Newton step, shape (7,), of sums, shape (35,); 0 where it is not determined.
+
+    By Cholesky's decomposition, which raises for no sums: those that are not positive definite to machine
+    precision, or not finite, make no step.
 
     Args:
         sums: information and gradient.
         hold: information, above 0, that no step is needed, added to the diagonal, shape (7,): what the
             residuals do not determine stays where it is.
     """
-    held = information_of(sums, UNKNOWNS)
-    for i in range(UNKNOWNS):
-        held[i, i] += hold[i]
-    return np.linalg.solve(held, -gradient_of(sums, UNKNOWNS))
+    L, step = information_of(sums, UNKNOWNS), -gradient_of(sums, UNKNOWNS)
+    for j in range(UNKNOWNS):
+        whole = L[j, j] + hold[j]
+        pivot = whole
+        for k in range(j):
+            pivot -= L[j, k] * L[j, k]
+        if not LEAST_PIVOT * whole < pivot < np.inf:
+            return np.zeros(UNKNOWNS)
+        L[j, j] = np.sqrt(pivot)
+        for i in range(j + 1, UNKNOWNS):
+            for k in range(j):
+                L[i, j] -= L[i, k] * L[j, k]
+            L[i, j] /= L[j, j]
+    for i in range(UNKNOWNS):  # L y = -gradient, then L^T step = y
+        for k in range(i):
+            step[i] -= L[i, k] * step[k]
+        step[i] /= L[i, i]
+    for i in range(UNKNOWNS - 1, -1, -1):
+        for k in range(i + 1, UNKNOWNS):
+            step[i] -= L[k, i] * step[k]
+        step[i] /= L[i, i]
+    return step
 
 
 @kernel

@@ -8,11 +8,11 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquisition, Candidates, Registration, Search, Tracker
-from rpod_schemas.types import LidarScan, PmdFrame, Source
+from rpod_schemas.types import SensorFrame, Source
 
 
 class VerifiedSearch:
-    """Finds the target by a search and a tracker: ports.Acquirer of either sensor.
+    """Finds the target by a search and a tracker: ports.Acquirer of any sensor.
 
     Args:
         search: proposes candidates.
@@ -25,19 +25,19 @@ class VerifiedSearch:
     ) -> None:
         self._search, self._tracker, self._choice = search, tracker, choice
 
-    def acquire(self, measurement: LidarScan | PmdFrame) -> Acquisition:
+    def acquire(self, measurement: SensorFrame) -> Acquisition:
         """Return the accepted candidate that is chosen, else the first of all and why it is refused."""
         return self._checked(measurement, self._search.search(measurement))
 
-    def near(self, measurement: LidarScan | PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
+    def near(self, measurement: SensorFrame, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the same of candidates around a pose."""
         return self._checked(measurement, self._search.near(measurement, T_sensor_target))
 
-    def _checked(self, measurement: LidarScan | PmdFrame, found: Candidates) -> Acquisition:
+    def _checked(self, measurement: SensorFrame, found: Candidates) -> Acquisition:
         registration = self._best(measurement, found)
         return Acquisition(registration, templates=found.templates, excluded_share=found.excluded_share)
 
-    def _best(self, measurement: LidarScan | PmdFrame, found: Candidates) -> Registration:
+    def _best(self, measurement: SensorFrame, found: Candidates) -> Registration:
         if not found.poses:
             return Registration.none(Source.NONE, "the search found nothing to work on")
         accepted: list[Registration] = []

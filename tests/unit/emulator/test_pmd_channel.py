@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rpod_emulator.channels import PmdChannel
+from rpod_emulator.pmd import PmdChannel
 from rpod_runtime.clock import WallClock
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.motion import FACING

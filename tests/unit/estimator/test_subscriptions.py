@@ -436,7 +436,7 @@ def test_the_scan_pattern_comes_from_the_latched_info():
     bench = lidar_bench()
     bench.send(LIDAR_INFO.of("lidar"), lidar_info())
     bench.arrived()
-    np.testing.assert_array_equal(bench.inputs.patterns["lidar"].azimuth_rad, [-0.1, 0.0, 0.1])
+    np.testing.assert_array_equal(bench.inputs.said["lidar"].azimuth_rad, [-0.1, 0.0, 0.1])
 
 
 def test_scans_whose_rows_are_azimuth_are_turned():
@@ -452,7 +452,7 @@ def test_an_info_without_a_pattern_is_no_pattern():
     bench = lidar_bench()
     bench.send(LIDAR_INFO.of("lidar"), lidar_info(azimuth_rad=[], elevation_rad=[]))
     assert bench.arrived() == []
-    assert bench.inputs.patterns == {}
+    assert bench.inputs.said["lidar"] is None
 
 
 def test_a_pattern_that_is_not_finite_is_counted():
@@ -462,7 +462,7 @@ def test_a_pattern_that_is_not_finite_is_counted():
     bench.send(LIDAR_INFO.of("lidar"), message)
     assert bench.arrived() == []
     assert bench.node.refused == [("lidar/info", "not_finite")]
-    assert bench.inputs.patterns == {}
+    assert bench.inputs.said["lidar"] is None
 
 
 # --- frames of another camera ---
@@ -516,4 +516,4 @@ def test_a_camera_without_a_positive_frequency_is_not_believed():
     bench.send(PMD_INFO.of("pmd"), message)
     assert bench.arrived() == []
     assert bench.node.refused == [("pmd/info", "malformed")]
-    assert bench.inputs.infos == {}
+    assert bench.inputs.said["pmd"] is None

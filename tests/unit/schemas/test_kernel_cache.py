@@ -19,11 +19,9 @@ watch_callees()
 KERNEL = """
 from numba import njit
 
-from rpod_analysis.log.log_file import beside
-from rpod_campaign.engine.trial.poses import numbers
+from rpod_tiny import beside, numbers
 from rpod_tiny.between import twice
-from rpod_tiny.numbers import OFFSET
-from rpod_tiny.numbers import Place
+from rpod_tiny.numbers import OFFSET, Place
 
 
 @njit(cache=True)

@@ -18,9 +18,9 @@ def test_fields_that_are_gone_are_left_out_and_named_with_their_place() -> None:
     config, unknown = check_logged(EstimatorConfig, OF_AN_EARLIER_VERSION, source="run.mcap")
     assert [sensor.kind for sensor in config.sensors] == ["pmd", "lidar"]
     assert sorted(unknown) == [
-        "sensors.0.pmd.tracking.joint.gone",
-        "sensors.0.pmd.verification",
-        "sensors.1.lidar.verification",
+        "sensors.0.tracking.gone",
+        "sensors.0.verification",
+        "sensors.1.verification",
         "verbosity",
     ]
 

@@ -1,4 +1,4 @@
-"""The targets that ship, and the one in the README."""
+"""The targets that ship."""
 
 import re
 from pathlib import Path
@@ -198,17 +198,6 @@ def test_the_mesh_stands_like_the_cuboids(shipped: dict[str, Target]) -> None:
 def test_envisat_turns_most_easily_about_its_long_axis(name: str, shipped: dict[str, Target]) -> None:
     moments = np.diag(shipped[name].inertia_kg_m2)
     assert np.argmin(moments) == np.argmax(np.ptp(shipped[name].triangles_m, axis=(0, 1)))
-
-
-def test_the_example_of_the_readme_loads(tmp_path: Path, cache: Path) -> None:
-    (example,) = re.findall(r"```yaml\n(.*?)```", (PACKAGE / "README.md").read_text(), re.DOTALL)
-    file = tmp_path / "my-satellite.yaml"
-    file.write_text(example)
-    target = load_target(file, cache=cache)
-    assert target.parts == ("body", "array", "adapter-ring")
-    assert target.field is not None
-    assert target.symmetries[0].order == 2
-    assert len(target.model_points_m) == pytest.approx(600, rel=0.02)
 
 
 @pytest.mark.parametrize("name", shipped_targets())

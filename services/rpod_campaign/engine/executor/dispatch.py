@@ -27,7 +27,7 @@ _MOST_ENDED = 4
 """Workers that may end while they run a trial before the trial is to blame."""
 
 
-class SchedulerLostError(Exception):
+class SchedulerLostError(CampaignError):
     """The connection to the scheduler is gone, and with it all that was under way."""
 
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from rpod_campaign.engine.campaign import CELL, TRIAL, Row
-from rpod_campaign.engine.errors import CampaignError, TrialFailedError
+from rpod_campaign.engine.errors import TrialFailedError
 from rpod_campaign.engine.executor.port import Work
-from rpod_schemas.errors import SchemaError
-from rpod_target import TargetError
+from rpod_schemas.errors import RpodError
 
 Trial = Callable[[Any, int, int], Row | Sequence[Row]]
-_EXPECTED = (SchemaError, TargetError, CampaignError, OSError, MemoryError)
+_EXPECTED = (RpodError, OSError, MemoryError)
 """Errors whose message says enough; others are faults of the software, and their traceback is told too."""
 
 

@@ -137,10 +137,16 @@ def _around(camera: Camera, t: FloatArray, radius_m: float) -> _Window:
     radius = radius_m / (t[2] - radius_m)
     column, row = camera.fx * t[0] / t[2] + camera.cx, camera.fy * t[1] / t[2] + camera.cy
     across, down = camera.fx * radius + MARGIN_PX, camera.fy * radius + MARGIN_PX
-    return (
-        slice(max(int(row - down), 0), min(int(row + down), camera.height)),
-        slice(max(int(column - across), 0), min(int(column + across), camera.width)),
+    return _between(row - down, row + down, camera.height), _between(
+        column - across, column + across, camera.width
     )
+
+
+def _between(first: float, last: float, size: int) -> slice:
+    """Return the lines from one place to another within an image; all where a place is no number."""
+    if np.isnan(first) or np.isnan(last):
+        return slice(0, size)
+    return slice(int(np.clip(first, 0.0, size)), int(np.clip(last, 0.0, size)))
 
 
 def _patch(

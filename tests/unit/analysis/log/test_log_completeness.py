@@ -9,14 +9,14 @@ from mcap.writer import Writer
 from synthetic_log import SyntheticRun
 
 from rpod_analysis import open_log
-from rpod_analysis.log.completeness import find_statement
+from rpod_analysis.log.completeness import check_log_completeness
 from rpod_analysis.recovery import recover
 from rpod_schemas.logs import COMPLETENESS, COUNTS, PUBLISHERS, Numbers
 
 
 def statement_of(*paths):
     with open_log(*paths) as log:
-        return find_statement(log)
+        return check_log_completeness(log)
 
 
 def with_records(path, **records):
@@ -90,7 +90,7 @@ def test_the_publishers_numbers_are_counted_again(whole, last, messages, reason)
 
 def test_a_statement_that_cannot_be_read_counts_as_none_that_is_good(whole):
     said = statement_of(with_records(whole, **{COMPLETENESS: {"complete": "perhaps"}}))
-    assert (said.complete, said.reasons) == (False, ("its statement cannot be read",))
+    assert (said.complete, said.reasons) == (False, ("its record of completeness cannot be read",))
 
 
 def test_a_recovered_log_tells_what_was_lost(whole):

@@ -16,7 +16,7 @@ from rpod_analysis.replay import compare, replay
 from rpod_analysis.replay.frames import Frames
 from rpod_analysis.replay.log_view import show_log
 from rpod_analysis.report import write_report
-from rpod_analysis.report.content import tell
+from rpod_analysis.report.content import gather_content
 from rpod_analysis.scoring.run import stream_run
 from rpod_estimator.frame_reader import FrameReader
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
@@ -45,7 +45,7 @@ def malformed(good, tmp_path_factory):
 
 def told_of(path):
     with open_log(path) as log:
-        return tell(log, stream_run(log), name="")
+        return gather_content(log, stream_run(log), name="")
 
 
 @pytest.fixture(scope="module")
@@ -55,14 +55,14 @@ def clean(good):
 
 @pytest.mark.parametrize(("topic", "fault"), KINDS, ids=IDS)
 def test_a_report_counts_a_malformed_message_and_scores_the_others(malformed, clean, topic, fault):
-    story = told_of(malformed[topic, fault])
+    content = told_of(malformed[topic, fault])
     for key in ("duration_s", "estimates", "modes", "error", "latency_s", "consistency"):
-        assert getattr(story.summary, key) == getattr(clean.summary, key), key
+        assert getattr(content.summary, key) == getattr(clean.summary, key), key
     if topic in UNSTAMPED and fault.name == "far-ahead":
         return
     reason = "future" if fault.name == "far-ahead" else "malformed"
-    assert story.summary.unreadable == {topic: {reason: 1}}
-    assert [check.good for check in story.checks if check.question == "Messages"] == [False]
+    assert content.summary.unreadable == {topic: {reason: 1}}
+    assert [check.good for check in content.checks if check.question == "Messages"] == [False]
 
 
 def test_a_report_shows_a_malformed_message(malformed, good, tmp_path):

@@ -10,8 +10,8 @@ from rpod_analysis.report.downsampling import Line
 from rpod_analysis.report.figures import error_figure, state_figure
 from rpod_analysis.report.figures_path import path_figure
 from rpod_analysis.report.figures_statistics import consistency_figure, timing_figure
-from rpod_analysis.report.plot_data import Digest
-from rpod_analysis.scoring.totals import Tally
+from rpod_analysis.report.plot_data import PlotData
+from rpod_analysis.scoring.totals import RunTotals
 from rpod_schemas.types import Mode
 
 
@@ -31,12 +31,12 @@ def run(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def digest(run):
-    return Digest.of(run)
+    return PlotData.of(run)
 
 
 @pytest.fixture(scope="module")
 def tally(run):
-    return Tally.of(*run)
+    return RunTotals.of(*run)
 
 
 def titles(figure):
@@ -108,5 +108,5 @@ def test_a_distribution_that_is_not_known_has_no_panel(tmp_path):
     path = SyntheticRun(clock=True).write(tmp_path / "run.mcap")
     with open_log(path) as log:
         run = stream_run(log)
-    assert titles(timing_figure(Tally.of(*run))) == {"processing [ms]", "frames"}
-    assert consistency_figure(Digest.of(run), Tally.of(*run)) is None
+    assert titles(timing_figure(RunTotals.of(*run))) == {"processing [ms]", "frames"}
+    assert consistency_figure(PlotData.of(run), RunTotals.of(*run)) is None

@@ -12,9 +12,9 @@ from rpod_analysis import open_log, stream_run
 from rpod_analysis.report.tables import joined_table, truth_table
 from rpod_analysis.scoring import row_store
 from rpod_analysis.scoring import run as run_module
-from rpod_analysis.scoring.row_store import BLOCK_NS, Column, Spool
+from rpod_analysis.scoring.row_store import BLOCK_NS, Column, RowStore
 from rpod_analysis.scoring.summarise import summarise
-from rpod_analysis.scoring.totals import Tally
+from rpod_analysis.scoring.totals import RunTotals
 
 SHARES = (0.0, 0.25, 0.5, 0.95, 0.99, 1.0)
 
@@ -22,7 +22,7 @@ SHARES = (0.0, 0.25, 0.5, 0.95, 0.99, 1.0)
 def test_rows_come_back_by_minute_and_stamp_in_whatever_order_they_came(monkeypatch):
     monkeypatch.setattr(row_store, "_MOST_PENDING", 100)
     stamps = np.random.default_rng(1).integers(0, 5 * BLOCK_NS, 1234).tolist()
-    kept = Spool()
+    kept = RowStore()
     for number, stamp_ns in enumerate(stamps):
         kept.add((stamp_ns, number))
     assert (kept.count, kept.first_ns, kept.last_ns) == (1234, min(stamps), max(stamps))
@@ -33,7 +33,7 @@ def test_rows_come_back_by_minute_and_stamp_in_whatever_order_they_came(monkeypa
 
 
 def test_rows_that_come_after_a_minute_was_read_belong_to_it():
-    kept = Spool()
+    kept = RowStore()
     kept.add((1, "a"))
     assert kept.rows(0) == [(1, "a")]
     kept.add((0, "b"))
@@ -95,7 +95,7 @@ def test_a_run_in_minutes_comes_to_what_the_whole_comes_to(cut):
     assert len(run.minutes) > 3
     in_minutes = summarise(log, run)
     assert in_minutes.estimates.unscored <= 1, "the last frame is behind the truth"
-    whole = summarise(log, run, Tally.of(run.whole()))
+    whole = summarise(log, run, RunTotals.of(run.whole()))
     assert _equal(in_minutes, whole)
 
 

@@ -11,7 +11,7 @@ from rpod_analysis import open_log, stream_run
 from rpod_analysis.errors import FramesDifferError
 from rpod_analysis.log import Logged
 from rpod_analysis.log.accounting import Account, SensorFlow
-from rpod_analysis.scoring.run_checks import find_checks, verdict
+from rpod_analysis.scoring.run_checks import assess, find_checks
 from rpod_analysis.scoring.summarise import summarise
 from rpod_schemas.summary import LogCompleteness, Summary
 from rpod_schemas.types import Diagnostic, Health, Mode
@@ -99,7 +99,7 @@ def test_a_run_that_never_tracked_has_nulls_and_a_verdict(tmp_path):
     summary = summary_of(tmp_path, frame=lambda *_: Frame(mode=Mode.ACQUIRING, reason="nothing found"))
     assert (summary.modes.first_tracking_s, summary.error, summary.latency_s) == (None, None, None)
     assert summary.estimates.lost_s == 0.0
-    assert verdict(find_checks(summary, 0)) == "The target was not acquired."
+    assert assess(find_checks(summary, 0)) == "The target was not acquired."
 
 
 def test_messages_that_did_not_reach_the_log_are_missed(tmp_path):
@@ -112,8 +112,8 @@ def test_messages_that_did_not_reach_the_log_are_missed(tmp_path):
 def test_a_good_run_is_called_so_and_a_bad_one_by_its_findings(tmp_path):
     good = summary_of(tmp_path)
     assert failing(good) == set()
-    assert verdict(find_checks(good, 0)) == "The run went well."
-    assert verdict(find_checks(good, 2)) == "The run has findings: services."
+    assert assess(find_checks(good, 0)) == "The run went well."
+    assert assess(find_checks(good, 2)) == "The run has findings: services."
     assert failing(summary_of(tmp_path, unlogged=1, dropped=9)) == {"Log", "Completeness", "Pace"}
 
 

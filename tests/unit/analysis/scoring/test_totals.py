@@ -10,7 +10,7 @@ from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.run_checks import headline
 from rpod_analysis.scoring.score import NEES_95
 from rpod_analysis.scoring.summarise import summarise
-from rpod_analysis.scoring.totals import Tally, summarise_durations, summarise_size
+from rpod_analysis.scoring.totals import RunTotals, summarise_durations, summarise_size
 from rpod_schemas.types import Mode
 
 T, L, A, V = Mode.TRACKING, Mode.LOST, Mode.ACQUIRING, Mode.VERIFYING
@@ -18,7 +18,7 @@ T, L, A, V = Mode.TRACKING, Mode.LOST, Mode.ACQUIRING, Mode.VERIFYING
 
 def tally_of(tmp_path, **options):
     with open_log(SyntheticRun(**options).write(tmp_path / "run.mcap")) as log:
-        return Tally.of(*stream_run(log))
+        return RunTotals.of(*stream_run(log))
 
 
 def test_lost_time_counts_lost_and_acquiring_after_the_first_tracking_only(tmp_path):
@@ -51,7 +51,7 @@ def test_the_worst_errors_are_told_with_their_times_in_the_headline(tmp_path):
 
     with open_log(SyntheticRun(frame=frame).write(tmp_path / "run.mcap")) as log:
         run = stream_run(log)
-        tally = Tally.of(*run)
+        tally = RunTotals.of(*run)
         line = headline(summarise(log, run, tally), tally)
     assert line == (
         "Acquired after 0.01 s, never lost, worst errors 3.00° (at 0.4 s) and 20.0 cm (at 0.9 s), "

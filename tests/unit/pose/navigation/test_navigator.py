@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.acceptance import accepted_by_residuals
 from rpod_pose.belief import SYMMETRY, Belief, Rival, contradicted
+from rpod_pose.lidar.deskew import deskewed
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.ports import Acquisition, Candidate, Candidates, Methods, Registration
@@ -135,6 +136,10 @@ class Rig:
         return self.state.mode
 
 
+def scans_deskewed(data, T_sensor_target: RigidTransform, **twist):
+    return deskewed(data, T_sensor_target, **twist) if isinstance(data, LidarScan) else data
+
+
 def rig(
     *,
     pose=None,
@@ -152,7 +157,7 @@ def rig(
     )
     method = Method()
     acquirer = VerifiedSearch(method, method, choice) if found is None else Judge(found)
-    methods = Methods(acquirer, method)
+    methods = Methods(acquirer, method, scans_deskewed)
     navigator = Navigator(settings, {"pmd": methods}, centre_of_mass_m=np.zeros(3), alike=alike)
     return Rig(navigator, method, navigator.start(pose))
 

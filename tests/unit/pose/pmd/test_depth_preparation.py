@@ -11,7 +11,7 @@ from pmd_frames import CAMERA, depth_frame, frame_of, strange_frames
 from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import RayGrid
-from rpod_pose.methods import pmd_methods
+from rpod_pose.methods import methods_of
 from rpod_pose.pmd.depth_preparation import DepthPreparation, PreparedAcquirer, calibrated
 from rpod_pose.ports import Acquisition, Outcome, Registration
 from rpod_schemas.config.depth_calibration import DepthCalibration, Harmonic, unambiguous_range_m
@@ -85,7 +85,7 @@ def test_a_calibrated_camera_measures_the_range_without_its_bias(target):
     frame = seen_by(depth_frame(target, pose_at(5.2), noise_m=0.01), MHZ_20, calibration=WIGGLING)
 
     def error_m(sensor):
-        found = pmd_methods(sensor, target).tracker.track(frame, pose_at(5.2)).T_sensor_target
+        found = methods_of(sensor, target).tracker.track(frame, pose_at(5.2)).T_sensor_target
         return abs(pose_error(pose_at(5.2), found)[1][2])
 
     assert error_m(PmdInput()) > 0.012
@@ -148,7 +148,7 @@ def test_the_frequency_may_come_from_the_configuration_or_from_the_calibration(t
 
 @pytest.mark.parametrize("hertz", [MHZ_20, MHZ_30])
 def test_an_approach_from_10_m_to_5_m_is_tracked_through_the_wrap(target, hertz):
-    tracker = pmd_methods(PmdInput(), target).tracker
+    tracker = methods_of(PmdInput(), target).tracker
     guess = pose_at(10.1)
     for range_m in np.arange(10.0, 4.9, -0.25):
         frame = seen_by(depth_frame(target, pose_at(range_m), noise_m=0.01), hertz)
@@ -239,7 +239,7 @@ def test_a_search_around_a_pose_is_given_the_multiple_by_it(target):
     ],
 )
 def test_a_frame_of_another_camera_is_refused_by_the_field(target, configured, told, reason):
-    methods = pmd_methods(PmdInput(**configured), target)
+    methods = methods_of(PmdInput(**configured), target)
     frame = frame_of(4.0).model_copy(update={"info": info(*told) if told else None})
     tracked = methods.tracker.track(frame, pose_at(4.0))
     assert tracked.T_sensor_target is None
@@ -259,7 +259,7 @@ def test_a_frame_of_the_configured_camera_is_taken(target):
 def test_strange_frames_pass_to_the_methods_without_an_error(target, name):
     frame = strange_frames()[name].model_copy(update={"info": info(MHZ_20)})
     sensor = PmdInput(calibration=WIGGLING)
-    registration = pmd_methods(sensor, target).tracker.track(frame, pose_at(4.0))
+    registration = methods_of(sensor, target).tracker.track(frame, pose_at(4.0))
     assert registration.belief.reason
     for prepared in DepthPreparation(sensor, target).possible(frame):
         assert prepared.depth_m.shape == frame.depth_m.shape

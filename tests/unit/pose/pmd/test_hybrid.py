@@ -6,7 +6,7 @@ from pmd_frames import strange_frames
 from pmd_views import mockup, pmd_view
 from scipy.spatial.transform import Rotation
 
-from rpod_pose.methods import pmd_methods
+from rpod_pose.methods import methods_of
 from rpod_pose.pmd.paper_2018.hybrid import HybridTracker, fused, squared_difference
 from rpod_pose.ports import Registration
 from rpod_schemas.config.estimator import PmdInput
@@ -85,6 +85,6 @@ def test_the_squared_difference_counts_in_sigmas():
 
 @pytest.mark.parametrize("kind", ["epnp", "hybrid"])
 def test_the_configuration_selects_the_method(kind):
-    methods = pmd_methods(PmdInput.model_validate({"tracking": {"kind": kind}}), mockup())
+    methods = methods_of(PmdInput.model_validate({"tracking": {"kind": kind}}), mockup())
     registration = methods.tracker.track(view(), GUESS)
     assert registration.source == (Source.PMD_AMPLITUDE if kind == "epnp" else Source.PMD_JOINT)

@@ -1,4 +1,4 @@
-"""Who only looks on lets the others go first."""
+"""Lowers the view's scheduling priority: the facility's own processes run first."""
 
 import os
 from contextlib import suppress
@@ -8,7 +8,7 @@ _NICENESS = 10
 _AUTOGROUP = Path("/proc/self/autogroup")
 
 
-def give_way() -> None:
+def lower_priority() -> None:
     """Lower this process's priority for good, and on Linux its session's if it is alone in it.
 
     Where sessions are scheduled as groups (sched(7), autogroup) niceness counts within a session only.

@@ -1,6 +1,6 @@
 """Rerun's program for a view: it ends with the view, however that ends.
 
-Run as ``python -m rpod_view.guarded`` in a process group of its own, with a pipe as standard input
+Run as ``python -m rpod_view.viewer_process`` in a process group of its own, with a pipe as standard input
 whose other end the view holds.
 """
 
@@ -11,7 +11,7 @@ from threading import Thread
 
 from rerun_cli.__main__ import main
 
-from rpod_view.priority import give_way
+from rpod_view.scheduling import lower_priority
 
 
 def _end_with_view() -> None:
@@ -21,6 +21,6 @@ def _end_with_view() -> None:
 
 
 if __name__ == "__main__":
-    give_way()
+    lower_priority()
     Thread(target=_end_with_view, daemon=True).start()
     sys.exit(main())

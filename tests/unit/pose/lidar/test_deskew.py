@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_pose.lidar.deskew import deskewed
 from rpod_pose.measurement import Measurement
-from rpod_pose.navigation.deskew import as_of_stamp, deskewed
 from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.navigator import as_of_stamp
 from rpod_schemas.config.lidar import LidarConfig, LidarDetectionConfig, LidarNoiseConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan
@@ -101,7 +102,7 @@ def test_the_filters_twist_in_chaser_axes_is_taken_through_the_sensors_mount() -
         np.eye(12),
     )
     measurement = Measurement("lidar", scan_of(skewed(local_m, time_s), time_s), T_chaser_sensor)
-    moved = as_of_stamp(measurement, predicted)
+    moved = as_of_stamp(measurement, predicted, deskewed)
     np.testing.assert_allclose(moved.points_m, POSE.apply(local_m.reshape(-1, 3)).reshape(3, 3, 3), atol=1e-5)
 
 

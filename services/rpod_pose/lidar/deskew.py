@@ -14,28 +14,8 @@ may differ near an outline, where the margin of a self-check has to cover it.
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.measurement import Measurement
-from rpod_pose.navigation.filter import FilterState
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.poses import chained, rotation_matrix
-from rpod_schemas.types import LidarScan, PmdFrame
-
-
-def as_of_stamp(measurement: Measurement, predicted: FilterState) -> LidarScan | PmdFrame:
-    """Return what was measured as of its stamp: a scan de-skewed with the prediction's twist.
-
-    Before a second frame the prediction knows no twist, and the scan stays as it is.
-    """
-    if not isinstance(measurement.data, LidarScan):
-        return measurement.data
-    T_sensor_chaser = measurement.T_chaser_sensor.inv()
-    R_sensor_chaser = rotation_matrix(T_sensor_chaser)
-    return deskewed(
-        measurement.data,
-        chained(T_sensor_chaser, predicted.T_chaser_target),
-        velocity_m_s=R_sensor_chaser @ predicted.velocity_m_s,
-        rate_rad_s=R_sensor_chaser @ predicted.rate_rad_s,
-    )
+from rpod_schemas.types import LidarScan
 
 
 def deskewed(

@@ -1,0 +1,121 @@
+"""Writes the configuration reference from the pydantic models: a table a model, a page a module."""
+
+import importlib
+import inspect
+import pkgutil
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from rpod_schemas.config.base import Config
+from rpod_site.field_types import bounds, default_text, type_text
+
+_INDEX = """# Configuration
+
+Every service reads one model from a file in YAML, TOML or JSON (`rpod estimator --config FILE`). A scenario
+holds what the services share. An unknown field or a value out of bounds is refused with its name and the
+reason. A field without a default must be given. The tables are made from the models in the code.
+
+| page | models |
+|---|---|
+"""
+
+
+def write(folder: Path) -> None:
+    """Write the pages."""
+    folder.mkdir(parents=True, exist_ok=True)
+    pages: dict[str, list[type[BaseModel]]] = defaultdict(list)
+    for model in models():
+        pages[model.__module__].append(model)
+    where = {model: f"{_file(module)}#{_anchor(model)}" for module, of in pages.items() for model in of}
+    index = [_INDEX.rstrip()]
+    for module, of in sorted(pages.items(), key=lambda page: _file(page[0])):
+        (folder / _file(module)).write_text(_page(module, of, where), "utf-8")
+        index.append(
+            f"| [{_title(module)}]({_file(module)}) | {', '.join(f'`{model.__name__}`' for model in of)} |"
+        )
+    (folder / "index.md").write_text("\n".join(index) + "\n", "utf-8")
+
+
+def models() -> list[type[BaseModel]]:
+    """Return every configuration model of the project, in the order of its source."""
+    for package in {name.partition(".")[0] for name in _modules()}:
+        importlib.import_module(package)
+    for name in _modules():
+        importlib.import_module(name)
+    found = [model for model in _below(Config) if not model.__name__.startswith("_")]
+    return sorted(set(found), key=lambda model: (model.__module__, inspect.getsourcelines(model)[1]))
+
+
+def _modules() -> Iterator[str]:
+    """Yield the modules of all installed packages of the project, but not its programs."""
+    packages = [
+        package.name
+        for package in pkgutil.iter_modules()
+        if re.fullmatch(r"rpod(_(?!site)\w+)?", package.name)
+    ]
+    for package in packages:
+        path = importlib.import_module(package).__path__
+        for module in pkgutil.walk_packages(path, f"{package}."):
+            if not module.name.endswith("__main__") and ".examples" not in module.name:
+                yield module.name
+
+
+def _below(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    for child in model.__subclasses__():
+        yield child
+        yield from _below(child)
+
+
+def _page(module: str, of: list[type[BaseModel]], where: dict[type[BaseModel], str]) -> str:
+    doc = inspect.getdoc(importlib.import_module(module)) or ""
+    parts = [f"# {_title(module)}", doc, *(_section(model, where) for model in of)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _section(model: type[BaseModel], where: dict[type[BaseModel], str]) -> str:
+    lines = [f"## {model.__name__} {{ #{_anchor(model)} }}", "", inspect.getdoc(model) or "", ""]
+    if model.model_fields:
+        lines += ["| field | type | default | bounds | meaning |", "|---|---|---|---|---|"]
+    lines += [_row(name, field, where) for name, field in model.model_fields.items()]
+    return "\n".join(lines)
+
+
+def _row(name: str, field: FieldInfo, where: dict[type[BaseModel], str]) -> str:
+    default = "required" if field.is_required() else default_text(_default(field), where)
+    cells = (f"`{name}`", type_text(field.annotation, where), default, bounds(field), meaning(field))
+    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+
+
+def meaning(field: FieldInfo) -> str:
+    """Return the sentence of a field; of one that can have one value only, what this is for."""
+    if field.description:
+        return " ".join(field.description.split())
+    only = get_origin(field.annotation) is Literal and len(get_args(field.annotation)) == 1
+    return "Selects this model where several may stand." if only else ""
+
+
+def _default(field: FieldInfo) -> object:
+    if field.default is not PydanticUndefined:
+        return field.default
+    return field.get_default(call_default_factory=True, validated_data={})
+
+
+def _file(module: str) -> str:
+    return f"{_title(module).replace(' ', '-')}.md"
+
+
+def _title(module: str) -> str:
+    """Return a page's name: the module's within the configuration, else the package's before it."""
+    parts = module.removeprefix("rpod_schemas.config.").removeprefix("rpod_").split(".")
+    return " ".join(dict.fromkeys(part.replace("_", " ") for part in parts))
+
+
+def _anchor(model: type[BaseModel]) -> str:
+    return model.__name__.lower()

@@ -1,0 +1,91 @@
+"""What installed packages bring by name: sensor kinds and methods, found by their entry points.
+
+A package declares ``name = "module:attribute"`` under the group ``rpod.sensors`` or ``rpod.methods``. An
+entry is loaded when it is asked for by its name. What it describes is light: whatever is heavy (emulators,
+compiled methods) is named by a reference ``module:attribute``, which the process that needs it imports.
+"""
+
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pkgutil import resolve_name
+from typing import Any
+
+from rpod_schemas.errors import SchemaError
+
+SENSORS, METHODS = "rpod.sensors", "rpod.methods"
+"""Entry point groups: sensor kinds by ``<kind>``, methods by ``<kind>.<method>``."""
+
+
+class RegistryError(SchemaError):
+    """An entry point that cannot be used: names the package, the entry and the reason."""
+
+    def __init__(self, entry: EntryPoint, reason: str) -> None:
+        package = entry.dist.name if entry.dist else "an unknown package"
+        super().__init__(
+            f"{entry.group}: {entry.name} = {entry.value!r} of the package {package!r} {reason}; "
+            "repair or uninstall the package"
+        )
+
+
+class UnknownNameError(SchemaError):
+    """No installed package brings a name."""
+
+    def __init__(self, group: str, name: str, known: tuple[str, ...]) -> None:
+        listed = ", ".join(known) or "none (rpod itself brings some: install it anew, as make setup does)"
+        super().__init__(
+            f"no installed package brings {name!r} to {group}, known are {listed}; "
+            "install the package that brings it into this environment"
+        )
+
+
+@cache
+def _entries(group: str) -> dict[str, EntryPoint]:
+    found: dict[str, EntryPoint] = {}
+    for entry in entry_points(group=group):
+        known = found.setdefault(entry.name, entry)
+        if known.value != entry.value:
+            other = known.dist.name if known.dist else "another package"
+            raise RegistryError(entry, f"has the name of {known.value!r} of {other!r}")
+    return found
+
+
+def names(group: str) -> tuple[str, ...]:
+    """Return the names that installed packages bring to a group, sorted; nothing is imported."""
+    return tuple(sorted(_entries(group)))
+
+
+@cache
+def load(group: str, name: str) -> Any:
+    """Return what a name stands for.
+
+    Raises:
+        UnknownNameError: no installed package brings it.
+        RegistryError: its package cannot be imported.
+    """
+    entry = _entries(group).get(name)
+    if entry is None:
+        alike = tuple(known for known in names(group) if known.startswith(_sensor_of(name)))
+        raise UnknownNameError(group, name, alike)
+    try:
+        return entry.load()
+    except (ImportError, AttributeError) as error:
+        raise RegistryError(entry, f"cannot be loaded ({error})") from error
+
+
+def _sensor_of(name: str) -> str:
+    """Return ``<kind>.`` of a method's name; empty of a kind's."""
+    return name[: name.find(".") + 1]
+
+
+def check_type(group: str, name: str, kind: type[Any]) -> Any:
+    """Return what a name stands for, which must be of a type. Raises like ``load``."""
+    loaded = load(group, name)
+    if not isinstance(loaded, kind):
+        raise RegistryError(_entries(group)[name], f"is {type(loaded).__name__}, needs {kind.__name__}")
+    return loaded
+
+
+@cache
+def resolve(reference: str) -> Any:
+    """Return what ``module:attribute`` names, importing the module."""
+    return resolve_name(reference)

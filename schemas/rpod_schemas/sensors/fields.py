@@ -1,0 +1,40 @@
+"""Annotations of configuration fields whose models are looked up among what is installed."""
+
+from rpod_schemas.config.sensor import MethodConfig, Registered
+from rpod_schemas.errors import SchemaError
+from rpod_schemas.registry import SENSORS, names
+from rpod_schemas.sensors import Role, method, methods, sensor_kind
+
+
+class WrongRoleError(SchemaError):
+    """A method that is for something else."""
+
+    def __init__(self, name: str, role: Role, known: tuple[str, ...]) -> None:
+        super().__init__(f"{name!r} is no method for {role}, known are {', '.join(known)}")
+
+
+EMULATED = Registered(lambda kind: sensor_kind(kind).emulated, lambda: names(SENSORS))
+"""A sensor to emulate."""
+HEARD = Registered(lambda kind: sensor_kind(kind).heard, lambda: names(SENSORS))
+"""A sensor that the estimator listens to."""
+
+
+def chosen(sensor: str, role: Role, *, default: str = "") -> Registered:
+    """Return the annotation of a sensor kind's method.
+
+    Args:
+        sensor: name of the kind.
+        role: what the method is for.
+        default: method of a document that names none; where empty, it must name one.
+    """
+
+    def known() -> tuple[str, ...]:
+        return tuple(each.name for each in methods(sensor, role))
+
+    def model_of(name: str) -> type[MethodConfig]:
+        found = method(sensor, name)
+        if found.role != role:
+            raise WrongRoleError(name, role, known())
+        return found.config
+
+    return Registered(model_of, known, default)

@@ -1,0 +1,100 @@
+"""What a sensor kind and a method are: names, topics, models, and references to what is heavy."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from rpod_schemas.config.sensor import EmulatedSensor, MethodConfig, SensorInput
+from rpod_schemas.registry import resolve
+from rpod_schemas.topics import Topic
+from rpod_schemas.types import Source
+
+Role = Literal["acquisition", "tracking"]
+"""What a method is for: to find the target without a guess, or to follow it from a predicted pose."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One message of a frame."""
+
+    topic: Topic
+    """As ``<camera>/depth/image_raw``."""
+    required: bool = True
+    """Whether a frame is none without it."""
+
+
+@dataclass(frozen=True)
+class SensorKind:
+    """A kind of sensor: everything in which one kind differs from another, in one place.
+
+    The references ``module:attribute`` are imported by the process that needs them, so that a logger or a
+    camera's computer does without compiled methods and meshes.
+    """
+
+    name: str
+    """In configurations, and of its entry point in ``rpod.sensors``."""
+    title: str
+    """For people, as in "frames of a PMD camera"."""
+    parts: dict[str, Part]
+    """Messages of a frame by name; the first is the leading one, whose absence leaves nothing."""
+    emulated: type[EmulatedSensor]
+    """Configuration of the emulated sensor."""
+    heard: type[SensorInput]
+    """Configuration of the estimator's side: methods and what they need."""
+    reader: str
+    """``rpod_runtime.frames.SensorReader``: from the messages of a frame to what the methods work on."""
+    publisher: str
+    """``rpod_runtime.sensors.SensorPublisher``: from frames to messages; drivers and the emulator use it."""
+    emulator: str
+    """``rpod_emulator.channels.Channel``: from truth to frames."""
+    methods: str
+    """``rpod_pose.ports.KindMethods``: how its methods are made and warmed up."""
+    info: Topic | None = None
+    """Latched message in which the sensor describes itself."""
+    extras: tuple[Topic, ...] = ()
+    """Topics that are recorded and belong to no frame."""
+    sources: tuple[Source, ...] = (Source.OTHER,)
+    """What its methods may give as source in the estimator's status."""
+
+    @property
+    def leading(self) -> Topic:
+        """Topic of the leading part."""
+        return next(iter(self.parts.values())).topic
+
+    @property
+    def required(self) -> frozenset[str]:
+        """Names of the parts without which there is no frame."""
+        return frozenset(name for name, part in self.parts.items() if part.required)
+
+    @property
+    def optional(self) -> frozenset[str]:
+        """Names of the other parts."""
+        return frozenset(self.parts) - self.required
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """All that such a sensor publishes, but for ``tf_static``."""
+        info = () if self.info is None else (self.info,)
+        return (*(part.topic for part in self.parts.values()), *info, *self.extras)
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to acquire or to track the target with a sensor kind."""
+
+    sensor: str
+    """The kind's name."""
+    role: Role
+    """What it is for."""
+    config: type[MethodConfig]
+    """Its parameters; their ``kind`` is the method's name."""
+    build: str
+    """Reference to ``(config, rpod_pose.ports.Task) -> Acquirer`` or ``Tracker``."""
+
+    @property
+    def name(self) -> str:
+        """In configurations; its entry point in ``rpod.methods`` is ``<sensor>.<name>``."""
+        return str(self.config.model_fields["kind"].default)
+
+    def built(self, config: MethodConfig, task: Any) -> Any:
+        """Return the method, importing what it needs."""
+        return resolve(self.build)(config, task)

@@ -1,0 +1,34 @@
+"""The scanning LIDAR: one point cloud a scan, and the methods for it."""
+
+from rpod_schemas.config.estimator import LidarInput
+from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
+from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
+from rpod_schemas.sensors.kind import Method, Part, SensorKind
+from rpod_schemas.topics import LIDAR_INFO, POINTS
+from rpod_schemas.types import Source
+
+LIDAR = SensorKind(
+    name="lidar",
+    title="LIDAR",
+    parts={"points": Part(POINTS)},
+    info=LIDAR_INFO,
+    sources=(Source.LIDAR,),
+    emulated=LidarConfig,
+    heard=LidarInput,
+    reader="rpod_runtime.frames:LidarReader",
+    publisher="rpod_runtime.sensors:LidarPublisher",
+    emulator="rpod_emulator.lidar:LidarChannel",
+    methods="rpod_pose.lidar.methods:LIDAR_METHODS",
+)
+
+GLOBAL = Method("lidar", "acquisition", GlobalSearchConfig, "rpod_pose.lidar.methods:global_search")
+TEMPLATE_MATCHING = Method(
+    "lidar", "acquisition", TemplateMatchingConfig, "rpod_pose.lidar.methods:template_matching"
+)
+PROJECTIVE_POINT_TO_PLANE = Method(
+    "lidar", "tracking", ProjectiveIcpConfig, "rpod_pose.lidar.methods:projective_point_to_plane"
+)
+ICP_NEAREST_NEIGHBOUR = Method(
+    "lidar", "tracking", IcpNearestNeighbourConfig, "rpod_pose.lidar.methods:icp_nearest_neighbour"
+)

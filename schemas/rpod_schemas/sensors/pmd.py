@@ -1,0 +1,39 @@
+"""The PMD camera: depth and amplitude of one exposure, and the methods for them."""
+
+from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
+from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
+from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.sensors.kind import Method, Part, SensorKind
+from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, PHASE, PMD_INFO
+from rpod_schemas.types import Source
+
+PMD = SensorKind(
+    name="pmd",
+    title="PMD camera",
+    parts={
+        "depth": Part(DEPTH),
+        "camera_info": Part(CAMERA_INFO),
+        "amplitude": Part(AMPLITUDE, required=False),
+    },
+    info=PMD_INFO,
+    extras=(PHASE,),
+    sources=(Source.PMD_DEPTH, Source.PMD_AMPLITUDE, Source.PMD_JOINT),
+    emulated=PmdConfig,
+    heard=PmdInput,
+    reader="rpod_runtime.frames:PmdReader",
+    publisher="rpod_runtime.sensors:CameraPublisher",
+    emulator="rpod_emulator.pmd:PmdChannel",
+    methods="rpod_pose.pmd.methods:PMD_METHODS",
+)
+
+VIEW_SEARCH = Method("pmd", "acquisition", PmdAcquisitionConfig, "rpod_pose.pmd.methods:view_search")
+JOINT = Method("pmd", "tracking", JointConfig, "rpod_pose.pmd.methods:joint")
+SIGNED_DISTANCE = Method("pmd", "tracking", SignedDistanceConfig, "rpod_pose.pmd.methods:signed_distance")
+ICP_REVERSE_CALIBRATION = Method(
+    "pmd", "tracking", IcpReverseCalibrationConfig, "rpod_pose.pmd.methods:icp_reverse_calibration"
+)
+EPNP = Method("pmd", "tracking", EpnpConfig, "rpod_pose.pmd.methods:epnp")
+HYBRID = Method("pmd", "tracking", HybridConfig, "rpod_pose.pmd.methods:hybrid")

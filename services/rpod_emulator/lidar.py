@@ -1,0 +1,53 @@
+"""The emulated LIDAR on the bus."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_emulator.faults import Kind, lost_cells
+from rpod_runtime import Node
+from rpod_runtime.sensors import LidarPublisher
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.emulator import EmulatorConfig
+from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.schedule import DueFrame
+from rpod_schemas.types import LidarScan
+from rpod_sim_sensor.lidar import LidarEmulator
+from rpod_sim_sensor.worlds import world_of
+from rpod_target import Target
+
+
+class LidarChannel:
+    """An emulated scanning LIDAR."""
+
+    def __init__(self, node: Node, config: EmulatorConfig, sensor: LidarConfig, target: Target) -> None:
+        self.sensor = sensor
+        self._seed = config.seed
+        self._emulator = LidarEmulator(sensor, target, seed=config.seed, world=world_of(config.world))
+        self._publisher = LidarPublisher(
+            node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
+        )
+
+    def emulate(
+        self,
+        poses: Sequence[RigidTransform],
+        sun_W_m2: FloatArray,  # noqa: ARG002 - the detector's background is in its own configuration
+        frame: DueFrame,
+        fault: Kind | None,
+    ) -> Callable[[], None]:
+        """Compute a scan; a fault removes a part of its returns."""
+        returns = self._emulator.scan(poses, frame=frame.number)
+        points_m = returns.points_m
+        lost = lost_cells(fault, points_m.shape[:2], seed=self._seed, number=frame.number)
+        if lost is not None:
+            points_m = np.where(lost[..., None], np.float32(np.nan), points_m)
+        scan = LidarScan(
+            stamp_ns=frame.stamp_ns,
+            frame_id=self.sensor.name,
+            points_m=points_m,
+            intensity=returns.intensity,
+            time_s=returns.time_s,
+        )
+        return partial(self._publisher.publish, scan)

@@ -1,0 +1,91 @@
+"""The LIDAR's methods as the registry names them, and how they are made for a scan pattern."""
+
+from typing import TypedDict
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_geometry.rays import RayGrid, cast
+from rpod_pose.lidar.deskew import deskewed
+from rpod_pose.lidar.global_search import GlobalSearch
+from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
+from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching
+from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
+from rpod_pose.search.verified_search import VerifiedSearch
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.estimator import LidarInput
+from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
+from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
+from rpod_schemas.sensors import method
+from rpod_schemas.types import LidarInfo, LidarScan
+from rpod_target import Target
+
+
+class Rays(TypedDict):
+    """Directions of a scan's columns and rows."""
+
+    azimuth_rad: FloatArray
+    elevation_rad: FloatArray
+
+
+def _rays(task: Task) -> Rays:
+    return {"azimuth_rad": task.setup.azimuth_rad, "elevation_rad": task.setup.elevation_rad}
+
+
+def global_search(config: GlobalSearchConfig, task: Task) -> Acquirer[LidarScan]:
+    """Return the search of our own."""
+    return GlobalSearch(config, task.target, **_rays(task), sigma_range_m=task.setup.sigma_range_m)
+
+
+def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[LidarScan]:
+    """Return the 2015 paper's, whose candidates the tracker refines."""
+    assert task.tracker is not None  # noqa: S101 - made before the acquirer
+    search = OnlineTemplateMatching(config, task.target, **_rays(task))
+    return VerifiedSearch(search, task.tracker, config.choice)
+
+
+def projective_point_to_plane(config: ProjectiveIcpConfig, task: Task) -> Tracker[LidarScan]:
+    """Return the tracker of our own."""
+    return ProjectiveIcp(config, task.target, **_rays(task), sigma_range_m=task.setup.sigma_range_m)
+
+
+def icp_nearest_neighbour(config: IcpNearestNeighbourConfig, task: Task) -> Tracker[LidarScan]:
+    """Return the 2015 paper's ICP, and its variants."""
+    return NearestNeighbourIcp(config, task.target, **_rays(task))
+
+
+def known_pattern(sensor: LidarInput, said: LidarInfo | None) -> ScanPattern | None:
+    """Return the scan pattern that the LIDAR told, else the configured one; None where neither is known."""
+    if said is not None:
+        return ScanPattern.of(said)
+    if sensor.azimuth_rad is None or sensor.elevation_rad is None:
+        return None
+    return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad, sigma_range_m=sensor.sigma_range_m or 0.0)
+
+
+def make(task: Task) -> Methods:
+    """Return the configured methods for a LIDAR with a known scan pattern."""
+    sensor = task.sensor
+    tracker = method("lidar", sensor.tracking.kind).built(sensor.tracking, task)
+    task = task.with_tracker(tracker)
+    acquirer = method("lidar", sensor.acquisition.kind).built(sensor.acquisition, task)
+    return Methods(acquirer, tracker, deskewed)
+
+
+def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan]:
+    """Return a scan without noise."""
+    grid = RayGrid.azimuth_elevation(pattern.azimuth_rad, pattern.elevation_rad)
+    hits = cast(grid, target.triangles_m, T_lidar_target)
+    range_m = np.where(np.isfinite(hits.range_m), hits.range_m, np.nan)
+    points_m = (range_m[..., None] * grid.directions).astype(np.float32)
+    return (LidarScan(stamp_ns=0, frame_id="", points_m=points_m),)
+
+
+LIDAR_METHODS = KindMethods(
+    make=make,
+    frames=ideal_scan,
+    setup=known_pattern,
+    missing="no scan pattern: neither lidar info nor configuration tells it",
+)

@@ -1,0 +1,95 @@
+"""The PMD camera's methods as the registry names them, behind the preparation of its depth."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_geometry.rays import RayGrid, cast
+from rpod_pose.pmd.depth_preparation import DepthPreparation, PreparedAcquirer, PreparedTracker
+from rpod_pose.pmd.joint.tracker import JointTracker
+from rpod_pose.pmd.paper_2018.epnp import EpnpTracker
+from rpod_pose.pmd.paper_2018.hybrid import HybridTracker
+from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationIcp
+from rpod_pose.pmd.signed_distance import SignedDistanceTracker
+from rpod_pose.pmd.view_search import ViewSearch
+from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
+from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
+from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
+from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.sensors import method
+from rpod_schemas.types import Camera, PmdFrame, PmdInfo
+from rpod_target import Target
+
+_WRAPPING = PmdInfo(
+    modulation_frequency_hz=np.array([20e6]),
+    integration_time_s=0.016,
+    electrons_per_count=1.0,
+    saturation_count=4096.0,
+)
+"""Of a camera whose distances are to be unwrapped."""
+LEAST_BIAS_M = 0.001
+"""Least standard deviation of the bias that ranges keep: no calibration holds better than this for long."""
+
+
+def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
+    """Return the search of our own, which ``joint`` finishes whatever the frames are tracked with."""
+    finisher = task.tracker if isinstance(task.tracker, JointTracker) else joint(JointConfig(), task)
+    return ViewSearch(config, task.target, finisher)
+
+
+def joint(config: JointConfig, task: Task) -> Tracker[PmdFrame]:
+    """Return the tracker of our own; what a calibration says that it left of the ranges' bias is believed."""
+    calibration = task.sensor.calibration
+    if calibration is not None and calibration.evidence is not None:
+        bias_m = max(calibration.evidence.bias_after_m, LEAST_BIAS_M)
+        left = config.depth.calibrated.model_copy(update={"bias_m": bias_m})
+        depth = config.depth.model_copy(update={"calibrated": left})
+        config = config.model_copy(update={"depth": depth})
+    return JointTracker(config, task.target, calibrated=calibration is not None)
+
+
+def signed_distance(config: SignedDistanceConfig, task: Task) -> Tracker[PmdFrame]:
+    """Return the tracker of depth alone, in the distance field."""
+    return SignedDistanceTracker(config, task.target)
+
+
+def icp_reverse_calibration(config: IcpReverseCalibrationConfig, task: Task) -> Tracker[PmdFrame]:
+    """Return the 2018 paper's tracker of depth."""
+    return ReverseCalibrationIcp(config, task.target)
+
+
+def epnp(config: EpnpConfig, task: Task) -> Tracker[PmdFrame]:
+    """Return the 2018 paper's tracker of amplitude."""
+    return EpnpTracker(config, task.target)
+
+
+def hybrid(config: HybridConfig, task: Task) -> Tracker[PmdFrame]:
+    """Return both techniques of the 2018 paper."""
+    return HybridTracker(config, task.target)
+
+
+def make(task: Task) -> Methods:
+    """Return the configured methods for a PMD camera."""
+    sensor = task.sensor
+    tracker = method("pmd", sensor.tracking.kind).built(sensor.tracking, task)
+    task = task.with_tracker(tracker)
+    acquirer = method("pmd", sensor.acquisition.kind).built(sensor.acquisition, task)
+    preparation = DepthPreparation(sensor, task.target)
+    return Methods(PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation))
+
+
+def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) -> tuple[PmdFrame, PmdFrame]:
+    """Return a frame without noise, first without and then with what tells how to unwrap its distances."""
+    camera = Camera(width=352, height=287, fx=682.75, fy=691.42, cx=175.5, cy=143.0)
+    grid = RayGrid.pinhole(camera)
+    hits = cast(grid, target.triangles_m, T_optical_target)
+    range_m = np.where(np.isfinite(hits.range_m), hits.range_m, np.nan)
+    depth_m = (range_m * grid.directions[..., 2]).astype(np.float32)
+    amplitude = np.where(depth_m > 0.0, 1000, 0).astype(np.uint16)
+    for image in (depth_m, amplitude):
+        image.setflags(write=False)  # as off the bus: compiled code is another for what may be written to
+    frame = PmdFrame(stamp_ns=0, frame_id="", depth_m=depth_m, amplitude=amplitude, camera=camera)
+    return frame, frame.model_copy(update={"info": _WRAPPING})
+
+
+PMD_METHODS = KindMethods(make=make, frames=ideal_frames)

@@ -1,0 +1,71 @@
+"""Every code block of every document is run, in its order, in an empty folder for each document.
+
+How a document has a block treated otherwise stands in ``blocks``, and for authors in CONTRIBUTING.md.
+"""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from blocks import blocks_of
+from playground import ROOT, RUN_S, Playground
+
+from rpod_site.documents import tracked
+
+DOCUMENTS = [document for document in tracked(ROOT) if any(blocks_of(ROOT / document))]
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+LONGEST_README = 700
+
+
+@pytest.fixture(scope="module")
+def log_of(tmp_path_factory) -> Callable[[str], Path]:
+    """Return the log of a short run of a scenario, made once."""
+    folder = tmp_path_factory.mktemp("logs")
+
+    def made(scenario: str) -> Path:
+        found = sorted(folder.glob(f"{scenario}-*/{scenario}.mcap"))
+        if not found:
+            options = ["--duration", f"{RUN_S:g}", "--speed", "max", "--out", str(folder)]
+            command = [sys.executable, "-m", "rpod", "run", scenario, *options]
+            subprocess.run(command, check=True, capture_output=True, timeout=240.0)
+            found = sorted(folder.glob(f"{scenario}-*/{scenario}.mcap"))
+        return found[0]
+
+    return made
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=str)
+def test_the_blocks_of_a_document_run(document, tmp_path, log_of):
+    with closing(Playground(tmp_path, log_of)) as playground:
+        for block in blocks_of(ROOT / document):
+            playground.take(block)
+    shutil.rmtree(tmp_path, ignore_errors=True)
+
+
+def test_every_make_target_named_in_a_sentence_is_one():
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+    named = {
+        (name, str(document))
+        for document in tracked(ROOT)
+        for name in re.findall(r"`make ([a-z-]+)", (ROOT / document).read_text("utf-8"))
+    }
+    assert {"run", "test", "check"} <= {name for name, _ in named}
+    assert [each for each in sorted(named) if each[0] not in targets] == []
+
+
+def test_the_readme_is_short():
+    words = (ROOT / "README.md").read_text("utf-8").split()
+    assert len(words) <= LONGEST_README
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda file: file.name)
+def test_a_notebook_is_kept_without_outputs(notebook):
+    cells = json.loads(notebook.read_text("utf-8"))["cells"]
+    assert all(not cell.get("outputs") and cell.get("execution_count") is None for cell in cells)

@@ -1,0 +1,133 @@
+"""Frames and poses that the messages allow and no sensor sends, for every method; run as a program, they are
+tried one after the other.
+
+The program is for NUMBA_BOUNDSCHECK=1, by which compiled code raises IndexError where it would read beyond an
+array.
+"""
+
+import sys
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.methods import lidar_methods, pmd_methods
+from rpod_schemas.config.estimator import LidarInput, PmdInput
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Camera, LidarScan, PmdFrame, PmdInfo
+from rpod_target import load_target
+
+SIZES = ((1, 1), (2, 3), (40, 31), (64, 48))
+LENGTHS_M = (0.0, -0.0, 1e-30, 1e-3, 0.06, 1.0, 4.0, 30.0, 1e4, 1e30, 3e38, -4.0, np.inf, -np.inf, np.nan)
+FOCAL_PX = (1e-300, 1e-3, 1.0, 90.0, 1e6, 1e300, np.inf)
+COEFFICIENTS = (0.0, 0.1, -9.0, 1e300)
+RANGES_M = (0.0, 1e-12, 0.3, 4.0, 25.0, 1e9, 1e200)
+HERTZ = (1e6, 20e6, 1e9)
+KINDS = (np.uint8, np.uint16, np.float32)
+SHARES = (0.0, 0.02, 0.6)
+
+
+def depths(seed: int, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a smooth surface with values that are none strewn over a share of it."""
+    rng = np.random.default_rng(seed)
+    image = (rng.choice(LENGTHS_M) + 0.1 * rng.standard_normal(shape)).astype(np.float32)
+    strewn = rng.random(shape) < rng.choice(SHARES)
+    return np.where(strewn, rng.choice(LENGTHS_M, shape), image).astype(np.float32)
+
+
+def pmd_frame(seed: int, camera: Camera) -> PmdFrame:
+    """Return a frame of a camera."""
+    rng, shape = np.random.default_rng(seed), (camera.height, camera.width)
+    kind, amplitude = KINDS[seed % 3], None
+    if kind is np.float32:
+        amplitude = rng.choice(LENGTHS_M, shape).astype(kind)
+    elif seed % 4:
+        amplitude = rng.integers(0, np.iinfo(kind).max, shape).astype(kind)
+    info = PmdInfo(
+        modulation_frequency_hz=rng.choice(HERTZ, seed % 3),
+        integration_time_s=1e-3,
+        electrons_per_count=1.0,
+        saturation_count=1e4,
+    )
+    return PmdFrame(
+        stamp_ns=0, frame_id="", depth_m=depths(seed, shape), amplitude=amplitude, camera=camera, info=info
+    )
+
+
+def scan(seed: int) -> LidarScan:
+    """Return a scan, organised or not, of the pattern's size or another."""
+    rng = np.random.default_rng(seed)
+    shape = ((21, 21), (5,), (0,), (300,), (7, 3), (1, 1))[seed % 6]
+    middle_m = 0.0, 0.0, rng.choice(LENGTHS_M)
+    points_m = rng.standard_normal((*shape, 3)) * rng.choice((1e-3, 1.0, 1e30)) + middle_m
+    points_m[rng.random(shape) < rng.choice(SHARES)] = rng.choice(LENGTHS_M, 3)
+    return LidarScan(stamp_ns=0, frame_id="", points_m=points_m.astype(np.float32))
+
+
+def pose(seed: int) -> RigidTransform:
+    """Return a prediction, near or far, in front or behind."""
+    rng = np.random.default_rng(seed)
+    direction = rng.standard_normal(3) if seed % 2 else np.array([0.0, 0.0, 1.0])
+    place_m = direction / np.linalg.norm(direction) * rng.choice(RANGES_M)
+    return make_pose(rotation=Rotation.random(rng=rng), translation_m=place_m)
+
+
+def methods() -> tuple[Any, Any]:
+    """Return the methods of a LIDAR of 21 x 21 rays and of a PMD camera."""
+    angles_rad = np.deg2rad(np.linspace(-10.0, 10.0, 21))
+    lidar = lidar_methods(LidarInput(), load_target("envisat-bulky"), ScanPattern(angles_rad, angles_rad))
+    return lidar, pmd_methods(PmdInput(), load_target("mockup"))
+
+
+def try_pmd(found: Any, frame: PmdFrame, guess: RigidTransform) -> None:
+    """Let the PMD methods see a frame: a refusal is a result, never an exception."""
+    found.tracker.track(frame, guess)
+    found.acquirer.acquire(frame)
+    found.acquirer.near(frame, guess)
+
+
+def try_lidar(found: Any, seen: LidarScan, guess: RigidTransform) -> None:
+    """Let the LIDAR's methods see a scan."""
+    found.tracker.track(seen, guess)
+    found.acquirer.acquire(seen)
+    found.acquirer.near(seen, guess)
+
+
+def camera_of(number: int) -> Camera:
+    """Return a camera: a usual one two times in three."""
+    rng = np.random.default_rng(number)
+    (width, height), usual = SIZES[number % len(SIZES)], number % 3 > 0
+    fx, fy = (90.0, 90.0) if usual else rng.choice(FOCAL_PX, 2).tolist()
+    lens = np.zeros(5) if usual else rng.choice(COEFFICIENTS, 5)
+    middle = (width - 1) / 2, (height - 1) / 2
+    return Camera(width=width, height=height, fx=fx, fy=fy, cx=middle[0], cy=middle[1], distortion=lens)
+
+
+def failures(numbers: Iterable[int]) -> Counter[str]:
+    """Return what was raised, and how often."""
+    (lidar, pmd), raised = methods(), Counter[str]()
+    for number in numbers:
+        for attempt, found, seen in (
+            (try_pmd, pmd, pmd_frame(number, camera_of(number))),
+            (try_lidar, lidar, scan(number)),
+        ):
+            try:
+                attempt(found, seen, pose(number))
+            except Exception as error:  # noqa: BLE001 - every kind is a finding
+                last = [f for f in traceback.extract_tb(error.__traceback__) if "rpod_" in f.filename][-1]
+                place = f"{Path(last.filename).name}:{last.lineno}"
+                raised[f"{attempt.__name__}: {type(error).__name__}: {error} at {place}"] += 1
+    return raised
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    found = failures(range(*map(int, sys.argv[1:])))
+    print(*found.items(), sep="\n")  # noqa: T201
+    sys.exit(bool(found))
