@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 
 _MOST_REMEMBERED = 100_000
 """Messages that are known to have been counted, so that none is counted by two readers."""
-_SAMPLED = 101
-"""Messages at the beginning of a log whose stamps tell its clock."""
+_SAMPLED = 25
+"""Messages of each topic, its first ones, whose stamps show the clocks of a log."""
+_LEAST_OF_A_CLOCK = 3
+"""Fewer sampled stamps that agree are no clock of the log."""
 _DAY_NS = 86_400 * NANOSECONDS
 _FASTEST = 1_000
 """A log in lockstep may be this many times as fast as the wall clock."""
@@ -82,19 +84,21 @@ class Unreadable:
 
 
 class StampCheck:
-    """Tells stamps that cannot be of a log: days away from the time that its other messages tell.
+    """Finds stamps that cannot be of a log: days away from every clock that its messages are stamped by.
 
-    A log may be of another clock than the one of its arrivals, so the median distance between both at the
-    log's beginning is allowed for. One stamp of another year would stretch a run over all the years between.
+    A log may have several clocks: in lockstep the sensors have that of the scenario, diagnostics the wall
+    clock. So the distances of stamps from arrivals are sampled, and each that several messages agree on is
+    allowed for. One stamp of another year would stretch a run over all the years between.
     """
 
     def __init__(self, log: "Log") -> None:
         self._start_ns = log.start_ns
-        self._offset_ns = _offset_ns(log)
+        self._offsets_ns = _offsets_ns(log)
 
     def check(self, logged: "Logged", stamp_ns: int) -> int:
         """Return a message's stamp. Raises ``MessageRejectedError`` where it cannot be of this log."""
-        ahead_ns = stamp_ns - logged.log_ns - self._offset_ns
+        offset_ns = stamp_ns - logged.log_ns
+        ahead_ns = min((offset_ns - known_ns for known_ns in self._offsets_ns), key=abs)
         if abs(ahead_ns) <= _DAY_NS + _FASTEST * abs(logged.log_ns - self._start_ns):
             return stamp_ns
         days = abs(ahead_ns) / _DAY_NS
@@ -114,16 +118,19 @@ class StampCheck:
         return self.check(logged, peek_stamp(logged.payload))
 
 
-def _offset_ns(log: "Log") -> int:
-    offsets_ns = []
-    stamped = [
-        name for name, info in log.topics.items() if is_known(info.type) and begins_with_stamp(info.type)
-    ]
-    if not stamped:
-        return 0
-    for logged in islice(log.messages(*stamped), _SAMPLED):
-        try:
-            offsets_ns.append(peek_stamp(logged.payload) - logged.log_ns)
-        except MessageRejectedError:
+def _offsets_ns(log: "Log") -> list[int]:
+    """Return how far the clocks of a log's stamps are ahead of the arrivals; without any, 0."""
+    sampled: list[int] = []
+    for name, info in log.topics.items():
+        if not is_known(info.type) or not begins_with_stamp(info.type):
             continue
-    return int(np.median(offsets_ns)) if offsets_ns else 0
+        for logged in islice(log.messages(name), _SAMPLED):
+            try:
+                sampled.append(peek_stamp(logged.payload) - logged.log_ns)
+            except MessageRejectedError:
+                continue
+    ordered = np.sort(np.array(sampled, np.int64))
+    clocks = np.split(ordered, np.flatnonzero(np.diff(ordered) > _DAY_NS) + 1)
+    most = max((len(clock) for clock in clocks), default=0)
+    least = min(_LEAST_OF_A_CLOCK, most)
+    return [int(np.median(clock)) for clock in clocks if len(clock) and len(clock) >= least] or [0]

@@ -9,11 +9,21 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from pydantic import Field
 
 from rpod_schemas.config.base import Config, Positive
+from rpod_schemas.config.emulator import WorldName
 
 Trials = Annotated[int, Field(gt=0, description="Number of trials of each cell.")]
 Names = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
 Ranges = Annotated[
     tuple[Positive, ...], Field(min_length=1, description="Ranges of the target's origin from the sensor, m.")
+]
+
+
+Worlds = Annotated[
+    tuple[WorldName, ...],
+    Field(
+        min_length=1,
+        description="Physics of the emulated sensors, which no method is told (rpod_sim_sensor.worlds).",
+    ),
 ]
 
 

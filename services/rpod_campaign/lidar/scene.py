@@ -11,10 +11,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_pose.registration.closest_point import Surface
+from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
+from rpod_sim_sensor.worlds import world_of
 
 CLEARANCE_M = 2.0
 """A pose with a part of the target nearer to the sensor than this is drawn anew."""
@@ -64,12 +66,14 @@ def clearance_m(target: str, T_sensor_target: RigidTransform) -> float:
     return float(np.linalg.norm(closest_m - sensor_m))
 
 
-def emulator_of(target: str, config: LidarConfig, seed: int, *, scale: float = 1.0) -> LidarEmulator:
-    """Return the emulated LIDAR that looks at a target, larger than its model by a scale."""
+def emulator_of(
+    target: str, config: LidarConfig, seed: int, *, world: WorldName = "documented", scale: float = 1.0
+) -> LidarEmulator:
+    """Return the emulated LIDAR of a world that looks at a target, larger than its model by a scale."""
     looked_at = cached_target(target)
     if scale != 1.0:
         looked_at = replace(looked_at, triangles_m=scale * looked_at.triangles_m)
-    return LidarEmulator(config, looked_at, seed=seed)
+    return LidarEmulator(config, looked_at, seed=seed, world=world_of(world))
 
 
 def scan_of(

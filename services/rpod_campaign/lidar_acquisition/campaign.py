@@ -22,6 +22,7 @@ def cells(options: Options) -> list[AcquisitionCell]:
             matcher=matcher,
             range_m=range_m,
             step_deg=step_deg,
+            world=world,
         )
         for target in targets(options.target)
         for method in methods(options.method)
@@ -31,6 +32,7 @@ def cells(options: Options) -> list[AcquisitionCell]:
         for eq4 in either(options.eq4, EQ4)
         for sampling in either(options.sampling, SAMPLING)
         for range_m in options.ranges
+        for world in options.world
     ]
 
 

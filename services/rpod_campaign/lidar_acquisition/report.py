@@ -9,7 +9,7 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import rate_figure
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import NONE, milliseconds, number, percent, printed, word
+from rpod_campaign.engine.report.numbers import NONE, in_world, milliseconds, number, percent, printed, word
 from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
 from rpod_campaign.lidar.scores import RIGHT_M, SUCCESS_DEG
 from rpod_campaign.lidar_acquisition.trial import AcquisitionCell
@@ -71,7 +71,7 @@ def sections(results: Results) -> list[Section]:
 def _name(cell: AcquisitionCell) -> tuple[str, ...]:
     step = word(cell.step_deg)
     return (
-        cell.target,
+        in_world(cell.target, cell.world),
         cell.method,
         step,
         word(cell.centroid),
@@ -143,13 +143,19 @@ def _loss_tables(results: Results) -> tuple[Table, ...]:
         if cell.method != paper.TM:
             continue
         other = next(
-            (c for c in rates if c.method == paper.FAST_TM and _name(c)[2:] == _name(cell)[2:]), None
+            (
+                c
+                for c in rates
+                if c.method == paper.FAST_TM
+                and (_name(c)[0], *_name(c)[2:]) == (_name(cell)[0], *_name(cell)[2:])
+            ),
+            None,
         )
-        if other is not None and other.target == cell.target:
+        if other is not None:
             loss = share.value - rates[other].value
             rows.append(
                 (
-                    cell.target,
+                    in_world(cell.target, cell.world),
                     *_name(cell)[2:],
                     number(loss, "+.3f"),
                     printed(paper.RANDOM_LOSS, (cell.range_m, cell.step_deg)),

@@ -8,6 +8,7 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.acquiring import SCHEMA, acquired
 from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
 from rpod_campaign.lidar.scene import emulator_of, random_pose
+from rpod_schemas.config.emulator import WorldName
 from rpod_sim_sensor.lidar import LidarEmulator
 
 __all__ = ["SCHEMA", "AcquisitionCell", "run"]
@@ -30,6 +31,8 @@ class AcquisitionCell:
     range_m: float
     step_deg: float | None
     """Step of the template grid; None for other methods."""
+    world: WorldName = "documented"
+    """Physics of the sensor; the method is not told."""
 
 
 def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
@@ -46,4 +49,4 @@ def _bench(cell: AcquisitionCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
         cell.method, step_deg=cell.step_deg, centroid=cell.centroid, matcher=cell.matcher, eq4=cell.eq4
     )
     acquiring = Acquiring(sensor, cached_target(cell.target), pattern_of(lidar))
-    return emulator_of(cell.target, lidar, seed), acquiring
+    return emulator_of(cell.target, lidar, seed, world=cell.world), acquiring

@@ -19,6 +19,7 @@ def cells(options: Options) -> list[RangeCell]:
             scan_step_deg=scan_step_deg,
             step_deg=step_deg,
             range_m=range_m,
+            world=world,
         )
         for target in targets(options.target)
         for method in methods(options.method)
@@ -26,6 +27,7 @@ def cells(options: Options) -> list[RangeCell]:
         for detection in ("off", "on")
         for scan_step_deg in _scan_steps(options)
         for range_m in options.ranges
+        for world in options.world
     ]
 
 

@@ -9,7 +9,7 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import rate_figure
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import milliseconds, number, printed, word
+from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, printed, word
 from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
 from rpod_campaign.lidar_range.trial import RangeCell, lidar_of
 
@@ -60,7 +60,8 @@ def sections(results: Results) -> list[Section]:
     lines: dict[str, dict[float, Rate]] = {}
     for result in results:
         cell = result.cell
-        name = f"{cell.target}, {cell.method}, {cell.scan_step_deg:g} deg, detection {cell.detection}"
+        name = f"{in_world(cell.target, cell.world)}, {cell.method}, {cell.scan_step_deg:g} deg"
+        name += f", detection {cell.detection}"
         lines.setdefault(name, {})[cell.range_m] = close(result.rows)
     note = (
         f"Success: within {CRITERION_DEG:g} deg and {CRITERION_M:g} m, OBB-TM's criterion, with 95 % Wilson "
@@ -78,7 +79,7 @@ def _table(results: Results) -> Table:
         published = OBB_TM_1_DEG if cell.scan_step_deg == 1.0 else {}
         rows.append(
             (
-                cell.target,
+                in_world(cell.target, cell.world),
                 cell.method,
                 word(cell.step_deg),
                 cell.detection,

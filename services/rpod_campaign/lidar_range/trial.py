@@ -9,6 +9,7 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.acquiring import SCHEMA, acquired
 from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
 from rpod_campaign.lidar.scene import emulator_of, random_pose
+from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_sim_sensor.lidar import LidarEmulator
 
@@ -29,6 +30,8 @@ class RangeCell:
     step_deg: float | None
     """Step of the template grid; None for other methods."""
     range_m: float
+    world: WorldName = "documented"
+    """Physics of the sensor; the method is not told."""
 
 
 def window_deg(target: str, range_m: float) -> float:
@@ -68,4 +71,4 @@ def _bench(cell: RangeCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
         matcher="nearest-neighbour",
     )
     acquiring = Acquiring(sensor, cached_target(cell.target), pattern_of(lidar))
-    return emulator_of(cell.target, lidar, seed), acquiring
+    return emulator_of(cell.target, lidar, seed, world=cell.world), acquiring

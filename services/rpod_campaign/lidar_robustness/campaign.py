@@ -12,13 +12,19 @@ def cells(options: Options) -> list[RobustnessCell]:
     """Return the cells. Raises ConfigurationError."""
     return [
         RobustnessCell(
-            target=target, method=method, disturbance=disturbance, step_deg=step_deg, range_m=range_m
+            target=target,
+            method=method,
+            disturbance=disturbance,
+            step_deg=step_deg,
+            range_m=range_m,
+            world=world,
         )
         for target in targets(options.target)
         for method in methods(options.method)
         for step_deg in steps_of(method, options.steps)
         for range_m in options.ranges
         for disturbance in DISTURBANCES
+        for world in options.world
     ]
 
 

@@ -8,7 +8,7 @@ import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import number, word
+from rpod_campaign.engine.report.numbers import in_world, number, word
 from rpod_campaign.lidar_acquisition.report import success
 from rpod_campaign.lidar_robustness.trial import NOMINAL, RobustnessCell
 
@@ -37,7 +37,7 @@ def sections(results: Results) -> list[Section]:
         fall = nominal[replace(cell, disturbance=NOMINAL)] - share.value
         rows.append(
             (
-                cell.target,
+                in_world(cell.target, cell.world),
                 cell.method,
                 word(cell.step_deg),
                 word(cell.range_m),

@@ -9,6 +9,7 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.acquiring import SCHEMA, acquired
 from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
 from rpod_campaign.lidar.scene import emulator_of, random_pose
+from rpod_schemas.config.emulator import WorldName
 from rpod_sim_sensor.lidar import LidarEmulator
 
 __all__ = ["DISTURBANCES", "NOMINAL", "SCHEMA", "RobustnessCell", "run"]
@@ -51,6 +52,8 @@ class RobustnessCell:
     step_deg: float | None
     """Step of the template grid; None for other methods."""
     range_m: float
+    world: WorldName = "documented"
+    """Physics of the sensor; the method is not told."""
 
 
 def run(cell: RobustnessCell, seed: int, trial: int) -> dict[str, Any]:
@@ -66,4 +69,4 @@ def _bench(cell: RobustnessCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
     lidar = lidar_config(detection=disturbance.detection, noise=disturbance.noise)
     sensor = lidar_input(cell.method, step_deg=cell.step_deg, centroid="offset", matcher="nearest-neighbour")
     acquiring = Acquiring(sensor, cached_target(cell.target), pattern_of(lidar))
-    return emulator_of(cell.target, lidar, seed, scale=disturbance.scale), acquiring
+    return emulator_of(cell.target, lidar, seed, world=cell.world, scale=disturbance.scale), acquiring

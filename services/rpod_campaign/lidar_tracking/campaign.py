@@ -16,13 +16,14 @@ def cells(options: Options) -> list[TrackingCell]:
     for tracker in options.matcher:
         tracking_input(tracker)
     return [
-        TrackingCell(target=target, tracker=tracker, range_m=range_m, rate_deg_s=rate_deg_s)
+        TrackingCell(target=target, tracker=tracker, range_m=range_m, rate_deg_s=rate_deg_s, world=world)
         for target in targets(options.target)
         for tracker in options.matcher
         for range_m, rate_deg_s in (
             *((range_m, None) for range_m in options.ranges),
             *((None, rate_deg_s) for rate_deg_s in _RATES_DEG_S),
         )
+        for world in options.world
     ]
 
 

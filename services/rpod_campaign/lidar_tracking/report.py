@@ -10,7 +10,7 @@ from rpod_analysis.scoring.score import NEES_95
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import curve_figure
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import milliseconds, number, word
+from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, word
 from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
 from rpod_campaign.lidar_tracking.trial import FRAMES, OFF_DEG, OFF_M, TrackingCell
 
@@ -80,7 +80,7 @@ def _single_table(results: Results) -> Table:
         cell, s = result.cell, result.summary
         rows.append(
             (
-                cell.target,
+                in_world(cell.target, cell.world),
                 cell.tracker,
                 word(cell.range_m),
                 str(result.rows.height),
@@ -105,7 +105,7 @@ def _single_table(results: Results) -> Table:
 def _sequence_table(results: Results) -> Table:
     rows = [
         (
-            result.cell.target,
+            in_world(result.cell.target, result.cell.world),
             result.cell.tracker,
             word(result.cell.rate_deg_s),
             str(result.rows.height),
@@ -126,7 +126,8 @@ def _figures(results: Results) -> tuple[Any, ...]:
     for result in results:
         errors_deg = result.rows["attitude_error_deg"].drop_nulls().sort().to_list()
         shares = [(k + 1) / result.rows.height for k in range(len(errors_deg))]
-        curves[f"{result.cell.target}, {result.cell.tracker}, {result.cell.range_m:g} m"] = (
+        target = in_world(result.cell.target, result.cell.world)
+        curves[f"{target}, {result.cell.tracker}, {result.cell.range_m:g} m"] = (
             errors_deg,
             shares,
         )

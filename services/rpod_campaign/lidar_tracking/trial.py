@@ -23,6 +23,7 @@ from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.ports import Methods
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
 from rpod_schemas.messages import NANOSECONDS
@@ -48,6 +49,8 @@ class TrackingCell:
     """Range of single scans; None for sequences, which follow the safety ellipse of 25 to 53 m."""
     rate_deg_s: float | None
     """Rate of tumbling of sequences; None for single scans."""
+    world: WorldName = "documented"
+    """Physics of the sensor; the method is not told."""
 
 
 SCHEMA: dict[str, Any] = {
@@ -169,4 +172,4 @@ def _bench(cell: TrackingCell, seed: int) -> tuple[LidarEmulator, Methods, Navig
         centre_of_mass_m=target.centre_of_mass_m,
         alike=target.turns(exact=True),
     )
-    return emulator_of(cell.target, lidar, seed), methods, navigator
+    return emulator_of(cell.target, lidar, seed, world=cell.world), methods, navigator

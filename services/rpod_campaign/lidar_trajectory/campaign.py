@@ -15,7 +15,12 @@ def cells(options: Options) -> list[TrajectoryCell]:
     """Return the cells. Raises ConfigurationError, which names the option."""
     return [
         TrajectoryCell(
-            target=target, method=method, eq4=eq4, centroid=str(centroid), step_deg=float(step_deg)
+            target=target,
+            method=method,
+            eq4=eq4,
+            centroid=str(centroid),
+            step_deg=float(step_deg),
+            world=world,
         )
         for target in targets(options.target)
         for method in methods(options.method, tuple(TEMPLATE_MATCHING))
@@ -24,6 +29,7 @@ def cells(options: Options) -> list[TrajectoryCell]:
         )
         if step_deg is not None
         for eq4 in either(options.eq4, EQ4)
+        for world in options.world
     ]
 
 

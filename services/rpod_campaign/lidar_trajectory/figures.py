@@ -7,6 +7,7 @@ import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import curve_figure, rate_figure
+from rpod_campaign.engine.report.numbers import in_world
 from rpod_campaign.engine.report.statistics import Rate
 from rpod_campaign.lidar_trajectory.tables import success
 from rpod_campaign.lidar_trajectory.trial import TrajectoryCell
@@ -25,7 +26,7 @@ def figures_over_time(results: Results) -> tuple[go.Figure, ...]:
     first = results[0]
     minutes = (first.rows["time_s"] / 60.0).to_list()
     ranges = curve_figure(
-        {first.cell.target: (minutes, first.rows["range_m"].to_list())},
+        {in_world(first.cell.target, first.cell.world): (minutes, first.rows["range_m"].to_list())},
         x_title="time [min]",
         y_title="range [m]",
         markers=True,
@@ -35,7 +36,7 @@ def figures_over_time(results: Results) -> tuple[go.Figure, ...]:
     for name, good in (("success", True), ("failure", False)):
         rows = shown.rows.filter(pl.col("nn_success") == good)
         clouds[name] = ((rows["time_s"] / 60.0).to_list(), rows["nn_f_conv_m2"].to_list())
-    about = f"f_CONV [m2], {shown.cell.target}, {shown.cell.step_deg:g} deg"
+    about = f"f_CONV [m2], {in_world(shown.cell.target, shown.cell.world)}, {shown.cell.step_deg:g} deg"
     costs = curve_figure(clouds, x_title="time [min]", y_title=about, markers=True, log_y=True)
     return ranges, costs
 
@@ -45,7 +46,7 @@ def figures_over_steps(results: Results) -> tuple[go.Figure, ...]:
     lines: dict[str, dict[float, Rate]] = {}
     for result in results:
         cell = result.cell
-        about = f"{cell.target}, Eq. 4 {cell.eq4}, {cell.method}"
+        about = f"{in_world(cell.target, cell.world)}, Eq. 4 {cell.eq4}, {cell.method}"
         for icp in ("nn", "ns") if cell.method == paper.TM else ("nn",):
             name = f"{about}, {icp.upper()}"
             lines.setdefault(name, {})[cell.step_deg] = success(result, icp)

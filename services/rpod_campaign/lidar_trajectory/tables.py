@@ -7,7 +7,7 @@ import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.content import Table
-from rpod_campaign.engine.report.numbers import milliseconds, number, printed, word
+from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, printed, word
 from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
 from rpod_campaign.lidar_trajectory.trial import TrajectoryCell
 from rpod_campaign.papers import paper_2015 as paper
@@ -136,14 +136,14 @@ def cost_table(results: Results) -> Table:
 
 
 def _name(cell: TrajectoryCell) -> tuple[str, ...]:
-    return cell.target, cell.eq4, cell.centroid, cell.method, word(cell.step_deg)
+    return in_world(cell.target, cell.world), cell.eq4, cell.centroid, cell.method, word(cell.step_deg)
 
 
 def _pairs(results: Results) -> Iterator[tuple[Result, Result]]:
     """Yield template matching and its fast variant in the same cell."""
 
     def key(cell: TrajectoryCell) -> tuple[str, str, str, float]:
-        return cell.target, cell.eq4, cell.centroid, cell.step_deg
+        return in_world(cell.target, cell.world), cell.eq4, cell.centroid, cell.step_deg
 
     fast = {key(result.cell): result for result in results if result.cell.method == paper.FAST_TM}
     for result in results:

@@ -20,6 +20,7 @@ from rpod_motion.motion import Motion, build_motion
 from rpod_pose.methods import methods_of
 from rpod_pose.ports import Registration, Tracker
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
@@ -48,6 +49,8 @@ class TrajectoryCell:
     eq4: str
     centroid: str
     step_deg: float
+    world: WorldName = "documented"
+    """Physics of the sensor; the method is not told."""
 
 
 SCHEMA: dict[str, Any] = {
@@ -164,6 +167,6 @@ def _bench(
     pattern = pattern_of(lidar)
     search = TimedSearch(template_search(sensors["nn"], target, pattern))
     trackers = {icp: methods_of(sensor, target, pattern).tracker for icp, sensor in sensors.items()}
-    emulator = emulator_of(cell.target, lidar, seed)
+    emulator = emulator_of(cell.target, lidar, seed, world=cell.world)
     search.search(scan_of(emulator, motion_of(cell.target).state(0.0).T_chaser_target, trial=0))  # warm
     return emulator, search, trackers

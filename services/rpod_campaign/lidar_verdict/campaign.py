@@ -14,12 +14,20 @@ _OTHERS = ("envisat-slim", "envisat-bulky", "mockup")
 def cells(options: Options) -> list[VerdictCell]:
     """Return the cells: each method on scans of the target itself, the global search on others too."""
     return [
-        VerdictCell(target=target, scanned_target=scanned, method=method, step_deg=step_deg, range_m=range_m)
+        VerdictCell(
+            target=target,
+            scanned_target=scanned,
+            method=method,
+            step_deg=step_deg,
+            range_m=range_m,
+            world=world,
+        )
         for method in methods(options.method)
         for step_deg in steps_of(method, options.steps)
         for target in targets(options.target)
         for scanned in _scanned(method, target)
         for range_m in options.ranges
+        for world in options.world
     ]
 
 

@@ -11,7 +11,7 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult, Row
 from rpod_campaign.engine.report.charts import curve_figure
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import NONE, number, word
+from rpod_campaign.engine.report.numbers import NONE, in_world, number, word
 from rpod_campaign.engine.report.statistics import quantile, rate
 from rpod_campaign.lidar_verdict.trial import VerdictCell
 from rpod_pose.ports import Outcome
@@ -89,7 +89,7 @@ def _source(cell: VerdictCell) -> tuple[str, ...]:
 
 
 def _model(cell: VerdictCell) -> tuple[str, ...]:
-    return cell.target, word(cell.range_m)
+    return in_world(cell.target, cell.world), word(cell.range_m)
 
 
 def _figure(groups: dict[Group, pl.DataFrame], target: str) -> go.Figure:
@@ -142,7 +142,9 @@ def _grouped(results: Results) -> dict[Group, pl.DataFrame]:
     found: dict[Group, list[pl.DataFrame]] = {}
     for result in results:
         rows = result.rows.filter(pl.col("found").is_not_null())
-        found.setdefault((result.cell.target, result.cell.range_m), []).append(rows)
+        found.setdefault((in_world(result.cell.target, result.cell.world), result.cell.range_m), []).append(
+            rows
+        )
     return {group: pl.concat(frames) for group, frames in found.items()}
 
 
@@ -167,7 +169,7 @@ def _verdict_table(results: Results) -> Table:
             (
                 cell.method,
                 word(cell.step_deg),
-                cell.target,
+                in_world(cell.target, cell.world),
                 cell.scanned_target,
                 word(cell.range_m),
                 number(s["scanned_range_m"], ".1f"),

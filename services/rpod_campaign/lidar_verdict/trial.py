@@ -21,6 +21,7 @@ from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.methods import methods_of
 from rpod_pose.ports import Acquisition
+from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig
 from rpod_schemas.types import LidarScan
@@ -51,6 +52,8 @@ class VerdictCell:
     """Step of the template grid; None for other methods."""
     range_m: float
     """For the reference; scaled by the size of what is scanned."""
+    world: WorldName = "documented"
+    """Physics of the sensor; the method is not told."""
 
 
 def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
@@ -115,4 +118,4 @@ def size_m(target: str) -> float:
 @lru_cache(maxsize=4)
 def _bench(cell: VerdictCell, seed: int) -> tuple[LidarEmulator, Judge]:
     lidar = lidar_config()
-    return emulator_of(cell.scanned_target, lidar, seed), Judge(cell, pattern_of(lidar))
+    return emulator_of(cell.scanned_target, lidar, seed, world=cell.world), Judge(cell, pattern_of(lidar))

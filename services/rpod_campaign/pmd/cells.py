@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
+from rpod_campaign.engine.report.numbers import in_world
 from rpod_campaign.pmd.methods import has_radius, pmd_input
 from rpod_campaign.pmd.options import PmdOptions
 from rpod_schemas.config.base import check
@@ -16,7 +17,13 @@ _FAMILY = "mockup-"
 
 
 def scenarios(options: PmdOptions) -> Iterator[tuple[str, Scenario]]:
-    """Yield the scenarios with a camera; ``mockup-`` need not be said. Raises ConfigurationError."""
+    """Yield the scenarios with a camera in each world, and their labels.
+
+    ``mockup-`` need not be said; a label names a world that is not the documented one.
+
+    Raises:
+        ConfigurationError: a scenario is unknown.
+    """
     known = {
         name.removeprefix(_FAMILY): scenario
         for name, scenario in options.scenarios.items()
@@ -26,7 +33,9 @@ def scenarios(options: PmdOptions) -> Iterator[tuple[str, Scenario]]:
         short = name.removeprefix(_FAMILY)
         if short not in known:
             raise ConfigurationError("--scenario", "", f"needs {', '.join(known)}, not {name!r}")
-        yield short, known[short]
+        for world in options.world:
+            scenario = known[short].model_copy(update={"world": world})
+            yield in_world(short, world), scenario
 
 
 def methods(

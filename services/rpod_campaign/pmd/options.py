@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rpod_campaign.engine.options import Names, Options, Provided
+from rpod_campaign.engine.options import Names, Options, Provided, Worlds
 from rpod_schemas.config.scenario import Scenario
 
 Methods = Annotated[
@@ -40,5 +40,6 @@ class PmdOptions(Options):
 
     scenario: Names = ("tumbling",)
     """Scenarios with the camera, by name; 'mockup-' may be left out."""
+    world: Worlds = ("documented",)
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)
     """The scenarios that are installed, by name."""

@@ -21,6 +21,7 @@ from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import optical_frame
 from rpod_schemas.types import PmdFrame
 from rpod_sim_sensor.pmd import PmdEmulator
+from rpod_sim_sensor.worlds import world_of
 
 _CAD, _LOSS = 11, 12
 """Streams of random numbers."""
@@ -59,7 +60,12 @@ class Stage:
             duration_s=scenario.duration_s,
         )
         self.looked_at = built(self.target, world, stream(seed, trial, _CAD))
-        self._emulator = PmdEmulator(self.camera, self.looked_at, seed=_NOISE_SEEDS * seed + trial)
+        self._emulator = PmdEmulator(
+            self.camera,
+            self.looked_at,
+            seed=_NOISE_SEEDS * seed + trial,
+            world=world_of(scenario.world),
+        )
         self._rays = RayGrid.pinhole(self.camera.camera)
         self._hits = Hits.of(self._rays)
 

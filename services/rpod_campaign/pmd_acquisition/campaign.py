@@ -27,6 +27,7 @@ def cells(options: Options) -> list[AcquisitionCell]:
             range_m=(nearest_m, farthest_m),
             document=scenario.model_dump_json(),
             target=scenario.target,
+            world=scenario.world,
         )
         for _, scenario in scenarios(options)
         for method, _ in methods(options.method)

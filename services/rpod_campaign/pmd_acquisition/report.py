@@ -9,7 +9,7 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import curve_figure
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import milliseconds, number
+from rpod_campaign.engine.report.numbers import in_world, milliseconds, number
 from rpod_campaign.engine.report.statistics import quantile, rate
 from rpod_campaign.pmd.poses import FRONT_DEG, SUCCESS_DEG, SUCCESS_M
 from rpod_campaign.pmd.report.tables import millimetres
@@ -94,7 +94,12 @@ _NAMES = ("view", "start", "method", "range, m")
 
 
 def _name(cell: AcquisitionCell) -> tuple[str, ...]:
-    return cell.view, cell.start, cell.method, f"{cell.range_m[0]:g} to {cell.range_m[1]:g}"
+    return (
+        in_world(cell.view, cell.world),
+        cell.start,
+        cell.method,
+        f"{cell.range_m[0]:g} to {cell.range_m[1]:g}",
+    )
 
 
 def _figures(results: Results) -> tuple[Any, ...]:

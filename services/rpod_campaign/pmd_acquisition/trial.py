@@ -16,6 +16,7 @@ from rpod_campaign.pmd.scene import Stage, off, scenario_of, still
 from rpod_campaign.pmd.world import World
 from rpod_pose.methods import ready_methods
 from rpod_pose.ports import Methods
+from rpod_schemas.config.emulator import WorldName
 
 WIDE_DEG, WIDE_M = 25.0, 0.5
 """Distance of a wide start from the truth."""
@@ -39,6 +40,8 @@ class AcquisitionCell:
     """The scenario with camera and sun, as JSON."""
     target: str
     """The scenario's."""
+    world: WorldName = "documented"
+    """The scenario's physics of the camera; the method is not told."""
 
 
 SCHEMA: dict[str, Any] = {

@@ -51,7 +51,8 @@ def _guesses(options: Options, scenario: str, *, frames: str, method: str) -> tu
 
 
 def _is_papers(scenario: str, *, frames: str, method: str) -> bool:
-    return method == PAPER_ICP and frames == "keyframes" and scenario != APPROACH
+    """Return whether cells are the paper's: in the documented world alone."""
+    return method == PAPER_ICP and frames == "keyframes" and scenario in (paper.OBLIQUE, paper.TUMBLING)
 
 
 CAMPAIGN: Campaign[SequenceCell] = Campaign(

@@ -11,10 +11,17 @@ from rpod_campaign.template_tau.trial import TAU, TauCell
 def cells(options: Options) -> list[TauCell]:
     """Return the cells. Raises ConfigurationError."""
     return [
-        TauCell(target=target, step_deg=step_deg, range_m=range_m, taus=tuple(sorted(set(options.taus))))
+        TauCell(
+            target=target,
+            step_deg=step_deg,
+            range_m=range_m,
+            taus=tuple(sorted(set(options.taus))),
+            world=world,
+        )
         for target in targets(options.target)
         for step_deg in options.steps
         for range_m in options.ranges
+        for world in options.world
     ]
 
 

@@ -10,7 +10,7 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import curve_figure, rate_figure
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import number, percent, word
+from rpod_campaign.engine.report.numbers import in_world, number, percent, word
 from rpod_campaign.engine.report.statistics import Rate, mean, rate
 from rpod_campaign.template_tau.trial import TAU, TauCell
 from rpod_pose.lidar.paper_2015.tau_sweep import TauSweep
@@ -108,4 +108,4 @@ _NAMES = ("target", "step, deg", "range, m")
 
 
 def _name(cell: TauCell) -> tuple[str, ...]:
-    return cell.target, word(cell.step_deg), word(cell.range_m)
+    return in_world(cell.target, cell.world), word(cell.step_deg), word(cell.range_m)

@@ -21,6 +21,7 @@ from rpod_pose.lidar.paper_2015.tau_sweep import sweep_tau
 from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching, euler_grid
 from rpod_pose.methods import methods_of
 from rpod_pose.ports import Tracker
+from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan
@@ -40,6 +41,8 @@ class TauCell:
     range_m: float
     taus: tuple[float, ...]
     """Ascending."""
+    world: WorldName = "documented"
+    """Physics of the sensor; the method is not told."""
 
 
 SCHEMA: dict[str, Any] = {
@@ -94,4 +97,9 @@ def _bench(
         "template-matching", step_deg=cell.step_deg, centroid="plain", matcher="nearest-neighbour"
     )
     tracker = methods_of(sensor, target, pattern).tracker
-    return emulator_of(cell.target, lidar, seed), matching, tracker, euler_grid(cell.step_deg)
+    return (
+        emulator_of(cell.target, lidar, seed, world=cell.world),
+        matching,
+        tracker,
+        euler_grid(cell.step_deg),
+    )

@@ -34,3 +34,8 @@ def word(value: Any) -> str:
 def printed(values: Mapping[Any, Any], key: Any) -> str:
     """Return what a paper prints; blank where it prints nothing."""
     return str(values[key]) if key in values else ""
+
+
+def in_world(name: str, world: str) -> str:
+    """Return a name; a world other than the documented one is said after it."""
+    return name if world == "documented" else f"{name}, {world}"
