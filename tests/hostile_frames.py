@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.methods import lidar_methods, pmd_methods
+from rpod_pose.methods import methods_of
 from rpod_schemas.config.estimator import LidarInput, PmdInput
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, LidarScan, PmdFrame, PmdInfo
@@ -81,8 +81,8 @@ def pose(seed: int) -> RigidTransform:
 def methods() -> tuple[Any, Any]:
     """Return the methods of a LIDAR of 21 x 21 rays and of a PMD camera."""
     angles_rad = np.deg2rad(np.linspace(-10.0, 10.0, 21))
-    lidar = lidar_methods(LidarInput(), load_target("envisat-bulky"), ScanPattern(angles_rad, angles_rad))
-    return lidar, pmd_methods(PmdInput(), load_target("mockup"))
+    lidar = methods_of(LidarInput(), load_target("envisat-bulky"), ScanPattern(angles_rad, angles_rad))
+    return lidar, methods_of(PmdInput(), load_target("mockup"))
 
 
 def try_pmd(found: Any, frame: PmdFrame, guess: RigidTransform) -> None:

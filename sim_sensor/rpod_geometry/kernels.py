@@ -6,7 +6,7 @@ them. Its docstring gives shapes and units. A test holds all that (``tests/unit/
 """
 
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from numba import njit
 
@@ -20,7 +20,7 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     Divisions by zero give inf or NaN as in NumPy, so that no kernel raises for them. For type checkers the
     function keeps its signature, since numba has no stubs.
     """
-    compiled: Callable[P, R] = njit(cache=True, nogil=True, error_model="numpy")(function)
+    compiled: Callable[P, R] = _kept(njit(cache=True, nogil=True, error_model="numpy")(function))
     return compiled
 
 
@@ -29,7 +29,35 @@ def reassociated_kernel(function: Callable[P, R]) -> Callable[P, R]:
 
     For inner loops whose callers hold that no argument is NaN.
     """
-    compiled: Callable[P, R] = njit(cache=True, nogil=True, error_model="numpy", fastmath={"nnan", "nsz"})(
-        function
+    flags = {"nnan", "nsz"}
+    compiled: Callable[P, R] = _kept(
+        njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function)
     )
+    return compiled
+
+
+def generic_kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Return a kernel that is compiled into each kernel that calls it, and not kept on disk by itself.
+
+    For one that takes records of modules that it does not know: what is kept could not be seen to be old.
+    """
+    compiled: Callable[P, R] = njit(nogil=True, error_model="numpy")(function)
+    return compiled
+
+
+def _kept(compiled: Any) -> Any:
+    """Return a kernel that takes what is kept on disk for nothing where that names a record no longer there.
+
+    Numba reads the types of all that is kept before it asks whether that is old.
+    """
+    file = compiled._cache._cache_file
+    load = file._load_index
+
+    def load_index() -> Any:
+        try:
+            return load()
+        except (AttributeError, ImportError):
+            return {}
+
+    file._load_index = load_index
     return compiled

@@ -33,12 +33,18 @@ class Envelope(NamedTuple):
 
 
 class GridArrays(NamedTuple):
-    """The rays of a grid and their bounds, as the kernels take them."""
+    """The rays of a grid and their bounds, as the kernels take them; records within it would cost time."""
 
     components: FloatArray
     """x, y, z of the unit rays in sensor axes, shape (3, rows, columns), float64 or float32."""
-    columns: Envelope
-    rows: Envelope
+    column_lower: FloatArray
+    """``Envelope.lower`` of the columns, shape (columns,)."""
+    column_upper: FloatArray
+    """``Envelope.upper`` of the columns, shape (columns,)."""
+    row_lower: FloatArray
+    """The same of the rows, shape (rows,)."""
+    row_upper: FloatArray
+    """The same of the rows, shape (rows,)."""
 
 
 class RenderBuffers(NamedTuple):
@@ -84,16 +90,14 @@ class RayGrid:
     @property
     def arrays(self) -> GridArrays:
         """The rays and their bounds, as kernels take them."""
-        return GridArrays(self.components, self._columns, self._rows)
+        return GridArrays(self.components, *self._columns, *self._rows)
 
     def block(self, rows: slice, columns: slice) -> GridArrays:
         """Return the rays of some neighbouring rows and columns, as kernels take them."""
         components = np.ascontiguousarray(self.components[:, rows, columns])
         across, down = self._columns, self._rows
         return GridArrays(
-            components,
-            Envelope(across.lower[columns], across.upper[columns]),
-            Envelope(down.lower[rows], down.upper[rows]),
+            components, across.lower[columns], across.upper[columns], down.lower[rows], down.upper[rows]
         )
 
     @classmethod
@@ -212,8 +216,8 @@ def cast_pose(  # noqa: PLR0917
         volume = _volume(corner)  # negative where seen from outside
         if volume == 0.0 or (cull and volume > 0.0):  # NaN is skipped too
             continue
-        top, bottom = _lines(corner, 1, grid.rows)
-        left, right = _lines(corner, 0, grid.columns)
+        top, bottom = _lines(corner, 1, grid.row_lower, grid.row_upper)
+        left, right = _lines(corner, 0, grid.column_lower, grid.column_upper)
         if top < bottom and left < right:
             _sides(corner, 1.0 if volume > 0.0 else -1.0, side)
             face = _Face(index, 1.0 / abs(volume), top, bottom, left, right)
@@ -255,13 +259,13 @@ def _sides(corner: FloatArray, sign: float, side: Array) -> None:
 
 
 @kernel
-def _lines(corner: FloatArray, axis: int, bounds: Envelope) -> tuple[int, int]:
+def _lines(corner: FloatArray, axis: int, lower: FloatArray, upper: FloatArray) -> tuple[int, int]:
     """Return the first and last + 1 of the lines that may meet a triangle: rows for axis 1, columns for 0."""
     if min(corner[0, 2], corner[1, 2], corner[2, 2]) < NEAR_M:
-        return 0, bounds.lower.size
+        return 0, lower.size
     a, b, c = corner[0, axis] / corner[0, 2], corner[1, axis] / corner[1, 2], corner[2, axis] / corner[2, 2]
-    first = np.searchsorted(bounds.upper, min(a, b, c), side="left")
-    return first, np.searchsorted(bounds.lower, max(a, b, c), side="right")
+    first = np.searchsorted(upper, min(a, b, c), side="left")
+    return first, np.searchsorted(lower, max(a, b, c), side="right")
 
 
 @kernel

@@ -32,7 +32,7 @@ def test_every_configuration_field_has_a_type_a_sentence_and_a_row(tmp_path):
 
 
 def _meaning(model, name):
-    return configuration.meaning(model.model_fields[name])
+    return configuration.meaning(name, model.model_fields[name])
 
 
 def test_types_and_bounds_are_said_in_words():

@@ -53,7 +53,7 @@ def written(directory: Path, document: object) -> Path:
         ("router", {"listen": "7447"}, "listen", "should match pattern"),
         ("motion", {"rate_hz": 0}, "rate_hz", "greater than 0"),
         ("motion", {"bus": 5}, "bus", "valid dictionary"),
-        ("emulator", {"sensors": [{"kind": "radar"}]}, "sensors.0", "'lidar', 'pmd'"),
+        ("emulator", {"sensors": [{"kind": "radar"}]}, "sensors.0.kind", "known are lidar, pmd"),
         (
             "emulator",
             {"sensors": [{"kind": "pmd", "T_chaser_sensor": {"translation_m": {"x": 1}}}]},

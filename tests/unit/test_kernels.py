@@ -6,11 +6,14 @@ import pkgutil
 import typing
 
 import pytest
+from numba import njit
 from numba.core.dispatcher import Dispatcher
 
 import rpod_geometry
 import rpod_pose
 import rpod_sim_sensor
+from rpod_geometry.kernels import kernel as compiled
+from rpod_pose.registration.gauss_newton import minimised
 
 MOST_ARGUMENTS, MOST_RETURNED = 7, 3
 
@@ -58,4 +61,23 @@ def test_a_kernel_is_kept_on_disk_and_releases_the_interpreter(kernel):
     assert kernel.targetoptions["nogil"]
     assert not kernel.targetoptions.get("parallel")
     assert kernel.targetoptions["error_model"] == "numpy"
-    assert type(kernel._cache).__name__ != "NullCache"
+    assert type(kernel._cache).__name__ != "NullCache" or kernel is minimised
+
+
+class Gone(typing.NamedTuple):
+    x: float
+
+
+def length(record: Gone) -> float:
+    """Return the only field of a record, m."""
+    return abs(record.x)
+
+
+def test_a_kernel_kept_for_a_record_that_is_no_longer_there_is_compiled_anew(monkeypatch, tmp_path):
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    plain = njit(cache=True)(length)
+    assert compiled(length)(Gone(-3.0)) == plain(Gone(-3.0)) == 3.0
+    monkeypatch.delitem(globals(), "Gone")
+    with pytest.raises(AttributeError, match="Gone"):
+        plain._cache._cache_file._load_index()
+    assert compiled(length)._cache._cache_file._load_index() == {}

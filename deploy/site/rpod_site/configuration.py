@@ -7,7 +7,6 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -89,16 +88,21 @@ def _section(model: type[BaseModel], where: dict[type[BaseModel], str]) -> str:
 
 def _row(name: str, field: FieldInfo, where: dict[type[BaseModel], str]) -> str:
     default = "required" if field.is_required() else default_text(_default(field), where)
-    cells = (f"`{name}`", type_text(field.annotation, where), default, bounds(field), meaning(field))
+    cells = (
+        f"`{name}`",
+        type_text(field.rebuild_annotation(), where),
+        default,
+        bounds(field),
+        meaning(name, field),
+    )
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 
-def meaning(field: FieldInfo) -> str:
-    """Return the sentence of a field; of one that can have one value only, what this is for."""
+def meaning(name: str, field: FieldInfo) -> str:
+    """Return the sentence of a field; ``kind`` has the same one in every model that has none."""
     if field.description:
         return " ".join(field.description.split())
-    only = get_origin(field.annotation) is Literal and len(get_args(field.annotation)) == 1
-    return "Selects this model where several may stand." if only else ""
+    return "Selects this model where several may stand." if name == "kind" else ""
 
 
 def _default(field: FieldInfo) -> object:

@@ -12,6 +12,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_schemas.config.sensor import Registered
+
 Pages = Mapping[type[BaseModel], str]
 """Where each model's table stands."""
 _NAMES: dict[Any, str] = {
@@ -40,7 +42,9 @@ def type_text(annotation: Any, pages: Pages) -> str:
     """Return how a type is said in the table; models are links."""
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return type_text(arguments[0], pages)
+        installed = [each for each in arguments[1:] if isinstance(each, Registered)]
+        models = [model for each in installed for model in each.models()]
+        return " or ".join(type_text(model, pages) for model in models or arguments[:1])
     if origin in (Union, types.UnionType):
         return " or ".join(dict.fromkeys(type_text(argument, pages) for argument in arguments))
     if origin in (tuple, list, set, frozenset):

@@ -44,5 +44,5 @@ def _entry(page: Path, pages: Path) -> str | dict[str, str]:
 
 def _title(page: Path) -> str:
     """Return a short title: a package's name, or the first heading."""
-    title = heading(page.read_text("utf-8"))
+    title = heading(page.read_text("utf-8")) or page.parent.name
     return title.split(":")[0] if page.name == "README.md" else title

@@ -88,6 +88,7 @@ class JointConfig(MethodConfig):
     """Signed distance of depth points and places of edges in one least squares."""
 
     kind: str = "joint"
+    """Selects this method."""
     far_iterations: Annotated[int, Field(ge=0)] = 8
     """Steps on depth alone before, from afar."""
     far_scale_m: Positive = 0.6

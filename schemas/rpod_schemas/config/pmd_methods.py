@@ -51,6 +51,7 @@ class IcpReverseCalibrationConfig(MethodConfig):
     """ICP with reverse calibration: matches are looked up in the depth image around the projected model."""
 
     kind: str = "icp_reverse_calibration"
+    """Selects this method."""
     metric: Literal["point_to_plane", "point_to_point"] = "point_to_plane"
     """point_to_point is the 2018 paper's: every visible model point goes to its nearest neighbour, with equal
     weights. point_to_plane slides along the model's faces and keeps point to point at outlines only."""
@@ -98,6 +99,7 @@ class SignedDistanceConfig(MethodConfig):
     """Depth points in the target's distance field: no matches are searched."""
 
     kind: str = "signed_distance"
+    """Selects this method."""
     points: Count = 2000
     """Most measured points used."""
     scale_m: Positive = 0.10

@@ -79,13 +79,17 @@ class Registered:
     kinds: Callable[[], tuple[str, ...]]
     default: str = ""
 
+    def models(self) -> list[type[Kinded]]:
+        """Return the models of all kinds that are known."""
+        return [self.model_of(kind) for kind in self.kinds()]
+
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Validate with the registered model; dump as what it is."""
         return core_schema.no_info_plain_validator_function(self._validated)
 
     def __get_pydantic_json_schema__(self, _: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Describe all models that are installed."""
-        models = [handler(self.model_of(kind).__pydantic_core_schema__) for kind in self.kinds()]
+        models = [handler(model.__pydantic_core_schema__) for model in self.models()]
         return {"oneOf": models, "discriminator": {"propertyName": "kind"}}
 
     def _validated(self, value: Any) -> Kinded:

@@ -10,7 +10,7 @@ from math import radians
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.lidar.scan_alignment import FaceProblem, Returns, ScanErrors, settle, spread
+from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, settle, spread
 from rpod_pose.lidar.scan_fit import ScanModel
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Registration
@@ -77,7 +77,8 @@ class ProjectiveIcp:
         """Return the registration from a pose R, t, sensor axes, that is nearly right."""
         config, hits = self._config, self.view.hits
         problem = FaceProblem(
-            Returns(seen.points_m, seen.rays),
+            seen.points_m,
+            seen.rays,
             self.view.grid.arrays,
             self.surface.faces,
             self.surface.coarse_field,

@@ -36,15 +36,6 @@ PARALLEL = 1e-6
 """Squared cosine of incidence that stands for less: a face seen edge-on."""
 
 
-class Returns(NamedTuple):
-    """The returns of a scan and the rays that they belong to."""
-
-    points_m: FloatArray
-    """Sensor axes, shape (N, 3)."""
-    rays: NDArray[np.int64]
-    """Row-major index of each return's ray, -1 for none, shape (N,)."""
-
-
 class ScanErrors(NamedTuple):
     """What is assumed of returns and faces."""
 
@@ -62,7 +53,10 @@ class ScanErrors(NamedTuple):
 class FaceProblem(NamedTuple):
     """Returns to be aligned with the faces that their rays meet."""
 
-    returns: Returns
+    points_m: FloatArray
+    """Returns, sensor axes, shape (N, 3)."""
+    rays: NDArray[np.int64]
+    """Row-major index of each return's ray, -1 for none, shape (N,)."""
     grid: GridArrays
     """Of the sensor's rays, shape (rows, columns)."""
     faces: Faces
@@ -162,7 +156,7 @@ def add_face_points(
         pose: to linearise at.
         scale: of Geman and McClure, m, above 0.
     """
-    points, rays = problem.returns.points_m, problem.returns.rays
+    points, rays = problem.points_m, problem.rays
     normals, offsets = problem.faces.normals, problem.faces.offsets_m
     origin, per_m, values = problem.field.origin_m, 1.0 / problem.field.spacing_m, problem.field.values
     errors, owner = problem.errors, problem.buffers.triangle.reshape(-1)
@@ -178,16 +172,16 @@ def add_face_points(
             )
             weight = geman_mcclure(d * d, c2) * errors.per_outline_m * errors.per_outline_m
             slope = Vector(g.x * per_m, g.y * per_m, g.z * per_m)
-            add_residual(outline, slope, Vector(x, y, z), 0.0, d, weight)
+            add_residual(outline, slope, Vector(x, y, z), d, weight)
             continue
         dx, dy, dz = in_target(R, px, py, pz)
-        n0, n1, n2 = normals[face, 0], normals[face, 1], normals[face, 2]
+        n0, n1, n2 = float(normals[face, 0]), float(normals[face, 1]), float(normals[face, 2])
         e = n0 * x + n1 * y + n2 * z - offsets[face]
         cosine2 = (n0 * dx + n1 * dy + n2 * dz) ** 2 / (px * px + py * py + pz * pz)
         along2 = e * e / max(cosine2, errors.steepest, PARALLEL)
         fading = geman_mcclure(along2, c2)
         weight = fading / (errors.sigma_m**2 * cosine2 + errors.slack_m**2)
-        add_residual(sums, Vector(n0, n1, n2), Vector(x, y, z), 0.0, e, weight)
+        add_residual(sums, Vector(n0, n1, n2), Vector(x, y, z), e, weight)
         claims[n] = (n0, n1, n2, y * n2 - z * n1, z * n0 - x * n2, x * n1 - y * n0, weight)
         if along2 < c2:
             inliers += 1

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
-from rpod_pose.lidar.scan_alignment import FaceProblem, Returns, ScanErrors, settle
+from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, settle
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.field_alignment import Points, field_aligned
@@ -155,7 +155,8 @@ class ScanSearch:
         """Return a nearly right pose after a step to the faces for each scale."""
         view, model = self._scanner.view, self._config.tracking.model
         problem = FaceProblem(
-            Returns(self.seen.points_m, self.seen.rays),
+            self.seen.points_m,
+            self.seen.rays,
             view.grid.arrays,
             self._model.surface.faces,
             self._model.surface.coarse_field,

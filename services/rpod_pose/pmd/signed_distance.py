@@ -11,8 +11,14 @@ from rpod_pose.pmd.depth_result import Progress, conclude
 from rpod_pose.pmd.depth_view import usable_image
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
-from rpod_pose.registration.field_alignment import FieldEvidence, FieldProblem, Points, field_equations
-from rpod_pose.registration.gauss_newton import Linear, State, minimised
+from rpod_pose.registration.field_alignment import (
+    FieldEvidence,
+    FieldProblem,
+    Points,
+    field_equations,
+    field_fit,
+)
+from rpod_pose.registration.gauss_newton import Linear, State
 from rpod_pose.registration.lie_group import PoseArrays, step_length_m
 from rpod_pose.registration.normal_equations import NormalEquations
 from rpod_schemas.arrays import FloatArray
@@ -57,7 +63,7 @@ class SignedDistanceTracker:
         points_m = image.points(config.points)
         scales_m = np.geomspace(config.scale_m, config.final_scale_m, config.iterations)
         problem = FieldProblem(Points.equal(points_m), field_arrays(self._target), scales_m)
-        fit = minimised(problem, State(PoseArrays.of(T_sensor_target), 0.0), config.iterations)
+        fit = field_fit(problem, PoseArrays.of(T_sensor_target))
         step_m = step_length_m(fit.step[:6], self._target.radius_m)
         T = pose_of(*fit.state.pose)
         progress = Progress(T, _equations(fit.linear), len(points_m), step_m, fit.steps)

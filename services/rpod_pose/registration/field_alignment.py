@@ -11,10 +11,11 @@ import numpy as np
 
 from rpod_geometry.kernels import kernel
 from rpod_pose.registration.distance_field import FieldArrays, distance_and_gradient
-from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
+from rpod_pose.registration.gauss_newton import Fit, Linear, State, linearises, minimised
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_target
 from rpod_pose.registration.normal_equations import (
     UNKNOWNS,
+    add_range_bias,
     add_residual,
     geman_mcclure,
     no_sums,
@@ -104,7 +105,9 @@ def add_field_points(  # noqa: PLR0917
         d2 = distance * distance
         weight = trust[n] * geman_mcclure(d2, c2)
         weights += weight
-        add_residual(sums, g, place, -along / range_m if biased else 0.0, distance, weight)
+        add_residual(sums, g, place, distance, weight)
+        if biased:
+            add_range_bias(sums, g, place, -along / range_m, distance, weight)
         inlier = 1 if d2 < c2 else 0  # no branch, since it would be guessed wrong half the time
         inliers += inlier
         squares += inlier * trust[n] * d2
@@ -123,6 +126,12 @@ def field_equations(problem: FieldProblem, state: State, step: int) -> Linear[Fi
     hold[:3] = variance / REACH_M**2
     hold[3:6] = variance / REACH_RAD**2
     return Linear(sums, hold, True, evidence)
+
+
+@kernel
+def field_fit(problem: FieldProblem, pose: PoseArrays) -> Fit[FieldEvidence]:
+    """Return the pose after one step for each of the problem's scales, and the last step's sums."""
+    return minimised(problem, State(pose, 0.0), problem.scales_m.size)
 
 
 @kernel

@@ -3,8 +3,8 @@
 A *problem* is a record of what was measured, of the model and of the scales of its steps. ``linearised``
 turns it into normal equations at a pose; each kind of problem registers how, by ``@linearises(ItsRecord)``,
 from factors that add their residuals to one set of sums (``normal_equations``). Which kernel is called is
-decided by the record's type when the loop is compiled, so that nothing is looked up at run time and the
-compiled code can be kept on disk, which it could not if kernels were passed as arguments.
+decided by the record's type when the loop is compiled into a kernel, so that nothing is looked up at run time
+and the compiled code can be kept on disk, which it could not if kernels were passed as arguments.
 
 After K. Koide, small_gicp (https://github.com/koide3/small_gicp): one registration, factors plug in.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import generic_kernel
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.normal_equations import UNKNOWNS, held_step
 from rpod_schemas.arrays import FloatArray
@@ -84,11 +84,12 @@ def linearises(record: type) -> Callable[[K], K]:
     return register
 
 
-@kernel
+@generic_kernel
 def minimised(problem: Any, start: State, steps: int) -> Fit[Any]:
     """Return the state after Gauss-Newton steps on a problem, one for each of its scales.
 
-    The loop ends early where the residuals determine no step, or where they are not finite.
+    To be called by kernels, each of which keeps the loop compiled for its own kind of problem. The loop ends
+    early where the residuals determine no step, or where they are not finite.
 
     Args:
         problem: a record whose type was registered by ``linearises``.

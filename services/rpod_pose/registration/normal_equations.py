@@ -9,9 +9,10 @@ Every residual of the methods here is a length (or an angle) along a normal n at
 r = n . (q - what it is compared with), where q = R^T (p - t) is where a measured point p lies. A step moves q
 by -dtau - dtheta x q, so that J = (-n, -(q x n)) = (-n, n x q).
 
-The sums are kept in one flat array, shape (35,): of each unknown in turn the upper half of its row of the
-information, then its entry of the gradient. Constant places in one row of memory are what compilers make
-vectors of. Six unknowns leave what belongs to the seventh zero.
+The sums are kept in one flat array, shape (35,): of each of the six unknowns in turn the upper half of its
+row of the information, then its entry of the gradient, 27 numbers; then what the seventh adds, its column of
+the information and its entry of the gradient, 8 numbers. Constant places side by side in memory are what
+compilers make vectors of.
 """
 
 from dataclasses import dataclass
@@ -34,7 +35,9 @@ UNKNOWNS = 7
 LEAST_PIVOT = 1e-14
 """Of a diagonal element, what must be left of it once the unknowns before are eliminated."""
 SUMS = 35
-"""Entries of the sums: 8 + 7 + 6 + 5 + 4 + 3 + 2."""
+"""Entries of the sums: 7 + 6 + 5 + 4 + 3 + 2 of the pose, 8 of the seventh unknown."""
+OF_POSE = 27
+"""Of these, entries of the pose; those of the seventh unknown follow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,80 +117,101 @@ def no_sums() -> FloatArray:
 
 
 @kernel
-def add_residual(  # noqa: PLR0917
-    sums: FloatArray, normal: Vector, place: Vector, slope: float, residual: float, weight: float
-) -> None:
+def add_residual(sums: FloatArray, normal: Vector, place: Vector, residual: float, weight: float) -> None:
     """Add a residual along a normal at a place to the sums, shape (35,); its row is derived above.
 
     Args:
         sums: information and gradient, in and out.
         normal: of the residual, target axes, its unit over m.
         place: of the measured point, target axes, m.
-        slope: derivative by the length by which all ranges are too long, 0 for six unknowns.
         residual: in its unit (m, px).
         weight: of its square.
     """
     n0, n1, n2 = normal.x, normal.y, normal.z
     x, y, z = place.x, place.y, place.z
-    j0, j1, j2, j6 = -n0, -n1, -n2, slope
+    j0, j1, j2 = -n0, -n1, -n2
     j3, j4, j5 = n1 * z - n2 * y, n2 * x - n0 * z, n0 * y - n1 * x
     w0, w1, w2, w3, w4, w5 = weight * j0, weight * j1, weight * j2, weight * j3, weight * j4, weight * j5
-    w6 = weight * j6
     sums[0] += w0 * j0
     sums[1] += w0 * j1
     sums[2] += w0 * j2
     sums[3] += w0 * j3
     sums[4] += w0 * j4
     sums[5] += w0 * j5
-    sums[6] += w0 * j6
-    sums[7] += w0 * residual
-    sums[8] += w1 * j1
-    sums[9] += w1 * j2
-    sums[10] += w1 * j3
-    sums[11] += w1 * j4
-    sums[12] += w1 * j5
-    sums[13] += w1 * j6
-    sums[14] += w1 * residual
-    sums[15] += w2 * j2
-    sums[16] += w2 * j3
-    sums[17] += w2 * j4
-    sums[18] += w2 * j5
-    sums[19] += w2 * j6
-    sums[20] += w2 * residual
-    sums[21] += w3 * j3
-    sums[22] += w3 * j4
-    sums[23] += w3 * j5
-    sums[24] += w3 * j6
-    sums[25] += w3 * residual
-    sums[26] += w4 * j4
-    sums[27] += w4 * j5
-    sums[28] += w4 * j6
-    sums[29] += w4 * residual
-    sums[30] += w5 * j5
-    sums[31] += w5 * j6
-    sums[32] += w5 * residual
-    sums[33] += w6 * j6
+    sums[6] += w0 * residual
+    sums[7] += w1 * j1
+    sums[8] += w1 * j2
+    sums[9] += w1 * j3
+    sums[10] += w1 * j4
+    sums[11] += w1 * j5
+    sums[12] += w1 * residual
+    sums[13] += w2 * j2
+    sums[14] += w2 * j3
+    sums[15] += w2 * j4
+    sums[16] += w2 * j5
+    sums[17] += w2 * residual
+    sums[18] += w3 * j3
+    sums[19] += w3 * j4
+    sums[20] += w3 * j5
+    sums[21] += w3 * residual
+    sums[22] += w4 * j4
+    sums[23] += w4 * j5
+    sums[24] += w4 * residual
+    sums[25] += w5 * j5
+    sums[26] += w5 * residual
+
+
+@kernel
+def add_range_bias(  # noqa: PLR0917
+    sums: FloatArray, normal: Vector, place: Vector, slope: float, residual: float, weight: float
+) -> None:
+    """Add to the sums what a residual says of the seventh unknown, beside ``add_residual``.
+
+    Args:
+        sums: information and gradient, shape (35,), in and out.
+        normal: as for ``add_residual``.
+        place: as for ``add_residual``.
+        slope: derivative of the residual by the length by which all ranges are too long.
+        residual: as for ``add_residual``.
+        weight: as for ``add_residual``.
+    """
+    n0, n1, n2 = normal.x, normal.y, normal.z
+    x, y, z = place.x, place.y, place.z
+    w6 = weight * slope
+    sums[27] -= w6 * n0
+    sums[28] -= w6 * n1
+    sums[29] -= w6 * n2
+    sums[30] += w6 * (n1 * z - n2 * y)
+    sums[31] += w6 * (n2 * x - n0 * z)
+    sums[32] += w6 * (n0 * y - n1 * x)
+    sums[33] += w6 * slope
     sums[34] += w6 * residual
 
 
 @kernel
 def information_of(sums: FloatArray, unknowns: int) -> FloatArray:
-    """Return the symmetric information about the first unknowns, shape (unknowns, unknowns), of sums."""
+    """Return the symmetric information about the first unknowns, 6 or 7, of sums, shape (35,)."""
     information, entry = np.empty((unknowns, unknowns)), 0
-    for i in range(unknowns):
-        for j in range(i, unknowns):
-            information[i, j] = information[j, i] = sums[entry + j - i]
-        entry += UNKNOWNS + 1 - i
+    for i in range(6):
+        for j in range(i, 6):
+            information[i, j] = information[j, i] = sums[entry]
+            entry += 1
+        entry += 1  # of the gradient
+    if unknowns == UNKNOWNS:
+        for i in range(UNKNOWNS):
+            information[i, 6] = information[6, i] = sums[OF_POSE + i]
     return information
 
 
 @kernel
 def gradient_of(sums: FloatArray, unknowns: int) -> FloatArray:
-    """Return the gradient by the first unknowns, shape (unknowns,), of sums, shape (35,)."""
-    gradient, entry = np.empty(unknowns), 0
-    for i in range(unknowns):
-        entry += UNKNOWNS + 1 - i
-        gradient[i] = sums[entry - 1]
+    """Return the gradient by the first unknowns, 6 or 7, of sums, shape (35,)."""
+    gradient, entry = np.empty(unknowns), -1
+    for i in range(6):
+        entry += UNKNOWNS - i
+        gradient[i] = sums[entry]
+    if unknowns == UNKNOWNS:
+        gradient[6] = sums[SUMS - 1]
     return gradient
 
 

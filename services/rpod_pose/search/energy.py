@@ -99,7 +99,7 @@ def energies(
         np.float32(truncation_m**2),
     )
     field = FieldArrays(
-        squares.origin_m.astype(np.float32),
+        squares.origin_m.astype(np.float32),  # pyright: ignore[reportArgumentType]
         np.float32(squares.spacing_m),  # type: ignore[arg-type]
         squares.values,
     )
@@ -299,4 +299,4 @@ def _off_surface(
     flat, cost = squares.reshape(-1), zero
     for n in range(returns.shape[1]):
         cost += flat[cells[n]]
-    return cost / np.float32(returns.shape[1])
+    return np.float32(cost / np.float32(returns.shape[1]))

@@ -251,10 +251,8 @@ def _look_up(fragments: Fragments, count: int, surfaces: Surfaces) -> None:
         material[0, f], material[1, f] = materials[kind, 0], materials[kind, 1]
         material[2, f] = materials[kind, 2]
         if materials[kind, 4] > 0.0:
-            far_m = 1.0 / inverse[f]
-            a, b, c = crinkled(
-                x[f] * far_m, y[f] * far_m, z[f] * far_m, R, t, materials[kind, 3], materials[kind, 4]
-            )
+            far_m, per_m, tilt_rad = 1.0 / inverse[f], float(materials[kind, 3]), float(materials[kind, 4])
+            a, b, c = crinkled(x[f] * far_m, y[f] * far_m, z[f] * far_m, R, t, per_m, tilt_rad)
             n_x[f], n_y[f], n_z[f] = _unit(n_x[f] + a, n_y[f] + b, n_z[f] + c)
 
 

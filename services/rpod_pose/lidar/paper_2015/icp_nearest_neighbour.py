@@ -121,10 +121,10 @@ def plane_equations(
         place = Vector(points[n, 0], points[n, 1], points[n, 2])
         line = Vector(lines[n, 0], lines[n, 1], lines[n, 2])
         residual = line.x * offsets[n, 0] + line.y * offsets[n, 1] + line.z * offsets[n, 2]
-        add_residual(sums, x_axis, place, 0.0, 0.0, resistance)
-        add_residual(sums, y_axis, place, 0.0, 0.0, resistance)
-        add_residual(sums, z_axis, place, 0.0, 0.0, resistance)
-        add_residual(sums, line, place, 0.0, residual, 1.0)
+        add_residual(sums, x_axis, place, 0.0, resistance)
+        add_residual(sums, y_axis, place, 0.0, resistance)
+        add_residual(sums, z_axis, place, 0.0, resistance)
+        add_residual(sums, line, place, residual, 1.0)
     return sums
 
 

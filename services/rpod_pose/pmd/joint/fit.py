@@ -202,7 +202,7 @@ def add_edge_points(
         gx = across * at.column_by_x + down * at.row_by_x
         gy = across * at.column_by_y + down * at.row_by_y
         kx, ky, kz = in_target(R, gx * per_z, gy * per_z, -(gx * sx + gy * sy) * per_z)
-        add_residual(sums, Vector(-kx, -ky, -kz), Vector(x, y, z), 0.0, -place, geman_mcclure(e2, c2))
+        add_residual(sums, Vector(-kx, -ky, -kz), Vector(x, y, z), -place, geman_mcclure(e2, c2))
         if e2 < c2:
             inliers += 1
             squares += e2

@@ -185,7 +185,7 @@ def match_equations(
         residual = (axis * e).sum()
         weight = relative * geman_mcclure(residual * residual, c2)
         normal, place = Vector(axis[0], axis[1], axis[2]), Vector(s[0], s[1], s[2])
-        add_residual(sums, normal, place, 0.0, residual, weight)
+        add_residual(sums, normal, place, residual, weight)
         weights += weight
         if residual * residual < c2:
             inliers += 1

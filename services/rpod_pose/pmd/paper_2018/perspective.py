@@ -169,8 +169,8 @@ def reproject(points: FloatArray, pixels: FloatArray, pinhole: Pinhole, pose: Po
         errors[n, 1] = pinhole.fy * v + pinhole.cy - pixels[n, 1]
         across = in_target(R, -pinhole.fx / z, 0.0, pinhole.fx * u / z)
         down = in_target(R, 0.0, -pinhole.fy / z, pinhole.fy * v / z)
-        add_residual(sums, across, place, 0.0, errors[n, 0], 1.0)
-        add_residual(sums, down, place, 0.0, errors[n, 1], 1.0)
+        add_residual(sums, across, place, errors[n, 0], 1.0)
+        add_residual(sums, down, place, errors[n, 1], 1.0)
     return Reprojection(errors, sums, True)
 
 
