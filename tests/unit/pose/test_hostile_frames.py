@@ -11,6 +11,7 @@ from tests import hostile_frames
 TRIED = 300
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # NumPy tells of overflows, which are meant here
 def test_no_frame_and_no_prediction_raises():
     assert not hostile_frames.failures(range(TRIED))
 
