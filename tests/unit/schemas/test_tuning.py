@@ -1,15 +1,17 @@
 """How much of the estimator's configuration is public, and where the values of the rest come from."""
 
+import re
 from collections.abc import Iterator
 
 import pytest
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from rpod_schemas.config.base import Config
+from rpod_schemas.config.base import Config, check
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, PmdInput
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.tuning import Provenance, Tuning, public_fields, sources, tuning_values
+from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import methods, sensor_kinds
 
 MOST_PUBLIC_FIELDS = 60
@@ -120,3 +122,28 @@ def test_tuning_is_not_public_and_what_stands_beside_is() -> None:
         estimator_fields()
     )
     assert isinstance(tuning_values(tuning_roots()[0])[0].provenance, Provenance)
+
+
+@pytest.mark.parametrize(
+    ("document", "place"),
+    [
+        ({"filter": {"gate_nis": 12.0}}, "filter.tuning.gate_nis"),
+        (
+            {"sensors": [{"kind": "pmd", "tracking": {"kind": "joint", "depth": {"points": 9}}}]},
+            "sensors.0.tracking.tuning.depth",
+        ),
+    ],
+)
+def test_the_error_of_a_field_that_became_tuning_names_its_place(
+    document: dict[str, object], place: str
+) -> None:
+    whole = {"target": "mockup", "sensors": [{"kind": "pmd"}], **document}
+    with pytest.raises(ConfigurationError, match=re.escape(f"write it as {place}")):
+        check(EstimatorConfig, whole, source="run.yaml")
+
+
+def test_the_error_of_a_field_that_nobody_knows_names_no_tuning() -> None:
+    whole = {"target": "mockup", "sensors": [{"kind": "pmd"}], "filter": {"gone": 1}}
+    with pytest.raises(ConfigurationError, match=r"filter\.gone") as raised:
+        check(EstimatorConfig, whole, source="run.yaml")
+    assert "tuning" not in str(raised.value)
