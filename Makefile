@@ -43,7 +43,7 @@ layers: $(READY) ## Import layers
 
 docs: $(READY) ## The site in build/site/html, its notebooks run, and every command and code block of the documents
 	@PYTHONPATH=deploy/site $(BIN)/python -m rpod_site
-	$(BIN)/python -m pytest tests/documents $(ARGS)
+	$(BIN)/python -m pytest tests/documents -n 2 --dist worksteal $(ARGS)
 
 check-viewers: $(READY) ## A log and a report in other people's readers and viewers; gets what it needs
 	@bash deploy/viewers.sh $(VENV)
