@@ -24,7 +24,7 @@ from rpod_pose.lidar.scan_search import FINE_SCALES_M, Model, Pose, Scanner, Sca
 from rpod_pose.lidar.scan_view import SeenScan
 from rpod_pose.ports import Acquisition, Registration
 from rpod_pose.search.attitude_grid import attitudes_of, within
-from rpod_pose.search.hypotheses import NEGLIGIBLE, believed_beside, rivals
+from rpod_pose.search.hypotheses import NEGLIGIBLE, belief_with_rivals, rivals
 from rpod_pose.search.turns import FEW_POINTS, Turns
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
@@ -154,7 +154,7 @@ class GlobalSearch:
             belief = registration.belief if belief.continues_track else belief
         if registration.T_sensor_target is not None and belief.continues_track:
             logs = np.array([pose.fit.log_likelihood for pose in poses])
-            belief = believed_beside(
+            belief = belief_with_rivals(
                 rivals(poses, logs, self._model.turns.exact), belief, least=self._config.ambiguous_weight
             )
         return Acquisition(replace(registration, belief=belief), templates=templates)

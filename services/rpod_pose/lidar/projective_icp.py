@@ -69,7 +69,7 @@ class ProjectiveIcp:
             return _failed(f"{seen.returns} returns, {self._config.min_points} needed")
         pose = PoseArrays.of(T_sensor_target)
         if self.model.agreement(seen, *pose).share < self._config.near_share:
-            points = Points.equal(seen.thinned(self._config.points))
+            points = Points.equal(seen.downsampled(self._config.points))
             pose = field_aligned(points, pose, self.surface.coarse_field, self._far)
         return self.finish(seen, *pose)
 

@@ -85,7 +85,7 @@ class ScanSearch:
         self._config, self._model, self._scanner, self.seen = config, model, scanner, seen
         self._image = scanner.distances.image(seen)
         self._centroid_m = seen.points_m.mean(axis=0)
-        self._few = Points.equal(seen.thinned(config.draw_in_points))
+        self._few = Points.equal(seen.downsampled(config.draw_in_points))
         self._far_m = np.geomspace(*DRAW_IN_SCALES_M, config.draw_in_steps)
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:

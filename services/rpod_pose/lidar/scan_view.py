@@ -44,7 +44,7 @@ class SeenScan:
         image = self.range_m
         return bool(image[0].any() or image[-1].any() or image[:, 0].any() or image[:, -1].any())
 
-    def thinned(self, count: int) -> FloatArray:
+    def downsampled(self, count: int) -> FloatArray:
         """Return at most about ``count`` of the points, evenly taken."""
         return np.ascontiguousarray(self.points_m[:: max(1, round(self.returns / count))])
 

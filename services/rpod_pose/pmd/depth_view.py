@@ -97,7 +97,7 @@ def _view(
     lens = np.resize((*distortion, *np.zeros(PLUMB_BOB)), PLUMB_BOB)
     camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
     offset = min(stride // 2, width - 1, height - 1)
-    thinned = Camera(
+    downsampled = Camera(
         width=len(range(offset, width, stride)),
         height=len(range(offset, height, stride)),
         fx=fx / stride,
@@ -107,7 +107,7 @@ def _view(
         distortion=lens,
     )
     x, y, z = RayGrid.pinhole(camera).components
-    return DepthView(camera, np.stack((x / z, y / z), axis=-1), RayGrid.pinhole(thinned), stride, offset)
+    return DepthView(camera, np.stack((x / z, y / z), axis=-1), RayGrid.pinhole(downsampled), stride, offset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,11 +164,11 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
     except DistortionError as error:
         return str(error)
     depth_m = np.where(measured, frame.depth_m, np.float32(np.nan))
-    return DepthImage(view, depth_m, thinned(depth_m, view.stride, view.offset))
+    return DepthImage(view, depth_m, downsampled(depth_m, view.stride, view.offset))
 
 
 @kernel
-def thinned(depth: Float32Array, stride: int, offset: int) -> Float32Array:
+def downsampled(depth: Float32Array, stride: int, offset: int) -> Float32Array:
     """Return every ``stride``-th pixel of a depth image, each the median of itself and its eight neighbours.
 
     A pixel has depth where most of the nine have one: an outline stays where it is, and noise, which under

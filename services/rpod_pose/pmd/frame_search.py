@@ -84,8 +84,8 @@ class FrameSearch:
         self._config, self._model, self._scene, self._fitter = config, model, scene, fitter
         self._image = scene.distances()
         self._centroid_m = scene.middle_m()
-        self._few = Points.equal(scene.thinned(config.draw_in_points))
-        self._fine = Points.equal(scene.thinned(config.fine_points))
+        self._few = Points.equal(scene.downsampled(config.draw_in_points))
+        self._fine = Points.equal(scene.downsampled(config.fine_points))
 
     def search(self, attitudes: Float32Array, around: FloatArray | None) -> list[Pose]:
         """Return distinct poses, best first; empty where no attitude shows the target to the sensor.

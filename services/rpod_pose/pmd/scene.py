@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView, thinned
+from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView, downsampled
 from rpod_pose.search.energy import CELLS, Image
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdSceneConfig
@@ -60,7 +60,7 @@ class PmdScene:
         """Whether an amplitude tells what shows something without having a depth."""
         return bool(np.isfinite(self.least_amplitude))
 
-    def thinned(self, count: int) -> FloatArray:
+    def downsampled(self, count: int) -> FloatArray:
         """Return about ``count`` points, evenly over the image."""
         chosen = np.linspace(0, len(self.points_m) - 1, min(count, len(self.points_m))).astype(np.intp)
         return self.points_m[chosen]
@@ -118,7 +118,7 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     except DistortionError as error:
         return str(error)
     shown_m = np.where(shown, frame.depth_m, np.float32(np.nan))
-    depth_m = thinned(shown_m, view.stride, view.offset)
+    depth_m = downsampled(shown_m, view.stride, view.offset)
     rays = view.coarse.components
     range_m = np.nan_to_num(depth_m / rays[2], nan=0.0).astype(np.float32)
     nearby = _around(rays, range_m, REACH * radius_m)
@@ -217,12 +217,12 @@ def _around(rays: FloatArray, range_m: Float32Array, radius_m: float) -> NDArray
 
 @kernel
 def spread(depth: Float32Array, stride: int, offset: int, shape: tuple[int, int]) -> Float32Array:
-    """Return the standard deviation of the medians of ``depth_view.thinned``, m, 0 where there is none.
+    """Return the standard deviation of the medians of ``depth_view.downsampled``, m, 0 where there is none.
 
     Args:
-        depth: as for ``thinned``, shape (height, width), m.
-        stride: as for ``thinned``.
-        offset: as for ``thinned``.
+        depth: as for ``downsampled``, shape (height, width), m.
+        stride: as for ``downsampled``.
+        offset: as for ``downsampled``.
         shape: rows and columns of what that returned.
     """
     sigma = np.zeros(shape, np.float32)

@@ -32,7 +32,7 @@ from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_pose.pmd.signed_distance import measured_equations
 from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker
 from rpod_pose.search.attitude_grid import attitudes_of, within
-from rpod_pose.search.hypotheses import believed_beside, rivals
+from rpod_pose.search.hypotheses import belief_with_rivals, rivals
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig, PmdLimitsConfig
 from rpod_schemas.poses import pose_of
@@ -120,7 +120,7 @@ class ViewSearch:
         matrix = registration.T_sensor_target.as_matrix()
         poses[0] = replace(poses[0], R=matrix[:3, :3], t=matrix[:3, 3])
         evidence = {**belief.evidence, **registration.belief.evidence}
-        believed = believed_beside(
+        believed = belief_with_rivals(
             rivals(poses, logs, self._model.turns.exact),
             Belief(evidence=evidence),
             least=self._config.verdict.ambiguous_weight,
@@ -165,7 +165,9 @@ class ViewSearch:
 
     def _registration(self, scene: PmdScene, pose: Pose, belief: Belief) -> Registration:
         config, T = self._config, pose_of(pose.R, pose.t)
-        sums = measured_equations(self._model.target, scene.thinned(config.fine_points), T, config.scale_m)
+        sums = measured_equations(
+            self._model.target, scene.downsampled(config.fine_points), T, config.scale_m
+        )
         if belief.continues_track and sums.degenerate(self._model.target.radius_m):
             reason = "degenerate: the measured surface leaves a motion undetermined"
             belief = doubtful(reason, **belief.evidence)
