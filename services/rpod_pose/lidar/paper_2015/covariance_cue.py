@@ -42,7 +42,7 @@ class CovarianceCue:
         ]
         return cls(ranges_m, _square_roots(np.stack(covariances)))
 
-    def most_alike(self, points_m: FloatArray, which: NDArray[np.intp], share: float) -> NDArray[np.intp]:
+    def most_similar(self, points_m: FloatArray, which: NDArray[np.intp], share: float) -> NDArray[np.intp]:
         """Return where in ``which`` the attitudes are that a scan is most like, in their order.
 
         Args:

@@ -58,8 +58,8 @@ class ScanComparison:
         measured_m = np.linalg.norm(scan.points_m, axis=-1)
         agrees = (measured_m > nearest_m - tolerance_m) & (measured_m < farthest_m + tolerance_m)
         missing = np.isnan(measured_m) & (range_m < np.inf).all(axis=0) & self._bright(hits, T_sensor_target)
-        asked = np.count_nonzero(np.isfinite(measured_m) | missing)
-        return np.count_nonzero(agrees) / asked if asked else float("nan")
+        counted = np.count_nonzero(np.isfinite(measured_m) | missing)
+        return np.count_nonzero(agrees) / counted if counted else float("nan")
 
     def _bright(self, hits: Hits, T_sensor_target: RigidTransform) -> NDArray[np.bool_]:
         """Return which rays meet a surface that surely sends them back, shape (rows, columns)."""

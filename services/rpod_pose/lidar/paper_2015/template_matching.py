@@ -82,7 +82,7 @@ class OnlineTemplateMatching:
     ) -> Comparison:
         """Compare returns, shape (N, 3), with templates of some attitudes of the grid, or with all.
 
-        Templates that the variant ``fast`` leaves out are not correlated; a cue is not asked. For the best
+        Templates that the variant ``fast`` leaves out are not correlated; a cue is not chosen. For the best
         alone, a template is given up as soon as it is worse than one before it.
         """
         centroid_m, spread_m = points_m.mean(axis=0), boresight_distance_m(points_m)
@@ -101,14 +101,14 @@ class OnlineTemplateMatching:
         points_m = measurement.returns_m.astype(np.float64)
         if len(points_m) < self._config.min_points or not which.size:
             return Candidates()
-        asked = which
+        chosen = which
         if self._cue is not None:
-            asked = which[self._cue.most_alike(points_m, which, self._config.cued_share)]
-        compared = self.compare(points_m, asked, best_only=self._config.candidates == 1)
+            chosen = which[self._cue.most_similar(points_m, which, self._config.cued_share)]
+        compared = self.compare(points_m, chosen, best_only=self._config.candidates == 1)
         positions_m = np.broadcast_to(points_m.mean(axis=0), compared.centroids_m.shape)
         if self._config.centroid_offset:
             positions_m = 2.0 * positions_m - compared.centroids_m
-        attitudes = self._attitudes[asked]
+        attitudes = self._attitudes[chosen]
         poses = RigidTransform.from_components(positions_m, attitudes)
         best = self._best_distinct(compared.costs_m2, attitudes, distinct_deg)
         correlated = np.count_nonzero(compared.spread_differences <= self._tau)
