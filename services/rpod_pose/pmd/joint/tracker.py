@@ -134,11 +134,11 @@ class JointTracker:
         if points < config.verdict.min_points and asked < config.verdict.min_edges:
             reason = f"nothing to see: {points} points on the target, {asked} places of edges"
             return Registration.none(Source.PMD_JOINT, reason)
-        contrary = self._contradictions(seen, R, t, bias)
+        inconsistent = self._contradictions(seen, R, t, bias)
         in_place = edges_in_place(
             config.verdict, edges=edges, expected=expected, asked=asked, points=len(seen.points_m)
         )
-        belief = self._belief(contrary, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
+        belief = self._belief(inconsistent, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
         to_sensor = np.zeros((6, 6))
         to_sensor[:3, :3] = to_sensor[3:, 3:] = R
         covariance = np.linalg.inv(information + self._weak)[:6, :6]
@@ -150,7 +150,7 @@ class JointTracker:
             cost_m2=squares / max(points, 1),
             inliers=points + edges,
             inlier_share=(points + edges) / max(len(seen.points_m) + asked, 1),
-            explained_share=contrary.explained_share,
+            explained_share=inconsistent.explained_share,
             covariance=to_sensor @ covariance @ to_sensor.T,
             iterations=len(schedule),
         )
@@ -196,12 +196,14 @@ class JointTracker:
             return Source.PMD_DEPTH
         return Source.PMD_JOINT if points >= self._config.verdict.min_points else Source.PMD_AMPLITUDE
 
-    def _belief(self, contrary: Contradictions, in_place: float, *, bias_m: float, range_m: float) -> Belief:
+    def _belief(
+        self, inconsistent: Contradictions, in_place: float, *, bias_m: float, range_m: float
+    ) -> Belief:
         """Return whether a pose is believed, by its pixels, its edges and its scale."""
         limits, sigma_m = self._config.verdict, self._ranges.bias_m
-        evidence = {**contrary.evidence, "edges_in_place_share": in_place, "range_bias_m": bias_m}
+        evidence = {**inconsistent.evidence, "edges_in_place_share": in_place, "range_bias_m": bias_m}
         reason = (
-            contrary.reason(self._config.check)
+            inconsistent.reason(self._config.check)
             or misplaced_edges(limits, in_place)
             or wrong_scale(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m)
         )

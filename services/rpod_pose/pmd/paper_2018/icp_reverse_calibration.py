@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.depth_result import Progress, conclude
+from rpod_pose.pmd.depth_result import Progress, registration_of
 from rpod_pose.pmd.depth_view import DepthImage, DepthView, usable_image
 from rpod_pose.pmd.signed_distance import measured_equations
 from rpod_pose.ports import Registration
@@ -254,7 +254,7 @@ class ReverseCalibrationIcp:
             if progress.step_m > STALE_M:
                 shown = self._shown(image.view, progress.T_sensor_target)
             progress = self._advanced(progress, image, shown, measured_m)
-        return conclude(progress, image, self._target, config)
+        return registration_of(progress, image, self._target, config)
 
     def _width(self, iteration: int) -> float:
         """Return the share of their first values that radius, direct match and scale have in an iteration."""
