@@ -46,7 +46,7 @@ class Registration:
     explained_share: float = float("nan")
     """Share of agreeing rays among those where model or measurement show a surface: the self-check."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
-    """Covariance of (dp, dtheta) in the sensor's fixed axes, dtheta = Log(R_est R^T), (6, 6) (ICD section 1)."""
+    """Covariance of (dp, dtheta), sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1), (6, 6)."""
     iterations: int = 0
 
     @classmethod
@@ -115,7 +115,7 @@ class Acquisition:
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """Poses T_sensor_target that explain the measurement, best first; weights sum to 1; empty if failed."""
+        """Poses T_sensor_target that explain the measurement, best first; empty if the search failed."""
         if self.pose is None or self.outcome is Outcome.FAILED:
             return ()
         return self.belief.hypotheses(self.pose)
