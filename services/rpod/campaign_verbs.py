@@ -51,7 +51,7 @@ class CampaignGroup(TyperGroup):
 campaign_verbs = typer.Typer(
     name="campaign",
     cls=CampaignGroup,
-    help="Monte-Carlo trials of the methods, beside the figures of the papers.",
+    help="Run Monte-Carlo trials of the methods, and compare them with the papers.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

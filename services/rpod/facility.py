@@ -17,7 +17,7 @@ from rpod_schemas.config.view import ViewConfig
 
 Speed = Literal["1", "max"]
 _ROUTER_POLL_S = 0.5
-"""For how long the supervisor tries to reach the router before it looks whether that still runs."""
+"""Interval at which the supervisor checks that the router still runs while it tries to reach it."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Facility:
 
     router: RouterConfig
     services: dict[str, BaseModel]
-    """By verb, in the order in which they stop: who feeds others first."""
+    """Configurations by verb, in the order in which services stop: publishers before their receivers."""
     supervisor: ServiceConfig
     view: ViewConfig
-    """Of a view that looks on, where one is wanted."""
+    """Configuration of the live view, if one is wanted."""
 
 
 def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
