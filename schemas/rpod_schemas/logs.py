@@ -21,7 +21,7 @@ OPAQUE_ENCODING = "application/octet-stream"
 """Its message encoding."""
 
 SOFTWARE = "software"
-"""Record of plain text: ``name``, ``version``, and ``target_digest`` where a service told it."""
+"""Record of plain text: ``name``, ``version``, and ``target_digest`` if a service reported it."""
 CONFIGURATION = "configuration"
 """Record of each service's resolved configuration, by instance."""
 STATUS = "status"

@@ -135,7 +135,7 @@ class SensorFrame(Stamped):
 
     @property
     def images(self) -> tuple[FrameImage, ...]:
-        """What a report and a view draw as images, the most telling first."""
+        """Images for reports and views, the most informative first."""
         return ()
 
     @property
@@ -285,7 +285,7 @@ class Hypothesis(Model):
     """T_chaser_target."""
     weight: Annotated[float, Field(ge=0, le=1)]
     name: str = ""
-    """What it is beside the first: "symmetry of the target", "turned by 180 deg"; empty for the first."""
+    """Difference from the first: "symmetry of the target", "turned by 180 deg"; empty for the first."""
     log_likelihood: float = float("nan")
     """Log likelihood of the measurement at this pose minus that at the first one."""
 

@@ -31,7 +31,7 @@ _DEFAULTS: dict[str, Any] = {"out": Path("campaigns"), "jobs": None, "cluster": 
 
 
 class CampaignGroup(TyperGroup):
-    """Finds campaigns in the catalogue, when they are asked for."""
+    """Finds a campaign in the catalogue when its verb is used."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all campaigns."""

@@ -33,7 +33,7 @@ class Facility:
 
 
 def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
-    """Return what every service of a run is told; each run has its own endpoint and estimator identity."""
+    """Return the configurations of a run's services; each run has its own endpoint and estimator identity."""
     endpoint = free_endpoint()
     bus = BusConfig(connect=endpoint, wait=True)
     estimator_id = secrets.token_hex(8).lstrip("0") or "e"

@@ -1,4 +1,4 @@
-"""What an operator sees during a run: scenario time, frame rates, state, current error.
+"""Progress of a run for the operator: scenario time, frame rates, state, current error.
 
 Listens to ``tf`` at 25 Hz, the statuses and the diagnostics; it costs the facility next to nothing.
 """
