@@ -97,14 +97,15 @@ def _view(
     lens = np.resize((*distortion, *np.zeros(PLUMB_BOB)), PLUMB_BOB)
     camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
     offset = min(stride // 2, width - 1, height - 1)
-    downsampled = Camera(
-        width=len(range(offset, width, stride)),
-        height=len(range(offset, height, stride)),
-        fx=fx / stride,
-        fy=fy / stride,
-        cx=(cx - offset) / stride,
-        cy=(cy - offset) / stride,
-        distortion=lens,
+    downsampled = camera.model_copy(  # no camera that a message may tell, whose limits do not count here
+        update={
+            "width": len(range(offset, width, stride)),
+            "height": len(range(offset, height, stride)),
+            "fx": fx / stride,
+            "fy": fy / stride,
+            "cx": (cx - offset) / stride,
+            "cy": (cy - offset) / stride,
+        }
     )
     x, y, z = RayGrid.pinhole(camera).components
     return DepthView(camera, np.stack((x / z, y / z), axis=-1), RayGrid.pinhole(downsampled), stride, offset)
