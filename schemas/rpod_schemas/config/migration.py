@@ -87,7 +87,8 @@ def _extra_fields(model: type[BaseModel], document: dict[str, Any]) -> list[Plac
 
 def _keys(document: dict[str, Any], location: Sequence[int | str]) -> Place:
     """Return the keys that lead to a field: a location may name the kind of a union too, which is none."""
-    place, keys = document, list[int | str]()
+    place: Any = document
+    keys: list[int | str] = []
     for part in location[:-1]:
         if not isinstance(place, dict) or part in place:
             place = place[part]

@@ -51,7 +51,8 @@ def tuning_roots() -> list[type[BaseModel]]:
     for kind in sensor_kinds():
         methods(kind.name)
     fields = (model.model_fields.get("tuning") for model in below(Config))
-    roots = {field.annotation for field in fields if field is not None and field.annotation}
+    defaults = [field.default for field in fields if field is not None]
+    roots = {type(default) for default in defaults if isinstance(default, BaseModel)}
     return sorted(roots, key=lambda model: model.__name__)
 
 

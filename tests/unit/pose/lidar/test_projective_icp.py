@@ -32,13 +32,13 @@ EXACT = LidarConfig(noise=LidarNoiseConfig(sigma_range_m=0.0, sigma_pointing_rad
 
 
 @pytest.mark.parametrize(("target", "range_m"), SCENES)
-def test_a_rough_pose_is_drawn_in_by_the_distance_field(target, range_m):
+def test_a_rough_pose_is_aligned_by_the_distance_field(target, range_m):
     off_deg, off_m = [], []
     for seed in range(12):
         T = random_pose(seed, range_m)
         seen, guess = tracker(target).view.seen(scan_at(T, target, frame=seed)), off(T, 15.0, 1.0, seed)
         R, t = field_aligned(
-            Points.equal(seen.thinned(128)),
+            Points.equal(seen.downsampled(128)),
             PoseArrays.of(guess),
             tracker(target).surface.coarse_field,
             np.geomspace(1.0, 0.15, 6),

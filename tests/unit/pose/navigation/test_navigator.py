@@ -229,7 +229,7 @@ def test_without_candidates_the_search_goes_on():
     output = made.see(blind(START_S))
     assert made.mode == Mode.ACQUIRING
     assert not output.status.accepted
-    assert output.status.reason == "the search found nothing to work on"
+    assert output.status.reason == "the search found too few points of the target"
 
 
 def test_a_candidate_that_is_not_believed_is_no_hypothesis_and_says_why():
@@ -477,7 +477,7 @@ def test_what_stays_lost_says_why():
     made = lost()
     output = made.see(blind(START_S + 6.1))
     assert made.mode == Mode.LOST
-    assert output.status.reason == "the search found nothing to work on"
+    assert output.status.reason == "the search found too few points of the target"
     assert output.odometry is None
 
 
