@@ -17,6 +17,9 @@ class ScanModelConfig(Config):
     """Standard deviation of a range; None for what the sensor says of itself, 0.05 m where it does not."""
     noise_scale: Positive = 1.0
     """Standard deviation over that."""
+    least_range_m: Positive = 100.0
+    """Range from which a white surface seen squarely returns every other pulse, at least; most data sheets
+    name a larger one. No sensor is assumed to be weaker than that."""
     surest_detection: Annotated[float, Field(gt=0, lt=1)] = 0.95
     """A ray that meets the target is never expected to come back with a larger probability: holes, edges and
     mirrors lose what the brightness of a surface does not tell."""

@@ -1,19 +1,23 @@
 """Whether a ray that meets the target comes back: learnt from the scan itself.
 
 No estimator knows a LIDAR's power, its threshold, or how the target's surfaces have aged. What it knows is
-that a brighter echo is detected rather than a dimmer one. The echo of a surface is
+that a brighter echo is detected rather than a dimmer one, and that a sensor for rendezvous is no weaker than
+some: its data sheet names a range at which it works. The echo of a surface is
 
-    e = albedo cos(theta) (R0 / R)^2,
+    e = albedo cos(theta) (R_least / R)^2,
 
-with the albedo of its class (``brightness``) and R0 the middle of the scan's own ranges, so that the scale is
-the scan's. It is detected with the probability
+with the albedo of its class (``brightness``) and that range R_least: 1 is a white surface seen squarely from
+there. It is detected with the probability
 
     P(e) = surest / (1 + (half / e)^STEEPNESS).
 
-Of this law one thing is unknown, ``half``: the echo of which half comes back. A pose says which rays meet
-what, and the scan which of them came back, so that each pose learns its own; its likelihood is the mean over
-all of them, with even weights from "everything is detected" to "nothing but the brightest". A pose that needs
-a strange sensor to explain its scan has to explain all of its rays by the same one.
+Of this law one thing is unknown, ``half``: the echo of which half comes back, 1 at most. A pose says which
+rays meet what, and the scan which of them came back, so that each pose learns its own; its likelihood is the
+mean over all of them, with even weights from "everything is detected" to the weakest sensor. A pose that
+needs a strange sensor to explain its scan has to explain all of its rays by the same one.
+
+Without the bound, parts that lie far behind a near face could always be too dim to be seen, and a small body
+be taken for the nearest face of a large one.
 """
 
 from math import log
@@ -23,15 +27,16 @@ import numpy as np
 
 from rpod_schemas.arrays import FloatArray
 
-HALVES: FloatArray = np.append(0.0, np.geomspace(1e-3, 1.0, 7))
-"""Echoes of which half may come back, half a decade apart; 0 where everything does."""
+HALVES: FloatArray = np.append(0.0, np.geomspace(1e-2, 1.0, 5))
+"""Echoes of which half may come back, half a decade apart: those of sensors with one to ten times the least
+range; 0 where everything does."""
 STEEPNESS = log(81.0) / log(10.0)
 """From 10 to 90 % over a factor of ten: detectors take a factor of four, and the albedo of a class
 is known within a factor of two."""
-LEAST_LOG, RUNGS, RUNGS_PER_LOG = log(1e-4), 48, 4.5
+LEAST_LOG, RUNGS, RUNGS_PER_LOG = log(1e-4), 64, 4.5
 """Logarithm of the least echo of the table, its length, and its steps a unit of the logarithm."""
-LINEAR_RUNGS = 256
-"""Steps of ``expected_shares`` up to the echo of a white surface seen squarely."""
+LINEAR_RUNGS, LINEAR_STEPS = 512, 64.0
+"""Length of the table of ``expected_shares``, and its steps a unit of the echo."""
 
 
 class Detection(NamedTuple):
@@ -59,7 +64,7 @@ def detection(surest: float, clutter_share: float) -> Detection:
 
 def expected_shares(surest: float) -> FloatArray:
     """Return the share of rays that come back over even steps of the echo, before the scan tells; (L,)."""
-    echoes = (np.arange(LINEAR_RUNGS) + 0.5) / LINEAR_RUNGS
+    echoes = np.arange(0.5, LINEAR_RUNGS, dtype=np.float64) / LINEAR_STEPS
     shares: FloatArray = _law(echoes, surest).mean(axis=0)
     return shares
 
