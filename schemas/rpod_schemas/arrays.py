@@ -37,10 +37,10 @@ def _array(*shape: int | None, finite: bool = True) -> Any:
 _LISTED = PlainSerializer(lambda array: array.tolist(), return_type=list)
 
 Vector3 = Annotated[FloatArray, _array(3), _LISTED]
-"""Shape (3,), finite."""
+"""A vector, shape (3,), finite."""
 Matrix3 = Annotated[FloatArray, _array(3, 3), _LISTED]
-"""Shape (3, 3), finite."""
+"""A matrix, shape (3, 3), finite."""
 Matrix6 = Annotated[FloatArray, _array(6, 6), _LISTED]
-"""Shape (6, 6), finite."""
+"""A matrix, shape (6, 6), finite."""
 VectorN = Annotated[FloatArray, _array(None), _LISTED]
-"""Shape (N,), finite."""
+"""A vector of any length, shape (N,), finite."""

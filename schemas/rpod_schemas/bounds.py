@@ -1,4 +1,4 @@
-"""Physical limits of what a message can say, each with its reason (ICD section 1, Bounds).
+"""Physical limits of the values in messages, each with its reason (ICD section 1, Bounds).
 
 A value beyond its limits is a broken driver or a wrong unit, never a measurement; what is computed from it
 may be infinite, or may ask for more memory than there is. The limits are wide: they hold every sensor and
@@ -26,7 +26,7 @@ class Bound:
     low: float
     high: float
     unit: str
-    """Empty for a count or a ratio."""
+    """Unit of the quantity; empty for a count or a ratio."""
     reason: str
     remedy: str = "check the unit"
 
@@ -35,10 +35,11 @@ class Bound:
         return f"{_number(self.low)} to {_number(self.high)}{unit}"
 
     def check(self, value: Any) -> Any:
-        """Return a number or an array, any shape, whose values are all within.
+        """Return a number or an array, any shape, if all its values are within the limits.
 
         Raises:
-            ValueError: names the first value that is beyond, the limits, their reason and the remedy.
+            ValueError: a value is beyond; the text names the first one, the limits, their reason and the
+                remedy.
         """
         if isinstance(value, np.ndarray):
             beyond = value[~((value >= self.low) & (value <= self.high))]
@@ -132,7 +133,7 @@ BOUNDS: dict[str, Bound] = {
     "EstimatorStatus: number of hypotheses": HYPOTHESES,
     "EstimatorStatus: inlier_share, each weight, their sum": SHARE,
 }
-"""By the fields that they hold for, as the ICD names them."""
+"""Limits by the fields for which they hold, named as in the ICD."""
 
 
 def bounded(bound: Bound) -> Any:
@@ -144,7 +145,7 @@ def check_covariance(covariance: FloatArray) -> FloatArray:
     """Return a covariance, shape (6, 6): symmetric, no variance negative, no correlation beyond 1.
 
     Raises:
-        ValueError: it is none; the text names what is wrong.
+        ValueError: the matrix is not a covariance; the text names what is wrong.
     """
     if not covariance.any():
         return covariance
@@ -179,10 +180,10 @@ def _pattern(bound: Bound) -> Any:
 Stamp = Annotated[int, bounded(STAMP_NS)]
 """Nanoseconds of UTC since the Unix epoch."""
 Text = Annotated[str, AfterValidator(_short)]
-"""A name or a sentence; the number that an error tells is its length."""
+"""A name or a sentence; an error states its length."""
 Covariance6 = Annotated[Matrix6, AfterValidator(check_covariance)]
-"""Shape (6, 6), symmetric, positive variances."""
+"""A covariance, shape (6, 6), symmetric, with positive variances."""
 AzimuthsRad = Annotated[VectorN, _pattern(AZIMUTH_RAD)]
-"""Columns of a scan pattern, shape (N,)."""
+"""Azimuths of a scan pattern's columns, shape (N,)."""
 ElevationsRad = Annotated[VectorN, _pattern(ELEVATION_RAD)]
-"""Rows of a scan pattern, shape (N,)."""
+"""Elevations of a scan pattern's rows, shape (N,)."""

@@ -15,9 +15,9 @@ from rosbags.typesys.store import Typestore
 from rpod_schemas.errors import MessageRejectedError, Reason
 
 _STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
-"""By the byte order that the encapsulation header tells."""
+"""Layouts of a stamp by the byte order in the encapsulation header."""
 _SEPARATOR = f"{'=' * 80}\n"
-"""Between the definitions of a type and of those that it needs."""
+"""Line between the definitions of a type and of the types that it needs."""
 NANOSECONDS = 1_000_000_000
 
 
@@ -54,7 +54,7 @@ def is_known(type_name: str) -> bool:
 
 
 def learn(type_name: str, text: str | bytes) -> None:
-    """Make a type known by its ``ros2msg`` definition; a type that is known already stays as it is."""
+    """Register a type by its ``ros2msg`` definition; a type that is already known is not changed."""
     if is_known(type_name):
         return
     try:
@@ -111,7 +111,7 @@ def decode(payload: bytes | memoryview, type_name: str) -> Any:
 
 
 def _deserialised(payload: bytes | memoryview, type_name: str) -> Any:
-    """Return a message of today's layout; where the bytes are none, of an earlier one, which is shorter."""
+    """Return a message of the current layout, or of an earlier, shorter one if the bytes do not fit."""
     try:
         return typestore().deserialize_cdr(payload, type_name)
     except Exception:
@@ -152,7 +152,7 @@ def begins_with_stamp(type_name: str) -> bool:
 
 
 def checked_stamp(seconds: int, nanoseconds: int) -> int:
-    """Return a builtin_interfaces/Time as ns. Raises ``MessageRejectedError`` where it is none."""
+    """Return a builtin_interfaces/Time as ns. Raises ``MessageRejectedError`` if it is not a valid time."""
     if seconds < 0 or not 0 <= nanoseconds < NANOSECONDS:
         raise MessageRejectedError(Reason.MALFORMED, f"stamp {seconds} s {nanoseconds} ns")
     return int(seconds) * NANOSECONDS + int(nanoseconds)

@@ -10,7 +10,7 @@ from rpod_schemas.config.base import Config, NonNegative, Positive
 from rpod_schemas.poses import Pose
 
 Delay = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
-"""Seconds, at most a day."""
+"""A time in seconds, at most a day."""
 
 
 class Empty(Config):
@@ -29,48 +29,48 @@ class ErrorReply(Config):
     error: str
     """Class of the error."""
     message: str
-    """What is wrong and what to do."""
+    """Description of the error and its remedy."""
 
 
 class StatusReply(Config):
-    """What a service says of itself."""
+    """The status of a service."""
 
     name: str
-    """Instance."""
+    """Name of the service's instance."""
     version: str
     """Version of the software."""
     state: Literal["starting", "ready", "running", "finished", "stopping", "failed"]
-    """Where the service is in its life."""
+    """State of the service."""
     uptime_s: NonNegative
-    """Seconds since the process said that it was there."""
+    """Seconds since the process reported its start."""
     counters: dict[str, int]
-    """Everything counted: frames, rejections by reason, messages by topic."""
+    """Counters of frames, of rejections by reason, and of messages by topic."""
     configuration: dict[str, Any]
-    """As resolved."""
+    """Resolved configuration of the service."""
     target_digest: str | None = None
-    """Of the target that the service works with, where it has one."""
+    """Digest of the target that the service uses, if it has one."""
 
 
 class StartRequest(Config):
     """Begin a scenario whose time counts from an epoch."""
 
     epoch_ns: Stamp = Field(gt=0)
-    """UTC since the Unix epoch."""
+    """Epoch of the scenario, ns of UTC since the Unix epoch."""
     duration_s: Positive | None = None
-    """How long the scenario is: in lockstep no frame is made with a stamp beyond its end."""
+    """Duration of the scenario; in lockstep no frame has a stamp after its end."""
 
 
 class ResetRequest(Config):
     """Start the estimator anew, from nothing or from a given pose."""
 
     pose: Pose | None = None
-    """T_frame_target."""
+    """Pose T_frame_target."""
     frame_id: str = "chaser"
-    """The frame of the pose."""
+    """Frame of the pose."""
     stamp_ns: Stamp | None = None
-    """When the pose held; now, where left out."""
+    """Stamp of the pose; by default now."""
     covariance: Covariance6 | None = None
-    """Of (dp, dtheta), ICD section 1."""
+    """Covariance of (dp, dtheta), ICD section 1."""
 
     @field_validator("pose")
     @classmethod
@@ -91,11 +91,11 @@ class LogReply(Config):
     """The log that is, or was, written."""
 
     path: str
-    """Of the file."""
+    """Path of the file."""
     messages: int
-    """Written to it."""
+    """Number of messages written to it."""
     bytes: int
-    """Of payload written to it."""
+    """Bytes of payload written to it."""
 
 
 class FaultRequest(Config):
@@ -105,6 +105,6 @@ class FaultRequest(Config):
     """dropout loses the depth of 60 % of the pixels, or 60 % of the returns, in patches; glints lose depth
     and amplitude of 40 %, blackout of all; silence publishes nothing."""
     start_s: Delay = 0.0
-    """From now."""
+    """Start of the fault, seconds from now."""
     duration_s: Delay
-    """How long."""
+    """Duration of the fault."""

@@ -1,4 +1,4 @@
-"""The errors of this package: what is wrong, where, and why."""
+"""The errors of this package; each names what is wrong, where, and why."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -28,7 +28,7 @@ class SchemaError(RpodError):
 
 
 class ConfigurationError(SchemaError):
-    """A configuration that cannot be used: names the source, the field and the reason, in one line."""
+    """Raised for a configuration that cannot be used; names source, field and reason in one line."""
 
     def __init__(self, source: Path | str, field: str, reason: str) -> None:
         self.source, self.field, self.reason = str(source), field, reason
@@ -37,7 +37,7 @@ class ConfigurationError(SchemaError):
 
 
 class Reason(StrEnum):
-    """Why a message was rejected, as counted in ``diagnostics``."""
+    """Reason for which a message was rejected, as counted in ``diagnostics``."""
 
     MALFORMED = "malformed"
     WRONG_TYPE = "wrong_type"
@@ -54,7 +54,7 @@ class Reason(StrEnum):
 
 
 class MessageRejectedError(SchemaError):
-    """A message that cannot be used, with the reason under which it is counted."""
+    """Raised for a message that cannot be used, with the reason under which it is counted."""
 
     def __init__(self, reason: Reason, text: str) -> None:
         self.reason, self.text = reason, text

@@ -61,7 +61,7 @@ class UserWide(_Watching, caching.UserWideCacheLocator):
 
 
 def _parts(names: Mapping[str, Any], seen: set[int]) -> Iterator[str]:
-    """Yield what a module's names stand for, as far as kernels can use it; a module is told once."""
+    """Yield the values of a module's names that kernels can use; each module is visited once."""
     seen.add(id(names))
     for name, value in list(names.items()):
         if not name.startswith("__"):

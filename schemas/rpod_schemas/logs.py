@@ -1,4 +1,4 @@
-"""What a log is beside its messages: names of its metadata records and what they hold (ICD section 5).
+"""Metadata of a log: the names of its records and their contents (ICD section 5).
 
 Values of metadata records are JSON unless said otherwise. A record may stand in a file more than
 once, early for the case that the process dies and again at the close: the last one counts.
@@ -21,7 +21,7 @@ OPAQUE_ENCODING = "application/octet-stream"
 """Its message encoding."""
 
 SOFTWARE = "software"
-"""Record of plain text: ``name``, ``version``, and ``target_digest`` where a service told it."""
+"""Record of plain text: ``name``, ``version``, and ``target_digest`` if a service reported it."""
 CONFIGURATION = "configuration"
 """Record of each service's resolved configuration, by instance."""
 STATUS = "status"
@@ -50,26 +50,26 @@ Total = Annotated[int, Field(ge=0)]
 
 
 class TopicCount(Config):
-    """What became of a topic's messages while a file was open."""
+    """Counts of a topic's messages while a file was open."""
 
     received: Total = 0
-    """Arrived at the logger."""
+    """Number of messages that arrived at the logger."""
     written: Total = 0
-    """In the file, without the repeated ones."""
+    """Number of messages in the file, without the repeated ones."""
     repeated: Total = 0
-    """Latched messages from before the file, which it opens with."""
+    """Number of latched messages from before the file, with which it begins."""
     missed: Total = 0
-    """Gaps in the publishers' sequence numbers: never arrived."""
+    """Number of messages that never arrived, by gaps in the publishers' sequence numbers."""
     recovered: Total = 0
-    """Of those received: missed at first, then fetched from the publisher's cache."""
+    """Number of received messages that were first missed, then fetched from the publisher's cache."""
     duplicates: Total = 0
-    """Arrived again, left out."""
+    """Number of messages that arrived again and were left out."""
     rejected: Total = 0
-    """Arrived without a usable attachment, left out."""
+    """Number of messages that arrived without a usable attachment and were left out."""
 
     @property
     def lost(self) -> int:
-        """Arrived and yet not in the file: no room in the queue, or the disk failed."""
+        """Number of messages that arrived and are not in the file: the queue was full, or the disk failed."""
         return self.received - self.written
 
 
@@ -81,20 +81,20 @@ class Numbers(Config):
     """
 
     key: str
-    """On which it published."""
+    """Key on which it published."""
     gid: str
     """The instance, in hexadecimal digits: a publisher that was restarted is another."""
     first: Total
     last: Total
     messages: Total
-    """How many of them are there; they rise."""
+    """Number of the publisher's messages."""
 
 
 class RecoveredTopic(Config):
-    """What a recovered log has of a topic."""
+    """A topic in a recovered log."""
 
     messages: Total = 0
-    """In the recovered log."""
+    """Number of messages in the recovered log."""
     lost: Total = 0
     """Estimated: by the summary where it is whole, else by indexes, sequence numbers and rate."""
     last_ns: int | None = None
@@ -102,26 +102,26 @@ class RecoveredTopic(Config):
 
 
 class Recovery(Config):
-    """What could be had of a damaged log."""
+    """Result of the recovery of a damaged log."""
 
     source: str
     """The damaged file; never touched."""
     out: str
     """The new file."""
     size_bytes: Total
-    """Of the damaged file."""
+    """Size of the damaged file."""
     unreadable_bytes: Total
-    """Of them, those that are no whole record: damaged, cut, or garbage."""
+    """Bytes of the damaged file that belong to no complete record."""
     damaged_places: Total
-    """How many stretches these are."""
+    """Number of contiguous stretches of such bytes."""
     closed: bool
-    """Whether the end of the file is there; if not, nobody knows what came after it."""
+    """Whether the end of the file exists; if not, the data after the last record are unknown."""
     messages: Total
-    """In the new file."""
+    """Number of messages in the new file."""
     without_definition: Total
     """Messages left out because their channel's definition is lost."""
     topics: dict[str, RecoveredTopic]
-    """By the channel's topic."""
+    """Topics by the channel's name."""
 
     @property
     def whole(self) -> bool:
@@ -130,16 +130,16 @@ class Recovery(Config):
 
 
 class Completeness(Config):
-    """What a file says of itself: whether all that was published while it was open is in it."""
+    """Completeness of a file: whether it contains all messages that were published while it was open."""
 
     complete: bool
     """Nothing missed, lost or rejected, and the file was closed as it should be."""
     reasons: tuple[str, ...] = ()
-    """What keeps it from being complete."""
+    """Reasons why the file is not complete."""
     continues: str | None = None
     """Name of the file before, where that ends at the very message at which this one begins."""
     clock_jumps_s: tuple[float, ...] = ()
-    """By how much the logger's clock jumped while the file was open; ``log_time`` follows it."""
+    """Jumps of the logger's clock while the file was open; ``log_time`` includes them."""
 
     def record(self) -> dict[str, str]:
         """Return the metadata record."""
@@ -153,7 +153,7 @@ class Completeness(Config):
         return cls.model_validate({name: json.loads(text) for name, text in record.items()})
 
     def with_reasons(self, reasons: tuple[str, ...]) -> Self:
-        """Return this statement with more reasons against."""
+        """Return the completeness with additional reasons."""
         more = tuple(reason for reason in reasons if reason not in self.reasons)
         return self.model_copy(
             update={"complete": self.complete and not more, "reasons": self.reasons + more}
@@ -161,7 +161,7 @@ class Completeness(Config):
 
 
 def shortfalls(counts: Mapping[str, TopicCount], messages: Mapping[str, int]) -> tuple[str, ...]:
-    """Return what keeps a file from being complete, a sentence each; none for a complete file.
+    """Return the reasons why a file is not complete, a sentence each; empty for a complete file.
 
     Args:
         counts: the file's account.
@@ -187,7 +187,7 @@ def shortfalls(counts: Mapping[str, TopicCount], messages: Mapping[str, int]) ->
 def check_completeness(
     statement: Mapping[str, str], counts: Mapping[str, str], messages: Mapping[str, int]
 ) -> Completeness:
-    """Hold a closed file's statement against its account and against what is in it.
+    """Check a closed file's statement of completeness against its counts and its messages.
 
     Args:
         statement: the record ``COMPLETENESS``, empty where there is none.
@@ -195,7 +195,7 @@ def check_completeness(
         messages: how many messages there are in the file, by the channel's topic (MCAP's statistics).
 
     Returns:
-        The statement; what contradicts it is added to its reasons, and makes it incomplete.
+        The statement; each inconsistency is added to its reasons and makes it incomplete.
 
     Raises:
         ValueError: a record holds something else.

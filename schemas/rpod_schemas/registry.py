@@ -1,4 +1,4 @@
-"""What installed packages bring by name: sensor kinds and methods, found by their entry points.
+"""Registry of the sensor kinds and methods of installed packages, found by their entry points.
 
 A package declares ``name = "module:attribute"`` under the group ``rpod.sensors`` or ``rpod.methods``. An
 entry is loaded when it is asked for by its name. What it describes is light: whatever is heavy (emulators,
@@ -17,7 +17,7 @@ SENSORS, METHODS = "rpod.sensors", "rpod.methods"
 
 
 class RegistryError(SchemaError):
-    """An entry point that cannot be used: names the package, the entry and the reason."""
+    """Raised for an entry point that cannot be used; names the package, the entry and the reason."""
 
     def __init__(self, entry: EntryPoint, reason: str) -> None:
         package = entry.dist.name if entry.dist else "an unknown package"
@@ -28,7 +28,7 @@ class RegistryError(SchemaError):
 
 
 class UnknownNameError(SchemaError):
-    """No installed package brings a name."""
+    """Raised for a name that no installed package provides."""
 
     def __init__(self, group: str, name: str, known: tuple[str, ...]) -> None:
         listed = ", ".join(known) or "none (rpod itself brings some: install it anew, as make setup does)"
@@ -50,16 +50,16 @@ def _entries(group: str) -> dict[str, EntryPoint]:
 
 
 def names(group: str) -> tuple[str, ...]:
-    """Return the names that installed packages bring to a group, sorted; nothing is imported."""
+    """Return the names that installed packages provide in a group, sorted; nothing is imported."""
     return tuple(sorted(_entries(group)))
 
 
 @cache
 def load(group: str, name: str) -> Any:
-    """Return what a name stands for.
+    """Return the object of a name.
 
     Raises:
-        UnknownNameError: no installed package brings it.
+        UnknownNameError: no installed package provides it.
         RegistryError: its package cannot be imported.
     """
     entry = _entries(group).get(name)
@@ -73,12 +73,12 @@ def load(group: str, name: str) -> Any:
 
 
 def _sensor_of(name: str) -> str:
-    """Return ``<kind>.`` of a method's name; empty of a kind's."""
+    """Return ``<kind>.`` for a method's name; empty for a kind's."""
     return name[: name.find(".") + 1]
 
 
 def check_type(group: str, name: str, kind: type[Any]) -> Any:
-    """Return what a name stands for, which must be of a type. Raises like ``load``."""
+    """Return the object of a name, which must be of a type. Raises like ``load``."""
     loaded = load(group, name)
     if not isinstance(loaded, kind):
         raise RegistryError(_entries(group)[name], f"is {type(loaded).__name__}, needs {kind.__name__}")
@@ -87,5 +87,5 @@ def check_type(group: str, name: str, kind: type[Any]) -> Any:
 
 @cache
 def resolve(reference: str) -> Any:
-    """Return what ``module:attribute`` names, importing the module."""
+    """Return the object that ``module:attribute`` names; the module is imported."""
     return resolve_name(reference)

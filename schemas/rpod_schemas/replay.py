@@ -1,4 +1,4 @@
-"""What a replay of a log came to: the new estimates beside the old."""
+"""Result of a replay of a log: the new estimates compared with the old ones."""
 
 from rpod_schemas.config.base import Config, NonNegative
 from rpod_schemas.summary import Consistency, Count, Durations, ErrorSize, ErrorSummary, Tracking
@@ -29,7 +29,7 @@ class Difference(Config):
     common: Count
     """Stamps at which both have an estimate."""
     identical: Count
-    """Of them, those with the very same pose."""
+    """Number of these stamps with identical poses."""
     attitude_deg: ErrorSize
     """Angle between the two."""
     position_m: ErrorSize
@@ -44,18 +44,18 @@ class ReplayReport(Config):
     out: str
     """The new log: truth, old estimates, and new ones under ``replay``."""
     as_live: bool
-    """Whether just the frames were taken that the live run took."""
+    """Whether exactly the frames of the live run were used."""
     frames: Count
-    """Handed to the estimator."""
+    """Number of frames given to the estimator."""
     missing: Count
-    """Frames that the live run took and the log has not."""
+    """Number of frames that the live run used and that the log does not contain."""
     refused: dict[str, int]
     """Messages that could not be used, by topic."""
     processing_s: Durations | None
-    """Of the frames handed to the estimator, on this machine."""
+    """Processing time of the frames given to the estimator, on this machine."""
     old: Side | None
-    """As logged; null where no estimator was."""
+    """Estimator of the log; null if there was none."""
     new: Side | None
-    """As replayed; null where there was no frame."""
+    """Estimator of the replay; null if there was no frame."""
     difference: Difference | None
-    """Null where there is no common stamp."""
+    """Difference of the two; null if there is no common stamp."""

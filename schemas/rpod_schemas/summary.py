@@ -1,4 +1,4 @@
-"""``summary.json``: what a run came to, in numbers (ICD section 6).
+"""``summary.json``: the results of a run in numbers (ICD section 6).
 
 A value is null where it is not known, and so is a block of which nothing is known: latency where the
 clock is not the wall's, errors where there is no truth.
@@ -35,7 +35,7 @@ class FrameCount(Config):
 
 
 class EstimateCount(Config):
-    """What became of the frames."""
+    """Counts of frames and estimates."""
 
     count: Count
     """Estimates in the log."""
@@ -52,14 +52,14 @@ class EstimateCount(Config):
 
 
 class ErrorSize(Config):
-    """How large an error was over the tracked frames."""
+    """Size of an error over the tracked frames."""
 
     rms: NonNegative
     """Root mean square."""
     p95: NonNegative
-    """95 % were at most this."""
+    """95th percentile."""
     max: NonNegative
-    """The worst."""
+    """Greatest value."""
 
 
 class ErrorSummary(Config):
@@ -84,18 +84,18 @@ class ErrorSummary(Config):
 
 
 class Durations(Config):
-    """How long something took."""
+    """Statistics of durations."""
 
     p50: float
     """The median."""
     p99: float
-    """99 % took at most this."""
+    """99th percentile."""
     max: float
     """The longest."""
 
 
 class Consistency(Config):
-    """Whether the covariance tells the truth about the errors."""
+    """Consistency of the covariance with the errors."""
 
     nees_mean: NonNegative
     """Mean normalised estimation error squared; 6 where the covariance is right."""
@@ -104,7 +104,7 @@ class Consistency(Config):
 
 
 class Innovation(Config):
-    """Whether prediction and measurement are apart as their covariances say."""
+    """Consistency of the innovations with their covariances."""
 
     nis_mean: NonNegative
     """Mean normalised innovation squared; 6 where the covariances are right."""
@@ -113,12 +113,12 @@ class Innovation(Config):
 
 
 class LogCompleteness(Config):
-    """What the log says of itself, held against what is in it."""
+    """Completeness of the log, checked against its contents."""
 
     complete: bool | None
     """Whether all that was published while it was open is in it; null where it does not say."""
     reasons: tuple[str, ...]
-    """What speaks against it, a sentence each."""
+    """Reasons why the log is not complete, a sentence each."""
 
 
 class Tracking(Config):
@@ -138,7 +138,7 @@ class Summary(Config):
     scenario: str | None
     """Name of the scenario."""
     seed: Count | None
-    """Of all noise."""
+    """Seed of all noise."""
     duration_s: NonNegative
     """From the first to the last stamp of truth and estimator."""
     log: str
@@ -148,9 +148,9 @@ class Summary(Config):
     report: str | None
     """The report's file."""
     frames: dict[str, FrameCount]
-    """By topic."""
+    """Counts of messages by topic."""
     estimates: EstimateCount
-    """What became of the frames."""
+    """Counts of frames and estimates."""
     modes: Tracking
     """How well the target was held."""
     error: ErrorSummary | None
@@ -162,9 +162,9 @@ class Summary(Config):
     consistency: Consistency | None
     """Over the tracked frames with a covariance."""
     innovation: Innovation | None = None
-    """Over the frames whose measurement was held against the prediction, rejected ones included."""
+    """Innovations of all frames whose measurement was compared with the prediction, also rejected ones."""
     completeness: LogCompleteness | None = None
-    """The log's statement of itself."""
+    """Completeness of the log."""
     unreadable: dict[str, dict[str, Count]] = Field(default_factory=dict)
     """Messages in the log that cannot be read, by topic, then by reason."""
 

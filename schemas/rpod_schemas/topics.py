@@ -12,7 +12,7 @@ from rpod_schemas.cdr import is_known, type_hash
 SENSOR_CACHE = 90
 """Images and point clouds that a publisher keeps for receivers that missed them: two seconds."""
 SMALL_CACHE = 500
-"""Of what is small: two seconds of truth."""
+"""Small messages that a publisher keeps: two seconds of truth."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ TOPICS: tuple[Topic, ...] = (
 """In the order of the ICD's table."""
 
 TRUTH_TOPICS: tuple[Topic, ...] = (TRUTH, REFERENCE, TF)
-"""What an estimator must never read: the facility's truth in any form."""
+"""Topics that an estimator must never read: the facility's truth in any form."""
 
 CHASER, TARGET, TARGET_ESTIMATE = "chaser", "target", "target_estimate"
 """Frame names (ICD section 1)."""
@@ -111,7 +111,7 @@ def optical_frame(sensor: str) -> str:
 
 @dataclass(frozen=True)
 class Namespace:
-    """Where in the key space a facility lives."""
+    """Part of the key space that a facility uses."""
 
     domain: int = 0
     prefix: str = ""

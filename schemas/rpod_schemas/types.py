@@ -1,4 +1,4 @@
-"""The domain types: what a service works with once a message has passed the edge.
+"""The domain types, with which services work after a message has been checked.
 
 Arrays are views of the received bytes wherever the layout allows it, so they may be read-only.
 Stamps are nanoseconds of UTC since the Unix epoch (ICD section 1).
@@ -95,7 +95,7 @@ class Camera(Model):
 
 
 class PmdInfo(Model):
-    """What a PMD camera says of itself beside its images (PmdInfo.msg)."""
+    """Info of a PMD camera (PmdInfo.msg)."""
 
     modulation_frequency_hz: Annotated[VectorN, bounded(MODULATION_FREQUENCY_HZ)]
     """In the order of the phase images; empty where the camera does not tell."""
@@ -135,7 +135,7 @@ class SensorFrame(Stamped):
 
     @property
     def images(self) -> tuple[FrameImage, ...]:
-        """What a report and a view draw as images, the most telling first."""
+        """Images for reports and views, the most informative first."""
         return ()
 
     @property
@@ -153,7 +153,7 @@ class PmdFrame(SensorFrame):
     """Received amplitude, shape (height, width), uint8, uint16 or float32; None where not sent."""
     camera: Camera
     info: PmdInfo | None = None
-    """What the camera says of itself; None where it does not."""
+    """Info of the camera; None if it sends none."""
 
     @property
     def lens(self) -> Camera:
@@ -212,10 +212,10 @@ class LidarScan(SensorFrame):
 
 
 class LidarInfo(Model):
-    """What a LIDAR says of itself beside its points (LidarInfo.msg)."""
+    """Info of a LIDAR (LidarInfo.msg)."""
 
     azimuth_rad: AzimuthsRad
-    """Of the scan pattern; direction (sin az cos el, sin el, cos az cos el)."""
+    """Azimuths of the scan pattern; directions are (sin az cos el, sin el, cos az cos el)."""
     elevation_rad: ElevationsRad
     scan_time_s: Annotated[float, bounded(SCAN_TIME_S)]
     rows_are_elevation: bool = True
@@ -241,9 +241,9 @@ class Odometry(Stamped):
     angular_rad_s: Vector3
     """Rotation rate, vee(R^T dR/dt), child axes."""
     pose_covariance: Matrix6 = Field(default_factory=lambda: ZERO_6X6)
-    """Of (dp, dtheta) in the fixed axes of ``frame_id``: m2, m rad, rad2."""
+    """Covariance of (dp, dtheta) in the fixed axes of ``frame_id``: m2, m rad, rad2."""
     twist_covariance: Matrix6 = Field(default_factory=lambda: ZERO_6X6)
-    """Of (linear, angular) in child axes."""
+    """Covariance of (linear, angular) in child axes."""
 
 
 class Mode(IntEnum):
@@ -256,7 +256,7 @@ class Mode(IntEnum):
 
 
 class Source(IntEnum):
-    """What measured the pose (EstimatorStatus.msg)."""
+    """Source of the measured pose (EstimatorStatus.msg)."""
 
     NONE = 0
     LIDAR = 1
@@ -268,12 +268,12 @@ class Source(IntEnum):
 
 
 class BeliefLevel(IntEnum):
-    """How far a measured pose is believed (EstimatorStatus.msg)."""
+    """Level of belief in a measured pose (EstimatorStatus.msg)."""
 
     ACCEPTED = 0
     """The measurement supports the pose."""
     DOUBTFUL = 1
-    """The measurement supports the pose weakly, or supports several poses alike."""
+    """The measurement supports the pose weakly, or supports several poses equally."""
     CONTRADICTED = 2
     """The measurement is inconsistent with the pose."""
 
@@ -285,13 +285,13 @@ class Hypothesis(Model):
     """T_chaser_target."""
     weight: Annotated[float, Field(ge=0, le=1)]
     name: str = ""
-    """What it is beside the first: "symmetry of the target", "turned by 180 deg"; empty for the first."""
+    """Difference from the first: "symmetry of the target", "turned by 180 deg"; empty for the first."""
     log_likelihood: float = float("nan")
-    """Of the measurement under this pose, less that under the first."""
+    """Log likelihood of the measurement at this pose minus that at the first one."""
 
 
 class EstimatorStatus(Stamped):
-    """What the estimator made of one frame (EstimatorStatus.msg)."""
+    """Result of the estimator for one frame (EstimatorStatus.msg)."""
 
     mode: Mode
     source: Source = Source.NONE
@@ -310,7 +310,7 @@ class EstimatorStatus(Stamped):
     hypotheses: tuple[Hypothesis, ...] = ()
     """Best first; weights sum to 1."""
     belief: BeliefLevel = BeliefLevel.ACCEPTED
-    """What the method says of its pose; the filter's gate may reject it all the same."""
+    """Belief of the method in its pose, which the filter's gate may still reject."""
     evidence: dict[str, float] = Field(default_factory=dict)
     """The numbers that the belief follows from, by name; each name carries its unit or is a share."""
 

@@ -1,4 +1,4 @@
-"""What rmw_zenoh puts beside a message: the attachment, and liveliness tokens.
+"""Data that rmw_zenoh adds to messages: the attachment, and liveliness tokens.
 
 Source: rmw_zenoh of Humble 0.1.2, Jazzy 0.2.5, Kilted 0.6 and later (ICD section 2).
 """

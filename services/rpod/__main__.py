@@ -36,7 +36,7 @@ WaitOption = Annotated[bool, typer.Option("--wait", help="Wait for the router as
 
 
 def main() -> None:
-    """Run the command line; a verb of an extra that is not installed says which package it lacks."""
+    """Run the command line; a verb whose extra is not installed names the missing package."""
     try:
         app()
     except ModuleNotFoundError as error:
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def _refuse(error: ConfigurationError) -> NoReturn:
-    """Say in one line which field is wrong, and why."""
+    """Print in one line which field is wrong, and why; exit."""
     print(f"rpod: {error}", file=sys.stderr)
     raise typer.Exit(EXIT_USAGE)
 
@@ -63,7 +63,7 @@ app.add_typer(campaign_verbs)
 @app.callback()
 def options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say it.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """A rendezvous laboratory in software, behind a message bus."""
@@ -78,7 +78,7 @@ def _serve(
     changes: dict[str, Any] | None = None,
     **bus: Any,
 ) -> NoReturn:
-    """Load a service's configuration, with what the command line says on top, and run it."""
+    """Load a service's configuration, change it by the command line, and run the service."""
     from rpod_target import TargetError
 
     source = config or f"rpod {verb}"
@@ -105,7 +105,7 @@ def router(
     config: ConfigOption = None,
     listen: Annotated[str | None, typer.Option("--listen", help="Zenoh endpoint to listen on.")] = None,
 ) -> None:
-    """The bus: a Zenoh router that keeps the truth from the estimators."""
+    """Run the bus: a Zenoh router that keeps the truth from the estimators."""
     from rpod_runtime import router as daemon
     from rpod_schemas.config.service import RouterConfig
 
@@ -120,7 +120,7 @@ def router(
 
 @app.command()
 def motion(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
-    """Trajectories: publishes the truth."""
+    """Publish the truth: the trajectory of the target."""
     from rpod_motion import daemon
     from rpod_schemas.config.emulator import MotionServiceConfig
 
@@ -129,7 +129,7 @@ def motion(config: ConfigOption = None, connect: ConnectOption = None, wait: Wai
 
 @app.command()
 def emulator(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
-    """The sensors: truth in, sensor messages out."""
+    """Emulate the sensors: publish their messages from the truth."""
     from rpod_emulator import daemon
     from rpod_schemas.config.emulator import EmulatorConfig
 
@@ -138,7 +138,7 @@ def emulator(config: ConfigOption = None, connect: ConnectOption = None, wait: W
 
 @app.command()
 def estimator(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
-    """Poses from sensor messages."""
+    """Estimate poses from sensor messages."""
     from rpod_estimator import daemon
     from rpod_schemas.config.estimator import EstimatorConfig
 
@@ -147,7 +147,7 @@ def estimator(config: ConfigOption = None, connect: ConnectOption = None, wait: 
 
 @app.command()
 def logger(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
-    """Everything on the bus into MCAP."""
+    """Record everything on the bus into MCAP files."""
     from rpod_logger import daemon
     from rpod_schemas.config.logger import LoggerConfig
 
@@ -157,26 +157,30 @@ def logger(config: ConfigOption = None, connect: ConnectOption = None, wait: Wai
 @app.command()
 def view(
     logs: Annotated[
-        list[Path] | None, typer.Argument(help="MCAP files to look at; the bus where left out.")
+        list[Path] | None, typer.Argument(help="MCAP files to show; without one, the bus is shown.")
     ] = None,
     config: ConfigOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = False,
     target: Annotated[
-        str | None, typer.Option("--target", help="Whose mesh and wireframe are drawn.")
+        str | None, typer.Option("--target", help="Target whose mesh and wireframe are drawn.")
     ] = None,
     web: Annotated[
         bool | None,
-        typer.Option("--web/--native", help="A web page or a window; by the display if left out."),
+        typer.Option(
+            "--web/--native", help="Show a web page or a window; by default a window if there is a display."
+        ),
     ] = None,
-    bind: Annotated[str | None, typer.Option("--bind", help="Address of the viewer; 127.0.0.1.")] = None,
+    bind: Annotated[
+        str | None, typer.Option("--bind", help="Address on which the viewer listens; 127.0.0.1 by default.")
+    ] = None,
     save: Annotated[
         Path | None, typer.Option("--save", help="Recording (.rrd) to write instead of a viewer.")
     ] = None,
-    start: Annotated[float, typer.Option("--from", help="Of a log: seconds from its beginning.")] = 0.0,
-    end: Annotated[float | None, typer.Option("--to", help="Of a log: seconds from its beginning.")] = None,
+    start: Annotated[float, typer.Option("--from", help="First second of a log to show.")] = 0.0,
+    end: Annotated[float | None, typer.Option("--to", help="Last second of a log to show.")] = None,
 ) -> None:
-    """Look at the facility, or at a log: images, scene, errors, state."""
+    """Show the facility or a log: images, scene, errors, state."""
     from rpod.command_view import view_log
     from rpod_schemas.config.view import ViewConfig
 
@@ -194,7 +198,7 @@ def view(
 
 @app.command()
 def scenarios() -> None:
-    """List what can be run."""
+    """List the scenarios that can be run."""
     from rpod.scenarios import find, shipped
 
     for name in shipped():
@@ -203,11 +207,17 @@ def scenarios() -> None:
 
 @app.command()
 def run(
-    scenario: Annotated[str, typer.Argument(help="Name or file; see 'rpod scenarios'.")] = "mockup-tumbling",
-    duration: Annotated[float | None, typer.Option("--duration", help="Seconds of scenario time.")] = None,
-    speed: Annotated[str, typer.Option("--speed", help="1 by the wall clock, max in lockstep.")] = "1",
-    seed: Annotated[int | None, typer.Option("--seed", help="Of all noise.")] = None,
-    out: Annotated[Path, typer.Option("--out", help="Where the run's folder is made.")] = Path("runs"),
+    scenario: Annotated[
+        str, typer.Argument(help="Name or file of a scenario; see 'rpod scenarios'.")
+    ] = "mockup-tumbling",
+    duration: Annotated[
+        float | None, typer.Option("--duration", help="Duration in seconds of scenario time.")
+    ] = None,
+    speed: Annotated[str, typer.Option("--speed", help="Speed: 1 for real time, max for lockstep.")] = "1",
+    seed: Annotated[int | None, typer.Option("--seed", help="Seed of all noise.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="Folder in which the run's own folder is made.")] = Path(
+        "runs"
+    ),
     with_view: Annotated[bool, typer.Option("--view", help="Open the live view.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the summary as one JSON object only.")

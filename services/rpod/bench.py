@@ -44,10 +44,10 @@ from rpod_target import load_target
 
 _SUN_W_m2 = np.array([680.0, -817.0, -844.0])
 _OBLIQUE = Rotation.from_euler("ZYX", (30.0, 40.0, 20.0), degrees=True)
-"""An attitude of the LIDAR's target like most: no face at right angles to the line of sight."""
+"""A typical attitude of the LIDAR's target: no face is perpendicular to the line of sight."""
 _BUS_HZ = 45.0
 _WIDTH = 120
-"""Of the table where it is not printed on a terminal."""
+"""Width of the table if it is not printed on a terminal."""
 _BUS_FRAMES = 135
 
 

@@ -31,7 +31,7 @@ _DEFAULTS: dict[str, Any] = {"out": Path("campaigns"), "jobs": None, "cluster": 
 
 
 class CampaignGroup(TyperGroup):
-    """Finds campaigns in the catalogue, when they are asked for."""
+    """Finds a campaign in the catalogue when its verb is used."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all campaigns."""
@@ -51,7 +51,7 @@ class CampaignGroup(TyperGroup):
 campaign_verbs = typer.Typer(
     name="campaign",
     cls=CampaignGroup,
-    help="Monte-Carlo trials of the methods, beside the figures of the papers.",
+    help="Run Monte-Carlo trials of the methods, and compare them with the papers.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

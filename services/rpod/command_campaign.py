@@ -123,7 +123,7 @@ def _flag(option: str) -> str:
 def _executor(jobs: int | None, cluster: str | None) -> Callable[[Callable[[str], None]], Executor]:
     """Return what makes the executor, given where its notes go. Raises ConfigurationError."""
     if jobs is not None and jobs < 1:
-        raise ConfigurationError("--jobs", "", f"needs at least 1, not {jobs}")
+        raise ConfigurationError("--jobs", "", f"is {jobs}, at least 1 is needed")
     if cluster is None:
         return lambda _: ProcessPool(jobs or cores())
     if jobs is not None:

@@ -88,9 +88,11 @@ def _service(options: BusOptions) -> ServiceConfig:
 
 def _check_playback(playback: Playback) -> None:
     if not playback.speed > 0.0:
-        raise ConfigurationError("rpod replay", "--speed", "needs a number above 0")
+        raise ConfigurationError(
+            "rpod replay", "--speed", "is not a number above 0; give 1 for the recorded speed"
+        )
     if playback.end_s is not None and playback.end_s <= playback.start_s:
-        raise ConfigurationError("rpod replay", "--to", "needs to lie behind --from")
+        raise ConfigurationError("rpod replay", "--to", "is not after --from; give a later time")
 
 
 def _tell_played(played: Played, *, as_json: bool) -> None:

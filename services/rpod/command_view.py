@@ -34,7 +34,7 @@ def view_log(
         document = {"memory_bytes": _LOG_MEMORY_BYTES} | (read_document(config) if config else {}) | changes
         checked = check(ViewConfig, document, source=config or "rpod view")
         if end_s is not None and end_s <= start_s:
-            raise ConfigurationError("rpod view", "--to", "needs to lie behind --from")
+            raise ConfigurationError("rpod view", "--to", "is not after --from; give a later time")
         opened = open_log(*logs)
     except (ConfigurationError, AnalysisError) as error:
         print(f"rpod view: {error}", file=sys.stderr)
@@ -87,7 +87,7 @@ def _show(opened: Log, config: ViewConfig, part: Part, stop: Event) -> None:
 
 
 def _await_taken(viewer: Viewer, stop: Event) -> bool:
-    """Wait until the viewer has what was drawn; return False where nobody wants more."""
+    """Wait until the viewer has received the drawing; return False if it was closed."""
     while not (stop.is_set() or viewer.closed):
         if viewer.has_taken(_POLL_S):
             return True
@@ -95,7 +95,7 @@ def _await_taken(viewer: Viewer, stop: Event) -> bool:
 
 
 def _target(opened: Log, name: str | None) -> Target | None:
-    """Return the target that is asked for, else the one that the log's services had."""
+    """Return the target of the command line, or the one that the log's services had."""
     names = [service["target"] for service in opened.configuration.values() if service.get("target")]
     chosen = name or next(iter(names), None)
     if chosen is None:

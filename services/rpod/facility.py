@@ -17,7 +17,7 @@ from rpod_schemas.config.view import ViewConfig
 
 Speed = Literal["1", "max"]
 _ROUTER_POLL_S = 0.5
-"""For how long the supervisor tries to reach the router before it looks whether that still runs."""
+"""Interval at which the supervisor checks that the router still runs while it tries to reach it."""
 
 
 @dataclass(frozen=True)
@@ -26,14 +26,14 @@ class Facility:
 
     router: RouterConfig
     services: dict[str, BaseModel]
-    """By verb, in the order in which they stop: who feeds others first."""
+    """Configurations by verb, in the order in which services stop: publishers before their receivers."""
     supervisor: ServiceConfig
     view: ViewConfig
-    """Of a view that looks on, where one is wanted."""
+    """Configuration of the live view, if one is wanted."""
 
 
 def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
-    """Return what every service of a run is told; each run has its own endpoint and estimator identity."""
+    """Return the configurations of a run's services; each run has its own endpoint and estimator identity."""
     endpoint = free_endpoint()
     bus = BusConfig(connect=endpoint, wait=True)
     estimator_id = secrets.token_hex(8).lstrip("0") or "e"

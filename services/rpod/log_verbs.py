@@ -12,10 +12,10 @@ log_verbs = typer.Typer()
 def report(
     logs: Annotated[
         list[Path],
-        typer.Argument(help="MCAP files or folders; parts of one run are one, several runs are compared."),
+        typer.Argument(help="MCAP files or folders; parts of one run are joined, several runs are compared."),
     ],
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write to; beside the log where left out.")
+        Path | None, typer.Option("--out", help="Folder to write to; by default that of the log.")
     ] = None,
     as_json: Annotated[
         bool,
@@ -32,34 +32,37 @@ def report(
 def replay(
     logs: Annotated[list[Path], typer.Argument(help="MCAP files, or a folder of them.")],
     config: Annotated[
-        Path | None, typer.Option("--config", help="Of the estimator; the log's own where left out.")
+        Path | None,
+        typer.Option("--config", help="Configuration of the estimator; by default the one in the log."),
     ] = None,
     as_live: Annotated[
-        bool, typer.Option("--as-live", help="Just the frames that the live run took.")
+        bool, typer.Option("--as-live", help="Use exactly the frames that the live run used.")
     ] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Log to write; <log>.replay.mcap where left out.")
+        Path | None, typer.Option("--out", help="Log to write; <log>.replay.mcap by default.")
     ] = None,
     bus: Annotated[
-        bool, typer.Option("--bus", help="Onto the bus instead of through the navigator.")
+        bool, typer.Option("--bus", help="Play onto the bus instead of through the navigator.")
     ] = False,
     connect: Annotated[
-        str | None, typer.Option("--connect", help="Endpoint of the router; onto the bus.")
+        str | None, typer.Option("--connect", help="Endpoint of the router, with --bus.")
     ] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")] = False,
-    start: Annotated[float, typer.Option("--from", help="Seconds from the log's beginning.")] = 0.0,
-    end: Annotated[float | None, typer.Option("--to", help="Seconds from the log's beginning.")] = None,
-    speed: Annotated[float, typer.Option("--speed", help="Onto the bus: times as fast as recorded.")] = 1.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Onto the bus: begin again at the end.")] = False,
+    start: Annotated[float, typer.Option("--from", help="First second of the log to replay.")] = 0.0,
+    end: Annotated[float | None, typer.Option("--to", help="Last second of the log to replay.")] = None,
+    speed: Annotated[
+        float, typer.Option("--speed", help="Speed relative to the recording, with --bus.")
+    ] = 1.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, with --bus.")] = False,
     topics: Annotated[
-        str | None, typer.Option("--topics", help="Onto the bus: which, with commas, as 'pmd/*,tf_static'.")
+        str | None, typer.Option("--topics", help="Topics to play, such as 'pmd/*,tf_static', with --bus.")
     ] = None,
     clock: Annotated[
-        bool, typer.Option("--clock/--no-clock", help="Onto the bus: publish the time of the log.")
+        bool, typer.Option("--clock/--no-clock", help="Publish the time of the log, with --bus.")
     ] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
-    """A log again: through the navigator with any configuration, or onto the bus."""
+    """Replay a log: through the navigator with any configuration, or onto the bus."""
     from rpod.command_replay import BusOptions, bus_command, navigator_command
 
     if bus or connect or wait:
@@ -74,13 +77,13 @@ def replay(
 
 @log_verbs.command()
 def recover(
-    log: Annotated[Path, typer.Argument(help="Truncated or damaged MCAP file; it is not touched.")],
+    log: Annotated[Path, typer.Argument(help="Truncated or damaged MCAP file; it is not changed.")],
     out: Annotated[
-        Path | None, typer.Option("--out", help="File to write; <log>.recovered.mcap where left out.")
+        Path | None, typer.Option("--out", help="File to write; <log>.recovered.mcap by default.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
-    """A readable log out of a truncated or damaged one."""
+    """Recover a readable log from a truncated or damaged one."""
     from rpod.command_recover import recover_command
 
     raise typer.Exit(recover_command(log, out=out, as_json=as_json))
@@ -91,14 +94,14 @@ def calibrate(
     logs: Annotated[list[Path], typer.Argument(help="MCAP files with a PMD camera's frames and the truth.")],
     camera: Annotated[str, typer.Option("--camera", help="Name of the camera.")] = "pmd",
     check: Annotated[
-        Path | None, typer.Option("--check", help="Fit nothing: how this calibration does on the logs.")
+        Path | None, typer.Option("--check", help="Calibration to check on the logs, instead of a fit.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="File to write; <camera>-calibration.yaml where left out.")
+        Path | None, typer.Option("--out", help="File to write; <camera>-calibration.yaml by default.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
-    """Offset and wiggling of a PMD camera's distances, for the estimator."""
+    """Calibrate a PMD camera's distances (offset and wiggling) from logs, for the estimator."""
     from rpod.command_calibrate import calibrate_command
 
     raise typer.Exit(calibrate_command(logs, camera=camera, check=check, out=out, as_json=as_json))

@@ -1,4 +1,4 @@
-"""What an operator sees during a run: scenario time, frame rates, state, current error.
+"""Progress of a run for the operator: scenario time, frame rates, state, current error.
 
 Listens to ``tf`` at 25 Hz, the statuses and the diagnostics; it costs the facility next to nothing.
 """
@@ -31,7 +31,7 @@ _VIEW = ViewConfig.model_fields["instance"].default
 
 @dataclass
 class _Seen:
-    """The last words of the services."""
+    """The latest messages of the services."""
 
     truth: deque[tuple[int, RigidTransform]] = field(default_factory=lambda: deque(maxlen=50))
     first_truth_ns: int | None = None
@@ -45,7 +45,7 @@ class _Seen:
 
 
 class Progress:
-    """A line that lives while the run does: on a terminal redrawn, else one now and then."""
+    """The progress of a run: a line that is redrawn on a terminal, elsewhere a line now and then."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._console = Console(stderr=True, quiet=quiet)
@@ -68,7 +68,7 @@ class Progress:
             self._live.stop()
 
     def say(self, text: str) -> None:
-        """Say what is going on."""
+        """Print a message about the run."""
         if text == self._said:
             return
         self._said = text
@@ -84,7 +84,7 @@ class Progress:
             node.subscribe(topic, self._inbox.put)
 
     def update(self) -> None:
-        """Take in what was said and show it."""
+        """Process the messages received since the last call, and show them."""
         for received in self._inbox.wait(0.0):
             try:
                 self._take(received)

@@ -33,11 +33,11 @@ _VIEW = "view"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Where a run leaves what it makes."""
+    """The folder of a run's files."""
 
     directory: Path
     log: Path
-    """Its first file."""
+    """First file of the log."""
 
     @property
     def logs(self) -> list[Path]:
@@ -68,7 +68,7 @@ def _new_directory(out: Path, name: str) -> Path:
 def play(
     scenario: Scenario, folder: RunFolder, *, speed: Speed, progress: Progress, view: bool = False
 ) -> None:
-    """Play a scenario to its end and close the log; with a view that looks on if that is wanted.
+    """Play a scenario to its end and close the log, with a live view if one is wanted.
 
     Raises:
         ServiceDiedError: a service ended; the log is closed all the same.
@@ -92,7 +92,7 @@ def play(
 
 
 def _start_listeners_first(services: Supervisor, facility: Facility) -> None:
-    """Start those who listen before those who speak; what is left at an accident stops speakers first."""
+    """Start receivers before publishers; after an error, publishers are stopped first."""
     for verb, config in reversed(facility.services.items()):
         services.start(verb, config)
 

@@ -7,7 +7,7 @@ from rpod_schemas.summary import ErrorSummary, Summary
 
 
 def print_summary(summary: Summary, console: Console) -> None:
-    """Print what an operator asks first: did it hold the target, how well, was anything lost."""
+    """Print the summary that an operator needs first: tracking, errors, lost data."""
     title = f"{summary.scenario or summary.log}, {summary.duration_s:.0f} s"
     table = Table(title=title, title_justify="left", show_header=False)
     table.add_column(style="dim")

@@ -33,7 +33,7 @@ class _Service:
     optional: bool
 
     def close(self) -> None:
-        """Let go of a process that has ended."""
+        """Release the resources of a process that has ended."""
         if self.process.stdin:
             self.process.stdin.close()
 
@@ -76,7 +76,7 @@ class Supervisor:
         return self._services[verb].log
 
     def check(self) -> None:
-        """See that all services run. An optional one that does not is forgotten, and said.
+        """Check that all services run. An optional one that has ended is reported and forgotten.
 
         Raises:
             ServiceDiedError: names the first that does not, with its last lines.
@@ -92,7 +92,7 @@ class Supervisor:
             self._services.pop(name).close()
 
     def stop(self, verb: str) -> None:
-        """Ask a service to finish, wait, and end it by force where it does not.
+        """Ask a service to finish, wait, and kill it if it does not.
 
         Raises:
             ServiceDiedError: it ended with an error. A service that is asked while it still starts

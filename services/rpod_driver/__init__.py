@@ -1,4 +1,4 @@
-"""The port for sensors: a driver connects, yields frames and closes; the host does the rest."""
+"""Drivers of sensors: a driver connects, yields frames and closes; the host does everything else."""
 
 from rpod_driver.errors import DriverError
 from rpod_driver.host import main, run

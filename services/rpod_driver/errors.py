@@ -4,18 +4,18 @@ from rpod_schemas.errors import RpodError
 
 
 class DriverError(RpodError):
-    """Root of the errors that this package raises; a driver may raise it for what its sensor does wrong."""
+    """Root of the errors that this package raises; a driver may raise it for an error of its sensor."""
 
 
 class SilentSensorError(DriverError):
-    """The sensor delivers nothing."""
+    """Raised if the sensor delivers no frame."""
 
     def __init__(self, silence_s: float) -> None:
         super().__init__(f"no frame for {silence_s:.1f} s")
 
 
 class WrongKindError(DriverError):
-    """The driver delivers something else than its configuration says."""
+    """Raised if the driver delivers frames of another kind than configured."""
 
     def __init__(self, kind: str, delivered: object) -> None:
         super().__init__(f"kind is {kind!r}, but the driver delivers {type(delivered).__name__}")

@@ -1,4 +1,4 @@
-"""The host of a driver: connects, publishes, tells the sensor's health, and connects again after errors."""
+"""The host of a driver: connects, publishes, reports the sensor's health, and reconnects after errors."""
 
 import logging
 import time
@@ -21,18 +21,18 @@ from rpod_schemas.types import Health, SensorFrame
 log = logging.getLogger(__name__)
 
 _RATE_FRAMES = 32
-"""Over which the rate is told."""
+"""Number of frames over which the rate is computed."""
 
 
 def main(driver: Driver, config: DriverConfig | Path | str) -> int:
     """Run a driver as a process, with signals and log lines, until its source ends or it is stopped.
 
     Args:
-        driver: the sensor.
-        config: as a model, or the file that holds it.
+        driver: driver of the sensor.
+        config: configuration, as a model or as the path of its file.
 
     Returns:
-        The exit code: 0 where it ended well, 1 on failure, 2 for a configuration that cannot be used.
+        The exit code: 0 at a normal end, 1 on failure, 2 for a configuration that cannot be used.
     """
 
     def body(stop: Event) -> None:
@@ -43,7 +43,7 @@ def main(driver: Driver, config: DriverConfig | Path | str) -> int:
 
 
 def run(driver: Driver, config: DriverConfig, *, version: str, stop: Event) -> None:
-    """Publish what a driver delivers until its source ends or it is stopped."""
+    """Publish the frames of a driver until its source ends or it is stopped."""
     with Node(config, version=version, stop=stop) as node:
         host = Host(node, driver, config)
         node.health.watch(host.check)
@@ -53,7 +53,7 @@ def run(driver: Driver, config: DriverConfig, *, version: str, stop: Event) -> N
 
 
 class Host:
-    """A driver between two connections: what is published, and how the sensor does."""
+    """The publishing and the health of a driver's sensor, over all its connections."""
 
     def __init__(self, node: Node, driver: Driver, config: DriverConfig) -> None:
         self._node, self._driver, self._config = node, driver, config
@@ -65,7 +65,7 @@ class Host:
         self.finished = False
 
     def serve_connection(self) -> None:
-        """Connect and publish until the source ends, the sensor fails, or the stop; after a failure wait."""
+        """Connect and publish until the source ends, the sensor fails or a stop; wait after a failure."""
         try:
             info = self._driver.connect()
             try:
@@ -127,7 +127,7 @@ class Host:
         self._retry_s = min(2.0 * self._retry_s, self._config.max_retry_s)
 
     def check(self) -> tuple[Health, str]:
-        """Return the sensor's health: a driver that hangs in its device is told as well."""
+        """Return the sensor's health, which also reports a driver that hangs in its device."""
         age_s = time.monotonic() - self._heard_s
         self._node.health.measure("last_frame_age_s", age_s)
         self._node.health.measure("rate_hz", self._rate_hz())

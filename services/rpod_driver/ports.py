@@ -1,4 +1,4 @@
-"""The ports: what a driver must offer. Emulator, recording and real device are equal behind them."""
+"""The ports of drivers. Emulator, recording and real device are equal behind them."""
 
 from collections.abc import Iterator
 from typing import Any, Protocol
@@ -7,25 +7,25 @@ from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFr
 
 
 class Driver(Protocol):
-    """A sensor of any kind; what it returns is of the kind's types."""
+    """A sensor of any kind; it returns values of the kind's types."""
 
     def connect(self) -> Any:
-        """Open the device; return what it says of itself, None where that is not known.
+        """Open the device; return its info, or None if that is unknown.
 
-        Either succeeds or leaves nothing open. Whatever it raises is told, and it is called again later.
+        It either succeeds or leaves nothing open. An error is reported, and the call is repeated later.
         """
         ...
 
     def frames(self) -> Iterator[SensorFrame | None]:
-        """Yield frames as they come, and None at least once a second while there is none.
+        """Yield frames as they come, and None at least once a second while no frame comes.
 
-        Each carries the middle of its exposure, ns of UTC (a PTP clock's TAI is 37 s ahead). Ends where
-        the source ends; whatever it raises leads to ``close`` and a new ``connect``.
+        The stamp of a frame is the middle of its exposure, ns of UTC (a PTP clock's TAI is 37 s ahead). The
+        iterator ends with the source; an error leads to ``close`` and a new ``connect``.
         """
         ...
 
     def close(self) -> None:
-        """Release the device. Called once after each ``connect`` that succeeded."""
+        """Release the device; it is called once after each ``connect`` that succeeded."""
         ...
 
 
@@ -42,7 +42,7 @@ class CameraDriver(Driver, Protocol):
 
 
 class LidarDriver(Driver, Protocol):
-    """A LIDAR; like a camera, with scans stamped with their middle."""
+    """A LIDAR, whose scans are stamped with their middle."""
 
     def connect(self) -> LidarInfo | None:
         """See ``Driver.connect``."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rpod_pose.measurement import Measurement
-from rpod_pose.pmd.camera_check import CameraWatch
+from rpod_pose.pmd.camera_check import CameraCheck
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.errors import ExtrinsicsError
@@ -51,7 +51,7 @@ class FrameReader:
         """The part, by sensor, in whose place a frame is refused that never gets complete."""
         self._readers: dict[str, SensorReader] = {}
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
-        self._cameras = CameraWatch()
+        self._cameras = CameraCheck()
         for sensor in sensors:
             self._expect(sensor)
 

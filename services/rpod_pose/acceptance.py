@@ -1,7 +1,8 @@
 """The belief in a registration by its residuals, for methods without a statistical model of their sensor.
 
-f_MAX is the 2015 paper's failure detection (section 4.5). Alone it accepts wrong poses on sparse scans, so
-the shares of points and of rays or pixels on which model and measurement agree are asked as well.
+f_MAX is the 2015 paper's failure detection (section 4.5). Alone it accepts wrong poses on sparse scans.
+Therefore the share of inliers is checked too, and the share of rays or pixels on which model and measurement
+agree.
 """
 
 import math
@@ -15,9 +16,9 @@ from rpod_schemas.config.acceptance import AcceptanceConfig
 
 
 def accepted_by_residuals(registration: Registration, limits: AcceptanceConfig) -> Registration:
-    """Return a registration with its belief by cost, inliers and self-check; one without a pose as it is.
+    """Return a registration with its belief by cost, inliers and self-check; unchanged without a pose.
 
-    A share that the method does not know, NaN, is not asked.
+    A share that the method does not know, NaN, is not checked.
     """
     if registration.T_sensor_target is None:
         return registration

@@ -1,6 +1,6 @@
-"""Whether a measured pose is believed: one value that its method makes and the navigator reads.
+"""The belief in a measured pose: one value that the method makes and the navigator reads.
 
-A stream of measurements has a record besides: the share of them that did not support what was tracked.
+In addition, a record of a stream of measurements keeps the share that did not support the tracked pose.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import BeliefLevel, Hypothesis
 
 MEMORY_FRAMES, PRIOR_FRAMES = 90.0, 20.0
-"""Frames that a record remembers, and frames that it assumes to have agreed before the first."""
+"""Frames that a record remembers, and assumed number of consistent frames before the first."""
 SYMMETRY = "symmetry of the target"
 """Name of a rival that is the best pose turned by an exact symmetry of the target."""
 
@@ -24,20 +24,20 @@ class Rival:
     """Another pose that explains a measurement about as well as the best one."""
 
     name: str
-    """What it is beside the best pose: ``SYMMETRY``, or "turned by 180 deg"."""
+    """Difference from the best pose: ``SYMMETRY``, or "turned by 180 deg"."""
     T_sensor_target: RigidTransform
     log_likelihood: float
-    """Of the measurement under this pose, less that under the best one."""
+    """Log likelihood of the measurement at this pose minus that at the best one."""
 
     @property
     def exact(self) -> bool:
-        """Whether no measurement can tell the rival from the best pose."""
+        """Whether no measurement can distinguish the rival from the best pose."""
         return self.name == SYMMETRY
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """What a method says of its own result."""
+    """A method's confidence in its own result."""
 
     level: BeliefLevel = BeliefLevel.ACCEPTED
     reason: str = ""
@@ -45,7 +45,7 @@ class Belief:
     evidence: Mapping[str, float] = field(default_factory=dict)
     """The numbers that the level follows from, by name; each name carries its unit or is a share."""
     rivals: tuple[Rival, ...] = ()
-    """Other poses that explain the measurement, likeliest first; of an accepted pose, too unlikely ones."""
+    """Other poses that explain the measurement, likeliest first; for an accepted pose, unlikely ones."""
     insufficient: str = ""
     """Why the measurement alone is not enough to begin a track, although a running track may use it."""
 
@@ -89,7 +89,7 @@ def undetermined(covariance: FloatArray, *, max_sigma_m: float, max_sigma_deg: f
     """Return which part of a pose a measurement leaves undetermined; empty if none.
 
     Args:
-        covariance: of (dp, dtheta), m and rad, shape (6, 6).
+        covariance: covariance of (dp, dtheta), m and rad, shape (6, 6).
         max_sigma_m: greatest standard deviation of the position in its worst direction.
         max_sigma_deg: greatest standard deviation of the attitude about its worst axis.
     """
@@ -113,14 +113,14 @@ def worst_sigma(covariance: FloatArray) -> float:
 class Record:
     """How often a sensor's frames did not support the pose that was tracked; older frames fade.
 
-    A single frame of something else may look like the target by chance, or by the side that it shows. A
-    stream of such frames does so for a while only.
+    A single frame of another body may resemble the target by chance, or from one side. A stream of such
+    frames does so only for a while.
     """
 
     frames: float = 0.0
-    """Frames with a pose."""
+    """Number of frames with a pose, where older frames count less."""
     unsupported: float = 0.0
-    """Those of them whose belief was doubtful or contradicted."""
+    """Number of these frames whose belief was doubtful or contradicted."""
 
     @property
     def share(self) -> float:

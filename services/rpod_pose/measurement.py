@@ -1,4 +1,4 @@
-"""What the navigator is fed: a measurement of one sensor, or a bare tick of time."""
+"""Input of the navigator: a measurement of one sensor, or a tick of time without one."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class Measurement:
 
     @property
     def stamp_ns(self) -> int:
-        """Middle of the exposure or scan."""
+        """Stamp of the middle of the exposure or scan."""
         return self.data.stamp_ns
 
 

@@ -1,4 +1,4 @@
-"""From configuration to methods: what each sensor is acquired and tracked with, looked up in the registry."""
+"""From configuration to methods: how the target is acquired and tracked by each sensor, from the registry."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from rpod_target import Target
 
 
 def kind_methods(sensor: SensorInput) -> KindMethods:
-    """Return how methods are made for a sensor's kind, importing what they need."""
+    """Return the maker of methods for a sensor's kind; the modules that it needs are imported."""
     made: KindMethods = resolve(sensor_kind(sensor.kind).methods)
     return made
 
@@ -20,9 +20,9 @@ def methods_of(sensor: SensorInput, target: Target, setup: Any = ()) -> Methods:
     """Return the methods for a sensor.
 
     Args:
-        sensor: its configuration.
-        target: what is looked for.
-        setup: what ``KindMethods.setup`` of its kind returned, a LIDAR's scan pattern for example.
+        sensor: configuration of the sensor.
+        target: the target to find.
+        setup: result of ``KindMethods.setup`` of its kind, for example a LIDAR's scan pattern.
     """
     return kind_methods(sensor).make(Task(target, sensor, setup))
 

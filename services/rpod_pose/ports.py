@@ -26,7 +26,7 @@ class Candidate:
 
     T_sensor_target: RigidTransform
     cost_m2: float
-    """The method's own cost, lower is better."""
+    """Cost in the method's own measure; lower is better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +42,11 @@ class Registration:
     """f_CONV: mean squared residual of the inliers at convergence, m2."""
     inliers: int = 0
     inlier_share: float = float("nan")
-    """Inliers over the points that could have matched."""
+    """Number of inliers over the number of points that could have matched."""
     explained_share: float = float("nan")
-    """Self-check: of the rays where model or measurement say "surface", the share that agrees."""
+    """Share of agreeing rays among those where model or measurement show a surface: the self-check."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
-    """Of (dp, dtheta) in the sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1); shape (6, 6)."""
+    """Covariance of (dp, dtheta), sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1), (6, 6)."""
     iterations: int = 0
 
     @classmethod
@@ -66,7 +66,7 @@ class Registration:
 
 
 class Outcome(StrEnum):
-    """What became of a search."""
+    """Outcome of a search."""
 
     ACCEPTED = "accepted"
     AMBIGUOUS = "ambiguous"
@@ -76,14 +76,14 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Acquisition:
-    """What a search without a guess made of one measurement."""
+    """Result of a search without a guess in one measurement."""
 
     registration: Registration
     """The best pose with its covariance and belief; without a pose where nothing was found."""
     templates: int = 0
     """Attitudes in the search."""
     excluded_share: float = 0.0
-    """The share of them that was left out before the comparison with the measurement."""
+    """Share of these attitudes that was left out before the comparison with the measurement."""
 
     @property
     def belief(self) -> Belief:
@@ -102,12 +102,12 @@ class Acquisition:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6)."""
+        """Covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6)."""
         return self.registration.covariance
 
     @property
     def outcome(self) -> Outcome:
-        """What became of the search, in one word."""
+        """Outcome of the search, in one word."""
         if self.pose is None or not self.belief.continues_track:
             return Outcome.FAILED
         accepted = self.belief.level is BeliefLevel.ACCEPTED or not self.belief.rivals
@@ -115,7 +115,7 @@ class Acquisition:
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """T_sensor_target of what explains the measurement, best first; weights sum to 1. Empty if failed."""
+        """Poses T_sensor_target that explain the measurement, best first; empty if the search failed."""
         if self.pose is None or self.outcome is Outcome.FAILED:
             return ()
         return self.belief.hypotheses(self.pose)
@@ -123,21 +123,21 @@ class Acquisition:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What a search proposes, unchecked."""
+    """Poses that a search proposes, not yet verified."""
 
     poses: tuple[Candidate, ...] = ()
-    """Best first; empty where there is nothing to work on."""
+    """Candidates, best first; empty if the measurement has too few points."""
     templates: int = 0
     """Attitudes in the search."""
     excluded_share: float = 0.0
-    """Of them, those left out before they were compared with the measurement."""
+    """Share of these attitudes that was left out before the comparison with the measurement."""
 
 
 class Search(Protocol, Generic[MeasurementT_contra]):
     """Proposes poses for one measurement, for a tracker to refine and check."""
 
     def search(self, measurement: MeasurementT_contra) -> Candidates:
-        """Return candidates from everywhere. Deterministic."""
+        """Return candidates among all poses. Deterministic."""
         ...
 
     def near(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Candidates:
@@ -146,7 +146,7 @@ class Search(Protocol, Generic[MeasurementT_contra]):
 
 
 class Acquirer(Protocol, Generic[MeasurementT_contra]):
-    """Finds the target in one measurement and judges what it found."""
+    """Finds the target in one measurement and verifies the pose."""
 
     def acquire(self, measurement: MeasurementT_contra) -> Acquisition:
         """Search without any prior pose; never raises on data. Deterministic."""
@@ -161,12 +161,12 @@ class Tracker(Protocol, Generic[MeasurementT_contra]):
     """Registers one measurement, starting from a predicted pose."""
 
     def track(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration; never raises on data, says why instead. Deterministic."""
+        """Return the registration, with a reason if there is no pose; never raises on data. Deterministic."""
         ...
 
 
 class Deskew(Protocol):
-    """Moves what a frame measured at other times to where it was at the frame's stamp."""
+    """Moves points that were measured at other times to where they were at the frame's stamp."""
 
     def __call__(
         self,
@@ -177,42 +177,42 @@ class Deskew(Protocol):
         velocity_m_s: FloatArray,
         rate_rad_s: FloatArray,
     ) -> Any:
-        """Return the frame as of its stamp.
+        """Return the frame as if all of it had been measured at its stamp.
 
         Args:
-            frame: as measured.
-            T_sensor_target: at the stamp, as predicted.
-            velocity_m_s: of the target's origin, sensor axes, shape (3,).
-            rate_rad_s: of the target relative to the sensor, sensor axes, shape (3,).
+            frame: frame as measured.
+            T_sensor_target: predicted pose at the stamp.
+            velocity_m_s: velocity of the target's origin, sensor axes, shape (3,).
+            rate_rad_s: rate of the target relative to the sensor, sensor axes, shape (3,).
         """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Methods:
-    """How one sensor's target is found and tracked."""
+    """The methods by which the target is found and tracked with one sensor."""
 
     acquirer: Acquirer[Any]
     tracker: Tracker[Any]
     deskew: Deskew | None = None
-    """For a sensor whose frame is not measured all at once."""
+    """De-skewing, for a sensor whose frame is not measured all at once."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What a method is made for."""
+    """The data from which a method is made."""
 
     target: Target
-    """What to look for."""
+    """The target to find and track."""
     sensor: Any
     """Configuration of the sensor, a ``rpod_schemas.config.sensor.SensorInput`` of its kind."""
     setup: Any = ()
-    """What ``KindMethods.setup`` returned."""
+    """Result of ``KindMethods.setup``."""
     tracker: Tracker[Any] | None = None
-    """The sensor's tracker, where an acquirer is made."""
+    """The sensor's tracker, for the making of an acquirer."""
 
     def with_tracker(self, tracker: Tracker[Any]) -> Self:
-        """Return the task of the acquirer beside a tracker."""
+        """Return the task of making the acquirer that goes with a tracker."""
         return replace(self, tracker=tracker)
 
 
@@ -227,11 +227,10 @@ class KindMethods:
     make: Callable[[Task], Methods]
     """Returns the configured methods of a sensor."""
     frames: Callable[[Target, RigidTransform, Any], Sequence[Any]]
-    """Returns frames without noise at T_sensor_target for a setup: acquisition is warmed up with the first,
-    tracking with all, so that compiled code is loaded before the first frame."""
+    """Returns frames without noise at T_sensor_target for a setup. Acquisition is warmed up with the first,
+    tracking with all of them, so that compiled code is loaded before the first frame."""
     setup: Callable[[Any, Any], Any] = _nothing_to_know
-    """Returns what the methods must know of a sensor before they are made, from its configuration and what it
-    says of itself (None as long as it says nothing); None where neither tells. Methods are made anew where
-    this has changed."""
+    """Returns the data of a sensor that its methods need, from its configuration and its info message (None
+    before the first); None if neither contains them. Methods are made anew when these data change."""
     missing: str = ""
-    """Why frames are refused as long as that is not known."""
+    """Reason for which frames are rejected as long as these data are unknown."""

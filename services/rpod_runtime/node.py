@@ -27,6 +27,7 @@ from rpod_runtime.inbox import Received
 from rpod_runtime.publisher import Publisher
 from rpod_runtime.replies import error_reply, error_text
 from rpod_runtime.session import open_client
+from rpod_schemas.config.migration import logged
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.control import Accepted, Empty, StatusReply
 from rpod_schemas.errors import MessageRejectedError
@@ -276,7 +277,7 @@ class Node:
             state=self.state,
             uptime_s=time.monotonic() - self._started_s,
             counters=self.health.counters(),
-            configuration=self.config.model_dump(mode="json"),
+            configuration=logged(self.config),
             target_digest=self.target_digest,
         )
 

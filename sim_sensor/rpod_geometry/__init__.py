@@ -1,4 +1,4 @@
-"""Rays, lenses and what they meet of a target: for what emulates a sensor and for what estimates from it."""
+"""Rays, lenses and their hits on a target: shared by the emulated sensors and the pose estimation."""
 
 from rpod_schemas.kernel_cache import watch_callees
 

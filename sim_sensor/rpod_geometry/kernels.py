@@ -2,7 +2,7 @@
 
 A kernel is a function that numba compiles at its first call. It takes arrays, numbers and records of these
 (``typing.NamedTuple``), at most seven arguments, and returns a number, an array, a record or at most three of
-them. Its docstring gives shapes and units. A test holds all that (``tests/unit/test_kernels.py``).
+them. Its docstring gives shapes and units. A test checks these rules (``tests/unit/test_kernels.py``).
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ R = TypeVar("R")
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function compiled: kept on disk, without the interpreter's lock, on one thread.
+    """Return a compiled function: cached on disk, without the interpreter's lock, on one thread.
 
     Divisions by zero give inf or NaN as in NumPy, so that no kernel raises for them. For type checkers the
     function keeps its signature, since numba has no stubs.
@@ -25,9 +25,9 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def reassociated_kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a kernel that may also assume numbers without NaN and of any zero sign, for vectorised minima.
+    """Return a kernel that may assume that no number is NaN and ignore signs of zeros, for fast minima.
 
-    For inner loops whose callers hold that no argument is NaN.
+    It is for inner loops whose callers guarantee that no argument is NaN.
     """
     flags = {"nnan", "nsz"}
     compiled: Callable[P, R] = _kept(

@@ -12,7 +12,7 @@ _NEWTON_TOLERANCE = 1e-9
 
 
 def distort(slopes: FloatArray, camera: Camera) -> FloatArray:
-    """Return where the lens images the slopes x/z, y/z, shape (2, ...): plumb_bob, as in CameraInfo."""
+    """Return the distorted slopes of the slopes x/z, y/z, shape (2, ...), by plumb_bob as in CameraInfo."""
     k1, k2, p1, p2, k3 = camera.distortion
     x, y = slopes
     r2 = x * x + y * y
@@ -28,7 +28,7 @@ def distort(slopes: FloatArray, camera: Camera) -> FloatArray:
 def undistort(distorted: FloatArray, camera: Camera) -> FloatArray:
     """Return the slopes x/z, y/z, shape (2, ...), that the lens images at ``distorted``.
 
-    Newton's method, since the fixed-point iteration in use elsewhere stalls on strong distortion.
+    They are found by Newton's method, since the usual fixed-point iteration fails on strong distortion.
 
     Raises:
         DistortionError: the distortion folds the image over itself there.

@@ -1,4 +1,4 @@
-"""What a sensor's rays meet: one caster for the camera and for the LIDAR.
+"""Casting of a sensor's rays: one caster for the camera and for the LIDAR.
 
 All rays start in the sensor's origin, so a triangle needs only four numbers a ray. Its corners v0, v1, v2
 and the ray d give ``s_i = d . (v_i x v_j)``, the sides of the three planes through the origin and an edge;
@@ -20,16 +20,16 @@ from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Camera, Float32Array
 
 NEAR_M = 0.05
-"""A triangle with a corner nearer than this along the boresight is tried on every ray."""
+"""Least z of the corners of a triangle that is tried on a block of rays; nearer ones are tried on all."""
 
 
 class Envelope(NamedTuple):
-    """Bounds of the slopes of a grid's lines, columns (x/z) or rows (y/z), neither of which decreases."""
+    """Non-decreasing bounds of the slopes of a grid's lines: columns (x/z) or rows (y/z)."""
 
     lower: FloatArray
-    """No line from here on has a lesser slope, shape (lines,)."""
+    """Lower bound of the slopes of this and all following lines, shape (lines,)."""
     upper: FloatArray
-    """No line up to here has a greater slope, shape (lines,)."""
+    """Upper bound of the slopes of this and all previous lines, shape (lines,)."""
 
 
 class GridArrays(NamedTuple):
@@ -48,17 +48,17 @@ class GridArrays(NamedTuple):
 
 
 class RenderBuffers(NamedTuple):
-    """What each ray of a grid meets first, as the kernels take it."""
+    """First hit of each ray of a grid, as the kernels take it."""
 
     range_m: Float32Array
-    """Distance along the ray, shape (rows, columns), inf where it meets nothing."""
+    """Distance along the ray, shape (rows, columns), inf without a hit."""
     triangle: NDArray[np.int32]
-    """Index of the triangle, shape (rows, columns), -1 where it meets nothing."""
+    """Index of the triangle, shape (rows, columns), -1 without a hit."""
 
 
 @dataclass(frozen=True, eq=False)
 class RayGrid:
-    """Rays of a sensor, in rows and columns, with what bounds a triangle in rows and columns.
+    """Rays of a sensor, in rows and columns, with bounds by which a triangle's rows and columns are found.
 
     Build it by ``pinhole`` or ``azimuth_elevation``. A triangle is tried on a block of the grid only; the
     block is found by the slopes x/z and y/z that its columns and rows span, so columns from left to right
@@ -93,7 +93,7 @@ class RayGrid:
         return GridArrays(self.components, *self._columns, *self._rows)
 
     def block(self, rows: slice, columns: slice) -> GridArrays:
-        """Return the rays of some neighbouring rows and columns, as kernels take them."""
+        """Return the rays of a block of rows and columns, as kernels take them."""
         components = np.ascontiguousarray(self.components[:, rows, columns])
         across, down = self._columns, self._rows
         return GridArrays(
@@ -102,7 +102,7 @@ class RayGrid:
 
     @classmethod
     def pinhole(cls, camera: Camera, samples: int = 1) -> Self:
-        """Return ``samples`` x ``samples`` rays a pixel, evenly spread over it, without the lens distortion.
+        """Return ``samples`` x ``samples`` undistorted rays per pixel, spread evenly over it.
 
         Raises:
             rpod_geometry.errors.DistortionError: the lens distortion cannot be inverted within the image.
@@ -116,7 +116,7 @@ class RayGrid:
         return cls(np.ascontiguousarray(rays / np.linalg.norm(rays, axis=0)))
 
     def in_single_precision(self) -> Self:
-        """Return the same rays in float32: an image is cast in half the time, with ranges to a micrometre."""
+        """Return the rays in float32: casting takes half the time, with ranges accurate to a micrometre."""
         components: Array = self.components.astype(np.float32)
         return type(self)(components)
 
@@ -130,12 +130,12 @@ class RayGrid:
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What each ray of a grid meets first."""
+    """First hit of each ray of a grid."""
 
     range_m: Float32Array
-    """Distance along the ray, shape (rows, columns), inf where it meets nothing."""
+    """Distance along the ray, shape (rows, columns), inf without a hit."""
     triangle: NDArray[np.int32]
-    """Index of the triangle, shape (rows, columns), -1 where it meets nothing."""
+    """Index of the triangle, shape (rows, columns), -1 without a hit."""
 
     @classmethod
     def of(cls, grid: RayGrid) -> Self:
@@ -144,7 +144,7 @@ class Hits:
 
     @property
     def arrays(self) -> RenderBuffers:
-        """The same as the kernels take it."""
+        """The hits as the kernels take them."""
         return RenderBuffers(self.range_m, self.triangle)
 
 
@@ -162,8 +162,8 @@ def cast(
         grid: the sensor's rays.
         triangles_m: shape (T, 3, 3), target axes, counter-clockwise from outside.
         T_sensor_target: pose of the target in the sensor.
-        out: buffers to write into and to return; new ones where left out.
-        cull_back_faces: skip triangles seen from behind, which are hidden anyway where the bodies are closed.
+        out: buffers to write into and to return; by default new ones.
+        cull_back_faces: whether to skip triangles seen from behind, which closed bodies hide anyway.
     """
     hits = Hits.of(grid) if out is None else out
     pose = T_sensor_target.as_matrix()
@@ -190,18 +190,18 @@ def cast_pose(  # noqa: PLR0917
     range_m: Float32Array,
     triangle: NDArray[np.int32],
 ) -> None:
-    """Fill ``range_m`` and ``triangle`` as ``cast`` does, for kernels that try many poses.
+    """Fill ``range_m`` and ``triangle`` like ``cast``, for kernels that try many poses.
 
     The module's docstring derives the equations.
 
     Args:
         grid: ``RayGrid.arrays``.
         triangles: target axes, shape (T, 3, 3), m.
-        R: of the target in the sensor, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        cull: skip triangles seen from behind.
-        range_m: out, shape (rows, columns), m.
-        triangle: out, shape (rows, columns).
+        R: R_sensor_target, shape (3, 3).
+        t: position of the target in the sensor, shape (3,), m.
+        cull: whether to skip triangles seen from behind.
+        range_m: output, shape (rows, columns), m.
+        triangle: output, shape (rows, columns).
     """
     rays = grid.components
     inverse = range_m  # 1 / range until the end: the largest wins, and nothing is divided
@@ -250,7 +250,7 @@ def _volume(corner: FloatArray) -> float:
 
 @kernel
 def _sides(corner: FloatArray, sign: float, side: Array) -> None:
-    """Fill the products v_i x v_j, m2, shape (3, 3), so signed that a ray inside has none negative."""
+    """Fill the products v_i x v_j, m2, shape (3, 3), with signs so that rays inside give none negative."""
     for i in range(3):
         a, b = corner[i], corner[(i + 1) % 3]
         side[i, 0] = sign * (a[1] * b[2] - a[2] * b[1])
@@ -260,7 +260,7 @@ def _sides(corner: FloatArray, sign: float, side: Array) -> None:
 
 @kernel
 def _lines(corner: FloatArray, axis: int, lower: FloatArray, upper: FloatArray) -> tuple[int, int]:
-    """Return the first and last + 1 of the lines that may meet a triangle: rows for axis 1, columns for 0."""
+    """Return the first and last + 1 of the lines that may hit a triangle: rows for axis 1, columns for 0."""
     if min(corner[0, 2], corner[1, 2], corner[2, 2]) < NEAR_M:
         return 0, lower.size
     a, b, c = corner[0, axis] / corner[0, 2], corner[1, axis] / corner[1, 2], corner[2, axis] / corner[2, 2]
@@ -270,14 +270,14 @@ def _lines(corner: FloatArray, axis: int, lower: FloatArray, upper: FloatArray) 
 
 @kernel
 def _draw(rays: Array, side: Array, face: _Face, inverse: Float32Array, triangle: NDArray[np.int32]) -> None:
-    """Let one triangle win the rays that it meets first; no branch in the inner loop, so it is vectorised.
+    """Assign to a triangle the rays that it hits first so far, without branches so that it is vectorised.
 
     Args:
         rays: ``GridArrays.components``, shape (3, rows, columns).
         side: as filled by ``_sides``, shape (3, 3).
         face: the triangle.
-        inverse: one over the range, 1/m, shape (rows, columns), in and out.
-        triangle: index of the nearest triangle, same shape, in and out.
+        inverse: one over the range, 1/m, shape (rows, columns), input and output.
+        triangle: index of the nearest triangle, same shape, input and output.
     """
     number, scale = face.number, face.scale
     a0, a1, a2 = side[0, 0], side[0, 1], side[0, 2]

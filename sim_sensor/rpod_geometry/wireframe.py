@@ -1,4 +1,4 @@
-"""The target's wireframe as a sensor sees it: hidden lines left out."""
+"""The target's wireframe as a sensor sees it, without hidden lines."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +11,14 @@ from rpod_schemas.types import Camera
 from rpod_target import Target
 
 _PIECES = 12
-"""Parts of an edge that are hidden or seen as a whole."""
+"""Number of pieces of an edge; each is hidden or visible as a whole."""
 _NEAR_M = 0.05
 _SLACK_M = 0.02
-"""An edge lies on its own faces; a surface hides it only from this much in front."""
+"""Least distance in front of an edge from which a surface hides it, since the edge lies on its own faces."""
 
 
 def visible_pieces(target: Target, T_sensor_target: RigidTransform) -> FloatArray:
-    """Return the pieces of the wireframe that are seen, sensor axes, shape (N, 2, 3)."""
+    """Return the visible pieces of the wireframe, sensor axes, shape (N, 2, 3), m."""
     centres = T_sensor_target.apply(target.edges_m.mean(axis=1))
     normals = np.einsum("ij,enj->eni", T_sensor_target.rotation.as_matrix(), target.edge_normals)
     facing = (np.einsum("eni,ei->en", normals, centres) < 0.0).any(axis=1)
@@ -31,7 +31,7 @@ def visible_pieces(target: Target, T_sensor_target: RigidTransform) -> FloatArra
 
 
 def _seen(points: FloatArray, target: Target, T_sensor_target: RigidTransform) -> NDArray[np.bool_]:
-    """Return which points, shape (rows, columns, 3), no surface hides: one ray to each."""
+    """Return which points, shape (rows, columns, 3), are visible, by one ray to each, (rows, columns)."""
     distance_m = np.linalg.norm(points, axis=-1)
     grid = RayGrid(np.ascontiguousarray(np.moveaxis(points / distance_m[..., None], -1, 0)))
     seen: NDArray[np.bool_] = cast(grid, target.triangles_m, T_sensor_target).range_m > distance_m - _SLACK_M
@@ -39,7 +39,7 @@ def _seen(points: FloatArray, target: Target, T_sensor_target: RigidTransform) -
 
 
 def project(points_m: FloatArray, camera: Camera | None) -> FloatArray:
-    """Return image coordinates, shape (..., 2): a camera's pixels, else x/z and y/z in thousandths."""
+    """Return image coordinates, shape (..., 2): a camera's pixels, or x/z and y/z in thousandths."""
     slopes = np.moveaxis(points_m[..., :2] / points_m[..., 2:], -1, 0)
     if camera is None:
         return 1e3 * np.moveaxis(slopes, 0, -1)

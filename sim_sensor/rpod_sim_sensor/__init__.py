@@ -1,4 +1,4 @@
-"""What a sensor sees: one ray caster, and on it a flash LIDAR and a PMD camera.
+"""Emulated sensors: a LIDAR and a PMD camera on one ray caster.
 
 Pure functions of poses, configuration and a seed: no bus, no clock, no logger.
 """

@@ -1,4 +1,4 @@
-"""How bright a target is in any camera: the renderer of the PMD camera's light, without its modulation."""
+"""Brightness of a target in any camera: the renderer of the PMD camera's light, without its modulation."""
 
 from dataclasses import dataclass
 
@@ -15,24 +15,24 @@ from rpod_target import Target
 
 @dataclass(frozen=True, eq=False)
 class Illumination:
-    """The light on a target, in what a pixel collects of it (electrons, or any other unit)."""
+    """The light on a target, in the unit that a pixel collects (electrons, or any other)."""
 
     sun_W_m2: FloatArray
     """Unit vector to the sun times its irradiance in the camera's band, optical axes, shape (3,)."""
     collected_per_radiance: float
-    """What a pixel collects for a radiance of 1 W/m2/sr."""
+    """Amount that a pixel collects for a radiance of 1 W/m2/sr."""
     lamp_W_m2: float = 0.0
     """Irradiance of a lamp beside the lens at 1 m."""
     lamp_radius_m: float = 0.05
 
 
 class Renderer:
-    """Renders a target's brightness; its buffers serve again from image to image.
+    """Renders a target's brightness; its buffers are reused from image to image.
 
     Args:
         camera: intrinsics and distortion.
         target: shape and materials.
-        subsamples: rays across a pixel, and down.
+        subsamples: number of rays across a pixel, and down.
 
     Raises:
         rpod_geometry.errors.DistortionError: the lens has no inverse.
@@ -48,7 +48,7 @@ class Renderer:
         self._modulated = np.empty((0, *self._centres.shape), np.float32)
 
     def render(self, T_optical_target: RigidTransform, illumination: Illumination) -> Float32Array:
-        """Return what each pixel collects, shape (H, W); 0 where the target is not."""
+        """Return the amount that each pixel collects, shape (H, W); 0 on pixels that miss the target."""
         closed = self._target.field is not None
         cast(self._rays, self._target.triangles_m, T_optical_target, out=self._hits, cull_back_faces=closed)
         collected = np.empty(self._centres.shape, np.float32)

@@ -1,4 +1,4 @@
-"""Noise that belongs to a frame, not to a run: the same whoever asks, in whatever order."""
+"""Noise that depends on the frame, not on the run: the same in whatever order frames are made."""
 
 import zlib
 
@@ -9,9 +9,9 @@ def noise_stream(seed: int, sensor: str, frame: int) -> np.random.Generator:
     """Return the random numbers of one frame of one sensor.
 
     Args:
-        seed: of the run, not negative.
-        sensor: its name.
-        frame: its number; frames before the epoch have negative ones.
+        seed: seed of the run, not negative.
+        sensor: name of the sensor.
+        frame: number of the frame; frames before the epoch have negative numbers.
     """
     key = (seed, zlib.crc32(sensor.encode()), frame & 0xFFFF_FFFF_FFFF_FFFF)
     return np.random.Generator(np.random.SFC64(key))

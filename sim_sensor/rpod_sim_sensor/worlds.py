@@ -1,8 +1,8 @@
-"""Worlds: how what the sensors look at, and the sensors themselves, differ from their documented physics.
+"""Worlds: variants in which the target and the sensors differ from their documented physics.
 
-An estimator is never told in which world it is: a world changes what the emulator makes of the light, and
-nothing of what the sensor says of itself (``LidarInfo``, ``PmdInfo``) or of the target's file. An estimator
-that works in the documented world alone has learnt the emulator, not the sensor.
+An estimator is never told in which world it is: a world changes how the emulator treats the light, but
+neither the sensor's info messages (``LidarInfo``, ``PmdInfo``) nor the target file. An estimator that works
+only in the documented world is fitted to the emulator, not to the sensor.
 
 Half of the worlds are for design, the other half (``held_out``) only for reporting.
 """
@@ -25,24 +25,24 @@ from rpod_sim_sensor.errors import SimSensorError
 from rpod_target import Material, Target
 
 _FULLEST = 0.95
-"""No surface sends back more than this share of the light."""
+"""Greatest share of the light that a surface reflects."""
 
 
 class UnknownWorldError(SimSensorError):
-    """A world that is not known."""
+    """Raised for an unknown world."""
 
     def __init__(self, name: str) -> None:
         super().__init__(f"world is {name!r}, needs one of {', '.join(WORLDS)}")
 
 
 class SurfaceWorld(Config):
-    """What the target's surfaces are made of."""
+    """Materials of the target's surfaces."""
 
     reflection: Literal["documented", "lambertian", "specular"] = "documented"
-    """lambertian: what the camera's lobe would send back is diffuse instead; specular: half of the diffuse
+    """lambertian: the light of the specular lobe is diffuse instead; specular: half of the diffuse
     part goes into the lobe, and the LIDAR's echo falls off with a power of the cosine of incidence."""
     exchanged: bool = False
-    """Each part has the material that the target's file gives to the next one in its list of materials."""
+    """Whether each part has the material after its own in the target file's list of materials."""
 
 
 class NoiseWorld(Config):
@@ -51,10 +51,10 @@ class NoiseWorld(Config):
     scale: Positive = 1.0
     """Standard deviation over the documented one."""
     degrees_of_freedom: Annotated[float, Field(gt=2)] | None = None
-    """Of Student's distribution, whose tails are heavy, with the same variance; None for normal errors."""
+    """Degrees of freedom of Student's distribution, of the same variance; None for normal errors."""
 
     def draw(self, generator: Generator, shape: int | tuple[int, ...]) -> FloatArray:
-        """Return errors of this shape in units of the documented standard deviation."""
+        """Return random errors of a shape, in units of the documented standard deviation."""
         if self.degrees_of_freedom is None:
             return self.scale * generator.standard_normal(shape)
         nu = self.degrees_of_freedom
@@ -63,48 +63,48 @@ class NoiseWorld(Config):
 
 
 class CameraWorld(Config):
-    """How light reaches the wrong pixel of a PMD camera, or late."""
+    """Light that reaches a wrong pixel of a PMD camera, or arrives late."""
 
     stray_scale: NonNegative = 1.0
     """Stray light over the documented share."""
     glare_share: Share = 0.0
     """Share of a pixel's light that lens and chip scatter into the pixels around it."""
     glare_radius: Positive = 0.05
-    """How far, as a share of the image's width."""
+    """Radius of the glare, as a share of the image's width."""
     bounced_share: Share = 0.0
     """Share of a pixel's light that comes from the surfaces around by a second reflection."""
     bounced_radius: Positive = 0.08
-    """From how far, as a share of the image's width."""
+    """Distance of these surfaces in the image, as a share of the image's width."""
     detour_m: NonNegative = 0.0
-    """By how much longer its way is, one way: it arrives with another phase."""
+    """Additional length of its path, one way, which changes its phase."""
 
 
 class LidarWorld(Config):
-    """How a LIDAR detects, and what else it returns."""
+    """Detection of a LIDAR, and its false returns."""
 
     power_scale: Positive = 1.0
     """Power of the laser over the documented one."""
     law: Literal["documented", "soft", "hard"] = "documented"
-    """soft: shot noise and an avalanche with an excess noise of 3; hard: every echo is detected of which the
-    documented law detects half, no other one."""
+    """soft: shot noise and an avalanche with an excess noise of 3; hard: an echo is detected exactly if the
+    documented law detects it with a probability of half or more."""
     outlier_share: Share | None = None
     """Share of returns with a larger error; None for the documented one."""
     outlier_factor: Annotated[float, Field(ge=1)] = 4.0
-    """Their error over that of the others, where ``outlier_share`` says how many they are."""
+    """Error of these returns over that of the others, if ``outlier_share`` is given."""
     footprint_rad: NonNegative = 0.0
-    """Width of the beam on the target: where it meets two surfaces, the range may lie between them."""
+    """Width of the beam; if it meets two surfaces, the range may lie between them."""
     mixed_share: Share = 0.5
-    """Share of such rays that return a mixed range; the others return that of the beam's middle."""
+    """Share of such rays with a mixed range; the others return the range at the beam's middle."""
     bounced_share: Share = 0.0
-    """Share of returns that come by a second reflection: they are too long."""
+    """Share of returns by a second reflection, whose range is too long."""
     detour_m: NonNegative = 0.0
-    """Mean of what they are too long by, exponential."""
+    """Mean of the excess length of these ranges, exponentially distributed."""
     false_share: Share = 0.0
-    """Share of rays without a surface that return a range all the same: stray light."""
+    """Share of rays without a surface that return a range by stray light."""
 
     @property
     def is_documented(self) -> bool:
-        """Whether nothing but the configuration differs from the documented sensor."""
+        """Whether the sensor is the documented one, except for its configuration."""
         return not (self.footprint_rad or self.bounced_share or self.false_share)
 
 
@@ -112,11 +112,11 @@ class World(Config):
     """One variant of the physics behind the sensors' messages."""
 
     name: WorldName
-    """Under which scenarios and campaigns ask for it."""
+    """Name of the world in scenarios and campaigns."""
     about: str
-    """What differs, in a line of a table."""
+    """Difference from the documented physics, for a line of a table."""
     held_out: bool = False
-    """Whether it is only reported, and no limit or parameter may be chosen by it."""
+    """Whether the world is only for reports: no limit or parameter may be chosen by it."""
     surface: SurfaceWorld = SurfaceWorld()
     """The target's materials."""
     noise: NoiseWorld = NoiseWorld()
@@ -127,7 +127,7 @@ class World(Config):
     """The LIDAR's detection."""
 
     def target(self, target: Target) -> Target:
-        """Return the target as this world has it: the same shape, perhaps of other materials."""
+        """Return the target in this world: the same shape, perhaps with other materials."""
         if self.surface.exchanged:
             count = len(target.materials)
             target = replace(target, triangle_material=(target.triangle_material + 1) % count)
@@ -137,14 +137,14 @@ class World(Config):
         return replace(target, materials=tuple(made(material) for material in target.materials))
 
     def camera_config(self, config: PmdConfig) -> PmdConfig:
-        """Return the camera that makes the frames, which need not be the one that it says it is."""
+        """Return the configuration of the camera that makes the frames; its info message may differ."""
         if self.camera.stray_scale == 1.0:
             return config
         stray_share = min(1.0, self.camera.stray_scale * config.lens.stray_share)
         return config.model_copy(update={"lens": config.lens.model_copy(update={"stray_share": stray_share})})
 
     def lidar_config(self, config: LidarConfig) -> LidarConfig:
-        """Return the LIDAR that makes the scans, which need not be the one that it says it is."""
+        """Return the configuration of the LIDAR that makes the scans; its info message may differ."""
         mine, changes = self.lidar, dict[str, Config]()
         if mine.power_scale != 1.0:
             power_W = mine.power_scale * config.transmitter.average_power_W
@@ -169,12 +169,12 @@ def _specular(material: Material) -> Material:
 
 
 SPECULAR_POWER = 6.0
-"""Exponent of the cosine of incidence in the LIDAR's echo from specular surfaces: Phong's lobe around the way
-back. Seen squarely, such a surface is (n + 1) / 2 times as bright as a Lambertian one."""
+"""Exponent of the cosine of incidence in the LIDAR's echo from specular surfaces: Phong's lobe around the
+direction back. At normal incidence such a surface is (n + 1) / 2 times as bright as a Lambertian one."""
 
 
 def lidar_cosine(world: World, cos_incidence: FloatArray) -> FloatArray:
-    """Return what stands in the echo for the cosine of incidence, any shape."""
+    """Return the factor in the echo that replaces the cosine of incidence, any shape."""
     if world.surface.reflection != "specular":
         return cos_incidence
     n = SPECULAR_POWER
@@ -240,13 +240,13 @@ WORLDS: Mapping[str, World] = _of(
         lidar=LidarWorld(outlier_share=0.15, outlier_factor=6.0),
     ),
 )
-"""By name; the first half is for design, the other half only for reporting."""
+"""Worlds by name; the first half is for design, the other half only for reports."""
 
 DOCUMENTED = WORLDS["documented"]
 
 
 def world_of(name: str) -> World:
-    """Return a world by its name. Raises UnknownWorldError."""
+    """Return a world by its name; raises ``UnknownWorldError`` for an unknown one."""
     if name not in WORLDS:
         raise UnknownWorldError(name)
     return WORLDS[name]

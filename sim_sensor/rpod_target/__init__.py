@@ -1,8 +1,7 @@
-"""What the target is: shape, materials, wireframe, model points, distance field and mass properties.
+"""The target: shape, materials, wireframe, model points, distance field and mass properties.
 
-A target is written as a parameter file; three kinds ship with the package. Building one takes
-seconds and Open3D; the result is cached by digest, so that a service starts in milliseconds
-without it.
+A target is defined by a parameter file; three kinds ship with the package. Building one takes seconds and
+needs Open3D. The result is cached by its digest, so that a service starts in milliseconds without Open3D.
 """
 
 from rpod_target.errors import TargetError

@@ -25,7 +25,7 @@ from rpod_target.topology import creases, open_edges, separate_surfaces, unit_no
 
 _MOST_NODES = 30_000_000
 _NUDGE = 1e-4
-"""Share of the target's size by which a point is moved off its surface before asking what it lies in."""
+"""Distance, over the target's size, by which a point is moved off its surface for the inside test."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +41,9 @@ def build_arrays(
     """Return the arrays of a target by the names of ``Target``'s fields, and those of its distance field.
 
     Args:
-        parameters: what to build; the materials it names exist.
+        parameters: parameters of the target; all materials that it names exist.
         meshes: the mesh files' contents, by the name that the parameters give them.
-        source: the parameter file, for errors.
+        source: parameter file, for error messages.
 
     Raises:
         TargetError: a mesh cannot be read, has no size or faces inwards, or the distance field is too large.
@@ -125,7 +125,7 @@ def _material_indices(parts: list[_Part], parameters: TargetParameters) -> NDArr
 def _wireframe(
     parts: list[_Part], bodies: Bodies, parameters: TargetParameters, *, nudge_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Creases of all parts without those buried in a body; a rim that lies on another part's face stays."""
+    """Return creases of all parts without those inside a body; a rim on another part's face is kept."""
     angle_rad = np.deg2rad(parameters.edge_crease_deg)
     found = [creases(part.surface.triangles_m, angle_rad=angle_rad) for part in parts]
     segments_m = np.concatenate([segments for segments, _ in found])

@@ -1,4 +1,4 @@
-"""Built targets on disk: one file a digest, written whole or not at all, so daemons may build at once."""
+"""Cache of built targets: one file per digest, written atomically, so that several daemons may build."""
 
 import os
 import tempfile
@@ -13,7 +13,7 @@ from rpod_schemas.arrays import Array
 
 
 def default_directory() -> Path:
-    """Return $RPOD_CACHE, else $XDG_CACHE_HOME/rpod, else ~/.cache/rpod."""
+    """Return the cache's folder: $RPOD_CACHE, $XDG_CACHE_HOME/rpod or ~/.cache/rpod."""
     if own := os.environ.get("RPOD_CACHE"):
         return Path(own)
     if shared := os.environ.get("XDG_CACHE_HOME"):
@@ -22,7 +22,7 @@ def default_directory() -> Path:
 
 
 def read(file: Path) -> dict[str, Array] | None:
-    """Return the arrays of a file; None where it is missing or damaged (its checksums tell)."""
+    """Return the arrays of a file; None if it is missing, or damaged by its checksums."""
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return dict(stored.items())
@@ -31,7 +31,7 @@ def read(file: Path) -> dict[str, Array] | None:
 
 
 def write(file: Path, arrays: Mapping[str, Array]) -> None:
-    """Write arrays as one file, which appears under its name only when complete. Raises ``OSError``."""
+    """Write arrays as one file, which gets its name only when it is complete. Raises ``OSError``."""
     file.parent.mkdir(parents=True, exist_ok=True)
     descriptor, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem}-", suffix=".tmp")
     temporary = Path(name)

@@ -1,4 +1,4 @@
-"""Closed surfaces as bodies: what lies inside them, and the signed distance to their union."""
+"""Closed surfaces as bodies: the inside test, and the signed distance to their union."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,18 +11,18 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target.target import DistanceField
 
 _RAYS = 3
-"""Rays that vote on whether a point is inside: one alone errs where it meets an edge."""
+"""Number of rays in the inside test, which vote, since a ray through an edge may be wrong."""
 
 
 class Bodies:
-    """Closed surfaces that may touch and overlap, each facing outwards; Open3D answers the queries."""
+    """Closed surfaces that may touch and overlap, each facing outwards; queries are made by Open3D."""
 
     def __init__(self, surfaces: Sequence[FloatArray]) -> None:
         self._surfaces = surfaces
         self._scenes = [_scene(surface) for surface in surfaces]
 
     def depth_m(self, points_m: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return how deep points, shape (N, 3), lie in the body that holds them deepest; 0 outside; (N,)."""
+        """Return the depth, m, of points, (N, 3), in the body in which they lie deepest; 0 outside; (N,)."""
         deepest_m = np.zeros(len(points_m), np.float32)
         for surface, scene in zip(self._surfaces, self._scenes, strict=True):
             low, high = surface.min(axis=(0, 1)), surface.max(axis=(0, 1))

@@ -1,4 +1,4 @@
-"""Loading a target by name or from a parameter file: checked, then out of the cache, else built."""
+"""Loading of a target by name or from a parameter file: it is checked, then cached or built."""
 
 import contextlib
 import hashlib
@@ -19,7 +19,7 @@ from rpod_target.target import DistanceField, Material, Symmetry, Target
 
 _SHIPPED = Path(__file__).parent / "targets"
 _BUILDER_VERSION = 4
-"""Raised whenever the same parameters make other arrays, so that old cache files are not taken."""
+"""Version of the builder, to be increased when the same parameters give other arrays."""
 
 
 def shipped_targets() -> tuple[str, ...]:
@@ -28,7 +28,7 @@ def shipped_targets() -> tuple[str, ...]:
 
 
 def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Target:
-    """Return a target, built if no cached one has its digest.
+    """Return a target, which is built if the cache has none with its digest.
 
     Args:
         name_or_path: name of a shipped target, or path of a parameter file (YAML, JSON or TOML).

@@ -1,8 +1,8 @@
-"""Plane faces of a target and their outlines: what a camera shows as straight lines, corners and circles.
+"""Plane faces of a target and their outlines, which a camera shows as straight lines, corners and circles.
 
-Klionovska et al., Robotics 7(1), 2018, section 3.1, Fig. 4d: the wireframe that the amplitude image is
-compared with, the front hexagon's lines and the extreme point of the nose. Here it follows from the
-triangles of any target: coplanar neighbours make a face, the edges that only one of them has make its
+Klionovska et al., Robotics 7(1), 2018, section 3.1, Fig. 4d, compare the amplitude image with a wireframe:
+the lines of the front hexagon and the extreme point of the nose. Here the wireframe is computed from the
+triangles of any target: coplanar neighbours form a face, and edges that belong to one of them only form its
 outline.
 """
 
@@ -16,15 +16,15 @@ from rpod_target.target import Target
 from rpod_target.topology import Indices, areas_m2, components, directed_edges, unit_normals, welded
 
 ROUND_CORNERS = 12
-"""An outline with at least so many corners, equally far from their mean, is a circle's."""
+"""Least number of corners, equally far from their mean, of an outline that is a circle."""
 _FLAT_RAD = np.deg2rad(1.0)
-"""Neighbouring triangles whose normals differ by less belong to one face."""
+"""Greatest angle between the normals of neighbouring triangles of one face."""
 _CREASE_RAD = np.deg2rad(30.0)
-"""A face that meets a neighbour at less is a facet of a curved surface: a camera does not see its outline."""
+"""Least angle between a face and its neighbours: a facet of a curved surface has no visible outline."""
 _STRAIGHT = 1e-6
-"""An outline does not turn at a corner where the sine of the turn is below this."""
+"""Least sine of the turn of an outline at a corner."""
 _OUT_OF_ROUND = 1e-3
-"""Most that a circle's corners differ in their distance from its centre, as a share of it."""
+"""Greatest difference in the distances of a circle's corners from its centre, as a share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +32,9 @@ class Face:
     """A plane face with a convex outline."""
 
     corners_m: FloatArray
-    """In order, counter-clockwise seen from outside, shape (N, 3)."""
+    """Corners in order, counter-clockwise seen from outside, target axes, shape (N, 3)."""
     normal: FloatArray
-    """Outward, shape (3,)."""
+    """Outward unit normal, target axes, shape (3,)."""
     area_m2: float
 
 
@@ -43,19 +43,19 @@ class Disc:
     """A plane face with a circular outline."""
 
     centre_m: FloatArray
-    """Shape (3,)."""
+    """Centre, target axes, shape (3,)."""
     normal: FloatArray
-    """Outward, shape (3,)."""
+    """Outward unit normal, target axes, shape (3,)."""
     radius_m: float
-    """Of the circle with the same area as the outline, whose corners lie a little outside it."""
+    """Radius of the circle with the same area as the outline."""
 
 
 def plane_faces(target: Target, *, min_area_m2: float) -> tuple[list[Face], list[Disc]]:
     """Return a target's plane faces with convex outlines and with circular ones, the largest first.
 
     Args:
-        target: of any kind; faces are sought within each part.
-        min_area_m2: smaller faces are left out; of a face with holes, the area without them counts.
+        target: target of any kind; faces are searched within each part.
+        min_area_m2: least area of a face, without its holes.
     """
     faces: list[Face] = []
     discs: list[Disc] = []
@@ -95,7 +95,7 @@ def _outlines(triangles_m: FloatArray, min_area_m2: float) -> list[FloatArray]:
 
 
 def _twins(edges: Indices) -> Indices:
-    """Return the edge that runs along each one in the other direction, -1 where not exactly one does."""
+    """Return the opposite edge of each directed edge, -1 unless there is exactly one."""
     nodes = int(edges.max()) + 1
     key, back = edges @ (nodes, 1), edges @ (1, nodes)
     order = np.argsort(key, kind="stable")
@@ -105,14 +105,14 @@ def _twins(edges: Indices) -> Indices:
 
 
 def _cosines(triangles_m: FloatArray, twin: Indices) -> FloatArray:
-    """Return the cosine of the angle at which the triangles beside each edge meet; -1 at a boundary."""
+    """Return the cosine of the angle between the triangles beside each edge; -1 at a boundary."""
     normals = unit_normals(triangles_m)
     cosine = np.einsum("ij,ij->i", np.repeat(normals, 3, axis=0), normals[twin // 3])
     return np.where(twin < 0, -1.0, cosine)
 
 
 def _longest_loop(edges: Indices, position_m: FloatArray) -> FloatArray:
-    """Return the corners of the longest closed chain of directed edges, shape (N, 3); none where it forks."""
+    """Return the corners of the longest closed chain of directed edges, shape (N, 3); empty if it forks."""
     follows = dict(edges.tolist())
     if len(follows) < len(edges):
         return np.empty((0, 3))

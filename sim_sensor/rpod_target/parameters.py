@@ -1,6 +1,6 @@
-"""The parameter file of a target, as models.
+"""Models of a target's parameter file.
 
-Every part stands in its own axes and is placed by ``T_target_part``. A box is centred on its
+Every part is defined in its own axes and placed by ``T_target_part``. A box is centred on its
 origin; a prism, frustum or cylinder runs along its x axis from 0 to its length.
 """
 
@@ -23,7 +23,7 @@ from rpod_target.target import Albedo
 
 
 class MaterialParameters(Config):
-    """How a surface answers to light."""
+    """Optical properties of a surface."""
 
     reflectivity: Share
     """Lambertian reflectivity at the LIDAR's wavelength."""
@@ -38,12 +38,13 @@ class MaterialParameters(Config):
     crinkle_m: Positive = 0.05
     """Size of a patch."""
     albedo: Albedo | None = None
-    """How bright the surface looks: all that an estimator may know of it. Left out, foil and bare metal (a
-    specular reflectance of a half and more) are a mirror, others dark, grey or white by ``reflectivity``."""
+    """Class of brightness, which is all that an estimator may know of the surface. By default foil and bare
+    metal (specular reflectance of 0.5 or more) are a mirror, others dark, grey or white by
+    ``reflectivity``."""
 
     @model_serializer(mode="wrap")
     def _without_what_is_left_out(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the fields; a file that says nothing of the albedo keeps its digest."""
+        """Return the fields; without an albedo, the digest of the file stays as it was."""
         document: dict[str, Any] = handler(self)
         if self.albedo is None:
             document.pop("albedo", None)
@@ -52,18 +53,18 @@ class MaterialParameters(Config):
 
 class _PartParameters(Config):
     name: Name
-    """Unique among the parts."""
+    """Name of the part, unique among the parts."""
     material: str
-    """Name of a material; of the whole part where nothing more special is said."""
+    """Name of the part's material, for all faces without one of their own."""
     T_target_part: Pose = Field(default_factory=RigidTransform.identity)
-    """Where the part stands."""
+    """Pose of the part in the target."""
 
 
 class BoxParameters(_PartParameters):
     """A cuboid about its own origin."""
 
     shape: Literal["box"]
-    """Which kind of part this is."""
+    """Kind of the part."""
     size_m: tuple[Positive, Positive, Positive]
     """Full lengths along x, y, z."""
 
@@ -72,56 +73,56 @@ class PrismParameters(_PartParameters):
     """A regular prism along x; its first corner lies on the y axis, the others follow towards z."""
 
     shape: Literal["prism"]
-    """Which kind of part this is."""
+    """Kind of the part."""
     sides: Annotated[int, Field(ge=3, le=256)]
     """Number of lateral faces."""
     circumradius_m: Positive
     """Distance of the corners from the axis."""
     length_m: Positive
-    """Along x, from 0."""
+    """Length along x, from 0."""
     top_materials: tuple[str, ...] = ()
-    """Of the sectors of the face at x = length, repeated as often as needed; empty for ``material``."""
+    """Materials of the sectors of the face at x = length, repeated as needed; empty for ``material``."""
     base_materials: tuple[str, ...] = ()
-    """Of the sectors of the face at x = 0, likewise."""
+    """Materials of the sectors of the face at x = 0, repeated as needed; empty for ``material``."""
     side_materials: tuple[str, ...] = ()
-    """Of the lateral faces, likewise; the first lies between the first two corners."""
+    """Materials of the lateral faces, from the one between the first two corners, repeated as needed."""
 
 
 class FrustumParameters(_PartParameters):
     """A cone, whole or cut off, along x."""
 
     shape: Literal["frustum"]
-    """Which kind of part this is."""
+    """Kind of the part."""
     base_radius_m: Positive
-    """At x = 0."""
+    """Radius at x = 0."""
     top_radius_m: NonNegative
-    """At x = length; 0 for a pointed cone."""
+    """Radius at x = length; 0 for a pointed cone."""
     length_m: Positive
-    """Along x, from 0."""
+    """Length along x, from 0."""
 
 
 class CylinderParameters(_PartParameters):
     """A circular cylinder along x."""
 
     shape: Literal["cylinder"]
-    """Which kind of part this is."""
+    """Kind of the part."""
     radius_m: Positive
-    """Of both faces."""
+    """Radius of the cylinder."""
     length_m: Positive
-    """Along x, from 0."""
+    """Length along x, from 0."""
 
 
 class MeshParameters(_PartParameters):
     """An STL file, scaled and then placed; its separate closed surfaces may overlap."""
 
     shape: Literal["mesh"]
-    """Which kind of part this is."""
+    """Kind of the part."""
     file: str
     """Path, relative to the parameter file."""
     longest_side_m: Positive | None = None
-    """Scale so that the longest side of the file's bounding box has this length."""
+    """Length to which the longest side of the file's bounding box is scaled."""
     metres_per_unit: Positive | None = None
-    """Scale by this factor."""
+    """Scale of the file's coordinates."""
 
     @model_validator(mode="after")
     def _one_scale(self) -> Self:
@@ -142,18 +143,18 @@ class FieldParameters(Config):
     spacing_m: Positive
     """Distance of neighbouring nodes."""
     margin_m: Positive
-    """How far the grid reaches beyond the parts."""
+    """Extent of the grid beyond the parts."""
 
 
 class SymmetryParameters(Config):
-    """A turn about an axis through the origin that maps the target onto itself, nearly or exactly."""
+    """A rotation about an axis through the origin that maps the target onto itself, nearly or exactly."""
 
     axis: Vector3
-    """Direction, of any length but zero."""
+    """Direction of the axis, of any length except zero."""
     order: Annotated[int, Field(ge=2, le=64)]
-    """The turn is by 360 degrees over the order."""
+    """Order of the symmetry: the rotation is by 360 degrees over the order."""
     exact: bool = False
-    """Surfaces and materials are the same after the turn: no measurement tells the two poses apart."""
+    """Whether surfaces and materials are the same after it: no measurement distinguishes the two poses."""
 
     @field_validator("axis")
     @classmethod
@@ -168,23 +169,23 @@ class TargetParameters(Config):
     """A target's parameter file."""
 
     name: Name
-    """What the target is called in logs and reports."""
+    """Name of the target in logs and reports."""
     centre_of_mass_m: Vector3
-    """In target axes."""
+    """Centre of mass, target axes."""
     inertia_kg_m2: Matrix3
-    """About the centre of mass, in target axes."""
+    """Inertia about the centre of mass, target axes."""
     materials: Annotated[dict[Name, MaterialParameters], Field(min_length=1)]
-    """By name."""
+    """Materials by name."""
     parts: Annotated[tuple[PartParameters, ...], Field(min_length=1)]
-    """What the target is made of; parts may touch and overlap."""
+    """Parts of the target, which may touch and overlap."""
     distance_field: FieldParameters
     """The grid of the signed distance field."""
     model_points: Annotated[int, Field(ge=10, le=100_000)] = 1200
     """Number of points sampled evenly over the visible surface."""
     edge_crease_deg: Annotated[float, Field(gt=0, lt=180)] = 30.0
-    """Faces of a part that meet at more than this angle make a segment of the wireframe."""
+    """Least angle between two faces of a part at a segment of the wireframe."""
     symmetries: tuple[SymmetryParameters, ...] = ()
-    """Turns after which the target looks the same or nearly so: acquisition tries them as siblings."""
+    """Rotations after which the target is the same or nearly so; acquisition tries them too."""
 
     @field_validator("inertia_kg_m2")
     @classmethod

@@ -1,7 +1,7 @@
 """Even samples of a surface: cells of equal area, rounded by Lloyd's algorithm.
 
 Source: S. P. Lloyd, Least squares quantization in PCM, IEEE Trans. Inf. Theory 28 (1982).
-Nothing here is random: the candidates are a low-discrepancy sequence, so the cells come out equal.
+The candidates are a low-discrepancy sequence, not random, so that the cells are equal.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from rpod_target.topology import Indices, areas_m2, unit_normals
 _CANDIDATES_A_POINT = 32
 _ROUNDS = 6
 _APART = 3.0
-"""Weight of the normals, in pitches, while cells are halved: opposite faces part before cells get small."""
+"""Weight of the normals, in pitches, while cells are halved, so that opposite faces are separated early."""
 _PLASTIC = 1.32471795724474602596
 """Root of x^3 = x + 1: its powers make the evenest known additive sequence in the plane (Roberts, 2018)."""
 
@@ -24,9 +24,9 @@ _PLASTIC = 1.32471795724474602596
 def sample_evenly(
     triangles_m: FloatArray, count: int, *, hidden: Callable[[FloatArray, FloatArray], NDArray[np.bool_]]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return about ``count`` points on the surface and their normals, shapes (N, 3), always the same ones.
+    """Return about ``count`` points on the surface and their normals, shapes (N, 3); deterministic.
 
-    Each point stands for an equal share of the area that ``hidden(points, normals)`` leaves. Cells are
+    Each point represents an equal share of the area that ``hidden(points, normals)`` leaves. Cells are
     formed in position and normal, so that the two faces of a thin panel do not share one.
     """
     points_m, normals = _candidates(triangles_m, _CANDIDATES_A_POINT * count)
@@ -54,7 +54,7 @@ def _candidates(triangles_m: FloatArray, count: int) -> tuple[FloatArray, FloatA
 
 
 def _equal_cells(points: FloatArray, members: Indices, count: int) -> list[Indices]:
-    """Split members of points, shape (M, D), into compact cells of equally many: halve the longest side."""
+    """Split members of points, shape (M, D), into compact cells of equal size by halving the longest side."""
     if count == 1:
         return [members]
     longest = np.argmax(np.ptp(points[members], axis=0))
@@ -65,7 +65,7 @@ def _equal_cells(points: FloatArray, members: Indices, count: int) -> list[Indic
 
 
 def _lloyd(means: FloatArray, points: FloatArray) -> Indices:
-    """Return the points, shape (M, D), in the middle of their cells, from first means, shape (N, D).
+    """Return the points, among (M, D), nearest to the centres of their cells, from first centres, (N, D).
 
     Centres are points of the surface in every round, so that a cell that began across an edge takes a side.
     """

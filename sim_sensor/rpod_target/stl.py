@@ -1,4 +1,4 @@
-"""Reading STL files, binary or text."""
+"""Reader of STL files, binary or text."""
 
 import re
 
@@ -16,7 +16,7 @@ def read_stl(content: bytes) -> FloatArray:
     """Return the triangles of an STL file's content, shape (T, 3, 3), without those of zero area.
 
     Raises:
-        ValueError: says what is wrong with the content, to follow the file's name.
+        ValueError: the content is wrong; the text, made to follow the file's name, says how.
     """
     corners = _read_binary(content) if _is_binary(content) else _read_text(content)
     if not np.isfinite(corners).all():
@@ -28,7 +28,7 @@ def read_stl(content: bytes) -> FloatArray:
 
 
 def _is_binary(content: bytes) -> bool:
-    """The count in the header tells: the text form may not start with "solid", and the binary form may."""
+    """Return whether the header's count fits the size; the first word "solid" is not reliable."""
     if len(content) < _HEADER_BYTES:
         return False
     count = int.from_bytes(content[80:84], "little")

@@ -27,7 +27,7 @@ class Surface:
     """The surface of one part."""
 
     triangles_m: FloatArray
-    """Shape (T, 3, 3)."""
+    """Triangles, part axes, shape (T, 3, 3)."""
     materials: tuple[str, ...]
     """Name of each triangle's material, length T."""
 
@@ -73,7 +73,7 @@ def cylinder_surface(part: CylinderParameters) -> Surface:
 
 
 def _revolved(sides: int, *, base_radius_m: float, top_radius_m: float, length_m: float) -> FloatArray:
-    """Base sectors, two halves of each lateral face, top sectors; of a pointed cone only the first two."""
+    """Return base sectors, two halves of each lateral face, top sectors; a pointed cone has no top."""
     angle = np.arange(sides) * (2.0 * np.pi / sides)
     ring = np.stack([np.zeros(sides), np.cos(angle), np.sin(angle)], axis=1)
     foot, tip = np.zeros((sides, 3)), np.tile([length_m, 0.0, 0.0], (sides, 1))

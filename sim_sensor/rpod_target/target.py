@@ -1,4 +1,4 @@
-"""The target as sensors and estimators see it. All coordinates are in target axes, metres."""
+"""The target for sensors and estimators. All coordinates are in target axes, metres."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -13,16 +13,16 @@ from rpod_target.errors import TargetError
 Int32Array = NDArray[np.int32]
 
 Albedo = Literal["dark", "grey", "white", "mirror"]
-"""How bright a surface looks to somebody who has no instruments: solar cells and black paint, painted panels,
-white paint, foil and bare metal."""
+"""Class of brightness that is visible without instruments: solar cells and black paint, painted panels, white
+paint, foil and bare metal."""
 
 _MIRROR_F0, _DARK, _GREY = 0.5, 0.2, 0.5
-"""Specular reflectance from which on a surface is a mirror; reflectivities below which one is dark, grey."""
+"""Least specular reflectance of a mirror; reflectivities below which a surface is dark or grey."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface answers to light."""
+    """Optical properties of a surface."""
 
     name: str
     reflectivity: float
@@ -38,11 +38,11 @@ class Material:
     crinkle_m: float = 0.05
     """Size of a patch."""
     albedo: Albedo | None = None
-    """What the target's file says of its brightness, if it does."""
+    """Class of brightness in the target file, if it is given."""
 
     @property
     def looks(self) -> Albedo:
-        """How bright the surface looks: all that an estimator may know of a material."""
+        """Class of brightness, which is all that an estimator may know of a material."""
         if self.albedo is not None:
             return self.albedo
         if self.crinkle_deg > 0.0 or self.f0 >= _MIRROR_F0:
@@ -54,14 +54,14 @@ class Material:
 
 @dataclass(frozen=True)
 class Symmetry:
-    """A turn about an axis through the target's origin that maps it onto itself, nearly or exactly."""
+    """A rotation about an axis through the target's origin that maps it onto itself, nearly or exactly."""
 
     axis: tuple[float, float, float]
-    """Unit vector."""
+    """Unit vector along the axis."""
     order: int
-    """The turn is by 360 degrees over the order, and its multiples."""
+    """Order of the symmetry: the rotations are by multiples of 360 degrees over the order."""
     exact: bool = False
-    """No measurement tells the target from itself turned."""
+    """Whether no measurement distinguishes the target before and after the rotation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Target:
 
     name: str
     source: str
-    """The parameter file that it was read from."""
+    """Parameter file from which the target was read."""
     digest: str
     """SHA-256 of the resolved parameters, the mesh files' bytes and the builder's version."""
     triangles_m: FloatArray
@@ -103,13 +103,13 @@ class Target:
     model_normals: FloatArray
     """Outward unit normals at the model points, shape (N, 3)."""
     field: DistanceField | None
-    """None where a part is not closed."""
+    """Distance field; None if a part is not closed."""
     not_closed: str
-    """Why there is no field; empty if there is one."""
+    """Reason why there is no field; empty if there is one."""
     centre_of_mass_m: FloatArray
-    """Shape (3,)."""
+    """Centre of mass, shape (3,)."""
     inertia_kg_m2: FloatArray
-    """About the centre of mass, target axes, shape (3, 3)."""
+    """Inertia about the centre of mass, target axes, shape (3, 3)."""
     radius_m: float
     """Radius of the bounding sphere about the origin."""
     symmetries: tuple[Symmetry, ...]
@@ -118,14 +118,15 @@ class Target:
         """Return the distance field.
 
         Raises:
-            TargetError: a part is not closed, so that it has no inside; names the part and its open edges.
+            TargetError: a part is not closed, so that it has no inside; the text names the part and its open
+                edges.
         """
         if self.field is None:
             raise TargetError(self.source, "distance_field", self.not_closed)
         return self.field
 
     def turns(self, *, exact: bool = False) -> list[RigidTransform]:
-        """Return the turns by the symmetries, or by the exact ones alone, without the identity."""
+        """Return the rotations of the symmetries, or of the exact ones alone, without the identity."""
         return [
             RigidTransform.from_rotation(
                 Rotation.from_rotvec(2.0 * np.pi * k / symmetry.order * np.array(symmetry.axis))

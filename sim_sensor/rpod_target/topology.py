@@ -1,4 +1,4 @@
-"""Which triangles share corners and edges: closedness, separate surfaces and creases."""
+"""Topology of triangles by shared corners and edges: closedness, separate surfaces and creases."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from rpod_schemas.arrays import FloatArray
 
 _WELD = 1e-6
-"""Corners closer than this share of the surface's extent are one."""
+"""Greatest distance of two equal corners, as a share of the surface's extent."""
 
 Indices = NDArray[np.int64]
 
@@ -42,7 +42,7 @@ def welded(triangles_m: FloatArray) -> Indices:
 
 
 def open_edges(triangles_m: FloatArray) -> int:
-    """Return how many edges no neighbour runs along in the other direction; 0 where the surface is closed."""
+    """Return the number of directed edges without an opposite one; 0 if the surface is closed."""
     edges = directed_edges(welded(triangles_m))
     edges = edges[edges[:, 0] != edges[:, 1]]  # of slivers whose corners are one
     low_first = edges[:, 0] < edges[:, 1]
@@ -52,7 +52,7 @@ def open_edges(triangles_m: FloatArray) -> int:
 
 
 def separate_surfaces(triangles_m: FloatArray) -> list[FloatArray]:
-    """Split triangles into surfaces that share no corner."""
+    """Return the triangles split into surfaces that share no corner."""
     index = welded(triangles_m)
     edges = directed_edges(index)
     surface = components(edges, size=int(index.max()) + 1)[index[:, 0]]
@@ -62,7 +62,7 @@ def separate_surfaces(triangles_m: FloatArray) -> list[FloatArray]:
 def edges(triangles_m: FloatArray) -> tuple[FloatArray, Indices]:
     """Return each edge once, shape (E, 2, 3), and the triangles beside it, shape (E, 2).
 
-    Where there is one triangle, it stands twice; of more than two, two count.
+    An edge with one triangle has it twice; of more than two triangles, two are given.
     """
     directed = directed_edges(welded(triangles_m))
     unique, first, inverse = np.unique(
@@ -76,7 +76,7 @@ def edges(triangles_m: FloatArray) -> tuple[FloatArray, Indices]:
 
 
 def creases(triangles_m: FloatArray, *, angle_rad: float) -> tuple[FloatArray, FloatArray]:
-    """Return the segments where faces meet at more than an angle, and those with one face only.
+    """Return the edges at which faces meet at more than an angle, and those with one face only.
 
     Returns:
         Segments, shape (E, 2, 3), and the normals of the two faces, shape (E, 2, 3); with one face n and -n.
@@ -100,5 +100,5 @@ def _spanned(triangles_m: FloatArray) -> FloatArray:
 
 
 def directed_edges(index: Indices) -> Indices:
-    """Row 3 t + c runs from corner c of triangle t to the next one; shape (3 T, 2)."""
+    """Return the directed edges, shape (3 T, 2): row 3 t + c goes from corner c of triangle t to the next."""
     return np.stack([index, np.roll(index, -1, axis=1)], axis=2).reshape(-1, 2)

@@ -88,10 +88,12 @@ def test_killed_workers_and_a_restarted_scheduler_cost_no_row_and_make_none_twic
     done, disturbances = [], []
 
     def disturb() -> None:
-        while not done and not stop.wait(0.05):
-            pass
         for turn in range(6):
-            stop.wait(chance.uniform(0.2, 0.6))
+            until = len(done) + chance.randint(20, 30)  # by progress: how fast that is, the machine decides
+            while len(done) < until and not stop.wait(0.05):
+                dask.revive_workers()
+            if stop.is_set():
+                return
             if turn == 3:
                 dask.kill_scheduler()
                 disturbances.append("scheduler")
@@ -101,7 +103,6 @@ def test_killed_workers_and_a_restarted_scheduler_cost_no_row_and_make_none_twic
                 dask.kill_worker(name)
                 disturbances.append(name)
                 dask.start_worker(name)
-            dask.revive_workers()
         while not stop.wait(0.3):
             dask.revive_workers()
 
@@ -159,8 +160,9 @@ def test_a_worker_of_another_version_is_refused_by_name_and_others_run_the_trial
     other = tmp_path / "other_version.py"
     other.write_text(
         "from rpod_campaign.engine import software\n"
-        "known = software._version\n"
-        "software._version = lambda name: '0.0.9' if name == 'rpod' else known(name)\n"
+        "def other(name, known=software._version):\n"
+        "    return '0.0.9' if name == 'rpod' else known(name)\n"
+        "software._version = other\n"
     )
     dask.start_worker("old", "--preload", str(other))
     told = []
@@ -171,6 +173,14 @@ def test_a_worker_of_another_version_is_refused_by_name_and_others_run_the_trial
     run_campaign(campaign, Cluster(dask.address, note=told.append))
     assert once(campaign)
     assert [note.split(" at ")[0] for note in told] == ["refused: worker old"]
+
+
+def test_a_worker_that_cannot_say_what_it_runs_is_refused_and_not_waited_for(tmp_path, dask):
+    broken = tmp_path / "broken.py"
+    broken.write_text("from rpod_campaign.engine import software\nsoftware._version = None\n")
+    dask.start_worker("broken", "--preload", str(broken))
+    with pytest.raises(NoWorkersError, match=r"worker broken at tcp://.*: TypeError: 'NoneType'"):
+        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=10.0))
 
 
 def test_a_worker_with_several_threads_is_refused(tmp_path, dask):

@@ -23,8 +23,8 @@ CODE = re.compile(r"`([^`\s]+)`")
 FILE = re.compile(r"(?:[\w.-]+/)+[\w.-]+\.(?:md|py|json|yaml|yml|toml|sh|ts|txt|msg|j2)|[\w-]+\.md")
 ROOMS = ("", "schemas", "services", "sim_sensor", "schemas/rpod_schemas", "sim_sensor/rpod_target")
 """Folders that a path may start from: the document's own, these, and any package of the services."""
-MADE = re.compile(r"^(runs|config|out)/|NNNN|[<*]")
-"""Paths of what a run writes, and patterns."""
+MADE = re.compile(r"^(runs|config|out)/|NNNN|[<*]|^src/my_distance/")
+"""Paths of what a run writes, or what a reader of a how-to does, and patterns."""
 
 
 def cited(text):

@@ -4,10 +4,12 @@ import importlib
 import inspect
 import pickle
 import pkgutil
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 
+from rpod_runtime.accounting import Jump
 from rpod_schemas.errors import MessageRejectedError, Reason, RpodError
 
 ROOT = Path(__file__).parents[2]
@@ -29,6 +31,10 @@ FACTS = {
     "Exception": OSError(28, "No space left on device"),
     "Reason": Reason.LATE,
     "MessageRejectedError": MessageRejectedError(Reason.LATE, "2 s old"),
+    "EntryPoint": EntryPoint("mono", "mono_camera:KIND", "rpod.sensors"),
+    "Jump": Jump("0/pmd/info", b"\x01" * 16, 7, 7 + 2**40),
+    "Role": "tracking",
+    "tuple[str, ...]": ("one", "two"),
     "Received": type("Received", (), {"topic": type("Topic", (), {"name": "pmd/depth/image_raw"})}),
 }
 """A value of each type that errors are made of, by its annotation."""
@@ -63,7 +69,7 @@ def made(kind):
         annotation = parameter.annotation
         name = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", str(annotation))
         text = str(annotation).replace("pathlib.", "").replace("collections.abc.", "")
-        facts[parameter.name] = FACTS[text if text in FACTS else name]
+        facts[parameter.name] = FACTS["Role" if name == "Literal" else text if text in FACTS else name]
     return kind(**facts)
 
 

@@ -1,4 +1,7 @@
-"""Writes the configuration reference from the pydantic models: a table a model, a page a module."""
+"""Writes the configuration reference from the pydantic models: a table a model, a page a module.
+
+Tuning models stand on a page of their own, with the provenance of each value.
+"""
 
 import importlib
 import inspect
@@ -7,12 +10,14 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_type_hints
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from rpod_schemas.config.base import Config
+from rpod_schemas.config.tuning import Tuning, provenance_of
 from rpod_site.field_types import bounds, default_text, type_text
 
 _INDEX = """# Configuration
@@ -20,6 +25,9 @@ _INDEX = """# Configuration
 Every service reads one model from a file in YAML, TOML or JSON (`rpod estimator --config FILE`). A scenario
 holds what the services share. An unknown field or a value out of bounds is refused with its name and the
 reason. A field without a default must be given. The tables are made from the models in the code.
+
+What stands under `tuning` is no part of the promise: it may change with any version. It has a page of its
+own, which says where each value comes from.
 
 | page | models |
 |---|---|
@@ -31,7 +39,7 @@ def write(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     pages: dict[str, list[type[BaseModel]]] = defaultdict(list)
     for model in models():
-        pages[model.__module__].append(model)
+        pages[Tuning.__module__ if issubclass(model, Tuning) else model.__module__].append(model)
     where = {model: f"{_file(module)}#{_anchor(model)}" for module, of in pages.items() for model in of}
     index = [_INDEX.rstrip()]
     for module, of in sorted(pages.items(), key=lambda page: _file(page[0])):
@@ -80,10 +88,21 @@ def _page(module: str, of: list[type[BaseModel]], where: dict[type[BaseModel], s
 
 def _section(model: type[BaseModel], where: dict[type[BaseModel], str]) -> str:
     lines = [f"## {model.__name__} {{ #{_anchor(model)} }}", "", inspect.getdoc(model) or "", ""]
+    heads = ["field", "type", "default", "bounds", "meaning"]
+    if issubclass(model, Tuning):
+        heads.append("provenance")
     if model.model_fields:
-        lines += ["| field | type | default | bounds | meaning |", "|---|---|---|---|---|"]
-    lines += [_row(name, field, where) for name, field in model.model_fields.items()]
+        lines += [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    hints = get_type_hints(model, include_extras=True)
+    for name, field in model.model_fields.items():
+        row = _row(name, field, where)
+        lines.append(f"{row} {_provenance(hints[name])} |" if issubclass(model, Tuning) else row)
     return "\n".join(lines)
+
+
+def _provenance(annotation: object) -> str:
+    found = provenance_of(annotation)
+    return f"{found.source}: {found.note}" if found else "as the field that holds it, or its own fields"
 
 
 def _row(name: str, field: FieldInfo, where: dict[type[BaseModel], str]) -> str:

@@ -1,6 +1,8 @@
 """What every configuration shares: strict models, and files that name what is wrong in them."""
 
 import tomllib
+from collections.abc import Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -59,8 +61,29 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
         problem = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in problem["loc"])
         reason = problem["msg"].removeprefix("Value error, ")
+        if problem["type"] == "extra_forbidden" and _is_tuning(model, document, problem["loc"]):
+            place = ".".join(str(part) for part in (*problem["loc"][:-1], "tuning", problem["loc"][-1]))
+            reason = f"is no part of the promise any more: write it as {place}"
         more = error.error_count() - 1
         raise ConfigurationError(source, field, reason + (f" (and {more} more)" if more else "")) from error
+
+
+def _is_tuning(model: type[BaseModel], document: Any, location: Sequence[int | str]) -> bool:
+    """Return whether an unknown field would be known in the ``tuning`` beside it."""
+    holder = copied = deepcopy(document)
+    for part in location[:-1]:
+        if not isinstance(holder, dict) or part in holder:
+            holder = holder[part]
+    if not isinstance(holder, dict) or not isinstance(holder.setdefault("tuning", {}), dict):
+        return False
+    holder["tuning"][location[-1]] = holder.pop(location[-1])
+    beside = (*location[:-1], "tuning")
+    try:
+        model.model_validate(copied)
+    except ValidationError as error:
+        unknown = [item["loc"] for item in error.errors() if item["type"] == "extra_forbidden"]
+        return beside not in unknown and (*beside, location[-1]) not in unknown
+    return True
 
 
 def load(model: type[Model], path: Path) -> Model:

@@ -31,15 +31,15 @@ class Harmonic(Config):
     """A wave of the error, cos_m cos(k phi) + sin_m sin(k phi), where phi = 4 pi f d / c at a distance d."""
 
     modulation_frequency_hz: Positive
-    """f."""
+    """f, the modulation frequency whose distances have this error."""
     order: Annotated[int, Field(gt=0)]
-    """k: waves in the unambiguous range."""
+    """k, the number of waves in the unambiguous range."""
     cos_m: Finite
-    """Of the cosine."""
+    """Amplitude of the cosine, taken off every distance."""
     sin_m: Finite
-    """Of the sine."""
+    """Amplitude of the sine, taken off every distance."""
     sigma_m: NonNegative = 0.0
-    """Standard error of either."""
+    """Standard error of either amplitude; for information."""
 
     @property
     def period_m(self) -> float:
@@ -56,23 +56,23 @@ class CalibrationEvidence(Config):
     """What a calibration rests on; nothing of it is needed to apply it."""
 
     logs: tuple[str, ...]
-    """Names of the logs."""
+    """Names of the logs it was found in."""
     target: str
-    """Whose surface was the reference."""
+    """Name of the target whose surface was the reference."""
     frames: Annotated[int, Field(gt=0)]
-    """Frames with truth and usable pixels."""
+    """Number of frames with truth and usable pixels."""
     pixels: Annotated[int, Field(gt=0)]
-    """Pixels used."""
+    """Number of pixels that were used."""
     range_m: tuple[Positive, Positive]
-    """Least and greatest true distance."""
+    """Least and greatest true distance; it holds between them."""
     rms_before_m: NonNegative
-    """Of the pixels' errors, noise included."""
+    """RMS of the pixels' errors, noise included."""
     rms_after_m: NonNegative
-    """The same, calibrated."""
+    """RMS of the pixels' errors once calibrated."""
     bias_before_m: NonNegative
     """RMS of the median errors of ranges of 0.25 m: what is left once the noise is averaged away."""
     bias_after_m: NonNegative
-    """The same, calibrated."""
+    """The same once calibrated; the joint tracker takes it for the sigma of the ranges' bias."""
 
 
 class DepthCalibration(Config):
@@ -81,9 +81,9 @@ class DepthCalibration(Config):
     modulation_frequency_hz: tuple[Positive, ...] = Field(min_length=1)
     """Of the camera that was calibrated, in the order of ``<camera>/info``; another one is refused."""
     offset_m: Finite = 0.0
-    """Of all distances."""
+    """Error that all distances share, taken off each."""
     offset_sigma_m: NonNegative = 0.0
-    """Its standard error."""
+    """Standard error of the offset; for information."""
     harmonics: tuple[Harmonic, ...] = ()
     """The wiggling."""
     evidence: CalibrationEvidence | None = None

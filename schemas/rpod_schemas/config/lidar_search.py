@@ -4,79 +4,94 @@ from typing import Annotated
 
 from pydantic import Field
 
-from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
+from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWNS, WIDE_PRIOR, Provenance, Tuning
 
 Count = Annotated[int, Field(gt=0)]
 
 
-class ScanModelConfig(Config):
+class ScanModelConfig(Tuning):
     """What a method assumes of a scan's statistics beyond what sensor and scan tell."""
 
-    sigma_range_m: Positive | None = None
+    sigma_range_m: Annotated[
+        Positive | None, Provenance("physics", "the sensor's own message, where it tells")
+    ] = None
     """Standard deviation of a range; None for what the sensor says of itself, 0.05 m where it does not."""
-    noise_scale: Positive = 1.0
+    noise_scale: Annotated[
+        Positive, Provenance("physics", "the sensor's own message is believed as it is")
+    ] = 1.0
     """Standard deviation over that."""
-    least_range_m: Positive = 100.0
-    """Range from which a white surface seen squarely returns every other pulse, at least; most data sheets
-    name a larger one. No sensor is assumed to be weaker than that."""
-    surest_detection: Annotated[float, Field(gt=0, lt=1)] = 0.95
+    least_range_m: Annotated[
+        Positive, Provenance("physics", "LIDARs for rendezvous state larger ranges in their data sheets")
+    ] = 100.0
+    """Range at which a white surface at normal incidence gives a return for every other pulse, at least. No
+    sensor is assumed to be weaker."""
+    surest_detection: Annotated[
+        Annotated[float, Field(gt=0, lt=1)],
+        Provenance("hand, mock-up", "a prior: holes, edges and mirrors lose a few rays of any sensor"),
+    ] = 0.95
     """A ray that meets the target is never expected to come back with a larger probability: holes, edges and
     mirrors lose what the brightness of a surface does not tell."""
-    slack_m: Positive = 0.008
+    slack_m: Annotated[Positive, BY_HAND] = 0.008
     """Standard deviation of the target's faces about their model."""
-    clutter_share: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    clutter_share: Annotated[float, Field(gt=0, lt=1), BY_HAND] = 0.02
     """Share of rays whose return, or its lack, says nothing."""
-    clutter_depth_m: Positive = 20.0
+    clutter_depth_m: Annotated[Positive, BY_HAND] = 20.0
     """Depth over which such returns are spread."""
 
 
-class ScanVerdictConfig(Config):
+class ScanVerdictConfig(Tuning):
     """When a pose explains a scan: by the likelihood, and by the share of rays that agree.
 
     Either the scan's model or the pessimistic one must be content: what is known of materials, noise and
     target is never exact.
     """
 
-    max_deficit: NonNegative = 1.0
+    max_deficit: Annotated[NonNegative, BY_HAND] = 1.0
     """Expected minus actual log likelihood is at most this many of its standard deviations, and ..."""
-    max_deficit_per_return: NonNegative = 0.05
+    max_deficit_per_return: Annotated[NonNegative, BY_HAND] = 0.05
     """... this much a return on top."""
-    contrary_share: Share = 0.055
+    contrary_share: Annotated[Share, BY_HAND] = 0.055
     """Share of rays that may contradict the pose, or be missing; two standard deviations of their number more
     where returns are few."""
-    pessimistic: ScanModelConfig = ScanModelConfig(noise_scale=2.0, slack_m=0.03, clutter_share=0.05)
+    pessimistic: Annotated[
+        ScanModelConfig,
+        Provenance(
+            "hand, mock-up", "a sensor worse than it says, and a target not as drawn; how much is chosen"
+        ),
+    ] = ScanModelConfig(noise_scale=2.0, slack_m=0.03, clutter_share=0.05)
     """A sensor that errs more than it says, and a target that was not built as drawn."""
 
 
-class ProjectiveIcpConfig(MethodConfig):
-    """Tracking by casting the target: each return against the face that its own ray meets."""
+class ProjectiveIcpTuning(Tuning):
+    """Steps, scales and limits of the tracker that casts the target."""
 
-    kind: str = "projective_point_to_plane"
-    """Selects this method."""
-    points: Count = 100
+    points: Annotated[Count, BUDGET] = 100
     """Returns that the first steps work on."""
-    draw_in_steps: Annotated[int, Field(ge=0)] = 5
+    draw_in_steps: Annotated[int, Field(ge=0), BUDGET] = 5
     """Steps in the distance field, on ``points`` returns."""
-    near_share: Share = 0.95
+    near_share: Annotated[Share, BY_HAND] = 0.95
     """A prediction that explains this share of a scan is not drawn in: those steps let the target slide along
     what its faces leave open."""
-    settle_steps: Count = 3
+    settle_steps: Annotated[Count, BUDGET] = 3
     """Steps to the faces, on all returns."""
-    widest_m: Positive = 1.0
+    widest_m: Annotated[Positive, BY_HAND] = 1.0
     """Scale beyond which a return is an outlier, of the first step."""
-    narrowest_m: Positive = 0.1
+    narrowest_m: Annotated[
+        Positive, Provenance("paper", "2015 paper, Table 1: outliers of four times sigma_RANGE, 25 mm")
+    ] = 0.1
     """The same of the last step; it covers 4-sigma outliers."""
-    steep_cosine: Annotated[float, Field(ge=0, le=1)] = 0.55
+    steep_cosine: Annotated[float, Field(ge=0, le=1), BY_HAND] = 0.55
     """Of the incidence on a face, below which the distance from its plane tells outliers, not that along the
     ray: a steep face would else lose all its returns by the least error of its place."""
-    outline_m: Positive = 0.05
+    outline_m: Annotated[Positive, BY_HAND] = 0.05
     """Standard deviation of the distance of a return that lies beyond the outline."""
-    min_points: Annotated[int, Field(ge=6)] = 6
+    min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
     """Fewer returns, or fewer of them on faces, are no registration."""
-    unobserved_m: Positive = 1.0
+    unobserved_m: Annotated[Positive, WIDE_PRIOR] = 1.0
     """Standard deviation of a position that no face determines."""
-    unobserved_deg: Positive = 20.0
+    unobserved_deg: Annotated[Positive, WIDE_PRIOR] = 20.0
     """Standard deviation of a rotation that no face determines."""
     model: ScanModelConfig = ScanModelConfig()
     """Of the scans."""
@@ -84,7 +99,16 @@ class ProjectiveIcpConfig(MethodConfig):
     """When a registration explains its scan."""
 
 
-class SearchLevelConfig(Config):
+class ProjectiveIcpConfig(MethodConfig):
+    """Tracking by casting the target: each return against the face that its own ray meets."""
+
+    kind: str = "projective_point_to_plane"
+    """Selects this method."""
+    tuning: ProjectiveIcpTuning = ProjectiveIcpTuning()
+    """Limits and numbers that are no part of the promise; change them only to study the method."""
+
+
+class SearchLevelConfig(Tuning):
     """One pass of the search."""
 
     attitudes: Count
@@ -95,12 +119,13 @@ class SearchLevelConfig(Config):
     """Of those, the best ones that are drawn onto the scan."""
 
 
-class GlobalSearchConfig(MethodConfig):
-    """Search over all attitudes by predicted against measured scans."""
+class GlobalSearchTuning(Tuning):
+    """Numbers of candidates and limits of the global search."""
 
-    kind: str = "global"
-    """Selects this method."""
-    levels: tuple[SearchLevelConfig, ...] = Field(
+    levels: Annotated[
+        tuple[SearchLevelConfig, ...],
+        Provenance("hand, mock-up", "numbers of attitudes chosen by time and success on emulated scans"),
+    ] = Field(
         default=(
             SearchLevelConfig(attitudes=900, compared=120, refined=16),
             SearchLevelConfig(attitudes=2000, compared=200, refined=20),
@@ -110,41 +135,50 @@ class GlobalSearchConfig(MethodConfig):
     )
     """The next one is entered where the one before found nothing that explains the scan; scans of less than
     ``sure_returns`` begin with the second."""
-    model_points: Count = 240
+    model_points: Annotated[Count, BUDGET] = 240
     """Surface points that stand for the target while attitudes are compared."""
-    truncation_m: Positive = 1.5
+    truncation_m: Annotated[Positive, BY_HAND] = 1.5
     """Distances beyond this cost no more."""
-    draw_in_points: Count = 128
+    draw_in_points: Annotated[Count, BUDGET] = 128
     """Returns that candidates are drawn in on."""
-    draw_in_steps: Count = 6
+    draw_in_steps: Annotated[Count, BUDGET] = 6
     """Steps in the distance field, of each candidate."""
-    most_returns: Count = 900
+    most_returns: Annotated[Count, BUDGET] = 900
     """Scans with more are thinned by rows and columns."""
-    sure_returns: Count = 60
+    sure_returns: Annotated[Count, BY_HAND] = 60
     """From so many returns on, the first candidate that explains them for sure ends the search: its actual
     log likelihood exceeds what is expected by ..."""
-    sure_surplus: NonNegative = 0.3
+    sure_surplus: Annotated[NonNegative, BY_HAND] = 0.3
     """... this much a return."""
-    sharpened_returns: Annotated[int, Field(ge=0)] = 70
+    sharpened_returns: Annotated[int, Field(ge=0), BY_HAND] = 70
     """Of scans with fewer the outline is searched too, once the best poses are drawn in; of others only for
     poses that explain them halfway, and where the best has a rival."""
-    rival_log_likelihood: Positive = 25.0
+    rival_log_likelihood: Annotated[Positive, BY_HAND] = 25.0
     """Poses that are behind the best by no more are its rivals."""
-    siblings: Count = 2
+    siblings: Annotated[Count, BY_HAND] = 2
     """Best distinct poses that must have been turned; the best one alone where it is sure."""
-    turned: Count = 5
+    turned: Annotated[Count, BY_HAND] = 5
     """Most poses that are turned on the way there."""
-    turns: Count = 6
+    turns: Annotated[Count, BY_HAND] = 6
     """Best turns of each, by quarters about the axes and by near-symmetries, that are drawn onto the scan."""
-    finished: Count = 4
+    finished: Annotated[Count, BY_HAND] = 4
     """Best distinct poses that are finished."""
-    distinct_deg: NonNegative = 5.0
+    distinct_deg: Annotated[NonNegative, BY_HAND] = 5.0
     """Poses whose attitudes differ by less are one."""
-    min_points: Annotated[int, Field(ge=6)] = 6
+    min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
     """Scans with fewer returns are not searched."""
-    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1)] = 0.95
+    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
     """Below this weight of the best hypothesis the result is ambiguous."""
-    near_deg: Positive = 45.0
+    near_deg: Annotated[Positive, BY_HAND] = 45.0
     """How far attitudes may be from a pose that is known roughly, where only that is searched."""
+
+
+class GlobalSearchConfig(MethodConfig):
+    """Search over all attitudes by predicted against measured scans."""
+
+    kind: str = "global"
+    """Selects this method."""
     tracking: ProjectiveIcpConfig = ProjectiveIcpConfig()
-    """How the result is refined, and the statistics of the scans."""
+    """Tracker that refines the result, and the statistics of the scans."""
+    tuning: GlobalSearchTuning = GlobalSearchTuning()
+    """Limits and numbers that are no part of the promise; change them only to study the method."""

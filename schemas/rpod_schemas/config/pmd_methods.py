@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
+from rpod_schemas.config.tuning import BUDGET, BY_HAND, Tuning
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -95,28 +96,28 @@ class IcpReverseCalibrationConfig(MethodConfig):
     """When a registration is believed."""
 
 
-class SignedDistanceConfig(MethodConfig):
-    """Depth points in the target's distance field: no matches are searched."""
+class SignedDistanceTuning(Tuning):
+    """Steps, scales and limits of the tracker by signed distance."""
 
-    kind: str = "signed_distance"
-    """Selects this method."""
-    points: Count = 2000
+    points: Annotated[Count, BUDGET] = 2000
     """Most measured points used."""
-    scale_m: Positive = 0.10
+    scale_m: Annotated[Positive, BY_HAND] = 0.10
     """Geman-McClure scale in the first iteration."""
-    final_scale_m: Positive = 0.03
+    final_scale_m: Annotated[Positive, BY_HAND] = 0.03
     """Geman-McClure scale in the last iteration."""
-    iterations: Annotated[int, Field(ge=2)] = 12
+    iterations: Annotated[int, Field(ge=2), BUDGET] = 12
     """Iterations, over which the scale narrows geometrically."""
-    unsettled_m: Positive = 0.02
+    unsettled_m: Annotated[Positive, BY_HAND] = 0.02
     """A last step larger than this means that the iterations did not converge."""
-    image: DepthImageConfig = DepthImageConfig()
+    image: Annotated[DepthImageConfig, BY_HAND] = DepthImageConfig()
     """What of the image is used."""
-    comparison: DepthComparisonConfig = DepthComparisonConfig()
+    comparison: Annotated[DepthComparisonConfig, BY_HAND] = DepthComparisonConfig()
     """The self-check."""
-    errors: DepthErrorConfig = DepthErrorConfig()
+    errors: Annotated[DepthErrorConfig, BY_HAND] = DepthErrorConfig()
     """What the covariance assumes."""
-    acceptance: AcceptanceConfig = AcceptanceConfig(min_explained_share=0.6, min_inlier_share=0.45)
+    acceptance: Annotated[AcceptanceConfig, BY_HAND] = AcceptanceConfig(
+        min_explained_share=0.6, min_inlier_share=0.45
+    )
     """When a registration is believed."""
 
     @model_validator(mode="after")
@@ -124,3 +125,12 @@ class SignedDistanceConfig(MethodConfig):
         if self.final_scale_m > self.scale_m:
             raise ValueError("final_scale_m must not exceed scale_m: the weights narrow")
         return self
+
+
+class SignedDistanceConfig(MethodConfig):
+    """Depth points in the target's distance field: no matches are searched."""
+
+    kind: str = "signed_distance"
+    """Selects this method."""
+    tuning: SignedDistanceTuning = SignedDistanceTuning()
+    """Limits and numbers that are no part of the promise; change them only to study the method."""

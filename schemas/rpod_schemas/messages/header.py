@@ -1,4 +1,4 @@
-"""Stamps and headers, and how a refused field becomes a rejected message."""
+"""Stamps and headers, and the rejection of messages with an invalid field."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -31,7 +31,7 @@ def write_header(stamp_ns: int, frame_id: str) -> Any:
 
 
 def build(model: type[ModelT], **fields: Any) -> ModelT:
-    """Build a domain type; what it refuses is a rejected message."""
+    """Return a domain type; values that it does not accept reject the message."""
     try:
         return model(**fields)
     except ValidationError as error:
@@ -43,12 +43,12 @@ def build(model: type[ModelT], **fields: Any) -> ModelT:
 
 
 def within(bound: Bound, field: str, value: CheckedT) -> CheckedT:
-    """Return a field's number or array; beyond its limits it is a rejected message."""
+    """Return a field's number or array; values beyond its limits reject the message."""
     return accepted(bound.check, field, value)
 
 
 def accepted(check: Callable[[CheckedT], CheckedT], field: str, value: CheckedT) -> CheckedT:
-    """Return what a check makes of a field; what it refuses is a rejected message."""
+    """Return the checked value of a field; an invalid value rejects the message."""
     try:
         return check(value)
     except ValueError as error:

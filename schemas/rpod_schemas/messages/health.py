@@ -1,4 +1,4 @@
-"""What the services say of themselves: the estimator's status, diagnostics."""
+"""Messages on the services: the estimator's status, diagnostics."""
 
 from collections.abc import Sequence
 from typing import Any

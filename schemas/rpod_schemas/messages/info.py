@@ -1,4 +1,4 @@
-"""What sensors say of themselves once, latched."""
+"""Info messages of sensors, which are latched."""
 
 from typing import Any
 

@@ -7,7 +7,7 @@ from rpod_schemas.sensors import Role, method, methods, sensor_kind
 
 
 class WrongRoleError(SchemaError):
-    """A method that is for something else."""
+    """Raised for a method of another role."""
 
     def __init__(self, name: str, role: Role, known: tuple[str, ...]) -> None:
         super().__init__(f"{name!r} is no method for {role}, known are {', '.join(known)}")

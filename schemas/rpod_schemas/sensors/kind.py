@@ -1,4 +1,4 @@
-"""What a sensor kind and a method are: names, topics, models, and references to what is heavy."""
+"""Sensor kinds and methods: names, topics, models, and references to modules that are heavy to import."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -9,7 +9,7 @@ from rpod_schemas.topics import Topic
 from rpod_schemas.types import Source
 
 Role = Literal["acquisition", "tracking"]
-"""What a method is for: to find the target without a guess, or to follow it from a predicted pose."""
+"""Role of a method: to find the target without a guess, or to track it from a predicted pose."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Part:
     topic: Topic
     """As ``<camera>/depth/image_raw``."""
     required: bool = True
-    """Whether a frame is none without it."""
+    """Whether a frame is incomplete without it."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ class SensorKind:
     """
 
     name: str
-    """In configurations, and of its entry point in ``rpod.sensors``."""
+    """Name of the kind in configurations, and of its entry point in ``rpod.sensors``."""
     title: str
-    """For people, as in "frames of a PMD camera"."""
+    """Title for people, as in "frames of a PMD camera"."""
     parts: dict[str, Part]
     """Messages of a frame by name; the first is the leading one, whose absence leaves nothing."""
     emulated: type[EmulatedSensor]
@@ -53,7 +53,7 @@ class SensorKind:
     extras: tuple[Topic, ...] = ()
     """Topics that are recorded and belong to no frame."""
     sources: tuple[Source, ...] = (Source.OTHER,)
-    """What its methods may give as source in the estimator's status."""
+    """Sources that its methods may give in the estimator's status."""
 
     @property
     def leading(self) -> Topic:
@@ -72,7 +72,7 @@ class SensorKind:
 
     @property
     def topics(self) -> tuple[Topic, ...]:
-        """All that such a sensor publishes, but for ``tf_static``."""
+        """All topics that such a sensor publishes, except ``tf_static``."""
         info = () if self.info is None else (self.info,)
         return (*(part.topic for part in self.parts.values()), *info, *self.extras)
 
@@ -82,9 +82,9 @@ class Method:
     """A way to acquire or to track the target with a sensor kind."""
 
     sensor: str
-    """The kind's name."""
+    """Name of the sensor kind."""
     role: Role
-    """What it is for."""
+    """Role of the method."""
     config: type[MethodConfig]
     """Its parameters; their ``kind`` is the method's name."""
     build: str
@@ -92,7 +92,7 @@ class Method:
 
     @property
     def name(self) -> str:
-        """In configurations; its entry point in ``rpod.methods`` is ``<sensor>.<name>``."""
+        """Name in configurations; its entry point in ``rpod.methods`` is ``<sensor>.<name>``."""
         return str(self.config.model_fields["kind"].default)
 
     def built(self, config: MethodConfig, task: Any) -> Any:

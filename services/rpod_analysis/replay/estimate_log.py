@@ -15,6 +15,7 @@ from rpod_logger.writer import qos_profile
 from rpod_pose.navigation.state import Output
 from rpod_schemas.cdr import definition, encode, type_hash
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.migration import logged
 from rpod_schemas.logs import (
     CONFIGURATION,
     HASH_METADATA,
@@ -112,7 +113,7 @@ class EstimateLog:
             name: model | ({"bus": model["bus"] | {"namespace": ""}} if "bus" in model else {})
             for name, model in self._source.configuration.items()
         }
-        services[REPLAY] = self._config.model_dump(mode="json") | {"instance": REPLAY, "prefix": REPLAY}
+        services[REPLAY] = logged(self._config) | {"instance": REPLAY, "prefix": REPLAY}
         self._writer.add_metadata(SOFTWARE, self._source.metadata(SOFTWARE))
         self._writer.add_metadata(
             CONFIGURATION, {name: json.dumps(model) for name, model in services.items()}

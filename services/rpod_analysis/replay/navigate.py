@@ -4,7 +4,6 @@ What runs is the daemon's estimator; time is the frames' own. Between two frames
 does for the daemon, so that silence is noticed at the same place.
 """
 
-import logging
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -62,12 +61,9 @@ def configured_estimator(log: Log) -> EstimatorConfig:
         raise NoEstimatorError(log.paths[0])
     model = found.get(name) or next(iter(found.values()))
     source = f"{log.paths[0]}: configuration of the estimator"
-    config, unknown = check_logged(EstimatorConfig, model, source=source)
-    if unknown:
-        logging.getLogger(__name__).warning(
-            "%s: fields of an earlier version are left out: %s", source, ", ".join(unknown)
-        )
-    return config
+    migrated = check_logged(EstimatorConfig, model, source=source)
+    migrated.report(source)
+    return migrated.config
 
 
 def replay(

@@ -28,7 +28,9 @@ TEMPLATE_MATCHING: dict[str, dict[str, Any]] = {
 """Methods of the 2015 paper, section 2, and the variant that its conclusions call for, with their fields."""
 GLOBAL: dict[str, dict[str, Any]] = {
     "global": {},
-    "starved-global": {"levels": ({"attitudes": 12, "compared": 4, "refined": 2},), "turned": 1, "turns": 1},
+    "starved-global": {
+        "tuning": {"levels": ({"attitudes": 12, "compared": 4, "refined": 2},), "turned": 1, "turns": 1}
+    },
 }
 """The facility's own search, and the same left with so little to try that it mostly goes wrong."""
 METHODS = (*TEMPLATE_MATCHING, *GLOBAL)

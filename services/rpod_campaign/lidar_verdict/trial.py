@@ -92,7 +92,7 @@ class Judge:
         found = self._acquirer.acquire(scan)
         if self._judges_itself or found.pose is None:
             return found
-        return self._verdict.judge(scan, found.pose)
+        return self._verdict.verify(scan, found.pose)
 
     def scores(self, scan: LidarScan, judged: Acquisition) -> dict[str, float | None]:
         """Return f_CONV and the likelihood's deficit a return at the judged pose; None without one."""

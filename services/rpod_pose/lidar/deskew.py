@@ -1,14 +1,14 @@
-"""De-skewing: a scan's returns, moved to where they would have been at the scan's stamp.
+"""De-skewing: moves a scan's returns to where they would have been measured at the scan's stamp.
 
-A scan takes its time, 0.17 s by default, in which a target that tumbles at 8 deg/s turns by 1.3 deg. With
-the twist that the filter predicts, each return is carried along with the target from its own time to the
-stamp. The stamp is the middle of the scan, so even a wrong twist shifts the pose little: it bends the scan.
+A scan takes 0.17 s by default. In this time a target that tumbles at 8 deg/s turns by 1.3 deg. With the twist
+that the filter predicts, each return is moved along with the target from its own time to the stamp. The stamp
+is the middle of the scan, so that a wrong twist deforms the scan but shifts the pose little.
 
-What follows for who compares returns with rays: the scan stays organised, but a moved return no longer
-lies on the ray of its cell. It is off by the motion since its own time, 0.7 deg times its distance from the
-axis of rotation over its range at most, in the same example: a part of a cell of 1 deg. The return was a
-sample of the surface and still is one, so its distance to a face is sound; what the neighbouring ray meets
-may differ near an outline, where the margin of a self-check has to cover it.
+The scan stays organised, but a moved return no longer lies on the ray of its cell. The difference is the
+motion since the return's own time: in the example at most 0.7 deg times the return's distance from the axis
+of rotation over its range, which is a part of a cell of 1 deg. The return is still a sample of the surface,
+so its distance from a face is valid. Near an outline the neighbouring ray may meet another surface; the
+margin of a self-check must cover that.
 """
 
 import numpy as np
@@ -21,16 +21,16 @@ from rpod_schemas.types import LidarScan
 def deskewed(
     scan: LidarScan, T_sensor_target: RigidTransform, *, velocity_m_s: FloatArray, rate_rad_s: FloatArray
 ) -> LidarScan:
-    """Return a scan as if all its returns had been measured at the stamp; itself where they were.
+    """Return a scan as if all its returns had been measured at the stamp; unchanged if it has no times.
 
     A point of the target that is at p a time t after the stamp was at p0 + Exp(-w t) (p - p0 - v t) at the
     stamp, with the target's origin at p0.
 
     Args:
         scan: with or without times.
-        T_sensor_target: at the stamp, as predicted.
-        velocity_m_s: v, of the target's origin, sensor axes, shape (3,).
-        rate_rad_s: w, of the target relative to the sensor, sensor axes, shape (3,).
+        T_sensor_target: predicted pose at the stamp.
+        velocity_m_s: v, velocity of the target's origin, sensor axes, shape (3,).
+        rate_rad_s: w, rate of the target relative to the sensor, sensor axes, shape (3,).
     """
     if scan.time_s is None or not scan.time_s.any():
         return scan

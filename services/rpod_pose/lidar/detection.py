@@ -1,23 +1,24 @@
-"""Whether a ray that meets the target comes back: learnt from the scan itself.
+"""Probability that a ray that meets the target gives a return, estimated from the scan itself.
 
-No estimator knows a LIDAR's power, its threshold, or how the target's surfaces have aged. What it knows is
-that a brighter echo is detected rather than a dimmer one, and that a sensor for rendezvous is no weaker than
-some: its data sheet names a range at which it works. The echo of a surface is
+No estimator knows a LIDAR's power, its threshold, or how the target's surfaces have aged. It knows that a
+brighter echo is detected more often than a dimmer one, and the least range at which the sensor works, which a
+data sheet states. The echo of a surface is
 
     e = albedo cos(theta) (R_least / R)^2,
 
-with the albedo of its class (``brightness``) and that range R_least: 1 is a white surface seen squarely from
-there. It is detected with the probability
+with the albedo of its class (``brightness``) and that range R_least, so that a white surface at normal
+incidence there has an echo of 1. It is detected with the probability
 
     P(e) = surest / (1 + (half / e)^STEEPNESS).
 
-Of this law one thing is unknown, ``half``: the echo of which half comes back, 1 at most. A pose says which
-rays meet what, and the scan which of them came back, so that each pose learns its own; its likelihood is the
-mean over all of them, with even weights from "everything is detected" to the weakest sensor. A pose that
-needs a strange sensor to explain its scan has to explain all of its rays by the same one.
+One parameter of this law is unknown: ``half``, the echo that is detected with half of the greatest
+probability. A pose predicts which rays meet the target, and the scan shows which of them gave a return, so
+that each pose has its own estimate of ``half``. The likelihood of the pose is the mean over all values, with
+equal weights, from "everything is detected" to the weakest sensor, with 1. All rays of one pose share one
+value.
 
-Without the bound, parts that lie far behind a near face could always be too dim to be seen, and a small body
-be taken for the nearest face of a large one.
+Without this bound, surfaces far behind a near face could always be too dim to be detected, and a small body
+was accepted as the nearest face of a large one.
 """
 
 from math import log
@@ -28,34 +29,34 @@ import numpy as np
 from rpod_schemas.arrays import FloatArray
 
 HALVES: FloatArray = np.append(0.0, np.geomspace(1e-2, 1.0, 5))
-"""Echoes of which half may come back, half a decade apart: those of sensors with one to ten times the least
-range; 0 where everything does."""
+"""Values of ``half``, half a decade apart, of sensors with 1 to 10 times the least range; 0 means that
+everything is detected."""
 STEEPNESS = log(81.0) / log(10.0)
-"""From 10 to 90 % over a factor of ten: detectors take a factor of four, and the albedo of a class
-is known within a factor of two."""
+"""Exponent for a rise from 10 to 90 % over a factor of ten: detectors need a factor of four, and the albedo
+of a class is known within a factor of two."""
 LEAST_LOG, RUNGS, RUNGS_PER_LOG = log(1e-4), 64, 4.5
-"""Logarithm of the least echo of the table, its length, and its steps a unit of the logarithm."""
+"""Logarithm of the least echo of the table, its length, and its steps per unit of the logarithm."""
 LINEAR_RUNGS, LINEAR_STEPS = 512, 64.0
-"""Length of the table of ``expected_shares``, and its steps a unit of the echo."""
+"""Length of the table of ``expected_shares``, and its steps per unit of the echo."""
 
 
 class Detection(NamedTuple):
-    """Probabilities of each of ``HALVES`` at each echo, shape (H, RUNGS) each."""
+    """Probabilities for each value in ``HALVES`` at each echo, each of shape (H, RUNGS)."""
 
     share: FloatArray
-    """Of rays that come back."""
+    """Probability that a ray gives a return."""
     log_share: FloatArray
-    """Its logarithm."""
+    """Logarithm of that probability."""
     log_missing: FloatArray
-    """Logarithm of the share that does not."""
+    """Logarithm of the probability that a ray gives no return."""
 
 
 def detection(surest: float, clutter_share: float) -> Detection:
-    """Return the tables of a sensor of which nothing else is known.
+    """Return the tables of a sensor about which nothing else is known.
 
     Args:
-        surest: most of the share that comes back.
-        clutter_share: share of the rays whose return, or its lack, says nothing.
+        surest: greatest probability of a return.
+        clutter_share: share of rays whose result, return or none, is unrelated to the target.
     """
     echoes = np.exp(LEAST_LOG + (np.arange(RUNGS) + 0.5) / RUNGS_PER_LOG)
     share = (1.0 - clutter_share) * _law(echoes, surest)
@@ -63,7 +64,7 @@ def detection(surest: float, clutter_share: float) -> Detection:
 
 
 def expected_shares(surest: float) -> FloatArray:
-    """Return the share of rays that come back over even steps of the echo, before the scan tells; (L,)."""
+    """Return the prior probability of a return over even steps of the echo, shape (L,)."""
     echoes = np.arange(0.5, LINEAR_RUNGS, dtype=np.float64) / LINEAR_STEPS
     shares: FloatArray = _law(echoes, surest).mean(axis=0)
     return shares

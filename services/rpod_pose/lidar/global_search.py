@@ -1,15 +1,17 @@
-"""Acquisition in one scan, without a guess: every attitude is tried, the likeliest pose is found and judged.
+"""Acquisition in one scan, without a guess: all attitudes are tried, and the likeliest pose is verified.
 
-1. Thousands of attitudes, spread over all of SO(3), are laid on the scan by the centroid that the sensor
-   should see of them and compared roughly (``energy``), first on a few points, the best on more.
-2. The best are drawn onto the scan (``scan_alignment``) and ranked by the likelihood of every ray, hit or
-   missed (``scan_fit``). Where returns are many, the first pose that explains them for sure ends this.
-3. What the best may be mistaken for, its near-symmetries and quarter turns about its axes, is tried too.
-   Where returns are few, the outline is searched for what they leave open.
-4. A best pose that could be explained better sends the search back to more attitudes.
+1. Thousands of attitudes, spread over all of SO(3), are aligned with the scan by the centroid that the sensor
+   should measure, and compared roughly (``energy``): first on a few points, the best on more.
+2. The best are aligned with the scan (``scan_alignment``) and ranked by the likelihood of every ray, hit or
+   missed (``scan_fit``). If returns are many, the first pose that explains them beyond question ends this
+   step.
+3. Poses that the best may be mistaken for are tried too: its near-symmetries and quarter turns about its
+   axes. If returns are few, the pose is refined on the outline in the directions that the returns leave
+   undetermined.
+4. If the scan is less likely than the best pose itself expects, the search is repeated with more attitudes.
 
-The verdict needs no other pose to compare with: the scan's likelihood against what the pose itself expects.
-The weights of the hypotheses are their likelihoods.
+The belief in the pose needs no other pose for comparison: it compares the scan's likelihood with the
+likelihood that the pose itself expects. The weights of the hypotheses are their likelihoods.
 """
 
 from dataclasses import replace
@@ -24,7 +26,7 @@ from rpod_pose.lidar.scan_search import FINE_SCALES_M, Model, Pose, Scanner, Sca
 from rpod_pose.lidar.scan_view import SeenScan
 from rpod_pose.ports import Acquisition, Registration
 from rpod_pose.search.attitude_grid import attitudes_of, within
-from rpod_pose.search.hypotheses import NEGLIGIBLE, believed_beside, rivals
+from rpod_pose.search.hypotheses import NEGLIGIBLE, belief_with_rivals, rivals
 from rpod_pose.search.turns import FEW_POINTS, Turns
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
@@ -37,11 +39,11 @@ class GlobalSearch:
     """Finds the target in a scan: ports.Acquirer[LidarScan].
 
     Args:
-        config: its parameters.
-        target: what is looked for.
-        azimuth_rad: of the scan pattern's columns, shape (columns,).
-        elevation_rad: of its rows, shape (rows,).
-        sigma_range_m: what the sensor says of its range errors, 0 where it does not.
+        config: parameters of the search.
+        target: the target to find.
+        azimuth_rad: azimuths of the scan pattern's columns, shape (columns,).
+        elevation_rad: elevations of its rows, shape (rows,).
+        sigma_range_m: standard deviation of a range as the sensor states it; 0 if it does not.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
@@ -56,7 +58,8 @@ class GlobalSearch:
         elevation_rad: FloatArray,
         sigma_range_m: float = 0.0,
     ) -> None:
-        self._config, self._radius_m, self._sigma_range_m = config, target.radius_m, sigma_range_m
+        self._config, self._tuning = config, config.tuning
+        self._radius_m, self._sigma_range_m = target.radius_m, sigma_range_m
         self._tracker = ProjectiveIcp(
             config.tracking,
             target,
@@ -68,69 +71,69 @@ class GlobalSearch:
         views = ViewModel.of(
             target,
             surface.coarse_field,
-            count=config.model_points,
+            count=self._tuning.model_points,
             few=FEW_POINTS,
-            truncation_m=config.truncation_m,
+            truncation_m=self._tuning.truncation_m,
         )
         self._model = Model(views, surface, Turns.of(target))
         self._scanners: dict[int, Scanner] = {}
 
     def acquire(self, measurement: LidarScan) -> Acquisition:
-        """Return the likeliest pose, the others that explain the scan, and the verdict."""
+        """Return the likeliest pose with its belief, and the other poses that explain the scan."""
         return self._found(measurement, None)
 
     def near(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Acquisition:
-        """Return the same from the attitudes within ``near_deg`` of a pose's."""
+        """Return the likeliest pose among the attitudes within ``near_deg`` of a given pose."""
         return self._found(measurement, T_sensor_target.rotation.as_matrix())
 
-    def judge(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Acquisition:
-        """Return the verdict on a pose that another method found, which is refined first.
+    def verify(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Acquisition:
+        """Refine a pose that another method found, and return it with its belief.
 
-        Failed as well where something that it may be mistaken for explains the scan far better; ambiguous
-        where it does so as well.
+        The outcome is "failed" also if a pose that it may be mistaken for explains the scan far better, and
+        "ambiguous" if such a pose explains the scan about as well.
         """
         whole = self._seen(measurement)
-        if whole.returns < self._config.min_points:
+        if whole.returns < self._tuning.min_points:
             return self._too_few(whole)
         search = self._search_in(whole)
-        asked = search.settled(
+        given = search.face_aligned(
             T_sensor_target.rotation.as_matrix(), T_sensor_target.translation, FINE_SCALES_M
         )
-        poses = search.completed([asked], siblings=1)
+        poses = search.completed([given], siblings=1)
         least = poses[0].fit.log_likelihood + log(NEGLIGIBLE)
         rivals = [pose for pose in poses if pose.fit.log_likelihood >= least]
-        if search.alike([asked], rivals).any():
-            return self._judged(whole, search, poses, 0)
-        turn = np.degrees(Rotation.from_matrix(asked.R.T @ poses[0].R).magnitude())
-        registration = self._tracker.finish(whole, asked.R, asked.t)
+        if search.close([given], rivals).any():
+            return self._verified(whole, search, poses, 0)
+        turn = np.degrees(Rotation.from_matrix(given.R.T @ poses[0].R).magnitude())
+        registration = self._tracker.finish(whole, given.R, given.t)
         belief = contradicted(f"the pose turned by {turn:.0f} deg explains the scan better")
         return Acquisition(replace(registration, belief=belief))
 
     def _found(self, measurement: LidarScan, around: FloatArray | None) -> Acquisition:
-        config, whole = self._config, self._seen(measurement)
-        if whole.returns < config.min_points:
+        tuning, whole = self._tuning, self._seen(measurement)
+        if whole.returns < tuning.min_points:
             return self._too_few(whole)
         search = self._search_in(whole)
-        first = 0 if search.seen.returns >= config.sure_returns else min(1, len(config.levels) - 1)
+        first = 0 if search.seen.returns >= tuning.sure_returns else min(1, len(tuning.levels) - 1)
         templates, poses = 0, list[Pose]()
-        for level in config.levels[first:]:
+        for level in tuning.levels[first:]:
             attitudes = attitudes_of(level.attitudes)
             if around is not None:
-                attitudes = attitudes[within(attitudes, around, config.near_deg)]
+                attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
             templates += len(attitudes)
             poses = search.search(attitudes, level)
-            if poses and poses[0].fit.deficit <= 0.0:  # it could not be explained better
+            if poses and poses[0].fit.deficit <= 0.0:  # as likely as the pose itself expects
                 break
-        return self._judged(whole, search, poses, templates)
+        return self._verified(whole, search, poses, templates)
 
     def _seen(self, measurement: LidarScan) -> SeenScan:
-        """Return the returns that may be the target's, few or many."""
+        """Return the returns that may be the target's, whatever their number."""
         seen = self._tracker.view.seen(measurement)
         return seen.around(2.0 * self._radius_m) if seen.returns else seen
 
     def _search_in(self, whole: SeenScan) -> ScanSearch:
-        """Return the search in a scan, of a dense one in some of its rows and columns."""
-        stride = max(1, round(sqrt(whole.returns / self._config.most_returns)))
+        """Return the search in a scan; a dense scan is reduced to every few rows and columns."""
+        stride = max(1, round(sqrt(whole.returns / self._tuning.most_returns)))
         seen = whole.every(stride) if stride > 1 else whole
         if stride not in self._scanners:
             view = self._tracker.view if stride == 1 else self._tracker.view.every(stride)
@@ -140,11 +143,13 @@ class GlobalSearch:
         return ScanSearch(self._config, self._model, self._scanners[stride], seen)
 
     def _too_few(self, seen: SeenScan) -> Acquisition:
-        reason = f"{seen.returns} returns, {self._config.min_points} needed"
+        reason = f"{seen.returns} returns, {self._tuning.min_points} needed"
         return Acquisition(Registration.none(Source.NONE, reason))
 
-    def _judged(self, whole: SeenScan, search: ScanSearch, poses: list[Pose], templates: int) -> Acquisition:
-        """Return the verdict on distinct poses, likeliest first."""
+    def _verified(
+        self, whole: SeenScan, search: ScanSearch, poses: list[Pose], templates: int
+    ) -> Acquisition:
+        """Return the acquisition of distinct poses, likeliest first."""
         if not poses:
             nothing = Registration.none(Source.LIDAR, "no attitude shows the target to the sensor")
             return Acquisition(nothing, templates=templates)
@@ -154,7 +159,7 @@ class GlobalSearch:
             belief = registration.belief if belief.continues_track else belief
         if registration.T_sensor_target is not None and belief.continues_track:
             logs = np.array([pose.fit.log_likelihood for pose in poses])
-            belief = believed_beside(
-                rivals(poses, logs, self._model.turns.exact), belief, least=self._config.ambiguous_weight
+            belief = belief_with_rivals(
+                rivals(poses, logs, self._model.turns.exact), belief, least=self._tuning.ambiguous_weight
             )
         return Acquisition(replace(registration, belief=belief), templates=templates)

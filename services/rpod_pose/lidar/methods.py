@@ -35,29 +35,29 @@ def _rays(task: Task) -> Rays:
 
 
 def global_search(config: GlobalSearchConfig, task: Task) -> Acquirer[LidarScan]:
-    """Return the search of our own."""
+    """Return the facility's own search."""
     return GlobalSearch(config, task.target, **_rays(task), sigma_range_m=task.setup.sigma_range_m)
 
 
 def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[LidarScan]:
-    """Return the 2015 paper's, whose candidates the tracker refines."""
+    """Return the template matching of the 2015 paper, whose candidates the tracker refines."""
     assert task.tracker is not None  # noqa: S101 - made before the acquirer
     search = OnlineTemplateMatching(config, task.target, **_rays(task))
     return VerifiedSearch(search, task.tracker, config.choice)
 
 
 def projective_point_to_plane(config: ProjectiveIcpConfig, task: Task) -> Tracker[LidarScan]:
-    """Return the tracker of our own."""
+    """Return the facility's own tracker."""
     return ProjectiveIcp(config, task.target, **_rays(task), sigma_range_m=task.setup.sigma_range_m)
 
 
 def icp_nearest_neighbour(config: IcpNearestNeighbourConfig, task: Task) -> Tracker[LidarScan]:
-    """Return the 2015 paper's ICP, and its variants."""
+    """Return the ICP of the 2015 paper, in the configured variant."""
     return NearestNeighbourIcp(config, task.target, **_rays(task))
 
 
 def known_pattern(sensor: LidarInput, said: LidarInfo | None) -> ScanPattern | None:
-    """Return the scan pattern that the LIDAR told, else the configured one; None where neither is known."""
+    """Return the scan pattern that the LIDAR published, or the configured one; None if neither is known."""
     if said is not None:
         return ScanPattern.of(said)
     if sensor.azimuth_rad is None or sensor.elevation_rad is None:
@@ -75,7 +75,7 @@ def make(task: Task) -> Methods:
 
 
 def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan]:
-    """Return a scan without noise."""
+    """Return a scan without noise, for the warm-up."""
     grid = RayGrid.azimuth_elevation(pattern.azimuth_rad, pattern.elevation_rad)
     hits = cast(grid, target.triangles_m, T_lidar_target)
     range_m = np.where(np.isfinite(hits.range_m), hits.range_m, np.nan)
@@ -87,5 +87,5 @@ LIDAR_METHODS = KindMethods(
     make=make,
     frames=ideal_scan,
     setup=known_pattern,
-    missing="no scan pattern: neither lidar info nor configuration tells it",
+    missing="no scan pattern: neither lidar info nor the configuration gives it",
 )

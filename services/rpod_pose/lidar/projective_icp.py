@@ -1,8 +1,8 @@
-"""Tracking in scans by casting the target: projective point to plane, from a predicted pose.
+"""Tracking in scans by casting the target at a predicted pose: projective point-to-plane ICP.
 
-A few steps in the target's distance field on some of the returns bring the pose near, a few to the faces on
-all returns finish it (``scan_alignment``). The likelihood of the scan at the pose is the self-check
-(``scan_fit``).
+A few steps in the target's distance field, on some of the returns, bring the pose near the solution; a few
+steps to the faces, on all returns, refine it (``scan_alignment``). The likelihood of the scan at the pose is
+the self-check (``scan_fit``).
 """
 
 from math import radians
@@ -10,7 +10,7 @@ from math import radians
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, settle, spread
+from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, face_aligned, pose_covariance
 from rpod_pose.lidar.scan_fit import ScanModel
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Registration
@@ -28,11 +28,11 @@ class ProjectiveIcp:
     """Registers scans: ports.Tracker[LidarScan].
 
     Args:
-        config: its parameters.
-        target: what is tracked.
-        azimuth_rad: of the scan pattern's columns, shape (columns,).
-        elevation_rad: of its rows, shape (rows,).
-        sigma_range_m: what the sensor says of its range errors, 0 where it does not.
+        config: parameters of the tracker.
+        target: the target to track.
+        azimuth_rad: azimuths of the scan pattern's columns, shape (columns,).
+        elevation_rad: elevations of its rows, shape (rows,).
+        sigma_range_m: standard deviation of a range as the sensor states it; 0 if it does not.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
@@ -47,35 +47,39 @@ class ProjectiveIcp:
         elevation_rad: FloatArray,
         sigma_range_m: float = 0.0,
     ) -> None:
-        self._config = config
-        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
+        tuning = config.tuning
+        self._tuning = tuning
+        weak = np.repeat((tuning.unobserved_m, radians(tuning.unobserved_deg)), 3)
         self._weak = np.diag(weak**-2)
         self.view = ScanView.of(azimuth_rad, elevation_rad)
         self.surface = SurfaceModel.of(target)
         self.model = ScanModel(
-            config.model, config.verdict, self.view, self.surface, sigma_range_m=sigma_range_m
+            tuning.model, tuning.verdict, self.view, self.surface, sigma_range_m=sigma_range_m
         )
         self._errors = ScanErrors(
-            self.model.sigma_range_m, config.model.slack_m, config.steep_cosine**2, 1.0 / config.outline_m
+            self.model.sigma_range_m,
+            tuning.model.slack_m,
+            tuning.steep_cosine**2,
+            1.0 / tuning.outline_m,
         )
-        middle_m = np.sqrt(config.widest_m * config.narrowest_m)
-        self._far = np.geomspace(config.widest_m, middle_m, config.draw_in_steps)
-        self._near = np.geomspace(middle_m, config.narrowest_m, config.settle_steps)
+        middle_m = np.sqrt(tuning.widest_m * tuning.narrowest_m)
+        self._far = np.geomspace(tuning.widest_m, middle_m, tuning.draw_in_steps)
+        self._near = np.geomspace(middle_m, tuning.narrowest_m, tuning.settle_steps)
 
     def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration from a predicted pose, or the reason why there is none."""
+        """Return the registration from a predicted pose, or the reason why the scan gives none."""
         seen = self.view.seen(measurement)
-        if seen.returns < self._config.min_points:
-            return _failed(f"{seen.returns} returns, {self._config.min_points} needed")
+        if seen.returns < self._tuning.min_points:
+            return _failed(f"{seen.returns} returns, {self._tuning.min_points} needed")
         pose = PoseArrays.of(T_sensor_target)
-        if self.model.agreement(seen, *pose).share < self._config.near_share:
-            points = Points.equal(seen.thinned(self._config.points))
+        if self.model.agreement(seen, *pose).share < self._tuning.near_share:
+            points = Points.equal(seen.downsampled(self._tuning.points))
             pose = field_aligned(points, pose, self.surface.coarse_field, self._far)
         return self.finish(seen, *pose)
 
     def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
-        """Return the registration from a pose R, t, sensor axes, that is nearly right."""
-        config, hits = self._config, self.view.hits
+        """Return the registration from a pose R, t, sensor axes, that is close to the solution."""
+        tuning, hits = self._tuning, self.view.hits
         problem = FaceProblem(
             seen.points_m,
             seen.rays,
@@ -86,14 +90,14 @@ class ProjectiveIcp:
             self._near,
             hits.arrays,
         )
-        (settled_R, settled_t), information, squares, inliers = settle(problem, PoseArrays(R, t))
-        if inliers < config.min_points:
-            return _failed(f"{inliers} returns on faces, {config.min_points} needed")
-        fit = self.model.fit(seen, settled_R, settled_t)
+        (aligned_R, aligned_t), information, squares, inliers = face_aligned(problem, PoseArrays(R, t))
+        if inliers < tuning.min_points:
+            return _failed(f"{inliers} returns on faces, {tuning.min_points} needed")
+        fit = self.model.fit(seen, aligned_R, aligned_t)
         if self.model.log_likelihood(seen, R, t) > fit.log_likelihood:
-            fit = self.model.fit(seen, R, t)  # the faces led astray what the outline had right
+            fit = self.model.fit(seen, R, t)  # the faces made worse what the outline had right
         else:
-            R, t = settled_R, settled_t
+            R, t = aligned_R, aligned_t
         return Registration(
             Source.LIDAR,
             T_sensor_target=pose_of(R, t),
@@ -109,12 +113,12 @@ class ProjectiveIcp:
     def _covariance(self, information: FloatArray, cost_m2: float, inliers: int, R: FloatArray) -> FloatArray:
         """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6).
 
-        That of the normal equations, times the residuals' variance over the assumed one where that is larger,
-        for the degrees of freedom that six unknowns leave.
+        It is the covariance of the normal equations, times the ratio of the residuals' variance to the
+        assumed one if the former is larger, for the degrees of freedom that six unknowns leave.
         """
         excess = max(1.0, cost_m2 / self.model.sigma_range_m**2)
         excess *= inliers / max(inliers - 6, 1)
-        covariance: FloatArray = spread(information / excess + self._weak, R)
+        covariance: FloatArray = pose_covariance(information / excess + self._weak, R)
         return covariance
 
 

@@ -1,4 +1,4 @@
-"""The image of angles to the nearest return that the energies of a scan need."""
+"""The image of squared angles to the nearest return, which the energies of a scan need."""
 
 from dataclasses import dataclass
 
@@ -13,17 +13,20 @@ from rpod_schemas.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class ReturnDistances:
-    """The squared angle of any ray from the nearest one that came back.
+    """The squared angle between any ray and the nearest ray with a return.
 
-    The image is even in tan(azimuth) and tan(elevation), x/z and y/hypot(x, z): no angle is computed a point.
+    The image is even in tan(azimuth) and tan(elevation), x/z and y/hypot(x, z): points need no trigonometry.
     """
 
     view: ScanView
     columns: NDArray[np.intp]
     """Column of the pattern nearest to each column of the image."""
     rows: NDArray[np.intp]
+    """Row of the pattern nearest to each row of the image."""
     low: tuple[float, float]
+    """First edge of the image's columns and of its rows."""
     step: tuple[float, float]
+    """Width of a column and height of a row."""
 
     @classmethod
     def of(cls, view: ScanView) -> "ReturnDistances":
@@ -33,7 +36,7 @@ class ReturnDistances:
         return cls(view, columns, rows, (u0, v0), (du, dv))
 
     def image(self, seen: SeenScan) -> Image:
-        """Return squared angles, shape (CELLS, CELLS), and first edge and step of columns, then of rows."""
+        """Return the image of the squared angles to the returns of a scan."""
         sampling = spacing_rad(self.view.elevation_rad), spacing_rad(self.view.azimuth_rad)
         distance_rad = distance_transform_edt(seen.range_m == 0.0, sampling=sampling)
         squares = (distance_rad**2)[np.ix_(self.rows, self.columns)].astype(np.float32)

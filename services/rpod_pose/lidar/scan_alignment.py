@@ -1,10 +1,10 @@
-"""Alignment of the target with a scan: steps in the distance field from afar, steps to the faces to finish.
+"""Alignment of the target with a scan: first steps in the distance field, then steps to the faces.
 
-From afar each return is moved along the distance field's gradient, which needs no correspondence. To finish,
-the target is cast at the pose: each return belongs to the face that its own ray meets, and its residual is
-the distance from that face's plane, weighted for an error along the ray (projective point to plane, after
-G. Blais, M. D. Levine, Registering Multiview Range Data to Create 3D Computer Objects, IEEE PAMI 17, 1995).
-Both steps share the unknowns of ``normal_equations``; outliers fade by Geman-McClure weights.
+In the first steps each return is moved along the distance field's gradient, which needs no correspondence. In
+the last steps the target is cast at the pose: each return belongs to the face that its own ray meets, and its
+residual is the distance from that face's plane, weighted for an error along the ray (projective point to
+plane, after G. Blais, M. D. Levine, Registering Multiview Range Data to Create 3D Computer Objects, IEEE PAMI
+17, 1995). Both share the unknowns of ``normal_equations``; outliers are damped by Geman-McClure weights.
 """
 
 from typing import NamedTuple
@@ -29,25 +29,25 @@ from rpod_pose.registration.surface_model import Faces
 from rpod_schemas.arrays import FloatArray
 
 FEWEST = 3
-"""Fewer returns on faces determine no step."""
-ALONE = 0.75
-"""Leverage beyond which a return alone determines a motion: it may be on the wrong face."""
+"""Least number of returns on faces that determine a step."""
+INFLUENTIAL = 0.75
+"""Leverage above which one return alone determines a motion: it may be on the wrong face."""
 PARALLEL = 1e-6
-"""Squared cosine of incidence that stands for less: a face seen edge-on."""
+"""Least squared cosine of incidence in a division, for a face seen edge-on."""
 
 
 class ScanErrors(NamedTuple):
-    """What is assumed of returns and faces."""
+    """Assumed errors of returns and faces."""
 
     sigma_m: float
     """Standard deviation of a range."""
     slack_m: float
-    """Standard deviation of a face's plane."""
+    """Standard deviation of a face's position along its normal."""
     steepest: float
-    """Squared cosine of incidence below which the distance from a plane tells outliers, not along the ray."""
+    """Least squared cosine of incidence for the distance along the ray by which outliers are recognised."""
     per_outline_m: float
-    """One over the standard deviation of the field's distance of a return whose ray passes the target by,
-    1/m; 0 leaves those out."""
+    """One over the standard deviation of the field's distance, for a return whose ray misses the target, 1/m;
+    0 leaves such returns out."""
 
 
 class FaceProblem(NamedTuple):
@@ -58,10 +58,10 @@ class FaceProblem(NamedTuple):
     rays: NDArray[np.int64]
     """Row-major index of each return's ray, -1 for none, shape (N,)."""
     grid: GridArrays
-    """Of the sensor's rays, shape (rows, columns)."""
+    """Grid of the sensor's rays, shape (rows, columns)."""
     faces: Faces
     field: FieldArrays
-    """Of the same target, for returns whose rays pass it by."""
+    """Distance field of the same target, for returns whose rays miss it."""
     errors: ScanErrors
     scales_m: FloatArray
     """Geman-McClure scale of a range's residual in each step, shape (steps,)."""
@@ -69,38 +69,38 @@ class FaceProblem(NamedTuple):
 
 
 class FaceEvidence(NamedTuple):
-    """What returns on faces say in one step."""
+    """Statistics of the returns on faces in one step."""
 
     sums: FloatArray
-    """Of returns on faces alone, shape (35,)."""
-    claims: FloatArray
-    """Derivatives and weight of each return, shape (N, 7); weight 0 for one that is on no face."""
+    """Sums over the returns on faces alone, shape (35,)."""
+    rows: FloatArray
+    """Derivatives and weight of each return, shape (N, 7); the weight is 0 for a return on no face."""
     squares_m2: float
     """Sum of the inliers' squared distances from their planes."""
     inliers: int
-    """Returns within the Geman-McClure scale."""
+    """Number of returns within the Geman-McClure scale."""
     faded: float
     """Sum of the inliers' Geman-McClure weights."""
 
 
-class ScanFit(NamedTuple):
-    """A pose settled on the faces."""
+class FaceFit(NamedTuple):
+    """A pose aligned with the faces."""
 
     pose: PoseArrays
     information: FloatArray
-    """About (dtau, dtheta), what more than one return tells in the last step, in units of one over the
-    weights' sigmas, shape (6, 6); inliers count as whole ones, though good ones fade a little too."""
+    """Information about (dtau, dtheta) in the last step, without influential returns, for the sigmas of the
+    weights, shape (6, 6). It is rescaled so that inliers count fully, since their weights are below 1 too."""
     squares_m2: float
     """Sum of the squared distances of the last step's inliers from their planes."""
     inliers: int
-    """Returns within the last Geman-McClure scale."""
+    """Number of returns within the last Geman-McClure scale."""
 
 
 @kernel
-def spread(information: FloatArray, R: FloatArray) -> FloatArray:
+def pose_covariance(information: FloatArray, R: FloatArray) -> FloatArray:
     """Return the covariance of (dp, dtheta) in the sensor's axes, shape (6, 6).
 
-    That is the inverse of the information about (dtau, dtheta), shape (6, 6), turned by R_sensor_target.
+    It is the inverse of the information about (dtau, dtheta), shape (6, 6), turned by R_sensor_target.
     """
     to_sensor = np.zeros((6, 6))
     to_sensor[:3, :3] = R
@@ -110,32 +110,32 @@ def spread(information: FloatArray, R: FloatArray) -> FloatArray:
 
 
 @kernel
-def shared(information: FloatArray, claims: FloatArray) -> FloatArray:
-    """Return the information without that of returns whose leverage is beyond ``ALONE``, shape (6, 6).
+def without_influential(information: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the information without returns whose leverage is above ``INFLUENTIAL``, shape (6, 6).
 
     The leverage of a residual is w J (sum of w J^T J)^-1 J^T, its share in its own prediction
     (R. D. Cook, Detection of Influential Observation in Linear Regression, Technometrics 19(1), 1977).
 
     Args:
-        information: of all returns, shape (6, 6).
-        claims: derivatives and weight of each return, shape (N, 7).
+        information: information of all returns, shape (6, 6).
+        rows: derivatives and weight of each return, shape (N, 7).
     """
     leverages = np.linalg.inv(information + 1e-3 * np.eye(6))
     for i in range(6):
         leverages[i, :i] = 0.0
         leverages[i, i + 1 :] *= 2.0
     kept = information.copy()
-    for claim in claims:
+    for row in rows:
         leverage = 0.0
         for i in range(6):
-            row = 0.0
+            product = 0.0
             for j in range(i, 6):
-                row += leverages[i, j] * claim[j]
-            leverage += claim[i] * row
-        if claim[6] * leverage > ALONE:
+                product += leverages[i, j] * row[j]
+            leverage += row[i] * product
+        if row[6] * leverage > INFLUENTIAL:
             for i in range(6):
                 for j in range(6):
-                    kept[i, j] -= claim[6] * claim[i] * claim[j]
+                    kept[i, j] -= row[6] * row[i] * row[j]
     return kept
 
 
@@ -146,27 +146,27 @@ def add_face_points(
     """Return the sums and the evidence of returns on faces; add the factors of the others to ``outline``.
 
     A return on a face with the plane n . q = o has the residual n . q - o along n. Its error along the ray
-    shows as sigma cos(incidence) along the normal, and the face itself may be off by the slack, so that its
-    weight is 1 / (sigma^2 cos^2 + slack^2). A return whose ray passes the target by has the distance in the
-    target's field as its residual, along the field's gradient.
+    gives an error of sigma cos(incidence) along the normal, and the face itself has an error of the slack, so
+    that the weight is 1 / (sigma^2 cos^2 + slack^2). A return whose ray misses the target has the distance in
+    the target's field as its residual, along the field's gradient.
 
     Args:
-        outline: sums of the returns beyond the outline, shape (35,), in and out.
-        problem: what is aligned; its buffers hold the target rendered at the pose.
-        pose: to linearise at.
-        scale: of Geman and McClure, m, above 0.
+        outline: sums over the returns beyond the outline, shape (35,), input and output.
+        problem: the problem; its buffers hold the target rendered at the pose.
+        pose: pose to linearise at.
+        scale: Geman-McClure scale, m, above 0.
     """
     points, rays = problem.points_m, problem.rays
     normals, offsets = problem.faces.normals, problem.faces.offsets_m
     origin, per_m, values = problem.field.origin_m, 1.0 / problem.field.spacing_m, problem.field.values
     errors, owner = problem.errors, problem.buffers.triangle.reshape(-1)
     R, t, c2, sums = pose.R, pose.t, scale * scale, no_sums()
-    claims, inliers, counted, squares = np.zeros((points.shape[0], 7)), 0, 0.0, 0.0
+    rows, inliers, counted, squares = np.zeros((points.shape[0], 7)), 0, 0.0, 0.0
     for n in range(points.shape[0]):
         px, py, pz = points[n, 0], points[n, 1], points[n, 2]
         x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
         face = owner[rays[n]] if 0 <= rays[n] < owner.size else -1
-        if face < 0:  # beyond the outline, which is moved towards it
+        if face < 0:  # beyond the outline: the outline is moved towards the return
             d, g = distance_and_gradient(
                 (x - origin[0]) * per_m, (y - origin[1]) * per_m, (z - origin[2]) * per_m, values
             )
@@ -182,12 +182,12 @@ def add_face_points(
         fading = geman_mcclure(along2, c2)
         weight = fading / (errors.sigma_m**2 * cosine2 + errors.slack_m**2)
         add_residual(sums, Vector(n0, n1, n2), Vector(x, y, z), e, weight)
-        claims[n] = (n0, n1, n2, y * n2 - z * n1, z * n0 - x * n2, x * n1 - y * n0, weight)
+        rows[n] = (n0, n1, n2, y * n2 - z * n1, z * n0 - x * n2, x * n1 - y * n0, weight)
         if along2 < c2:
             inliers += 1
             counted += fading
             squares += e * e
-    return FaceEvidence(sums, claims, squares, inliers, counted)
+    return FaceEvidence(sums, rows, squares, inliers, counted)
 
 
 @linearises(FaceProblem)
@@ -206,10 +206,10 @@ def face_equations(problem: FaceProblem, state: State, step: int) -> Linear[Face
 
 
 @kernel
-def settle(problem: FaceProblem, pose: PoseArrays) -> ScanFit:
+def face_aligned(problem: FaceProblem, pose: PoseArrays) -> FaceFit:
     """Return the pose after one step to the faces for each of the problem's scales."""
     fit = minimised(problem, State(pose, 0.0), problem.scales_m.size)
     evidence = fit.linear.evidence
     whole = evidence.inliers / max(evidence.faded, 1e-6)
-    information = shared(information_of(evidence.sums, 6), evidence.claims) * whole
-    return ScanFit(fit.state.pose, information, evidence.squares_m2, evidence.inliers)
+    information = without_influential(information_of(evidence.sums, 6), evidence.rows) * whole
+    return FaceFit(fit.state.pose, information, evidence.squares_m2, evidence.inliers)

@@ -1,13 +1,13 @@
-"""How well a pose explains a scan: the likelihood of every ray, hit or missed.
+"""Fit of a pose to a scan: the likelihood of every ray, hit or missed.
 
-The target is cast at the pose. A ray that should meet it comes back with a probability that the scan tells
-itself (``detection``), and then with a range error of heavy tails whose scale is what the sensor says of
-itself (``scan_likelihood``); one that should meet nothing comes back with a small probability, at any range.
-The logarithms add up to the scan's.
+The target is cast at the pose. A ray that should meet it gives a return with a probability estimated from the
+scan itself (``detection``), with a heavy-tailed range error whose scale the sensor states
+(``scan_likelihood``). A ray that should meet nothing gives a return with a small probability, at any range.
+The scan's log likelihood is the sum over the rays.
 
-The same sum has an expectation and a variance under the pose itself, so that the *deficit*, expected minus
-actual, says how badly the scan speaks against it, without any other pose to compare with: a right pose lacks
-nothing but chance, a wrong one lacks several units a return.
+This sum has an expectation and a variance under the pose itself. The *deficit*, expected minus actual log
+likelihood, therefore measures how inconsistent the scan is with the pose, without any other pose for
+comparison: the deficit of a right pose is small and random, that of a wrong one is several units per return.
 """
 
 from dataclasses import dataclass
@@ -23,12 +23,12 @@ from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
 from rpod_pose.lidar.scan_likelihood import (
     Assumptions,
     Draws,
-    Judgement,
     Rays,
-    agreed,
-    judged,
+    ScanStatistics,
+    agreement_counts,
     likeliest,
     log_likelihood,
+    scan_statistics,
 )
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.surface_model import SurfaceModel
@@ -37,11 +37,11 @@ from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
 from rpod_schemas.poses import pose_of
 
 LEAST_DEVIATION = 3.0
-"""Of a deficit, where nothing is left to chance."""
+"""Least standard deviation of a deficit, for scans in which almost nothing is random."""
 MARGIN = 3
-"""Rows and columns beside a target that it may reach while a pose is sharpened."""
+"""Rows and columns beside the target that it may reach while a pose is refined."""
 UNKNOWN_SIGMA_M = 0.05
-"""Sigma of a range of a sensor that does not say it: pulsed LIDARs err by 2 to 5 cm."""
+"""Sigma of a range of a sensor that does not state it: pulsed LIDARs have errors of 2 to 5 cm."""
 
 _ROUNDS, _SAMPLES, _ELITE = 4, 64, 10
 _DRAWS = Draws(
@@ -55,29 +55,29 @@ _DRAWS = Draws(
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Which rays agree with a pose."""
+    """Numbers of rays that agree and disagree with a pose."""
 
     agreeing: int
-    """Returns where one was predicted, at the predicted range."""
-    contrary: int
-    """Returns where none was predicted, or at another range."""
+    """Number of returns at the predicted range."""
+    inconsistent: int
+    """Number of returns where none was predicted, or at another range."""
     missing: float
-    """Predicted returns that are lacking beyond what their echoes let expect."""
+    """Number of predicted returns that are missing, above the number expected for their echoes."""
 
     @property
     def share(self) -> float:
-        """Of the rays where scan or model say "return", the share that agrees; NaN where there is none."""
-        asked = self.agreeing + self.contrary + self.missing
-        return self.agreeing / asked if asked else float("nan")
+        """Share of agreeing rays among those with a measured or predicted return; NaN if there is none."""
+        counted = self.agreeing + self.inconsistent + self.missing
+        return self.agreeing / counted if counted else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
 class ScanFit:
-    """How well a pose explains a scan."""
+    """Fit of a pose to a scan."""
 
     log_likelihood: float
     deficit: float
-    """Expected minus actual log likelihood."""
+    """Expected minus actual log likelihood of the scan."""
     deviation: float
     """Standard deviation of the deficit under the pose."""
     agreement: Agreement
@@ -87,11 +87,11 @@ class ScanModel:
     """The statistics of a sensor's scans of a target.
 
     Args:
-        config: what is assumed of the scans.
-        verdict: when a pose explains one.
-        view: the rays.
-        surface: the target.
-        sigma_range_m: what the sensor says of its range errors, 0 where it does not.
+        config: assumptions about the scans.
+        verdict: limits within which a pose explains a scan.
+        view: rays of the scan pattern.
+        surface: model of the target.
+        sigma_range_m: standard deviation of a range as the sensor states it; 0 if it does not.
     """
 
     def __init__(
@@ -112,23 +112,23 @@ class ScanModel:
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
-        return _fit(judged(seen.range_m, R, t, self._rays, self._assumed))
+        return _fit(scan_statistics(seen.range_m, R, t, self._rays, self._assumed))
 
     def agreement(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Agreement:
-        """Return that part of ``fit`` alone, which takes half its time."""
-        return Agreement(*agreed(seen.range_m, R, t, self._rays, self._assumed))
+        """Return the agreement of ``fit`` alone, in half the time."""
+        return Agreement(*agreement_counts(seen.range_m, R, t, self._rays, self._assumed))
 
     def log_likelihood(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> float:
-        """Return that part of ``fit`` alone."""
+        """Return the log likelihood of ``fit`` alone."""
         return float(log_likelihood(seen.range_m, R, t, self._rays, self._assumed))
 
     @property
     def expected_shares(self) -> tuple[float, FloatArray]:
-        """Steps a unit of echo of a table, and the table: the share of rays that come back, for all scans."""
+        """Return the ``detection`` of ``energies``: steps of the table per unit of echo, and the table."""
         return LINEAR_STEPS * self._assumed.least_range_m**2, self._shares
 
     def belief(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> Belief:
-        """Return whether a pose, whose fit is known, explains a scan."""
+        """Return the belief that a pose with a known fit explains a scan."""
         rays = fit.agreement
         evidence = {
             "deficit": fit.deficit,
@@ -136,40 +136,40 @@ class ScanModel:
             "returns": float(seen.returns),
             "agreeing_share": rays.share,
         }
-        if self._content(fit, seen.returns):
+        if self._explains(fit, seen.returns):
             return Belief(evidence=evidence)
-        less = _fit(judged(seen.range_m, R, t, self._rays, self._pessimistic))
-        if self._content(less, seen.returns):
+        less = _fit(scan_statistics(seen.range_m, R, t, self._rays, self._pessimistic))
+        if self._explains(less, seen.returns):
             return Belief(evidence=evidence)
         reason = (
-            f"does not explain the scan: of {seen.returns} returns {rays.contrary} contradict the pose, "
+            f"does not explain the scan: of {seen.returns} returns {rays.inconsistent} contradict the pose, "
             f"{rays.missing:.0f} more are missing"
         )
         return contradicted(reason, **evidence)
 
-    def _content(self, fit: ScanFit, returns: int) -> bool:
+    def _explains(self, fit: ScanFit, returns: int) -> bool:
         verdict = self._verdict
         most = verdict.max_deficit * max(fit.deviation, LEAST_DEVIATION)
-        contrary = verdict.contrary_share + 2.0 * sqrt(verdict.contrary_share / returns)
+        most_inconsistent = verdict.contrary_share + 2.0 * sqrt(verdict.contrary_share / returns)
         return (
             fit.deficit <= most + verdict.max_deficit_per_return * returns
-            and fit.agreement.share >= 1.0 - contrary
+            and fit.agreement.share >= 1.0 - most_inconsistent
         )
 
-    def sharpen(
+    def outline_refined(
         self, seen: SeenScan, R: FloatArray, t: FloatArray, covariance: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the likeliest pose R, t near one, whose uncertainty is known roughly.
+        """Return the likeliest pose R, t near a given one, whose uncertainty is roughly known.
 
-        Few returns on faces leave motions open that the outline still tells of: which rays meet the target.
-        The likelihood is searched, since such steps have no gradient: samples of a normal distribution that
-        follows the best of them (the cross-entropy method, R. Y. Rubinstein, 1999).
+        Few returns on faces leave some motions undetermined that the outline determines: it shows which rays
+        meet the target. That part of the likelihood has no gradient, so it is sampled from a normal
+        distribution that follows the best samples (the cross-entropy method, R. Y. Rubinstein, 1999).
 
         Args:
             seen: the scan.
-            R: of the target in the sensor, shape (3, 3).
-            t: of the target in the sensor, shape (3,), m.
-            covariance: of (dtau, dtheta) of ``normal_equations``, shape (6, 6).
+            R: R_sensor_target, shape (3, 3).
+            t: position of the target in the sensor, shape (3,), m.
+            covariance: covariance of (dtau, dtheta) as in ``normal_equations``, shape (6, 6).
         """
         hits = self._view.hits
         cast(self._view.grid, self._rays.faces[0], pose_of(R, t), out=hits)
@@ -181,16 +181,16 @@ class ScanModel:
             np.empty(measured.shape, np.float32),
             np.empty(measured.shape, np.int32),
         )
-        sharper: tuple[FloatArray, FloatArray] = likeliest(
+        refined: tuple[FloatArray, FloatArray] = likeliest(
             measured, R, t, rays, self._assumed, covariance, _DRAWS
         )
-        return sharper
+        return refined
 
 
-def _fit(told: Judgement) -> ScanFit:
-    counts = told.agreeing, told.contrary, told.missing
-    deficit = told.expected - told.log_likelihood
-    return ScanFit(told.log_likelihood, deficit, sqrt(told.variance), Agreement(*counts))
+def _fit(statistics: ScanStatistics) -> ScanFit:
+    counts = statistics.agreeing, statistics.inconsistent, statistics.missing
+    deficit = statistics.expected - statistics.log_likelihood
+    return ScanFit(statistics.log_likelihood, deficit, sqrt(statistics.variance), Agreement(*counts))
 
 
 def _assumptions(config: ScanModelConfig, sigma_range_m: float) -> Assumptions:
@@ -205,7 +205,7 @@ def _assumptions(config: ScanModelConfig, sigma_range_m: float) -> Assumptions:
 
 
 def _around(rays: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Return the rows and columns that hold some rays, and a margin."""
+    """Return the rows and columns that contain the given rays, with a margin."""
     row, column = (np.flatnonzero(rays.any(axis=axis)) for axis in (1, 0))
     return _widened(row), _widened(column)
 

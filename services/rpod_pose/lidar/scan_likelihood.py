@@ -1,9 +1,9 @@
-"""What a scan says of a pose, ray by ray: its log likelihood, what that was to be expected, which rays agree.
+"""Likelihood of a scan at a pose, ray by ray: actual, expected, and which rays agree.
 
-The kernels of ``scan_fit``. A return from a surface errs by Student's distribution with four degrees of
-freedom, whose scale is what the sensor says of itself: a normal error whose variance is known roughly (by a
-scaled inverse chi-square distribution with four degrees of freedom). Its tails take outliers without being
-told how many there are, or how large.
+These are the kernels of ``scan_fit``. The range error of a return from a surface has Student's distribution
+with four degrees of freedom, with the scale that the sensor states: a normal error whose variance is only
+roughly known (by a scaled inverse chi-square distribution with four degrees of freedom). Its tails cover
+outliers, so that neither their number nor their size has to be known.
 """
 
 from typing import NamedTuple
@@ -20,28 +20,28 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 STEEPEST = 0.05
-"""Cosine of incidence below which a surface's slack along the ray grows no more."""
+"""Least cosine of incidence in the effect of a surface's slack along the ray."""
 PEAK = 0.375
-"""Density of Student's distribution (4) at zero, in units of one over its scale."""
+"""Density of Student's distribution with 4 degrees of freedom at zero, in units of one over its scale."""
 HIT_MEAN, HIT_VARIANCE = 1.6818, 0.9661
 """Mean and variance of minus the logarithm of that density, integrated numerically."""
 
 
 class Assumptions(NamedTuple):
-    """What is expected of a return."""
+    """Assumed statistics of returns."""
 
     sigma_m: float
     """Scale of a range error."""
     slack_m: float
-    """Standard deviation of a face across its plane."""
+    """Standard deviation of a face's position along its normal."""
     clutter_share: float
-    """Share of rays whose return, or its lack, says nothing."""
+    """Share of rays whose result, return or none, is unrelated to the target."""
     clutter_density: float
-    """Such returns a ray and metre of range, 1/m."""
+    """Number of unrelated returns per ray and metre of range, 1/m."""
     least_range_m: float
-    """At which a white surface seen squarely is detected by half or more."""
+    """Range at which a white surface at normal incidence gives a return for every other pulse, at least."""
     detection: Detection
-    """Which rays come back."""
+    """Probabilities that rays give returns."""
 
 
 class Rays(NamedTuple):
@@ -58,63 +58,65 @@ class Rays(NamedTuple):
 
 
 class Draws(NamedTuple):
-    """How a pose's neighbourhood is sampled."""
+    """Samples of a pose's neighbourhood."""
 
     normal: FloatArray
     """Standard normal samples, shape (rounds, samples, 6)."""
     elite: int
-    """How many of the best of a round lead the next."""
+    """Number of best samples of a round that determine the next round's distribution."""
 
 
-class Judgement(NamedTuple):
-    """What a scan says of a pose."""
+class ScanStatistics(NamedTuple):
+    """Statistics of a scan at a pose."""
 
     log_likelihood: float
-    """Against that of an empty sky."""
+    """Log likelihood, relative to that of an empty sky."""
     expected: float
-    """Its mean over the scans that the pose lets expect."""
+    """Mean of the log likelihood over the scans that the pose predicts."""
     variance: float
-    """Its variance over these."""
+    """Variance of the log likelihood over these scans."""
     agreeing: int
-    """Returns that the predicted face explains better than clutter does."""
-    contrary: int
-    """Other returns."""
+    """Number of returns that the predicted face explains better than clutter does."""
+    inconsistent: int
+    """Number of all other returns."""
     missing: float
-    """Rays that meet a face and did not come back, beyond the number that is expected of their echo."""
+    """Number of rays that meet a face and gave no return, above the number expected for their echoes."""
 
 
 @kernel
-def judged(range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions) -> Judgement:
-    """Return the ``Judgement`` on a pose R, t of the target in the sensor.
+def scan_statistics(
+    range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
+) -> ScanStatistics:
+    """Return the statistics of a scan at a pose R, t of the target in the sensor.
 
     Args:
-        range_m: of each ray, 0 where no return, shape (rows, columns).
-        R: shape (3, 3).
-        t: shape (3,), m.
-        rays: ``Rays``.
-        assumed: ``Assumptions``.
+        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
+        R: R_sensor_target, shape (3, 3).
+        t: position of the target in the sensor, shape (3,), m.
+        rays: rays, target and buffers.
+        assumed: statistics of returns.
     """
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
-    told, power = _log_likelihood(range_m, R, rays, assumed)
+    log, power = _log_likelihood(range_m, R, rays, assumed)
     mean, variance = _expectation(R, rays, assumed, power)
     counts = _agreement(range_m, R, rays, assumed, power)
-    return Judgement(told, mean, variance, counts[0], counts[1], counts[2])
+    return ScanStatistics(log, mean, variance, counts[0], counts[1], counts[2])
 
 
 @kernel
 def log_likelihood(
     range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
 ) -> float:
-    """Return that part of ``judged`` alone."""
+    """Return the log likelihood of ``scan_statistics`` alone."""
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
     return _log_likelihood(range_m, R, rays, assumed)[0]
 
 
 @kernel
-def agreed(
+def agreement_counts(
     range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
 ) -> tuple[int, int, float]:
-    """Return the counts of ``judged`` alone: agreeing, contrary, missing."""
+    """Return the counts of ``scan_statistics`` alone: agreeing, inconsistent, missing."""
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
     power = _log_likelihood(range_m, R, rays, assumed)[1]
     return _agreement(range_m, R, rays, assumed, power)
@@ -122,7 +124,7 @@ def agreed(
 
 @kernel
 def _met(R: FloatArray, rays: Rays, least_range_m: float, i: int, j: int) -> tuple[float, float, int]:
-    """Return the predicted range of a ray, its cosine of incidence, and the step of its echo in the table."""
+    """Return a ray's predicted range, m, its cosine of incidence, and the step of its echo in the table."""
     directions, (_, normals, _, albedo) = rays.grid[0], rays.faces
     face = rays.face[i, j]
     dx, dy, dz = directions[0, i, j], directions[1, i, j], directions[2, i, j]
@@ -149,9 +151,9 @@ def _density(error_m: float, cosine: float, assumed: Assumptions) -> float:
 def _log_likelihood(
     range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions
 ) -> tuple[float, int]:
-    """Return the log likelihood of a scan against that of an empty sky, and the likeliest of ``HALVES``.
+    """Return a scan's log likelihood relative to an empty sky, and the index of the likeliest ``half``.
 
-    A return that clutter explains better than the face does tells nothing of what is detected.
+    A return that clutter explains better than the face does is not counted as detected.
     """
     log_density, log_clear = np.log(assumed.clutter_density), np.log(1.0 - assumed.clutter_share)
     returned, missing, total = np.zeros(RUNGS), np.zeros(RUNGS), 0.0
@@ -177,26 +179,26 @@ def _log_likelihood(
 
 @kernel
 def _detected(returned: FloatArray, missing: FloatArray, detection: Detection) -> tuple[float, int]:
-    """Return the log of the mean likelihood over ``HALVES`` of which rays came back, and the likeliest one.
+    """Return the log mean likelihood of the detections over ``HALVES``, and the index of the likeliest one.
 
     Args:
-        returned: rays that came back, by echo, shape (RUNGS,).
-        missing: rays that did not, likewise.
-        detection: ``Detection``.
+        returned: number of rays with a return, by echo, shape (RUNGS,).
+        missing: number of rays without a return, by echo, shape (RUNGS,).
+        detection: probabilities of a return.
     """
-    told = np.zeros(detection.share.shape[0])
-    for h in range(told.size):
+    logs = np.zeros(detection.share.shape[0])
+    for h in range(logs.size):
         for rung in range(RUNGS):
-            told[h] += returned[rung] * detection.log_share[h, rung]
-            told[h] += missing[rung] * detection.log_missing[h, rung]
-    power = int(np.argmax(told))
-    evidence: float = told[power] + np.log(np.mean(np.exp(told - told[power])))
+            logs[h] += returned[rung] * detection.log_share[h, rung]
+            logs[h] += missing[rung] * detection.log_missing[h, rung]
+    power = int(np.argmax(logs))
+    evidence: float = logs[power] + np.log(np.mean(np.exp(logs - logs[power])))
     return evidence, power
 
 
 @kernel
 def _expectation(R: FloatArray, rays: Rays, assumed: Assumptions, power: int) -> tuple[float, float]:
-    """Return mean and variance of the log likelihood over the scans that the pose lets expect."""
+    """Return mean and variance of the log likelihood over the scans that the pose predicts."""
     log_clear, mean, variance = np.log(1.0 - assumed.clutter_share), 0.0, 0.0
     share, log_share, log_missing = assumed.detection
     for i in range(rays.face.shape[0]):
@@ -217,18 +219,18 @@ def _expectation(R: FloatArray, rays: Rays, assumed: Assumptions, power: int) ->
 def _agreement(
     range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions, power: int
 ) -> tuple[int, int, float]:
-    """Return how many returns agree, how many contradict, and how many are missing.
+    """Return the numbers of returns that agree, that are inconsistent, and that are missing.
 
-    What is missing is counted for each echo apart: no sensor loses bright surfaces and returns dark ones. One
-    standard deviation of each number is left to chance.
+    Missing returns are counted separately for each echo: no sensor misses bright surfaces and detects dark
+    ones. The number at each echo is reduced by one standard deviation.
     """
-    agreeing, contrary = 0, 0
+    agreeing, inconsistent = 0, 0
     missed, expected = np.zeros(RUNGS), np.zeros(RUNGS)
     for i in range(rays.face.shape[0]):
         for j in range(rays.face.shape[1]):
             m = range_m[i, j]
             if rays.face[i, j] < 0:
-                contrary += m > 0.0
+                inconsistent += m > 0.0
                 continue
             r, cosine, rung = _met(R, rays, assumed.least_range_m, i, j)
             expected[rung] += 1.0 - assumed.detection.share[power, rung]
@@ -237,11 +239,11 @@ def _agreement(
             elif _density(m - r, cosine, assumed) > assumed.clutter_density:
                 agreeing += 1
             else:
-                contrary += 1
+                inconsistent += 1
     missing = 0.0
     for rung in range(RUNGS):
         missing += max(0.0, missed[rung] - expected[rung] - np.sqrt(expected[rung]))
-    return agreeing, contrary, missing
+    return agreeing, inconsistent, missing
 
 
 @kernel
@@ -254,10 +256,11 @@ def likeliest(  # noqa: PLR0917
     covariance: FloatArray,
     draws: Draws,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the likeliest pose R, t near one (``scan_fit.ScanModel.sharpen``).
+    """Return the likeliest pose R, t near a given one (``scan_fit.ScanModel.outline_refined``).
 
-    The samples of the first round have a covariance of (dtau, dtheta), shape (6, 6), those of each next one
-    that of the elite, the best of the round. The other arguments are those of ``judged``, and ``Draws``.
+    The samples of the first round have the given covariance of (dtau, dtheta), shape (6, 6); those of each
+    next round have that of the best samples of the round before. The other arguments are as in
+    ``scan_statistics``.
     """
     normal, elite = draws
     best_R, best_t = R, t

@@ -1,4 +1,4 @@
-"""What a LIDAR says of itself: the directions of its rays, and how well it measures."""
+"""Scan pattern of a LIDAR: the directions of its rays, and the errors that it states."""
 
 from dataclasses import dataclass
 
@@ -10,18 +10,18 @@ from rpod_schemas.types import LidarInfo
 
 @dataclass(frozen=True, eq=False)
 class ScanPattern:
-    """Directions of an organised scan, and the sensor's own word on its errors."""
+    """Directions of an organised scan, and the range error that the sensor states."""
 
     azimuth_rad: FloatArray
     elevation_rad: FloatArray
     rows_are_elevation: bool = True
-    """Of the scans as they are sent."""
+    """Whether the rows of the scans, as they are sent, are elevations."""
     sigma_range_m: float = 0.0
-    """Standard deviation of a range, 0 where the sensor does not say it."""
+    """Standard deviation of a range; 0 if the sensor does not state it."""
 
     @classmethod
     def of(cls, info: LidarInfo) -> "ScanPattern":
-        """Return what a LIDAR says of itself."""
+        """Return the scan pattern of a LIDAR's info message."""
         return cls(info.azimuth_rad, info.elevation_rad, info.rows_are_elevation, info.sigma_range_m)
 
     def __eq__(self, other: object) -> bool:
@@ -37,5 +37,5 @@ class ScanPattern:
     __hash__ = None  # type: ignore[assignment]
 
     def __str__(self) -> str:
-        """Return its size."""
+        """Return a short text with the pattern's size."""
         return f"scan pattern of {self.elevation_rad.size} x {self.azimuth_rad.size}"

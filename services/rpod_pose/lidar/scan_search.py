@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
-from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, settle
+from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, face_aligned
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.field_alignment import Points, field_aligned
@@ -23,37 +23,37 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, SearchLevelConfig
 from rpod_schemas.types import Float32Array
 
-DRAW_IN_SCALES_M = 1.0, 0.15
-"""Of the first and the last step that draws a candidate onto the scan."""
-SETTLE_SCALES_M = np.array([0.5, 0.3, 0.2])
-"""Of a candidate's steps to the faces."""
+FIELD_SCALES_M = 1.0, 0.15
+"""Geman-McClure scales of the first and the last step that aligns a candidate in the distance field."""
+FACE_SCALES_M = np.array([0.5, 0.3, 0.2])
+"""Geman-McClure scales of a candidate's steps to the faces."""
 FINE_SCALES_M = np.array([0.2, 0.1, 0.1])
-"""Of the steps that the best ones are finished with."""
+"""Geman-McClure scales of the last steps, for the best candidates."""
 HALFWAY = 4.0
-"""Deficit a return, above none, of a pose that the outline may yet make right."""
+"""Greatest deficit per return of a pose that a refinement on the outline may still correct."""
 GAIN = 5.0
-"""Log likelihood by which a pose is worth being turned again."""
-OPEN_M, OPEN_RAD = 0.3, 0.1
-"""Standard deviations within which the outline is searched for what the faces leave open."""
+"""Gain of log likelihood after which a pose's near-symmetries are tried again."""
+OUTLINE_M, OUTLINE_RAD = 0.3, 0.1
+"""Prior standard deviations in the refinement on the outline of motions that the faces do not determine."""
 STRETCH = 1.5
-"""Of the standard deviations of what the faces tell, within which it is searched too: a few returns may be on
-the wrong ones."""
+"""Factor on the standard deviations of motions that the faces determine, in this refinement: a few returns
+may be on the wrong faces."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A pose of the target in the sensor, and how well it explains the scan."""
+    """A pose of the target in the sensor, with its fit to the scan."""
 
     R: FloatArray
     t: FloatArray
     fit: ScanFit
     information: FloatArray
-    """About (dtau, dtheta) of ``normal_equations``, shape (6, 6)."""
+    """Information about (dtau, dtheta) as in ``normal_equations``, shape (6, 6)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scanner:
-    """The rays of every few rows and columns of a pattern, and what is expected of them."""
+    """The rays of every few rows and columns of a pattern, with their statistics."""
 
     view: ScanView
     distances: ReturnDistances
@@ -63,8 +63,8 @@ class Scanner:
     def of(
         cls, view: ScanView, config: GlobalSearchConfig, surface: SurfaceModel, *, sigma_range_m: float
     ) -> Self:
-        """Return the scanner of a view; the sigma of a range is what the sensor says, 0 where it does not."""
-        model, verdict = config.tracking.model, config.tracking.verdict
+        """Return the scanner of a view; the sigma of a range is 0 if the sensor does not state it."""
+        model, verdict = config.tracking.tuning.model, config.tracking.tuning.verdict
         statistics = ScanModel(model, verdict, view, surface, sigma_range_m=sigma_range_m)
         return cls(view, ReturnDistances.of(view), statistics)
 
@@ -82,78 +82,81 @@ class ScanSearch:
     """Searches one scan."""
 
     def __init__(self, config: GlobalSearchConfig, model: Model, scanner: Scanner, seen: SeenScan) -> None:
-        self._config, self._model, self._scanner, self.seen = config, model, scanner, seen
+        self._config, self._tuning = config, config.tuning
+        self._model, self._scanner, self.seen = model, scanner, seen
         self._image = scanner.distances.image(seen)
         self._centroid_m = seen.points_m.mean(axis=0)
-        self._few = Points.equal(seen.thinned(config.draw_in_points))
-        self._far_m = np.geomspace(*DRAW_IN_SCALES_M, config.draw_in_steps)
+        self._few = Points.equal(seen.downsampled(self._tuning.draw_in_points))
+        self._far_m = np.geomspace(*FIELD_SCALES_M, self._tuning.draw_in_steps)
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
-        """Return distinct poses, likeliest first; empty where no attitude shows the target to the sensor.
+        """Return distinct poses, likeliest first; empty if the sensor sees the target at no attitude.
 
         Args:
-            attitudes: R_sensor_target to begin with, shape (M, 3, 3).
-            level: how many of them are followed.
+            attitudes: initial R_sensor_target, shape (M, 3, 3).
+            level: how many of them are compared and refined.
         """
         found: list[Pose] = []
         for R, t in self._candidates(attitudes, level):
-            found.append(self._drawn_in(R, t))
+            found.append(self._field_aligned(R, t))
             if self._is_sure(found[-1]):
                 return self.completed(found, siblings=1)
-        return self.completed(found, siblings=self._config.siblings)
+        return self.completed(found, siblings=self._tuning.siblings)
 
     def completed(self, found: list[Pose], *, siblings: int) -> list[Pose]:
-        """Return distinct poses, likeliest first: those found, and what they may be mistaken for.
+        """Return distinct poses, likeliest first: the given ones, and those that they may be mistaken for.
 
-        The best of them, ``siblings`` of their number, have all been turned.
+        The near-symmetries of the best ``siblings`` poses have all been tried.
         """
-        config, turned = self._config, list[Pose]()
+        tuning, turned = self._tuning, list[Pose]()
         found = list(found)
-        for _ in range(config.turned):
+        for _ in range(tuning.turned):
             best = self._distinct(found)[:siblings]
-            asked = next((pose for pose in best if not self._is_turned(pose, turned)), None)
-            if asked is None:
+            chosen = next((pose for pose in best if not self._is_turned(pose, turned)), None)
+            if chosen is None:
                 break
-            asked = self._finished(asked)
-            turned.append(asked)
-            found += [asked, *self._turned(asked)]
-        best = self._distinct(found)[: config.finished]
+            chosen = self._finished(chosen)
+            turned.append(chosen)
+            found += [chosen, *self._turned(chosen)]
+        best = self._distinct(found)[: tuning.finished]
         finished = self._distinct([self._improved(pose, FINE_SCALES_M) for pose in best])
         if not finished:
             return finished
-        least = finished[0].fit.log_likelihood - config.rival_log_likelihood
+        least = finished[0].fit.log_likelihood - tuning.rival_log_likelihood
         rivals = [pose for pose in finished if pose.fit.log_likelihood >= least]
-        if len(rivals) == 1 and self.seen.returns >= config.sharpened_returns:
+        if len(rivals) == 1 and self.seen.returns >= tuning.sharpened_returns:
             return finished
-        return self._distinct([*map(self._sharpened, rivals), *finished[len(rivals) :]])
+        return self._distinct([*map(self._outline_refined, rivals), *finished[len(rivals) :]])
 
     def _finished(self, pose: Pose) -> Pose:
-        """Return a pose finished, so that its turns are no worse than it is itself."""
+        """Return a pose fully refined, so that its near-symmetries start from an accurate pose."""
         pose = self._improved(pose, FINE_SCALES_M)
         halfway = 0.0 < pose.fit.deficit < HALFWAY * self.seen.returns
-        few = self.seen.returns < self._config.sharpened_returns  # which are sharpened in the end
-        return self._sharpened(pose) if halfway and not few else pose
+        few = (
+            self.seen.returns < self._tuning.sharpened_returns
+        )  # few returns: the pose is refined on the outline at the end
+        return self._outline_refined(pose) if halfway and not few else pose
 
     def _is_turned(self, pose: Pose, turned: Sequence[Pose]) -> bool:
-        """Return whether a pose has been turned, and not become much likelier since."""
+        """Return whether a pose's near-symmetries were tried when it was about as likely as now."""
         return any(
             alike and pose.fit.log_likelihood <= other.fit.log_likelihood + GAIN
-            for alike, other in zip(self.alike([pose], turned)[0], turned, strict=True)
+            for alike, other in zip(self.close([pose], turned)[0], turned, strict=True)
         )
 
-    def alike(self, poses: Sequence[Pose], others: Sequence[Pose]) -> NDArray[np.bool_]:
-        """Return which poses' attitudes are close to which others', or to their exact turns, shape (P, O)."""
-        least = 1.0 + 2.0 * cos(radians(self._config.distinct_deg))
+    def close(self, poses: Sequence[Pose], others: Sequence[Pose]) -> NDArray[np.bool_]:
+        """Return which poses' attitudes are close to which others', modulo exact symmetries, shape (P, O)."""
+        least = 1.0 + 2.0 * cos(radians(self._tuning.distinct_deg))
         exact = self._model.turns.exact
         R = np.array([pose.R for pose in poses]).reshape(-1, 1, 3, 3) @ exact
         other_R = np.array([other.R for other in others]).reshape(-1, 9)
         traces = (R.reshape(-1, 9) @ other_R.T).reshape(len(poses), len(exact), len(others))
-        close: NDArray[np.bool_] = traces.max(axis=1, initial=-1.0) > least
-        return close
+        near: NDArray[np.bool_] = traces.max(axis=1, initial=-1.0) > least
+        return near
 
-    def settled(self, R: FloatArray, t: FloatArray, scales_m: FloatArray) -> Pose:
-        """Return a nearly right pose after a step to the faces for each scale."""
-        view, model = self._scanner.view, self._config.tracking.model
+    def face_aligned(self, R: FloatArray, t: FloatArray, scales_m: FloatArray) -> Pose:
+        """Return a pose after one step to the faces for each Geman-McClure scale, shape (steps,)."""
+        view, model = self._scanner.view, self._config.tracking.tuning.model
         problem = FaceProblem(
             self.seen.points_m,
             self.seen.rays,
@@ -164,36 +167,36 @@ class ScanSearch:
             scales_m,
             view.hits.arrays,
         )
-        (R, t), information, *_ = settle(problem, PoseArrays(R, t))
+        (R, t), information, *_ = face_aligned(problem, PoseArrays(R, t))
         return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), information)
 
-    def _there(self, R: FloatArray, t: FloatArray) -> Pose:
-        """Return a pose as it is; nothing is known of what determines it."""
+    def _unrefined(self, R: FloatArray, t: FloatArray) -> Pose:
+        """Return a pose as it is, with its fit, without information from any alignment."""
         return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), np.zeros((6, 6)))
 
     def _improved(self, pose: Pose, scales_m: FloatArray) -> Pose:
-        """Return a pose settled, but for where the faces lead astray what the outline has right."""
-        settled = self.settled(pose.R, pose.t, scales_m)
-        better = settled.fit.log_likelihood >= pose.fit.log_likelihood
-        return settled if better else replace(pose, information=settled.information)
+        """Return a pose aligned with the faces, or unchanged if the alignment makes it less likely."""
+        aligned = self.face_aligned(pose.R, pose.t, scales_m)
+        better = aligned.fit.log_likelihood >= pose.fit.log_likelihood
+        return aligned if better else replace(pose, information=aligned.information)
 
     def belief(self, pose: Pose) -> Belief:
-        """Return whether a pose explains the scan."""
+        """Return the belief that a pose explains the scan."""
         return self._scanner.statistics.belief(self.seen, pose.R, pose.t, pose.fit)
 
     def _is_sure(self, pose: Pose) -> bool:
         returns = self.seen.returns
         return (
-            returns >= self._config.sure_returns and pose.fit.deficit <= -self._config.sure_surplus * returns
+            returns >= self._tuning.sure_returns and pose.fit.deficit <= -self._tuning.sure_surplus * returns
         )
 
     def _candidates(
         self, attitudes: Float32Array, level: SearchLevelConfig
     ) -> Iterator[tuple[Float32Array, Float32Array]]:
         """Return rough poses R, t, least energy first."""
-        if self.seen.cut_off:  # several places for each
+        if self.seen.cut_off:  # several positions for each attitude
             attitudes = attitudes[:: len(self._model.views.anchors_m) // 2]
-        attitudes, places_m = self._laid(attitudes)
+        attitudes, places_m = self._centroid_aligned(attitudes)
         energy = self._energies(attitudes, places_m, rounds=1, roughly=True)
         better = np.argsort(energy, kind="stable")[: level.compared]
         attitudes, places_m = attitudes[better], places_m[better]
@@ -202,10 +205,10 @@ class ScanSearch:
             if energy[index] < NOTHING_IN_VIEW:
                 yield attitudes[index], places_m[index]
 
-    def _laid(self, attitudes: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Return attitudes and first guesses of the target's place, laid on the scan's centroid.
+    def _centroid_aligned(self, attitudes: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """Return attitudes and first guesses of the target's position by the scan's centroid.
 
-        A scan that the field of view cuts off shows any region of the target: each is tried.
+        A scan that the field of view truncates may show any region of the target: each region is tried.
         """
         views = self._model.views
         offsets_m: FloatArray | Float32Array
@@ -220,7 +223,7 @@ class ScanSearch:
     def _energies(
         self, attitudes: Float32Array, places_m: Float32Array, *, rounds: int, roughly: bool = False
     ) -> Float32Array:
-        """Return the energies of poses, whose places are laid on the scan anew."""
+        """Return the energies of poses, and align their positions with the scan."""
         views = self._model.views
         return energies(
             attitudes,
@@ -232,46 +235,46 @@ class ScanSearch:
             detection=self._scanner.statistics.expected_shares,
             returns=FEW_RETURNS if roughly else MORE_RETURNS,
             rounds=rounds,
-            truncation_m=self._config.truncation_m,
+            truncation_m=self._tuning.truncation_m,
         )
 
     def _turned(self, pose: Pose) -> list[Pose]:
-        """Return a pose's turns by near-symmetries, and the best of the others, where it is and laid anew."""
+        """Return a pose's near-symmetries and best other rotations, in place and aligned by the centroid."""
         turns = self._model.turns
         turned = (pose.R @ turns.all).astype(np.float32)
         here_m = np.tile(pose.t, (len(turned), 1)).astype(np.float32)
         here = self._energies(turned, here_m, rounds=0)
         here[: turns.declared] = 0.0
-        anew, anew_m = self._laid(turned)
-        laid = self._energies(anew, anew_m, rounds=2).reshape(len(turned), -1)
-        best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), laid.argmin(axis=1)]
-        order = np.argsort(np.concatenate((here, laid.min(axis=1))), kind="stable")[: self._config.turns]
+        anew, anew_m = self._centroid_aligned(turned)
+        energy = self._energies(anew, anew_m, rounds=2).reshape(len(turned), -1)
+        best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
+        order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[: self._tuning.turns]
         return [
-            self._improved(self._there(pose.R @ turns.all[index], pose.t), SETTLE_SCALES_M)
+            self._improved(self._unrefined(pose.R @ turns.all[index], pose.t), FACE_SCALES_M)
             if index < len(turned)
-            else self._drawn_in(turned[index - len(turned)], best_m[index - len(turned)])
+            else self._field_aligned(turned[index - len(turned)], best_m[index - len(turned)])
             for index in order
         ]
 
-    def _drawn_in(self, R: Float32Array, t: Float32Array) -> Pose:
-        """Return a rough pose drawn onto the scan."""
+    def _field_aligned(self, R: Float32Array, t: Float32Array) -> Pose:
+        """Return a rough pose aligned with the scan."""
         pose = PoseArrays(R.astype(np.float64), t.astype(np.float64))
         aligned = field_aligned(self._few, pose, self._model.surface.coarse_field, self._far_m)
-        return self.settled(*aligned, SETTLE_SCALES_M)
+        return self.face_aligned(*aligned, FACE_SCALES_M)
 
-    def _sharpened(self, pose: Pose) -> Pose:
-        """Return a pose moved to where the outline is explained best too; as it is without rays to ask."""
+    def _outline_refined(self, pose: Pose) -> Pose:
+        """Return a pose refined on the outline too; unchanged if no return lies on a ray of the pattern."""
         if not self.seen.range_m.any():  # all returns lie beside the pattern
             return pose
-        held: FloatArray = np.repeat((OPEN_M, OPEN_RAD), 3)
+        held: FloatArray = np.repeat((OUTLINE_M, OUTLINE_RAD), 3)
         covariance = np.linalg.inv(pose.information / STRETCH**2 + np.diag(held**-2)).astype(np.float64)
-        R, t = self._scanner.statistics.sharpen(self.seen, pose.R, pose.t, covariance)
+        R, t = self._scanner.statistics.outline_refined(self.seen, pose.R, pose.t, covariance)
         return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), pose.information)
 
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, without those close to a likelier one."""
         ranked = sorted(poses, key=lambda pose: -pose.fit.log_likelihood)
-        alike = self.alike(ranked, ranked)
+        alike = self.close(ranked, ranked)
         kept: list[int] = []
         for index in range(len(ranked)):
             if not alike[index, kept].any():

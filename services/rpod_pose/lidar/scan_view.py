@@ -1,4 +1,4 @@
-"""A scan laid on the rays of its pattern, as the kernels take it."""
+"""A scan assigned to the rays of its pattern, as the kernels take it."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -12,7 +12,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array, LidarScan
 
 NEAREST_M, FARTHEST_M = 0.05, 1e5
-"""Ranges beyond these are no returns: many sensors send a point in their origin for none."""
+"""Limits of a valid range: many sensors send a point in their origin for a ray without a return."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,9 +22,9 @@ class SeenScan:
     points_m: FloatArray
     """Finite points, sensor axes, shape (N, 3)."""
     rays: NDArray[np.int64]
-    """Row-major index of each point's ray, shape (N,); -1 for a point beside the pattern."""
+    """Row-major index of each point's ray, shape (N,); -1 for a point outside the pattern."""
     range_m: FloatArray
-    """Measured range of each ray, shape (rows, columns), 0 where no return."""
+    """Measured range of each ray, shape (rows, columns), 0 without a return."""
 
     @property
     def returns(self) -> int:
@@ -33,16 +33,16 @@ class SeenScan:
 
     @property
     def cut_off(self) -> bool:
-        """Whether the pattern's outermost rays met something: the target may reach beyond them."""
+        """Whether the pattern's outermost rays have returns: the target may extend beyond them."""
         image = self.range_m
         return bool(image[0].any() or image[-1].any() or image[:, 0].any() or image[:, -1].any())
 
-    def thinned(self, count: int) -> FloatArray:
-        """Return at most about ``count`` of the points, evenly taken."""
+    def downsampled(self, count: int) -> FloatArray:
+        """Return about ``count`` of the points, evenly taken, shape (n, 3)."""
         return np.ascontiguousarray(self.points_m[:: max(1, round(self.returns / count))])
 
     def around(self, radius_m: float) -> "SeenScan":
-        """Return the scan without returns farther than a radius from the middle of all."""
+        """Return the scan without returns farther than a radius from the median of all returns."""
         middle_m = np.median(self.points_m, axis=0)
         near = ((self.points_m - middle_m) ** 2).sum(axis=1) <= radius_m**2
         if near.all():
@@ -52,7 +52,7 @@ class SeenScan:
         return SeenScan(self.points_m[near], self.rays[near], image)
 
     def every(self, stride: int) -> "SeenScan":
-        """Return what every ``stride``-th row and column of the pattern saw."""
+        """Return the returns in every ``stride``-th row and column of the pattern."""
         row, column = np.divmod(self.rays, self.range_m.shape[1])
         kept = (self.rays >= 0) & (row % stride == 0) & (column % stride == 0)
         image = np.ascontiguousarray(self.range_m[::stride, ::stride])
@@ -86,7 +86,7 @@ class ScanView:
         return ScanView.of(self.azimuth_rad[::stride].copy(), self.elevation_rad[::stride].copy())
 
     def seen(self, scan: LidarScan) -> SeenScan:
-        """Return a scan's returns, sorted into rows and columns where they are not organised so."""
+        """Return a scan's returns with their rays; returns of an unorganised scan get the nearest rays."""
         points_m, places, range_m = returns_of(scan.points_m.reshape(-1, 3))
         organised = scan.points_m.shape[:-1] == self.shape
         rays = places if organised else self._nearest_rays(points_m, range_m)
@@ -103,30 +103,30 @@ class ScanView:
 
 @kernel
 def returns_of(points: Float32Array) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
-    """Return the points at a believable range, (N, 3), m, their indices, (N,), and their ranges, (N,), m.
+    """Return the points at a valid range, (N, 3), m, their indices, (N,), and their ranges, (N,), m.
 
     Args:
-        points: all, sensor axes, shape (M, 3), m; NaN for none.
+        points: all points, sensor axes, shape (M, 3), m; NaN without a return.
     """
     places, range_m = np.empty(len(points), np.int64), np.empty(len(points))
     count = 0
     for n in range(len(points)):
         x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
         r = np.sqrt(x * x + y * y + z * z)
-        if NEAREST_M < r < FARTHEST_M:  # NaN is not
+        if NEAREST_M < r < FARTHEST_M:  # false for NaN
             places[count], range_m[count] = n, r
             count += 1
     return points[places[:count]].astype(np.float64), places[:count], range_m[:count]
 
 
 def spacing_rad(angles_rad: FloatArray) -> float:
-    """Return the typical step between a pattern's columns or rows; of a single one 1 degree."""
+    """Return the median step between a pattern's columns or rows, rad; 1 degree for a single one."""
     return float(np.median(np.abs(np.diff(angles_rad)))) if angles_rad.size > 1 else np.radians(1.0)
 
 
-def _nearest(angles_rad: FloatArray, asked_rad: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the index of the nearest of a pattern's angles, and whether it is farther than a step."""
+def _nearest(angles_rad: FloatArray, wanted_rad: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the index of the pattern's nearest angle, and whether it is farther away than one step."""
     order = np.argsort(angles_rad)
     middle = (angles_rad[order][1:] + angles_rad[order][:-1]) / 2.0
-    index = order[np.searchsorted(middle, asked_rad)]
-    return index, np.abs(angles_rad[index] - asked_rad) > spacing_rad(angles_rad)
+    index = order[np.searchsorted(middle, wanted_rad)]
+    return index, np.abs(angles_rad[index] - wanted_rad) > spacing_rad(angles_rad)

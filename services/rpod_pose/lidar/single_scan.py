@@ -12,19 +12,19 @@ from rpod_target import Target
 
 
 def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
-    """Find a target in one scan, without a guess, by the facility's own search.
+    """Find a target in one scan, without a guess, with the facility's own search.
 
-    The first call for a target and a sensor prepares the search, in about a second; the others take
+    The first call for a target and a sensor prepares the search in about a second; later calls take
     milliseconds. A service that configures the search holds a ``GlobalSearch`` instead.
 
     Args:
         scan: organised in the sensor's rows and columns, or not.
         target: with a distance field.
-        sensor: what the LIDAR says of itself: scan pattern and sigma of a range.
+        sensor: info of the LIDAR: scan pattern and sigma of a range.
 
     Returns:
         T_sensor_target as ``pose``, its ``covariance`` of (dp, dtheta) in the sensor's fixed axes, shape
-        (6, 6), the ``verdict``, its ``reason``, and the weighted ``hypotheses``.
+        (6, 6), the ``outcome``, the ``belief`` with its reason, and the weighted ``hypotheses``.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
@@ -39,7 +39,7 @@ def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
         >>> returns = LidarEmulator(lidar, target, seed=1).scan([truth], frame=0)
         >>> scan = LidarScan(stamp_ns=0, frame_id="lidar", points_m=returns.points_m)
         >>> found = acquire(scan, target, lidar.info())
-        >>> str(found.verdict)
+        >>> str(found.outcome)
         'accepted'
         >>> bool((truth.inv() * found.pose).rotation.magnitude() < 0.01)
         True

@@ -31,7 +31,7 @@ POSE, TWIST = slice(0, 6), slice(6, 12)
 
 
 class StampOrderError(PoseError):
-    """A prediction backwards in time."""
+    """Raised for a prediction backwards in time."""
 
     def __init__(self, state_ns: int, asked_ns: int) -> None:
         super().__init__(f"the state is of {state_ns} ns, it cannot be predicted back to {asked_ns} ns")
@@ -39,7 +39,7 @@ class StampOrderError(PoseError):
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
-    """What is known at a time."""
+    """State of the filter at one time."""
 
     stamp_ns: int
     T_chaser_target: RigidTransform
@@ -48,18 +48,18 @@ class FilterState:
     rate_rad_s: FloatArray
     """Rate of the target relative to the chaser, chaser axes, shape (3,)."""
     covariance: FloatArray
-    """Of (dp, dtheta, dv, dw), shape (12, 12)."""
+    """Covariance of (dp, dtheta, dv, dw), chaser axes, shape (12, 12)."""
     centre_of_mass_m: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """r, of the target, target axes, shape (3,)."""
+    """Centre of mass r of the target, target axes, shape (3,)."""
 
 
 class Update(NamedTuple):
-    """The outcome of a measurement."""
+    """Result of an update with a measurement."""
 
     state: FilterState
-    """Unchanged where the measurement was rejected."""
+    """State after the update; unchanged if the measurement was rejected."""
     nis: float
-    """Normalised innovation squared; NaN where the measurement could not be judged."""
+    """Normalised innovation squared; NaN if the measurement is not finite."""
     accepted: bool
 
 
@@ -71,14 +71,14 @@ def start(
     config: FilterConfig,
     centre_of_mass_m: FloatArray | None = None,
 ) -> FilterState:
-    """Return the state after a first measured pose: no twist is known.
+    """Return the state after a first measured pose, with an unknown twist.
 
     Args:
-        T_chaser_target: the pose.
-        covariance: of its (dp, dtheta), ICD section 1, shape (6, 6).
-        stamp_ns: when it held.
-        config: noise.
-        centre_of_mass_m: of the target, target axes, shape (3,); its origin where left out.
+        T_chaser_target: measured pose.
+        covariance: covariance of its (dp, dtheta), ICD section 1, shape (6, 6).
+        stamp_ns: time of the measurement.
+        config: noise of the filter.
+        centre_of_mass_m: centre of mass of the target, target axes, shape (3,); by default its origin.
     """
     centre_m = np.zeros(3) if centre_of_mass_m is None else centre_of_mass_m
     from_centre = np.eye(12)
@@ -140,10 +140,10 @@ def update(
     """Return the state after a pose measured at the state's stamp, unless the gate rejects it.
 
     Args:
-        state: predicted to the measurement's stamp.
+        state: state predicted to the measurement's stamp.
         T_chaser_target: the measured pose.
-        covariance: of its (dp, dtheta), ICD section 1, shape (6, 6); one that is not finite is rejected.
-        config: floor, inflation and gate.
+        covariance: covariance of its (dp, dtheta), ICD section 1, shape (6, 6); rejected if not finite.
+        config: noise floor, inflation and gate.
     """
     innovation = _pose_difference(T_chaser_target, state.T_chaser_target)
     noise = _measurement_noise(covariance, config)
@@ -152,7 +152,7 @@ def update(
 
     S = state.covariance[POSE, POSE] + noise
     nis = float(innovation @ np.linalg.solve(S, innovation))
-    if not 0.0 <= nis <= config.gate_nis:  # negative: the covariance is not one
+    if not 0.0 <= nis <= config.tuning.gate_nis:  # negative: the covariance is not positive definite
         return Update(state, nis, accepted=False)
 
     gain = np.linalg.solve(S, state.covariance[POSE]).T
@@ -170,10 +170,10 @@ def update(
 
 
 def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Odometry:
-    """Return the state as the bus carries it: twist and its covariance in child axes.
+    """Return the state as an odometry message: twist and its covariance in child axes.
 
     With v_child = R^T v the error is R^T (dv + v x dtheta) to first order, and likewise for the rate, so
-    the twist's covariance takes in its correlation with the attitude error.
+    the twist's covariance includes its correlation with the attitude error.
     """
     R_target_chaser = rotation_matrix(state.T_chaser_target).T
     jacobian = np.zeros((6, 12))
@@ -195,7 +195,7 @@ def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Od
 def left_jacobian(phi: FloatArray) -> FloatArray:
     """Return J_l of SO(3), shape (3, 3): Exp(phi + d) = Exp(J_l(phi) d) Exp(phi) to first order in d."""
     angle = float(np.linalg.norm(phi))
-    if angle < 1e-4:  # the closed form loses digits, the series is exact to them
+    if angle < 1e-4:  # the closed form loses digits that the series keeps
         first, second = 0.5, 1.0 / 6.0
     else:
         first = 2.0 * (np.sin(0.5 * angle) / angle) ** 2
@@ -210,12 +210,12 @@ def exponential(phi: FloatArray) -> FloatArray:
 
 
 def _orthonormal(R: FloatArray) -> FloatArray:
-    """Return a rotation matrix without the rounding that products of many gather: a Newton step."""
+    """Return a rotation matrix without the rounding errors of many products, by one Newton step."""
     return R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)
 
 
 def _pose_difference(T_measured: RigidTransform, T_estimated: RigidTransform) -> FloatArray:
-    """Return (dp, dtheta) of the measured pose from the estimated one, shape (6,)."""
+    """Return (dp, dtheta) from the estimated to the measured pose, shape (6,), m and rad."""
     turn = rotation_matrix(T_measured) @ rotation_matrix(T_estimated).T
     turn_rad = Rotation.from_matrix(turn, assume_valid=True).as_rotvec()
     return np.concatenate([T_measured.translation - T_estimated.translation, turn_rad])
@@ -238,7 +238,7 @@ def _measurement_noise(covariance: FloatArray, config: FilterConfig) -> FloatArr
 
 
 def _swing(arm_m: FloatArray, spin: FloatArray) -> FloatArray:
-    """Return N, shape (12, 12): at the end of an arm on the target errors are 1 + N times those here.
+    """Return N, shape (12, 12): errors at the end of an arm on the target are 1 + N times those here.
 
     From p + a and v + w x a with da = dtheta x a, where ``spin`` is [w]x. N N = 0, so the way back is 1 - N.
     """
@@ -250,7 +250,7 @@ def _swing(arm_m: FloatArray, spin: FloatArray) -> FloatArray:
 
 
 def _process_noise(step_s: float, config: FilterConfig) -> FloatArray:
-    """Return the noise that white accelerations gather in a step, shape (12, 12)."""
+    """Return the noise that white accelerations cause in a step, shape (12, 12)."""
     densities = (config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3)
     density = np.diag(np.repeat(densities, 3))
     Q = np.empty((12, 12))

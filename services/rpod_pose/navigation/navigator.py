@@ -33,19 +33,20 @@ from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
 from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, SensorFrame, Source
 
 BEGINNING = 0.5
-"""A track begins below this part of the share at which one is lost, so that it does not come and go."""
+"""Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.05
-"""Of a given first pose whose covariance is not given."""
+"""Standard deviations of a given first pose without a given covariance."""
 
 
 class Navigator:
-    """The transitions; its only state is its configuration and what it must know of the target.
+    """The transitions; its only state is its configuration and data of the target.
 
     Args:
-        settings: of the estimator.
-        methods: by the sensor's name.
-        centre_of_mass_m: of the target, target axes, shape (3,).
-        alike: turns that map the target onto itself exactly: every estimate is as ambiguous as they are many.
+        settings: settings of the estimator.
+        methods: methods of each sensor, by its name.
+        centre_of_mass_m: centre of mass of the target, target axes, shape (3,).
+        alike: exact symmetries of the target except the identity; each estimate lists the poses that they
+            give.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class Navigator:
     @overload
     def step(self, state: NavigatorState, event: Tick) -> tuple[NavigatorState, Output | None]: ...
     def step(self, state: NavigatorState, event: Measurement | Tick) -> tuple[NavigatorState, Output | None]:
-        """Return the next state and what is to be published; nothing for a tick that changes nothing."""
+        """Return the next state and the output to publish; no output for a tick that changes nothing."""
         if isinstance(event, Tick):
             return self._let_time_pass(state, event)
         state, output = self._take(replace(state, heard_ns=max(state.heard_ns, event.stamp_ns)), event)
@@ -103,7 +104,7 @@ class Navigator:
     # --- ACQUIRING ---
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
-        """Search without a guess; begin where one pose explains the measurement."""
+        """Search without a guess; begin a track if one pose explains the measurement."""
         found = self._methods[event.sensor].acquirer.acquire(event.data)
         if found.begins_track:
             return self._begin(state, event, found.registration)
@@ -126,7 +127,7 @@ class Navigator:
 
     def _start_at_given(self, state: NavigatorState, event: Measurement) -> NavigatorState:
         given = state.given
-        assert given is not None  # noqa: S101 - told by the caller
+        assert given is not None  # noqa: S101 - guaranteed by the caller
         stamp_ns = event.stamp_ns if given.stamp_ns is None else min(given.stamp_ns, event.stamp_ns)
         return replace(
             state,
@@ -142,13 +143,13 @@ class Navigator:
     def _track(
         self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
-        """Register from the prediction, believe or reject, update the filter."""
+        """Register from the prediction, accept or reject the pose, update the filter."""
         registration, reason = self._register(event, predicted, tracked=state.mode == Mode.TRACKING)
         record = state.records.get(event.sensor, Record())
         if registration.T_sensor_target is not None:
             record = record.after(registration.belief)
         state = replace(state, records={**state.records, event.sensor: record})
-        if state.mode == Mode.TRACKING and record.share > self._limits.max_contradicted_share:
+        if state.mode == Mode.TRACKING and record.share > self._limits.tuning.max_contradicted_share:
             share = f"{record.share:.0%} of the recent frames do not support the tracked pose"
             state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
             return self._reject(state, event, registration, reason=f"{share}: {reason}" if reason else share)
@@ -158,7 +159,7 @@ class Navigator:
         measured = PoseMeasurement(event.stamp_ns, pose, covariance)
         grown, nis, accepted = apply(history, measured, self._settings.filter, predicted)
         if not accepted:
-            state = replace(state, history=grown)  # a late measurement may yet speak for this one
+            state = replace(state, history=grown)  # a late measurement may still make this one consistent
             return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
         confirmations = state.confirmations + 1
         verified = confirmations >= self._limits.confirmations and self._is_credible(state, event)
@@ -178,8 +179,8 @@ class Navigator:
     ) -> tuple[Registration, str]:
         """Return the registration from the prediction, and why it is not believed.
 
-        Around a prediction that did not do it is searched, unless a track should have done: while no twist is
-        known, or after a gap, the prediction may be far off.
+        If the registration fails, the surroundings of the prediction are searched, unless a track predicts
+        the attitude confidently: while no twist is known, or after a gap, the prediction may be far off.
         """
         methods = self._methods[event.sensor]
         T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
@@ -187,15 +188,15 @@ class Navigator:
         registration = methods.tracker.track(data, T_sensor_target)
         if registration.continues_track if tracked else registration.begins_track:
             return registration, ""
-        if not (tracked and self._is_sharp(predicted)):
+        if not (tracked and self._is_confident(predicted)):
             found = methods.acquirer.near(data, T_sensor_target)
             if found.begins_track:
                 return found.registration, ""
         return registration, registration.belief.refusal
 
-    def _is_sharp(self, predicted: FilterState) -> bool:
+    def _is_confident(self, predicted: FilterState) -> bool:
         sigma_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[ATTITUDE, ATTITUDE])[-1]))
-        return sigma_rad <= radians(self._limits.vague_deg)
+        return sigma_rad <= radians(self._limits.tuning.vague_deg)
 
     def _reject(
         self,
@@ -206,7 +207,7 @@ class Navigator:
         reason: str,
         nis: float = float("nan"),
     ) -> tuple[NavigatorState, Output]:
-        """Go on with the prediction; a hypothesis that fails its test is dropped, a track is lost in time."""
+        """Continue with the prediction; drop a pose that fails verification; lose a track after a while."""
         state = replace(state, rejections=state.rejections + 1)
         if state.mode == Mode.VERIFYING:
             state = replace(state, mode=Mode.ACQUIRING, history=None)
@@ -215,9 +216,9 @@ class Navigator:
         return state, self._output(state, event, registration, reason=reason, nis=nis)
 
     def _is_credible(self, state: NavigatorState, event: Measurement) -> bool:
-        """Return whether a track may begin: few of the sensor's frames spoke against what was tracked."""
+        """Return whether a track may begin: few recent frames of the sensor were inconsistent."""
         share = state.records.get(event.sensor, Record()).share
-        return share <= BEGINNING * self._limits.max_contradicted_share
+        return share <= BEGINNING * self._limits.tuning.max_contradicted_share
 
     def _lost(self, state: NavigatorState, stamp_ns: int) -> bool:
         silent_s = (stamp_ns - state.accepted_ns) / NANOSECONDS
@@ -230,7 +231,7 @@ class Navigator:
     def _recover(
         self, state: NavigatorState, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
-        """Look near the prediction first, then everywhere."""
+        """Search near the prediction first, then everywhere."""
         if (event.stamp_ns - state.lost_ns) / NANOSECONDS <= self._limits.near_search_s:
             registration, why = self._register(event, predicted, tracked=False)
             if not why:
@@ -291,7 +292,7 @@ class Navigator:
     def _hypotheses(
         self, state: NavigatorState, event: Measurement, found: Acquisition | None
     ) -> tuple[Hypothesis, ...]:
-        """Return T_chaser_target of what explains the frame: as acquired, or by the target's exact turns."""
+        """Return the T_chaser_target that explain the frame: as acquired, or by exact symmetries."""
         if found is not None:
             return tuple(
                 item.model_copy(update={"pose": event.T_chaser_sensor * item.pose})
@@ -309,9 +310,9 @@ class Navigator:
 
 
 def as_of_stamp(measurement: Measurement, predicted: FilterState, deskew: Deskew | None) -> SensorFrame:
-    """Return what was measured as of its stamp: moved with the prediction's twist where the kind asks for it.
+    """Return the frame as of its stamp: de-skewed with the predicted twist if the sensor kind needs it.
 
-    Before a second frame the prediction knows no twist, and the frame stays as it is.
+    Before the second frame the predicted twist is zero, and the frame stays as it is.
     """
     if deskew is None:
         return measurement.data
@@ -330,7 +331,7 @@ def in_chaser(
     registration: Registration, T_chaser_sensor: RigidTransform
 ) -> tuple[RigidTransform, FloatArray]:
     """Return pose and covariance of a registration in the chaser's axes (ICD section 1)."""
-    assert registration.T_sensor_target is not None  # noqa: S101 - told by the caller
+    assert registration.T_sensor_target is not None  # noqa: S101 - guaranteed by the caller
     R = rotation_matrix(T_chaser_sensor)
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = R

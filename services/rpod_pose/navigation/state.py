@@ -1,4 +1,4 @@
-"""What the navigator remembers between two steps, and what it has to say after one."""
+"""State of the navigator between two steps, and the output of a step."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from rpod_schemas.types import EstimatorStatus, Mode, Odometry
 
 @dataclass(frozen=True, eq=False)
 class GivenPose:
-    """A pose from outside to start from, taken as of the first frame where it has no stamp."""
+    """A pose from outside to start from; without a stamp it applies to the first frame."""
 
     T_chaser_target: RigidTransform
     covariance: FloatArray
@@ -22,7 +22,7 @@ class GivenPose:
 
 @dataclass(frozen=True, eq=False)
 class NavigatorState:
-    """All that the navigator remembers between two steps."""
+    """State of the navigator between two steps."""
 
     mode: Mode = Mode.ACQUIRING
     history: History | None = None
@@ -33,20 +33,20 @@ class NavigatorState:
     accepted_ns: int = 0
     """Newest stamp of an accepted measurement."""
     lost_ns: int = 0
-    """When the target was lost."""
+    """Stamp at which the target was lost."""
     shown_ns: int = 0
-    """Newest stamp of an odometry: the stamps of the output never go back."""
+    """Newest stamp of a published odometry; the stamps of the output never go back."""
     rejections: int = 0
-    """In a row."""
+    """Number of consecutive rejections."""
     confirmations: int = 0
-    """Frames that agreed since the acquisition."""
+    """Number of consistent frames since the acquisition."""
     records: Mapping[str, Record] = field(default_factory=dict)
-    """How often frames did not support what was tracked, by the sensor's name; outlasts the track."""
+    """Records of frames that did not support the tracked pose, by the sensor's name; they outlast tracks."""
 
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """What a step has to say."""
+    """Output of a step."""
 
     status: EstimatorStatus
     odometry: Odometry | None

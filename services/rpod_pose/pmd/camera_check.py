@@ -1,7 +1,7 @@
-"""Whether frames are of the camera that they should be of: size, intrinsics and distortion.
+"""Check that frames come from the expected camera: size, intrinsics and distortion.
 
-A wrong principal point moves the target, a wrong focal length scales it; one image hardly tells either from
-a target that is elsewhere. So frames are compared with what is configured, and with the frames before.
+A wrong principal point shifts the target and a wrong focal length scales it. One image hardly distinguishes
+either from a target that is elsewhere, so frames are compared with the configuration and with earlier frames.
 """
 
 from collections import Counter
@@ -12,26 +12,26 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.types import Camera
 
-_ALIKE = 1e-3
-"""Relative difference of two focal lengths that are the same, and difference of two distortions."""
-_ALIKE_PX = 0.5
-"""Difference of two principal points that are the same."""
+_SAME = 1e-3
+"""Greatest relative difference of two equal focal lengths, and greatest difference of equal distortions."""
+_SAME_PX = 0.5
+"""Greatest difference of two equal principal points."""
 _PATIENCE = 10
-"""Frames of another camera in a row after which the camera has changed."""
+"""Number of consecutive frames of another camera after which the camera counts as changed."""
 
 
-class CameraWatch:
-    """The camera of each sensor, as its frames tell."""
+class CameraCheck:
+    """Remembers the camera of each sensor and rejects frames of another one."""
 
     def __init__(self) -> None:
         self._known: dict[str, Camera] = {}
         self._others: Counter[str] = Counter()
 
     def check(self, sensor: str, camera: Camera) -> None:
-        """Accept a frame's camera: the first, the same again, or another that stays.
+        """Accept a frame's camera if it is the first, equal to the known one, or another one that stays.
 
         Raises:
-            MessageRejectedError: it is none of the three; the text names what differs.
+            MessageRejectedError: the camera is none of these; the text names the field and both values.
         """
         why = difference(camera, self._known.setdefault(sensor, camera))
         if not why:
@@ -45,14 +45,14 @@ class CameraWatch:
 
 
 def difference(camera: Camera, expected: Camera) -> str:
-    """Return the first field in which two cameras differ, with both values; empty where they are the same."""
+    """Return the first field in which two cameras differ, with both values; empty if they are equal."""
     for name in ("width", "height", "fx", "fy", "cx", "cy"):
         have, want = getattr(camera, name), getattr(expected, name)
-        tolerance = _ALIKE * want if name in ("fx", "fy") else _ALIKE_PX
+        tolerance = _SAME * want if name in ("fx", "fy") else _SAME_PX
         if abs(have - want) > tolerance:
             return f"{name} is {have:g}, not {want:g} as"
     have, want = camera.distortion, expected.distortion
-    same_lens = have.shape == want.shape and np.allclose(have, want, rtol=0.0, atol=_ALIKE)
+    same_lens = have.shape == want.shape and np.allclose(have, want, rtol=0.0, atol=_SAME)
     return "" if same_lens else f"distortion is {_list(have)}, not {_list(want)} as"
 
 

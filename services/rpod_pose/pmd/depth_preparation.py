@@ -1,14 +1,14 @@
-"""Depth made ready for the methods: frames of another camera refused, distances unwrapped and calibrated.
+"""Preparation of depth for the methods: the camera is checked, distances are unwrapped and calibrated.
 
-A PMD camera measures the radial distance modulo c / 2f, and with a systematic error of its own. Neither is a
-matter of tracking: ``PreparedTracker`` and ``PreparedAcquirer`` wrap a method and hand it frames whose depth
-is the true one but for noise.
+A PMD camera measures the radial distance modulo c / 2f, with a systematic error of its own. Methods should
+not have to deal with either: ``PreparedTracker`` and ``PreparedAcquirer`` wrap a method and give it frames
+whose depth is correct except for noise.
 
-A distance is moved by whole unambiguous ranges c / 2f only where that brings it into the target's bounding
-sphere, so background, glints and what needs no unwrapping stay as they are. Where the target is comes from
-the prediction; without one, from the mean phase of the image, which leaves the multiple open. Then those
-multiples are searched, nearest first, at which what is seen is as large as the target can be: a wrong one
-scales what is seen by half or more, and no pose of the target explains that.
+A distance is shifted by whole unambiguous ranges c / 2f only if that brings it into the target's bounding
+sphere, so that background, glints and unwrapped distances stay as they are. The target's distance comes from
+the prediction; without one, from the mean phase of the image, which leaves the multiple unknown. Then the
+multiples at which the image has a possible size of the target are tried, nearest first: a wrong multiple
+scales the target by half or more, which no pose explains.
 """
 
 from collections.abc import Iterator
@@ -31,36 +31,36 @@ from rpod_schemas.types import Camera, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 _MOST_SIGMA_M, _MOST_SIGMA_DEG = 0.2, 10.0
-"""Greatest standard deviations of a pose at which a track may begin."""
+"""Greatest standard deviations of a pose for a track to begin at it."""
 _FARTHEST_M = 15.0
-"""How far away the target is looked for without a prediction: beyond, too little light comes back."""
+"""Greatest distance of the target in a search without a prediction: beyond, too little light returns."""
 _MARGIN_M = 0.5
-"""Around the target's sphere, for what a prediction may be off."""
+"""Margin around the target's bounding sphere for the error of a prediction."""
 _LEAST_CONCENTRATION = 0.3
-"""Length of the phasors' mean below which an image has no distance: 0 is everywhere, 1 is one place."""
+"""Least length of the mean phasor of an image with one distance: 0 for any distance, 1 for a single one."""
 _SPREAD = (0.1, 0.75)
-"""RMS spread of a target's image across the line of sight over its radius: less is too small to be it, more
-than it can be, a disc having 0.71."""
+"""Least and greatest RMS spread of a target's image across the line of sight, over the target's radius. A
+disc has 0.71."""
 _LONGEST = 1.02
-"""Longest distance that a wrapping camera gives over its unambiguous range, with its offset and rounding."""
+"""Greatest distance that a wrapping camera gives, over its unambiguous range, with offset and rounding."""
 _STEP_M = 0.001
 _END_M = 30.0
 """Step and end of the table of corrections: 5 MHz, the lowest frequency in use, is unambiguous up to here."""
 _ROUNDS = 40
-"""Of the inversion of a calibration; the error's slope is at most 0.5, so each halves what is wrong."""
+"""Iterations of the inversion of a calibration; each halves the error, whose slope is at most 0.5."""
 _SAME = 1e-3
-"""Relative difference of two frequencies that are the same."""
+"""Greatest relative difference of two equal frequencies."""
 
 
 class DepthPreparation:
-    """What the configuration and the frame itself tell of a camera's distances, applied to its frames."""
+    """Unwraps and calibrates the distances of a camera, by its configuration and by the frame's own info."""
 
     def __init__(self, sensor: PmdInput, target: Target) -> None:
         self._sensor, self._radius_m = sensor, target.radius_m
         self._corrections_m = corrections(sensor.calibration)
 
     def refusal(self, frame: PmdFrame) -> str:
-        """Return why a frame is of another camera than the configured one; empty where it is not."""
+        """Return why a frame is not of the configured camera; empty if it is."""
         if self._sensor.camera is not None and (why := difference(frame.camera, self._sensor.camera)):
             return f"camera_info: {why} in the configuration"
         (name, first), *others = self._frequencies(frame) or [("", ())]
@@ -70,12 +70,12 @@ class DepthPreparation:
         return ""
 
     def predicted(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> PmdFrame:
-        """Return a frame, unwrapped around a predicted pose and calibrated."""
+        """Return a frame unwrapped around a predicted pose and calibrated."""
         range_m = float(np.linalg.norm(T_sensor_target.translation))
         return self._applied(frame, range_m, self._radius_m + _MARGIN_M)
 
     def possible(self, frame: PmdFrame) -> Iterator[PmdFrame]:
-        """Yield a frame as it may have been before it was wrapped, nearest first, calibrated."""
+        """Yield a frame unwrapped to each possible multiple, nearest first, and calibrated."""
         found = self._seen_at(frame) if self._interval_m(frame) else None
         if found is None:
             yield self._applied(frame, 0.0, 0.0)
@@ -88,17 +88,17 @@ class DepthPreparation:
             yield self._applied(frame, distance_m, 2.0 * self._radius_m)
 
     def _frequencies(self, frame: PmdFrame) -> list[tuple[str, tuple[float, ...]]]:
-        """Return who tells the modulation frequencies, and which; the first is believed."""
+        """Return the sources of the modulation frequencies with their values; the first is used."""
         sensor, info, calibration = self._sensor, frame.info, self._sensor.calibration
-        told = (
+        sources = (
             (f"{sensor.name}/info", tuple(info.modulation_frequency_hz) if info else ()),
             ("the configuration", sensor.modulation_frequency_hz),
             ("the calibration", calibration.modulation_frequency_hz if calibration else ()),
         )
-        return [(name, hertz) for name, hertz in told if hertz]
+        return [(name, hertz) for name, hertz in sources if hertz]
 
     def _interval_m(self, frame: PmdFrame) -> float:
-        """Return the unambiguous range, 0 where nothing is to be unwrapped."""
+        """Return the unambiguous range, m; 0 if nothing is to be unwrapped."""
         known = self._frequencies(frame)
         if self._sensor.unwrapping == "none" or not known:
             return 0.0
@@ -106,7 +106,7 @@ class DepthPreparation:
         return unambiguous_range_m(hertz[0]) if len(hertz) == 1 else 0.0
 
     def _seen_at(self, frame: PmdFrame) -> tuple[float, float] | None:
-        """Return the mean distance modulo c / 2f and the RMS spread of the slopes, if there is a distance."""
+        """Return the mean distance modulo c / 2f, m, and the RMS spread of the slopes; None if unknown."""
         cosine = _cosines_of(frame.camera)
         row, column = np.nonzero(np.isfinite(frame.depth_m) & (frame.depth_m > 0.0))
         if cosine is None or not row.size:
@@ -123,7 +123,7 @@ class DepthPreparation:
     def _applied(self, frame: PmdFrame, range_m: float, reach_m: float) -> PmdFrame:
         cosine, interval_m = _cosines_of(frame.camera), self._interval_m(frame)
         if cosine is None or (self._sensor.calibration is None and not interval_m):
-            return frame  # what is wrong with the lens, the method says
+            return frame  # the method reports what is wrong with the lens
         depth_m = np.empty(frame.depth_m.shape, np.float32)
         _prepare(frame.depth_m, cosine, (range_m, reach_m, interval_m), self._corrections_m, depth_m)
         return frame.model_copy(update={"depth_m": depth_m})
@@ -136,7 +136,7 @@ class PreparedTracker:
         self._tracker, self._preparation = tracker, preparation
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
-        """Register the prepared frame; refused where it is of another camera."""
+        """Return the registration of the prepared frame; no pose if the frame is of another camera."""
         if why := self._preparation.refusal(measurement):
             return Registration.none(Source.NONE, why)
         prepared = self._preparation.predicted(measurement, T_sensor_target)
@@ -150,7 +150,7 @@ class PreparedAcquirer:
         self._acquirer, self._preparation = acquirer, preparation
 
     def acquire(self, measurement: PmdFrame) -> Acquisition:
-        """Return the first multiple of the unambiguous range at which the target is found, else the first."""
+        """Return the acquisition at the first multiple with the target; if there is none, at the first."""
         if why := self._preparation.refusal(measurement):
             return _refused(why)
         failed: Acquisition | None = None
@@ -163,14 +163,14 @@ class PreparedAcquirer:
         return failed
 
     def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
-        """Search around a pose, which tells the multiple."""
+        """Search around a pose, which determines the multiple."""
         if why := self._preparation.refusal(measurement):
             return _refused(why)
         return self._acquirer.near(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
 
 
 def corrections(calibration: DepthCalibration | None) -> Float32Array:
-    """Return measured minus true distance by the measured one, every mm from 0 to 30 m."""
+    """Return measured minus true distance over the measured one, m, every mm from 0 to 30 m, shape (N,)."""
     if calibration is None:
         return np.zeros(1, np.float32)
     measured_m = np.arange(0.0, _END_M, _STEP_M)
@@ -178,7 +178,7 @@ def corrections(calibration: DepthCalibration | None) -> Float32Array:
 
 
 def calibrated(calibration: DepthCalibration, measured_m: FloatArray) -> FloatArray:
-    """Return the true radial distances t of measured ones m, any shape; they solve t = m - error(t)."""
+    """Return the true radial distances t of measured ones m, any shape, by solving t = m - error(t)."""
     true_m = measured_m
     for _ in range(_ROUNDS):
         true_m = measured_m - calibration.error_m(true_m)
@@ -196,18 +196,18 @@ def _refused(why: str) -> Acquisition:
 def _determined(registration: Registration) -> Registration:
     """Return a registration whose belief says whether the frame alone determines the pose well enough.
 
-    What little shows of a large body may be a wall that fills the image: it fits any flat face of the target.
+    A wall that fills the image fits any flat face of the target: such a pose must not begin a track.
     """
     if not registration.begins_track:
         return registration
-    open_motion = undetermined(
+    free_motion = undetermined(
         registration.covariance, max_sigma_m=_MOST_SIGMA_M, max_sigma_deg=_MOST_SIGMA_DEG
     )
-    return replace(registration, belief=replace(registration.belief, insufficient=open_motion))
+    return replace(registration, belief=replace(registration.belief, insufficient=free_motion))
 
 
 def _cosines_of(camera: Camera) -> Float32Array | None:
-    """Return z-depth over radial distance of every pixel; None where the lens has no inverse."""
+    """Return z-depth over radial distance of every pixel; None if the distortion cannot be inverted."""
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     return _cosines((camera.width, camera.height), intrinsics, tuple(camera.distortion))
 
@@ -237,14 +237,14 @@ def _prepare(
     corrections_m: Float32Array,
     out_m: Float32Array,
 ) -> None:
-    """Fill ``out_m``: by whole intervals into the sphere, less the correction; no depth stays none.
+    """Fill ``out_m`` with unwrapped and corrected depth; pixels without depth stay so.
 
     Args:
         depth_m: z-depth, shape (height, width).
-        cosine: z of the pixels' unit rays, same shape.
-        unwrapping: distance and radius of the sphere, and the interval, 0 for none, m.
-        corrections_m: to be taken off a distance, one each ``_STEP_M``.
-        out_m: out, same shape.
+        cosine: z component of the pixels' unit rays, same shape.
+        unwrapping: distance and radius of the sphere, and the unambiguous range (0 to unwrap nothing), m.
+        corrections_m: correction to subtract from a distance, one for each ``_STEP_M``.
+        out_m: output, same shape.
     """
     middle_m, radius_m, period_m = unwrapping
     turns_per_m = np.float32(1.0 / period_m if period_m > 0.0 else 0.0)
@@ -263,7 +263,7 @@ def _prepare(
             if shift_m < nothing or abs(measured_m + shift_m - range_m) > reach_m:
                 shift_m = nothing
         step = (measured_m + shift_m) * steps_per_m + np.float32(0.5)
-        index = np.int32(step) if nothing <= step < last else np.int32(last)  # NaN is in no table
+        index = np.int32(step) if nothing <= step < last else np.int32(last)  # NaN takes the last entry
         shift_m -= corrections_m[index]
         out[pixel] = (
             depth + shift_m * cosines[pixel] if measured_m + shift_m > nothing else np.float32(np.nan)

@@ -1,4 +1,4 @@
-"""From the last iteration of a depth method to its registration: the checks, the cost, the covariance."""
+"""Registration from the last iteration of a depth method: checks, cost and covariance."""
 
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -18,46 +18,48 @@ from rpod_target import Target
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """Where the iterations stand."""
+    """State of the iterations."""
 
     T_sensor_target: RigidTransform
     sums: NormalEquations = field(default_factory=NormalEquations.none)
-    """Of the last iteration."""
+    """Normal equations of the last iteration."""
     points: int = 0
-    """Points that could have matched."""
+    """Number of points that could have matched."""
     step_m: float = float("inf")
-    """How far the last step moved the target's surface."""
+    """Displacement of the target's surface by the last step."""
     iterations: int = 0
     reason: str = ""
-    """Why the iterations were given up; empty if they were not."""
+    """Why the iterations were aborted; empty if they were not."""
 
 
-class Conclusive(Protocol):
-    """The parameters that every depth method has for its conclusion."""
+class ResultConfig(Protocol):
+    """The parameters of a depth method's checks."""
 
     @property
     def unsettled_m(self) -> float:
-        """A last step larger than this means that the iterations did not converge."""
+        """Greatest last step of iterations that converged."""
         ...
 
     @property
     def comparison(self) -> DepthComparisonConfig:
-        """The self-check."""
+        """Parameters of the self-check."""
         ...
 
     @property
     def acceptance(self) -> AcceptanceConfig:
-        """When the registration is believed."""
+        """Limits within which the registration is accepted."""
         ...
 
     @property
     def errors(self) -> DepthErrorConfig:
-        """What the covariance assumes."""
+        """Errors that the covariance assumes."""
         ...
 
 
-def conclude(progress: Progress, image: DepthImage, target: Target, config: Conclusive) -> Registration:
-    """Return the registration with its cost, covariance and self-check, or the reason why there is none."""
+def registration_of(
+    progress: Progress, image: DepthImage, target: Target, config: ResultConfig
+) -> Registration:
+    """Return the registration with cost, covariance and self-check, or the reason why there is no pose."""
     sums, T = progress.sums, progress.T_sensor_target
     reason = progress.reason
     if not reason and progress.step_m > config.unsettled_m:

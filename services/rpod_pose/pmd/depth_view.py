@@ -1,7 +1,7 @@
-"""What a depth camera would see of the target: the rays of its pixels, and render and compare.
+"""View of a depth camera: the rays of its pixels, renderings of the target, and comparison with an image.
 
-The model is rendered on every few pixels only, exactly along those pixels' rays; that is enough to tell which
-model points are hidden and whether a pose explains an image.
+The model is rendered on every few pixels only, exactly along the rays of those pixels. That suffices to find
+which model points are hidden and whether a pose explains an image.
 """
 
 from dataclasses import dataclass
@@ -22,22 +22,22 @@ from rpod_target import Target
 
 PLUMB_BOB = 5
 HIDDEN_M = 0.03
-"""A model point farther than the rendered surface around it by more than this is hidden."""
+"""Distance behind the rendered surface around it from which on a model point is hidden."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well a pose explains a depth image."""
+    """Agreement of a pose with a depth image."""
 
     explained_share: float
-    """Of the pixels where model or measurement say "surface", the weighted share where they agree."""
+    """Weighted share of agreeing pixels among those where model or measurement show a surface."""
     cost_m2: float
-    """Mean squared difference of the same pixels, truncated at the tolerance, which one-sided ones cost."""
+    """Mean squared difference on these pixels, truncated at the tolerance, which one-sided pixels cost."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthView:
-    """The pixels' rays of one camera; build it by ``of``."""
+    """The pixels' rays of one camera, made by ``of``."""
 
     camera: Camera
     slopes: FloatArray
@@ -49,7 +49,7 @@ class DepthView:
 
     @classmethod
     def of(cls, camera: Camera, stride: int) -> "DepthView":
-        """Return the view of a camera, kept from frame to frame.
+        """Return the view of a camera, which is cached from frame to frame.
 
         Raises:
             rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted.
@@ -63,20 +63,20 @@ class DepthView:
         return np.column_stack((u * self.camera.fx + self.camera.cx, v * self.camera.fy + self.camera.cy))
 
     def render(self, target: Target, T_sensor_target: RigidTransform) -> FloatArray:
-        """Return the z-depth of the target on the coarse pixels, inf where it is not."""
+        """Return the z-depth of the target on the coarse pixels, m; inf on pixels that miss it."""
         closed = target.field is not None
         hits = cast(self.coarse, target.triangles_m, T_sensor_target, cull_back_faces=closed)
         depth_m: FloatArray = hits.range_m * self.coarse.components[2]
         return depth_m
 
     def inside(self, pixels: FloatArray) -> NDArray[np.bool_]:
-        """Return which pixels, column and row, shape (N, 2), lie in the image."""
+        """Return which pixels, column and row, shape (N, 2), lie in the image, shape (N,)."""
         size = np.array((self.camera.width, self.camera.height))
         within: NDArray[np.bool_] = np.all((pixels >= -0.5) & (pixels < size - 0.5), axis=1)
         return within
 
     def hidden(self, rendered_m: FloatArray, points_m: FloatArray, pixels: FloatArray) -> NDArray[np.bool_]:
-        """Return which points lie behind the rendered surface on all four coarse pixels around them."""
+        """Return which points lie behind the rendered surface on all four coarse pixels around them, (N,)."""
         rows, columns = rendered_m.shape
         cell = np.floor((pixels - self.offset) / self.stride)
         column = np.clip(cell[:, 0], 0, columns - 2).astype(np.intp)
@@ -97,28 +97,29 @@ def _view(
     lens = np.resize((*distortion, *np.zeros(PLUMB_BOB)), PLUMB_BOB)
     camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
     offset = min(stride // 2, width - 1, height - 1)
-    thinned = Camera(
-        width=len(range(offset, width, stride)),
-        height=len(range(offset, height, stride)),
-        fx=fx / stride,
-        fy=fy / stride,
-        cx=(cx - offset) / stride,
-        cy=(cy - offset) / stride,
-        distortion=lens,
+    downsampled = camera.model_copy(  # no camera that a message may tell, whose limits do not count here
+        update={
+            "width": len(range(offset, width, stride)),
+            "height": len(range(offset, height, stride)),
+            "fx": fx / stride,
+            "fy": fy / stride,
+            "cx": (cx - offset) / stride,
+            "cy": (cy - offset) / stride,
+        }
     )
     x, y, z = RayGrid.pinhole(camera).components
-    return DepthView(camera, np.stack((x / z, y / z), axis=-1), RayGrid.pinhole(thinned), stride, offset)
+    return DepthView(camera, np.stack((x / z, y / z), axis=-1), RayGrid.pinhole(downsampled), stride, offset)
 
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """One depth image and the view it was taken with; ``usable_image`` makes it from a frame."""
+    """One depth image with its view, made from a frame by ``usable_image``."""
 
     view: DepthView
     depth_m: Float32Array
-    """z-depth, shape (height, width), NaN for everything that is no depth: 0, negative, infinite, ghosts."""
+    """z-depth, shape (height, width); NaN for invalid depth: 0, negative, infinite, ghosts."""
     coarse_m: Float32Array
-    """z-depth on the view's coarse pixels: the median of each and its neighbours, NaN where most lack it."""
+    """z-depth on the coarse pixels: the median of each and its neighbours, NaN if most have no depth."""
 
     def points(self, count: int) -> FloatArray:
         """Return at most ``count`` points of the coarse pixels in sensor axes, shape (N, 3)."""
@@ -133,7 +134,7 @@ class DepthImage:
     def compare(
         self, target: Target, T_sensor_target: RigidTransform, config: DepthComparisonConfig
     ) -> Agreement:
-        """Compare the image with what a pose predicts, on the view's coarse pixels."""
+        """Return the agreement of the image with a pose, on the view's coarse pixels."""
         measured, rendered = self.coarse_m, self.view.render(target, T_sensor_target)
         seen, predicted = np.isfinite(measured), np.isfinite(rendered)
         either, both = seen | predicted, seen & predicted
@@ -150,7 +151,7 @@ class DepthImage:
 
 
 def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
-    """Return a frame's depth, copied and without ghosts, or why it cannot be used."""
+    """Return a copy of a frame's depth without ghosts, or the reason why it cannot be used."""
     measured = np.isfinite(frame.depth_m) & (frame.depth_m > 0.0)
     if frame.amplitude is not None:
         measured &= frame.amplitude >= config.ghost_share * frame.amplitude.mean(dtype=np.float64)
@@ -164,23 +165,23 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
     except DistortionError as error:
         return str(error)
     depth_m = np.where(measured, frame.depth_m, np.float32(np.nan))
-    return DepthImage(view, depth_m, thinned(depth_m, view.stride, view.offset))
+    return DepthImage(view, depth_m, downsampled(depth_m, view.stride, view.offset))
 
 
 @kernel
-def thinned(depth: Float32Array, stride: int, offset: int) -> Float32Array:
-    """Return every ``stride``-th pixel of a depth image, each the median of itself and its eight neighbours.
+def downsampled(depth: Float32Array, stride: int, offset: int) -> Float32Array:
+    """Return the median of every ``stride``-th pixel of a depth image and its eight neighbours.
 
-    A pixel has depth where most of the nine have one: an outline stays where it is, and noise, which under
-    the sun exceeds what model and measurement may differ by, is lower.
+    A pixel has depth if most of the nine have one, so that outlines stay in place. The median reduces noise,
+    which in sunlight exceeds the tolerance between model and measurement.
 
     Args:
-        depth: z-depth, shape (height, width), m, NaN for none.
-        stride: from one pixel to the next, at least 1.
-        offset: of the first pixel, in the image.
+        depth: z-depth, shape (height, width), m, NaN without depth.
+        stride: distance from one pixel to the next, px, at least 1.
+        offset: row and column of the first pixel.
 
     Returns:
-        Shape (rows, columns), m, NaN where most of the nine have none.
+        z-depth, shape (rows, columns), m, NaN if most of the nine have none.
     """
     height, width = depth.shape
     rows, columns = (height - offset - 1) // stride + 1, (width - offset - 1) // stride + 1

@@ -1,17 +1,17 @@
-"""How badly a pose explains a PMD frame: the target is rendered and every coarse pixel is compared.
+"""Loss of a pose in a PMD frame: the target is rendered, and every coarse pixel is compared.
 
-Where pose and frame agree on a surface, the loss is half the squared error in its standard deviations, of the
-depth and of the amplitude, and saturates at what an outlier costs. Where one of them shows a surface and the
-other does not, it is a constant: little where depth alone is lost, more where even the amplitude says
-otherwise. What is asked are the pixels where pose or frame show the target, but for those that a glint wiped
-out: there both may be right.
+On a pixel where both pose and frame show a surface, the loss is half the squared error in standard
+deviations, of the depth and of the amplitude, and saturates at the cost of an outlier. On a pixel where only
+one of them shows a surface, the loss is a constant: small if only the depth is missing, larger if the
+amplitude is inconsistent too. All pixels on which pose or frame show the target count, except those that a
+glint saturated: on these both may be right.
 
-The amplitude is expected as of a Lambertian surface lit by a lamp at the camera: the albedo of its class
+The expected amplitude is that of a Lambertian surface lit from the camera: the albedo of its class
 (``brightness``) times the cosine of incidence over the square of the range, up to one gain for the frame. The
-class says how far its logarithm may be off, which is little less than everything for foil and metal.
+class also gives the standard deviation of the albedo's logarithm, which is large for foil and metal.
 
-Where the materials may be others than the target file's, no amplitude is compared, and only roughly is it
-expected whether a surface is bright enough to be told from the sky: what is left is the shape.
+If the materials may differ from those of the target file, no amplitude is compared, and the expectation
+whether a surface is brighter than the sky is only rough: then the shape alone is compared.
 """
 
 from dataclasses import dataclass
@@ -32,83 +32,83 @@ from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
 STEEPEST = 0.1
-"""Cosine of incidence below which the slack along the ray grows no more."""
+"""Least cosine of incidence in the effect of the slack along the ray."""
 GRAZING = 0.02
-"""Cosine of incidence below which a surface is expected to be no darker."""
+"""Least cosine of incidence in the expected amplitude."""
 AGREES = 2.0
-"""Loss below which a pixel agrees."""
+"""Loss below which a pixel counts as agreeing."""
 DARK = -1.0
-"""Logarithm of the amplitude below which, and where there is none, it is not compared."""
+"""Logarithm of the least amplitude that is compared."""
 MARGIN = 6
-"""Rows and columns beside what is lit that a pose may reach."""
+"""Rows and columns beside the lit pixels that a pose may reach."""
 GAIN_STRIDE = 3
-"""Every how many pixels the gain is estimated on."""
+"""Stride of the pixels from which the gain is estimated."""
 
 
 class Surface(NamedTuple):
-    """The target, as it is expected to look."""
+    """The target with its expected brightness."""
 
     triangles_m: FloatArray
-    """Shape (T, 3, 3)."""
+    """Corners, target axes, shape (T, 3, 3)."""
     normals: FloatArray
-    """Outward, shape (T, 3)."""
+    """Outward unit normals, target axes, shape (T, 3)."""
     albedo: FloatArray
-    """Middle of each triangle's class, shape (T,)."""
+    """Median albedo of each triangle's class, shape (T,)."""
     sigma_log: FloatArray
     """Standard deviation of the albedo's logarithm, shape (T,)."""
 
 
 class Seen(NamedTuple):
-    """A frame's coarse pixels, shape (rows, columns) each."""
+    """A frame's coarse pixels; each array has the shape (rows, columns)."""
 
     range_m: Float32Array
-    """0 where there is none."""
+    """Range along the ray; 0 on pixels without one."""
     sigma_m: Float32Array
     """Standard deviation of the range's noise."""
     log_amplitude: Float32Array
-    """Natural logarithm, counts."""
+    """Natural logarithm of the amplitude in counts."""
     lit: NDArray[np.bool_]
-    """Where depth or amplitude show something."""
+    """Pixels on which depth or amplitude show a surface."""
     blind: NDArray[np.bool_]
-    """What glints hide."""
+    """Pixels that glints saturated."""
 
 
 class Losses(NamedTuple):
-    """What errors cost, and how large they are expected to be."""
+    """Costs of errors, and their expected sizes."""
 
     sigma_m: float
-    """Standard deviation of a depth beside its noise."""
+    """Standard deviation of a depth in addition to its noise."""
     slack_m: float
-    """Standard deviation of the surface across its normal."""
+    """Standard deviation of the surface's position along its normal."""
     outlier: float
-    """Most loss of a depth."""
-    strange: float
-    """Most loss of an amplitude, 0 where none is compared."""
+    """Greatest loss of a depth."""
+    amplitude_outlier: float
+    """Greatest loss of an amplitude; 0 if none is compared."""
     least_log_amplitude: float
-    """From which on a pixel is lit."""
+    """Logarithm of the least amplitude of a lit pixel."""
     lost: float
-    """Of depth that is lost on a lit pixel."""
+    """Loss of a lit pixel without depth where the pose has surface."""
     dark: float
-    """Of a dark pixel where the pose has surface."""
+    """Loss of a dark pixel where the pose has surface."""
     beyond: float
-    """Of a lit pixel where the pose has none."""
+    """Loss of a lit pixel where the pose has none."""
 
 
 class Canvas(NamedTuple):
-    """Buffers of a rendering, shape (rows, columns) each."""
+    """Buffers of a rendering; each has the shape (rows, columns)."""
 
     range_m: Float32Array
-    """Predicted, along the ray."""
+    """Predicted range along the ray."""
     triangle: NDArray[np.int32]
-    """Which is seen, -1 for none."""
+    """Index of the visible triangle, -1 for none."""
     loss: Float32Array
-    """Of each pixel; before, the logarithm of its predicted amplitude."""
+    """Loss of each pixel; before it is computed, the logarithm of the predicted amplitude."""
     sigma_log: Float32Array
-    """Standard deviation of that logarithm."""
+    """Standard deviation of the logarithm of the predicted amplitude."""
 
 
 class Comparison(NamedTuple):
-    """A frame, and all that it takes to compare it with poses."""
+    """A frame with everything that is needed to compare it with poses."""
 
     surface: Surface
     grid: GridArrays
@@ -120,23 +120,23 @@ class Comparison(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PmdFit:
-    """How badly a pose explains a frame."""
+    """Result of the comparison of a pose with a frame."""
 
     loss: float
-    """Summed over the pixels where pose or frame show the target."""
+    """Sum of the losses over the pixels on which pose or frame show the target."""
     pixels: int
-    """Their number."""
+    """Number of these pixels."""
     agreeing: int
-    """Those of them on which pose and frame agree."""
+    """Number of these pixels on which pose and frame agree."""
 
     @property
     def explained_share(self) -> float:
-        """Share of the pixels that agrees; NaN where there is none."""
+        """Share of these pixels that agree; NaN if there is none."""
         return self.agreeing / self.pixels if self.pixels else float("nan")
 
     @property
     def mean_loss(self) -> float:
-        """A pixel."""
+        """Mean loss per pixel; infinite if there is none."""
         return self.loss / self.pixels if self.pixels else float("inf")
 
 
@@ -144,21 +144,21 @@ class PmdFitter:
     """Compares one frame with a target at any pose.
 
     Args:
-        config: what is expected of the frame.
-        target: what is rendered.
-        scene: the frame.
-        as_filed: whether the materials are those of the target's file; else the shape alone is compared.
+        config: assumptions about the frame.
+        target: the target to render.
+        scene: the frame's coarse pixels.
+        known_materials: whether the materials are those of the target file; if not, only the shape counts.
     """
 
     def __init__(
-        self, config: PmdModelConfig, target: Target, scene: PmdScene, *, as_filed: bool = True
+        self, config: PmdModelConfig, target: Target, scene: PmdScene, *, known_materials: bool = True
     ) -> None:
         block = _around(scene.lit | scene.blind)
         noise_m = np.minimum(scene.sigma_m, config.most_noise_m)
         amplitude = np.log(np.maximum(scene.amplitude, np.float32(0.1)))
         shape = noise_m[block].shape
         self._compared = Comparison(
-            _surface(target, config, as_filed=as_filed),
+            _surface(target, config, known_materials=known_materials),
             scene.view.coarse.block(*block),
             Seen(
                 range_m=np.ascontiguousarray(scene.range_m[block]),
@@ -171,7 +171,7 @@ class PmdFitter:
                 sigma_m=config.sigma_m,
                 slack_m=config.slack_m,
                 outlier=config.outlier_loss,
-                strange=config.amplitude_outlier_loss if as_filed else 0.0,
+                amplitude_outlier=config.amplitude_outlier_loss if known_materials else 0.0,
                 least_log_amplitude=float(np.log(scene.least_amplitude)) if scene.outlined else DARK,
                 lost=config.lost_loss,
                 dark=config.dark_loss if scene.outlined else config.lost_loss,
@@ -186,37 +186,37 @@ class PmdFitter:
         )
 
     def fit(self, R: FloatArray, t: FloatArray) -> PmdFit:
-        """Return how badly the pose R, t of the target in the sensor explains the frame."""
+        """Return the loss of the pose R, t of the target in the sensor."""
         return PmdFit(*compare(self._compared, R, t))
 
     def worst_patches(self, R: FloatArray, t: FloatArray, *sizes: int) -> list[float]:
-        """Return for each size the mean loss a pixel of the size x size patch that a pose explains worst."""
+        """Return, for each size, the greatest mean loss per pixel of a size x size patch."""
         self.fit(R, t)
         loss = self._compared.canvas.loss
         return [float(cv2.blur(loss, (px, px), borderType=cv2.BORDER_CONSTANT).max()) for px in sizes]
 
-    def sharpened(
+    def outline_refined(
         self, R: FloatArray, t: FloatArray, deviations: FloatArray, draws: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the pose of least loss near one.
+        """Return the pose R, t of least loss near a given one.
 
-        The loss has no gradient at outlines, so samples of a normal distribution follow the best of them (the
-        cross-entropy method, R. Y. Rubinstein, 1999).
+        The loss has no gradient at outlines, so it is sampled from a normal distribution that follows the
+        best samples (the cross-entropy method, R. Y. Rubinstein, 1999).
 
         Args:
-            R: of the target in the sensor, shape (3, 3).
-            t: of the target in the sensor, shape (3,), m.
-            deviations: sigmas of (dtau, dtheta) of ``normal_equations``, m and rad, shape (6,).
+            R: R_sensor_target, shape (3, 3).
+            t: position of the target in the sensor, shape (3,), m.
+            deviations: sigmas of (dtau, dtheta) as in ``normal_equations``, m and rad, shape (6,).
             draws: standard normal samples, shape (rounds, samples, 6).
         """
-        sharper: tuple[FloatArray, FloatArray] = _sharpen(self._compared, R, t, deviations, draws)
-        return sharper
+        refined: tuple[FloatArray, FloatArray] = _outline_refined(self._compared, R, t, deviations, draws)
+        return refined
 
 
-def _surface(target: Target, config: PmdModelConfig, *, as_filed: bool) -> Surface:
-    """Return the target as it should look; what may be of any material is known a little less still."""
+def _surface(target: Target, config: PmdModelConfig, *, known_materials: bool) -> Surface:
+    """Return the target with its expected brightness, which is less certain if materials are unknown."""
     sigma_log = spreads(target)
-    if not as_filed:
+    if not known_materials:
         sigma_log = np.maximum(sigma_log, config.strange_log_amplitude)
     return Surface(
         np.ascontiguousarray(target.triangles_m),
@@ -227,7 +227,7 @@ def _surface(target: Target, config: PmdModelConfig, *, as_filed: bool) -> Surfa
 
 
 def _around(pixels: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Return the rows and columns that hold some pixels, and a margin."""
+    """Return the rows and columns that contain the given pixels, with a margin."""
     row, column = (np.flatnonzero(pixels.any(axis=axis)) for axis in (1, 0))
     return _widened(row), _widened(column)
 
@@ -238,12 +238,12 @@ def _widened(lines: NDArray[np.intp]) -> slice:
 
 @kernel
 def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, int, int]:
-    """Return the summed loss, and the numbers of pixels asked and agreeing; fill their losses.
+    """Return the summed loss and the numbers of compared and agreeing pixels; fill the pixels' losses.
 
     Args:
-        compared: ``Comparison``.
-        R: of the target in the sensor, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
+        compared: frame, target and buffers.
+        R: R_sensor_target, shape (3, 3).
+        t: position of the target in the sensor, shape (3,), m.
     """
     surface, grid, seen, losses, canvas = compared
     range_m, owner, loss, sigma_log = canvas
@@ -273,9 +273,9 @@ def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, 
                 worse = _saturated((seen.range_m[i, j] - range_m[i, j]) ** 2 / variance_m2, losses.outlier)
             elif seen.lit[i, j]:
                 worse = losses.lost
-            if losses.strange > 0.0 and seen.lit[i, j] and seen.log_amplitude[i, j] > DARK:
+            if losses.amplitude_outlier > 0.0 and seen.lit[i, j] and seen.log_amplitude[i, j] > DARK:
                 e = (seen.log_amplitude[i, j] - loss[i, j] - gain) / sigma_log[i, j]
-                worse += _saturated(e * e, losses.strange)
+                worse += _saturated(e * e, losses.amplitude_outlier)
             loss[i, j] = worse
             total += worse
             if worse < AGREES:
@@ -285,7 +285,7 @@ def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, 
 
 @kernel
 def _saturated(square: float, most: float) -> float:
-    """Return half of a squared error in standard deviations, which grows to ``most`` (Geman-McClure)."""
+    """Return half of a squared error in standard deviations, saturated at ``most`` (Geman-McClure)."""
     return most * square / (2.0 * most + square)
 
 
@@ -301,16 +301,16 @@ def _facing(normal: FloatArray, R: FloatArray, x: float, y: float, z: float) -> 
 
 @kernel
 def _predict(compared: Comparison, R: FloatArray) -> float:
-    """Fill in logarithms of predicted amplitudes up to a gain, and their sigmas; return the gain's logarithm.
+    """Fill the log amplitudes predicted up to a gain, and their sigmas; return the logarithm of the gain.
 
-    The expectation is Lambert's: albedo cos(theta) / range^2. The gain is a median, weighted by what is known
-    of each pixel's albedo.
+    The expectation is Lambert's: albedo cos(theta) / range^2. The gain is a median, weighted by the inverse
+    variance of each pixel's log albedo.
     """
     surface, grid, seen, _, canvas = compared
     range_m, owner, predicted, sigma_log = canvas
     rays = grid[0]
     ratios, weights = np.empty(owner.size // GAIN_STRIDE + 1), np.empty(owner.size // GAIN_STRIDE + 1)
-    count, asked = 0, 0
+    count, sampled = 0, 0
     for i in range(owner.shape[0]):
         for j in range(owner.shape[1]):
             k = owner[i, j]
@@ -322,11 +322,11 @@ def _predict(compared: Comparison, R: FloatArray) -> float:
             predicted[i, j] = np.log(lambert / (range_m[i, j] * range_m[i, j]))
             sigma_log[i, j] = surface.sigma_log[k]
             if seen.lit[i, j] and seen.log_amplitude[i, j] > DARK:
-                if asked % GAIN_STRIDE == 0:
+                if sampled % GAIN_STRIDE == 0:
                     ratios[count] = seen.log_amplitude[i, j] - predicted[i, j]
                     weights[count] = 1.0 / sigma_log[i, j] ** 2
                     count += 1
-                asked += 1
+                sampled += 1
     return _weighted_median(ratios[:count], weights[:count]) if count else 0.0
 
 
@@ -345,10 +345,10 @@ def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
 
 
 @kernel
-def _sharpen(
+def _outline_refined(
     compared: Comparison, R: FloatArray, t: FloatArray, deviations: FloatArray, draws: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the pose R, t of least loss of all that the samples tried (``PmdFitter.sharpened``)."""
+    """Return the pose R, t of least loss among all samples (``PmdFitter.outline_refined``)."""
     rounds, samples = draws.shape[0], draws.shape[1]
     best_R, best_t = R, t
     least = compare(compared, R, t)[0]

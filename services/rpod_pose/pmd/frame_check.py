@@ -1,15 +1,17 @@
-"""Whether a pose explains a PMD frame, whatever the target is made of: the pixels that contradict it.
+"""Self-check of a pose in a PMD frame, independent of the target's materials: pixels inconsistent with it.
 
-The target is rendered at the pose and every coarse pixel is asked. A range contradicts the pose where it lies
-off everything that is rendered in it and as far around it as places may be off, by more than three of its own
-standard deviations, as its neighbours tell them, and what is tolerated besides. Without a range, a bright
-pixel contradicts where there is no surface around it; and one as dark as the sky where there is, unless that
-is seen so obliquely that foil would look as dark.
+The target is rendered at the pose, and every coarse pixel is checked. A range is inconsistent with the pose
+if it differs from everything rendered in and around the pixel, within the tolerated displacement, by more
+than the tolerance and by more than three standard deviations of its own noise, which is estimated from its
+neighbours. A pixel without a range is inconsistent if it is bright and no surface is around it, or if it is
+as dark as the sky where surface is rendered, unless the surface is seen so obliquely that foil would be as
+dark.
 
-Under the right pose contradictions are rare and scattered, whatever the noise: the tails of its distribution,
-mixed pixels, multiple reflections. A wrong pose, another body or a mirrored image makes them lie together
-where a detail is missing or out of place. So their share is asked, and how many lie in one small patch. That
-a surface is lacking is hardly ever seen under the right pose: fewer such pixels do.
+At the right pose such pixels are rare and scattered, whatever the noise: they come from the tails of its
+distribution, from mixed pixels and from multiple reflections. With a wrong pose, another body or a mirrored
+image they lie together where a detail is missing or misplaced. Therefore both their share is limited and
+their number in one small patch. Missing surface is very rare at the right pose, so fewer such pixels are
+allowed.
 """
 
 from dataclasses import dataclass
@@ -25,74 +27,74 @@ from rpod_schemas.config.pmd_check import PmdCheckConfig
 from rpod_schemas.types import Float32Array
 
 SIGMAS = 3.0
-"""Standard deviations of its noise that a range may be off: one in 370 normal errors is larger."""
+"""Greatest consistent error of a range, in standard deviations: one in 370 normal errors is larger."""
 SKY_SPREADS = 4.5
-"""Median absolute deviations of the sky, three standard ones, up to which a pixel is as dark."""
+"""Upper limit of the sky's amplitude above its median, in median absolute deviations (three sigma)."""
 SKY_SAMPLES = 600
-"""Of the pixels, those that are asked for the sky."""
+"""Number of pixels from which the sky's amplitude is estimated."""
 BRIGHT = 0.25, 4.0
-"""Times the target's median amplitude: between them a pixel without a range is bright, above it glints or is
-beside a glint."""
+"""Limits over the target's median amplitude: between them a pixel without a range is bright; above them it
+glints or is beside a glint."""
 DIM = 0.15
-"""Times the same, what the sky must be darker than: from afar foil that faces elsewhere looks as dark."""
-FEW = 3
-"""Contrary pixels are no share: far off, or where most is lost, there are few pixels at all."""
-INSIDE = 6
-"""Of nine rays in and around a pixel, those that must meet surface for one to be lacking: some may miss the
-facets of a thin part."""
+"""Greatest sky amplitude over the target's median: from far away, foil at an angle is as dark as the sky."""
+NEGLIGIBLE = 3
+"""Number of inconsistent pixels that is always tolerated: a distant target has few pixels altogether."""
+LEAST_HITS = 6
+"""Least number of the nine rays in and around a pixel that must meet the target for a surface to be missing:
+some may miss the facets of a thin part."""
 GRAZING = 0.2
-"""Cosine of incidence below which foil reflects as little as the sky."""
+"""Cosine of incidence below which foil is as dark as the sky."""
 
 
 @dataclass(frozen=True)
 class Contradictions:
-    """What of a frame contradicts a pose."""
+    """Numbers of pixels that are inconsistent with a pose."""
 
     pixels: int
-    """That say something: measured, bright, or dark where surface is rendered."""
-    contrary: int
-    """Those of them that contradict the pose."""
-    fullest: int
-    """Most of those in one patch."""
-    lacking: int
-    """Most pixels in one patch that lack a surface: as dark as the sky where one is rendered."""
+    """Number of checked pixels: measured, bright, or dark where surface is rendered."""
+    inconsistent: int
+    """Number of checked pixels that are inconsistent with the pose."""
+    most_in_patch: int
+    """Greatest number of inconsistent pixels in one patch."""
+    most_missing: int
+    """Greatest number of pixels in one patch that are as dark as the sky where surface is rendered."""
 
     @property
     def explained_share(self) -> float:
-        """Of the pixels that say something, those that do not contradict; 0 where none does."""
-        return 1.0 - self.contrary / self.pixels if self.pixels else 0.0
+        """Share of the checked pixels that are consistent with the pose; 0 if no pixel is checked."""
+        return 1.0 - self.inconsistent / self.pixels if self.pixels else 0.0
 
     @property
     def evidence(self) -> dict[str, float]:
-        """The numbers by name, for a belief."""
+        """The numbers by name, for the evidence of a belief."""
         return {
-            "inconsistent_pixel_share": self.contrary / self.pixels if self.pixels else 0.0,
-            "inconsistent_pixels_in_patch": float(self.fullest),
-            "missing_pixels_in_patch": float(self.lacking),
+            "inconsistent_pixel_share": self.inconsistent / self.pixels if self.pixels else 0.0,
+            "inconsistent_pixels_in_patch": float(self.most_in_patch),
+            "missing_pixels_in_patch": float(self.most_missing),
         }
 
     def reason(self, limits: PmdCheckConfig) -> str:
         """Return why the pose does not explain the frame; empty if it does."""
         most = limits.most_contrary_share
-        if self.contrary > max(most * self.pixels, FEW):
-            share = self.contrary / self.pixels
+        if self.inconsistent > max(most * self.pixels, NEGLIGIBLE):
+            share = self.inconsistent / self.pixels
             return f"{share:.1%} of {self.pixels} pixels contradict the pose, {most:.0%} at most"
         area = limits.patch_px**2
-        if self.fullest > limits.most_in_patch:
+        if self.most_in_patch > limits.most_in_patch:
             return (
-                f"a detail contradicts the pose: {self.fullest} of {area} pixels there, "
+                f"a detail contradicts the pose: {self.most_in_patch} of {area} pixels there, "
                 f"{limits.most_in_patch} at most"
             )
-        if self.lacking > limits.most_lacking:
+        if self.most_missing > limits.most_lacking:
             return (
-                f"a detail is lacking: {self.lacking} of {area} pixels there are dark, "
+                f"a detail is missing: {self.most_missing} of {area} pixels there are dark, "
                 f"{limits.most_lacking} at most"
             )
         return ""
 
 
 class SeenPixels(NamedTuple):
-    """A frame's coarse pixels, shape (rows, columns) each; what is not above 0, or NaN, is not known."""
+    """A frame's coarse pixels, shape (rows, columns) each; values that are not above 0 are unknown."""
 
     range_m: FloatArray
     sigma_m: FloatArray
@@ -101,34 +103,34 @@ class SeenPixels(NamedTuple):
 
 
 class Shades(NamedTuple):
-    """Amplitudes that tell dark pixels from bright ones."""
+    """Limits of amplitude between dark and bright pixels."""
 
     dark: float
-    """Up to which a pixel is as dark as the sky."""
+    """Greatest amplitude of a pixel as dark as the sky."""
     bright: float
-    """Above which one shows a surface."""
+    """Amplitude above which a pixel shows a surface."""
     glinting: float
-    """From which on it glints, or is beside a glint."""
+    """Least amplitude of a pixel that glints or is beside a glint."""
 
 
 class Tolerated(NamedTuple):
-    """Errors that contradict nothing."""
+    """Tolerated errors."""
 
     range_m: float
-    """Of a range besides its noise."""
+    """Tolerated error of a range in addition to its noise."""
     bias_m: float
-    """Of all ranges."""
+    """Length by which all ranges are too long."""
     place_px: float
-    """Of a place."""
+    """Tolerated displacement in the image."""
 
 
 class PixelCounts(NamedTuple):
-    """How many pixels contradict a pose: the fields of ``Contradictions``."""
+    """Numbers of pixels that are inconsistent with a pose: the fields of ``Contradictions``."""
 
     pixels: int
-    contrary: int
-    fullest: int
-    lacking: int
+    inconsistent: int
+    most_in_patch: int
+    most_missing: int
 
 
 def contradictions(
@@ -139,21 +141,21 @@ def contradictions(
     typical: float,
     bias_m: float = 0.0,
 ) -> Contradictions:
-    """Return what of a frame's coarse pixels contradicts a pose.
+    """Return how many of a frame's coarse pixels are inconsistent with a pose.
 
     Args:
         seen: the frame's coarse pixels.
         rendered: the target at the pose, on the same pixels.
-        limits: what is tolerated.
-        typical: median amplitude of the target; 0 where none is known.
-        bias_m: by which all ranges are too long.
+        limits: tolerances of the check.
+        typical: median amplitude of the target; 0 if it is unknown.
+        bias_m: length by which all ranges are too long.
     """
     bright, glinting = (share * typical for share in BRIGHT)
     sky = sky_amplitude(seen.range_m, seen.amplitude, rendered.triangle, typical)
     shades = Shades(sky if sky < DIM * typical else 0.0, max(bright, sky), glinting)
     reach_px = limits.reach_px + limits.place_m * rendered.px_per_m
     tolerated = Tolerated(limits.tolerance_m, bias_m, reach_px)
-    return Contradictions(*count_contrary(seen, rendered.arrays, shades, tolerated, limits.patch_px))
+    return Contradictions(*count_inconsistent(seen, rendered.arrays, shades, tolerated, limits.patch_px))
 
 
 @kernel
@@ -163,13 +165,13 @@ def sky_amplitude(
     owner: NDArray[np.int32],
     typical: float,
 ) -> float:
-    """Return the amplitude that the sky does not exceed, told by where nothing is measured nor rendered.
+    """Return the sky's greatest amplitude, from pixels with nothing measured nor rendered; 0 if unknown.
 
     Args:
         range_m: as for ``contradictions``.
         amplitude: as for ``contradictions``.
         owner: rendered triangles, -1 for none, same shape.
-        typical: median amplitude of the target, which the sky is darker than.
+        typical: median amplitude of the target; brighter pixels are not the sky's.
     """
     rows, columns = owner.shape
     step = rows * columns // SKY_SAMPLES + 1
@@ -186,29 +188,29 @@ def sky_amplitude(
 
 
 @kernel
-def count_contrary(
+def count_inconsistent(
     seen: SeenPixels, rendered: RenderingArrays, shades: Shades, tolerated: Tolerated, patch: int
 ) -> PixelCounts:
-    """Return the numbers of pixels that say something, of contrary ones, and two of the fullest patches.
+    """Return the numbers of checked pixels and of inconsistent ones, and the greatest numbers in one patch.
 
-    They are the most contrary pixels in one patch, and the most that lack a surface.
+    The last two are the numbers of inconsistent pixels and of pixels with missing surface in one patch.
 
     Args:
         seen: the frame's coarse pixels.
         rendered: the target at the pose, on the same pixels.
-        shades: what is dark and what is bright.
-        tolerated: errors that contradict nothing.
-        patch: side of a patch, pixels, at least 1.
+        shades: limits of amplitude between dark and bright.
+        tolerated: tolerated errors.
+        patch: side of a patch, px, at least 1.
     """
     (range_m, sigma_m, amplitude), nearest_m, owner = seen, rendered.range_m, rendered.triangle
     dark, bright, glinting = shades
     tolerance, bias, reach = tolerated
     rows, columns = owner.shape
     full = np.zeros((2, rows + patch, columns + patch), np.int32)
-    pixels, contrary = 0, 0
+    pixels, inconsistent = 0, 0
     for i in range(rows):
         for j in range(columns):
-            shade, lacks = amplitude[i, j], False
+            shade, is_missing = amplitude[i, j], False
             if range_m[i, j] > 0.0:
                 measured, slack = range_m[i, j] - bias, max(tolerance, SIGMAS * sigma_m[i, j])
                 pixels += 1
@@ -222,25 +224,25 @@ def count_contrary(
                     continue
             elif 0.0 < shade <= dark and owner[i, j] >= 0 and _should_show(rendered, i, j, reach):
                 pixels += 1
-                lacks = True
+                is_missing = True
             else:
                 continue
-            contrary += 1
+            inconsistent += 1
             full[0, i : i + patch, j : j + patch] += 1
-            full[1, i : i + patch, j : j + patch] += lacks
-    return PixelCounts(pixels, contrary, full[0].max(), full[1].max())
+            full[1, i : i + patch, j : j + patch] += is_missing
+    return PixelCounts(pixels, inconsistent, full[0].max(), full[1].max())
 
 
 @kernel
 def _is_near(
     rendered: RenderingArrays, pixel: tuple[int, int], reach: float, range_m: float, slack: float
 ) -> bool:
-    """Return whether a range, m, lies by a slack, m, on what is rendered within ``reach`` px of a pixel."""
+    """Return whether a range, m, agrees within a slack, m, with anything rendered within ``reach`` px."""
     low, high, _ = around(rendered, pixel[0], pixel[1], reach)
     return low - slack <= range_m <= high + slack
 
 
 @kernel
 def _should_show(rendered: RenderingArrays, i: int, j: int, reach: float) -> bool:
-    """Return whether a pixel lies well on surface that would show whatever it is made of."""
-    return facing(rendered, i, j) >= GRAZING and around(rendered, i, j, reach)[2] >= INSIDE
+    """Return whether a pixel lies inside a surface that would be brighter than the sky in any material."""
+    return facing(rendered, i, j) >= GRAZING and around(rendered, i, j, reach)[2] >= LEAST_HITS

@@ -19,18 +19,18 @@ from rpod_pose.search.energy import NOTHING_IN_VIEW, energies
 from rpod_pose.search.turns import FEW_POINTS, FEW_RETURNS, MORE_RETURNS, Turns
 from rpod_pose.search.view_model import ViewModel, centroids_in_view
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.config.pmd_search import PmdAcquisitionTuning
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
 ANY_ECHO = 0.0, np.ones(1)
 """Steps and table (``energies``) of a sensor that detects everything."""
-DRAW_IN_SCALES_M = np.geomspace(0.5, 0.1, 6)
-"""Of the steps that draw a candidate onto the frame."""
+FIELD_SCALES_M = np.geomspace(0.5, 0.1, 6)
+"""Geman-McClure scales of the steps that align a candidate with the frame."""
 FINE_SCALES_M = np.geomspace(0.15, 0.05, 6)
-"""Of the steps that the best ones are refined with."""
-SHARPENED = np.repeat((0.02, 0.02), 3)
-"""Standard deviations, m and rad, within which the outline is searched for what the depth leaves open."""
+"""Geman-McClure scales of the steps that refine the best candidates."""
+REFINED_SIGMAS = np.repeat((0.02, 0.02), 3)
+"""Standard deviations, m and rad, of the samples in the refinement on outline and amplitude."""
 _ROUNDS, _SAMPLES = 4, 32
 _DRAWS = norm.ppf(qmc.Sobol(6, seed=1).random(_ROUNDS * _SAMPLES).clip(1e-3, 1.0 - 1e-3)).reshape(
     _ROUNDS, _SAMPLES, 6
@@ -40,7 +40,7 @@ _DRAWS = norm.ppf(qmc.Sobol(6, seed=1).random(_ROUNDS * _SAMPLES).clip(1e-3, 1.0
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A pose of the target in the sensor, and how badly it explains the frame."""
+    """A pose of the target in the sensor, with its loss in the frame."""
 
     R: FloatArray
     t: FloatArray
@@ -58,7 +58,7 @@ class Model:
     turns: Turns
 
     @classmethod
-    def of(cls, target: Target, config: PmdAcquisitionConfig) -> Self:
+    def of(cls, target: Target, tuning: PmdAcquisitionTuning) -> Self:
         """Return the model of a target.
 
         Raises:
@@ -68,9 +68,9 @@ class Model:
         views = ViewModel.of(
             target,
             surface.coarse_field,
-            count=config.model_points,
+            count=tuning.model_points,
             few=FEW_POINTS,
-            truncation_m=config.truncation_m,
+            truncation_m=tuning.truncation_m,
         )
         return cls(target, views, surface, field_arrays(target), Turns.of(target))
 
@@ -79,56 +79,58 @@ class FrameSearch:
     """Searches one frame."""
 
     def __init__(
-        self, config: PmdAcquisitionConfig, model: Model, scene: PmdScene, fitter: PmdFitter
+        self, tuning: PmdAcquisitionTuning, model: Model, scene: PmdScene, fitter: PmdFitter
     ) -> None:
-        self._config, self._model, self._scene, self._fitter = config, model, scene, fitter
+        self._tuning, self._model, self._scene, self._fitter = tuning, model, scene, fitter
         self._image = scene.distances()
         self._centroid_m = scene.middle_m()
-        self._few = Points.equal(scene.thinned(config.draw_in_points))
-        self._fine = Points.equal(scene.thinned(config.fine_points))
+        self._few = Points.equal(scene.downsampled(tuning.draw_in_points))
+        self._fine = Points.equal(scene.downsampled(tuning.fine_points))
 
     def search(self, attitudes: Float32Array, around: FloatArray | None) -> list[Pose]:
-        """Return distinct poses, best first; empty where no attitude shows the target to the sensor.
+        """Return distinct poses, best first; empty if the sensor sees the target at no attitude.
 
         Args:
-            attitudes: R_sensor_target to begin with, shape (M, 3, 3).
-            around: R_sensor_target, shape (3, 3), from which no pose may be far, None for any.
+            attitudes: initial R_sensor_target, shape (M, 3, 3).
+            around: R_sensor_target, shape (3, 3), near which all poses must be; None for any.
         """
-        config = self._config
-        refined = config.refined if around is None else config.near_refined
-        found = [self._drawn_in(R, t) for R, t in self._candidates(attitudes, refined)]
+        tuning = self._tuning
+        refined = tuning.refined if around is None else tuning.near_refined
+        found = [self._field_aligned(R, t) for R, t in self._candidates(attitudes, refined)]
         turned: list[Pose] = []
-        for _ in range(config.turned):
-            asked = next((pose for pose in self._distinct(found) if not self._alike(pose, turned)), None)
-            if asked is None:
+        for _ in range(tuning.turned):
+            chosen = next((pose for pose in self._distinct(found) if not self._is_close(pose, turned)), None)
+            if chosen is None:
                 break
-            asked = self._refined(asked)
-            turned.append(asked)
-            found += [asked, *self._turned(asked, around)]
-        return self._finished(self._distinct(found)[: config.finished])
+            chosen = self._refined(chosen)
+            turned.append(chosen)
+            found += [chosen, *self._turned(chosen, around)]
+        return self._finished(self._distinct(found)[: tuning.finished])
 
     def _finished(self, poses: Iterable[Pose]) -> list[Pose]:
-        """Return poses refined, and sharpened where they may yet be the best."""
+        """Return refined poses; those that may still be the best are refined on the outline too."""
         refined = self._distinct(self._refined(pose) for pose in poses)
         if not refined:
             return []
-        most = refined[0].fit.loss + self._config.rival_loss
-        return self._distinct(self._sharpened(pose) if pose.fit.loss <= most else pose for pose in refined)
+        most = refined[0].fit.loss + self._tuning.rival_loss
+        return self._distinct(
+            self._outline_refined(pose) if pose.fit.loss <= most else pose for pose in refined
+        )
 
     def _candidates(self, attitudes: Float32Array, refined: int) -> Iterable[tuple[FloatArray, FloatArray]]:
         """Return rough poses R, t, least energy first."""
-        config = self._config
-        places_m = self._laid(attitudes)
+        tuning = self._tuning
+        places_m = self._centroid_aligned(attitudes)
         energy = self._energies(attitudes, places_m, rounds=1, roughly=True)
-        better = np.argsort(energy, kind="stable")[: config.compared]
+        better = np.argsort(energy, kind="stable")[: tuning.compared]
         attitudes, places_m = attitudes[better], places_m[better]
         energy = self._energies(attitudes, places_m, rounds=2)
         for index in np.argsort(energy, kind="stable")[:refined]:
             if energy[index] < NOTHING_IN_VIEW:
                 yield attitudes[index].astype(np.float64), places_m[index].astype(np.float64)
 
-    def _laid(self, attitudes: Float32Array) -> Float32Array:
-        """Return first guesses of the target's place, laid on the points' centroid, shape (M, 3)."""
+    def _centroid_aligned(self, attitudes: Float32Array) -> Float32Array:
+        """Return first guesses of the target's position by the points' centroid, shape (M, 3), m."""
         views = self._model.views
         offsets_m = centroids_in_view(attitudes, self._centroid_m, views.centroids_m, views.cube)
         places_m: Float32Array = (self._centroid_m - (attitudes @ offsets_m[..., None])[..., 0]).astype(
@@ -139,7 +141,7 @@ class FrameSearch:
     def _energies(
         self, attitudes: Float32Array, places_m: Float32Array, *, rounds: int, roughly: bool = False
     ) -> Float32Array:
-        """Return the energies of poses, whose places are laid on the points anew."""
+        """Return the energies of poses, and align their positions with the points."""
         views = self._model.views
         return energies(
             attitudes,
@@ -151,52 +153,54 @@ class FrameSearch:
             detection=ANY_ECHO,
             returns=FEW_RETURNS if roughly else MORE_RETURNS,
             rounds=rounds,
-            truncation_m=self._config.truncation_m,
+            truncation_m=self._tuning.truncation_m,
         )
 
-    def _there(self, R: FloatArray, t: FloatArray) -> Pose:
+    def _fitted(self, R: FloatArray, t: FloatArray) -> Pose:
         return Pose(R, t, self._fitter.fit(R, t))
 
-    def _drawn_in(self, R: FloatArray, t: FloatArray) -> Pose:
-        """Return a rough pose drawn to some of the points."""
+    def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
+        """Return a rough pose aligned with some of the points."""
         field = self._model.surface.coarse_field
-        return self._there(*field_aligned(self._few, PoseArrays(R, t), field, DRAW_IN_SCALES_M))
+        return self._fitted(*field_aligned(self._few, PoseArrays(R, t), field, FIELD_SCALES_M))
 
     def _refined(self, pose: Pose) -> Pose:
-        """Return a pose drawn to more of the points, but where that explains the frame worse."""
+        """Return a pose aligned with more of the points, or unchanged if that increases the loss."""
         start = PoseArrays(pose.R, pose.t)
-        refined = self._there(*field_aligned(self._fine, start, self._model.field, FINE_SCALES_M))
+        refined = self._fitted(*field_aligned(self._fine, start, self._model.field, FINE_SCALES_M))
         return min(refined, pose, key=lambda one: one.fit.loss)
 
-    def _sharpened(self, pose: Pose) -> Pose:
-        """Return a pose moved to where the outline and the amplitude are explained best too."""
-        return self._there(*self._fitter.sharpened(pose.R, pose.t, SHARPENED, _DRAWS))
+    def _outline_refined(self, pose: Pose) -> Pose:
+        """Return a pose refined on the outline and the amplitude."""
+        return self._fitted(*self._fitter.outline_refined(pose.R, pose.t, REFINED_SIGMAS, _DRAWS))
 
     def _turned(self, pose: Pose, around: FloatArray | None) -> list[Pose]:
-        """Return a pose's turns by near-symmetries, and the best of the others, laid anew."""
+        """Return a pose's near-symmetries in place, and its best other rotations aligned by the centroid."""
         turns = self._model.turns
         exactly = pose.R @ turns.all
         turned = exactly.astype(np.float32)
         allowed = np.ones(len(turned), bool)
         if around is not None:
-            allowed = within(turned, around, self._config.near_deg)
+            allowed = within(turned, around, self._tuning.near_deg)
         if not allowed.any():
             return []
-        anew_m = self._laid(turned)
+        anew_m = self._centroid_aligned(turned)
         energy = self._energies(turned, anew_m, rounds=2)
         declared = np.arange(len(turned)) < turns.declared
         energy[declared] = 0.0
         energy[~allowed] = NOTHING_IN_VIEW
-        order = np.argsort(energy, kind="stable")[: self._config.turns]
+        order = np.argsort(energy, kind="stable")[: self._tuning.turns]
         return [
-            self._drawn_in(exactly[index], pose.t if declared[index] else anew_m[index].astype(np.float64))
+            self._field_aligned(
+                exactly[index], pose.t if declared[index] else anew_m[index].astype(np.float64)
+            )
             for index in order
             if energy[index] < NOTHING_IN_VIEW
         ]
 
-    def _alike(self, pose: Pose, others: Sequence[Pose]) -> bool:
-        """Return whether a pose's attitude is close to another's, or to one of its exact turns."""
-        least = 1.0 + 2.0 * cos(radians(self._config.distinct_deg))
+    def _is_close(self, pose: Pose, others: Sequence[Pose]) -> bool:
+        """Return whether a pose's attitude is close to another's, modulo the exact symmetries."""
+        least = 1.0 + 2.0 * cos(radians(self._tuning.distinct_deg))
         turns = self._model.turns.exact
         return any((np.einsum("kij,ij->k", other.R @ turns, pose.R) > least).any() for other in others)
 
@@ -204,6 +208,6 @@ class FrameSearch:
         """Return the poses, best first, without those close to a better one."""
         kept: list[Pose] = []
         for pose in sorted(poses, key=lambda pose: pose.fit.loss):
-            if not self._alike(pose, kept):
+            if not self._is_close(pose, kept):
                 kept.append(pose)
         return kept

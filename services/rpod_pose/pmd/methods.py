@@ -26,45 +26,46 @@ _WRAPPING = PmdInfo(
     electrons_per_count=1.0,
     saturation_count=4096.0,
 )
-"""Of a camera whose distances are to be unwrapped."""
+"""Info of a camera whose distances have to be unwrapped."""
 LEAST_BIAS_M = 0.001
-"""Least standard deviation of the bias that ranges keep: no calibration holds better than this for long."""
+"""Least standard deviation of the bias left by a calibration: none stays more accurate for long."""
 
 
 def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
-    """Return the search of our own, which ``joint`` finishes whatever the frames are tracked with."""
+    """Return the facility's own search; the joint tracker refines its result, whatever tracks the frames."""
     finisher = task.tracker if isinstance(task.tracker, JointTracker) else joint(JointConfig(), task)
     return ViewSearch(config, task.target, finisher)
 
 
 def joint(config: JointConfig, task: Task) -> Tracker[PmdFrame]:
-    """Return the tracker of our own; what a calibration says that it left of the ranges' bias is believed."""
+    """Return the facility's own tracker, which assumes the range bias that the calibration states."""
     calibration = task.sensor.calibration
     if calibration is not None and calibration.evidence is not None:
         bias_m = max(calibration.evidence.bias_after_m, LEAST_BIAS_M)
-        left = config.depth.calibrated.model_copy(update={"bias_m": bias_m})
-        depth = config.depth.model_copy(update={"calibrated": left})
-        config = config.model_copy(update={"depth": depth})
+        tuning = config.tuning
+        left = tuning.depth.calibrated.model_copy(update={"bias_m": bias_m})
+        depth = tuning.depth.model_copy(update={"calibrated": left})
+        config = config.model_copy(update={"tuning": tuning.model_copy(update={"depth": depth})})
     return JointTracker(config, task.target, calibrated=calibration is not None)
 
 
 def signed_distance(config: SignedDistanceConfig, task: Task) -> Tracker[PmdFrame]:
-    """Return the tracker of depth alone, in the distance field."""
+    """Return the tracker by depth alone, in the distance field."""
     return SignedDistanceTracker(config, task.target)
 
 
 def icp_reverse_calibration(config: IcpReverseCalibrationConfig, task: Task) -> Tracker[PmdFrame]:
-    """Return the 2018 paper's tracker of depth."""
+    """Return the 2018 paper's tracker by depth."""
     return ReverseCalibrationIcp(config, task.target)
 
 
 def epnp(config: EpnpConfig, task: Task) -> Tracker[PmdFrame]:
-    """Return the 2018 paper's tracker of amplitude."""
+    """Return the 2018 paper's tracker by amplitude."""
     return EpnpTracker(config, task.target)
 
 
 def hybrid(config: HybridConfig, task: Task) -> Tracker[PmdFrame]:
-    """Return both techniques of the 2018 paper."""
+    """Return the tracker that combines both techniques of the 2018 paper."""
     return HybridTracker(config, task.target)
 
 
@@ -79,7 +80,7 @@ def make(task: Task) -> Methods:
 
 
 def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) -> tuple[PmdFrame, PmdFrame]:
-    """Return a frame without noise, first without and then with what tells how to unwrap its distances."""
+    """Return a frame without noise twice: without and with the info by which distances are unwrapped."""
     camera = Camera(width=352, height=287, fx=682.75, fy=691.42, cx=175.5, cy=143.0)
     grid = RayGrid.pinhole(camera)
     hits = cast(grid, target.triangles_m, T_optical_target)
@@ -87,7 +88,7 @@ def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) ->
     depth_m = (range_m * grid.directions[..., 2]).astype(np.float32)
     amplitude = np.where(depth_m > 0.0, 1000, 0).astype(np.uint16)
     for image in (depth_m, amplitude):
-        image.setflags(write=False)  # as off the bus: compiled code is another for what may be written to
+        image.setflags(write=False)  # as from the bus: kernels are compiled separately for read-only arrays
     frame = PmdFrame(stamp_ns=0, frame_id="", depth_m=depth_m, amplitude=amplitude, camera=camera)
     return frame, frame.model_copy(update={"info": _WRAPPING})
 

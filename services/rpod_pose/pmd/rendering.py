@@ -1,7 +1,8 @@
-"""The target rendered at a pose on the coarse pixels, and cast anew between them where it matters.
+"""The target rendered at a pose on the coarse pixels, with additional rays between them on demand.
 
-Coarse pixels lie several pixels apart. Whether a range, or a dark place, might belong to what lies a pixel or
-two beside it is asked of a few more rays there, on no more triangles than the pixel and its neighbours show.
+Coarse pixels lie several pixels apart. A few additional rays show whether a range, or a dark pixel, may
+belong to a surface one or two pixels away; they are cast only at the triangles that the pixel and its
+neighbours show.
 """
 
 from dataclasses import dataclass
@@ -17,40 +18,40 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 NEAREST_M = 0.3
-"""Lengths are not seen from nearer than this."""
+"""Least distance in the conversion of lengths to pixels."""
 NINE = 9
-"""A pixel and its neighbours."""
+"""Number of rays: a pixel and its eight neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """What every coarse pixel would see of the target, and what it takes to look between them."""
+    """The target as every coarse pixel sees it, with the data for additional rays between them."""
 
     range_m: NDArray[np.float32]
-    """inf where there is nothing, shape (rows, columns)."""
+    """Range along the ray, inf on pixels that miss the target, shape (rows, columns)."""
     triangle: NDArray[np.int32]
-    """-1 where there is nothing, same shape."""
+    """Index of the visible triangle, -1 on pixels that miss the target, same shape."""
     grid: RayGrid
-    """Of the coarse pixels."""
+    """Rays of the coarse pixels."""
     stride: int
-    """Pixels from one coarse pixel to the next."""
+    """Distance from one coarse pixel to the next, px."""
     focal_px: float
-    """Of the camera."""
+    """Focal length of the camera."""
     triangles_m: FloatArray
-    """Of the target, target axes, shape (T, 3, 3), counter-clockwise from outside."""
+    """Triangles of the target, target axes, shape (T, 3, 3), counter-clockwise from outside."""
     R: FloatArray
-    """Of the target in the sensor, shape (3, 3)."""
+    """R_sensor_target, shape (3, 3)."""
     t: FloatArray
-    """Of the target in the sensor, shape (3,), m."""
+    """Position of the target in the sensor, shape (3,), m."""
 
     @property
     def px_per_m(self) -> float:
-        """Of a length across the line of sight, as far off as the target's origin."""
+        """Pixels per metre across the line of sight, at the distance of the target's origin."""
         return self.focal_px / max(float(np.linalg.norm(self.t)), NEAREST_M)
 
     @property
     def arrays(self) -> "RenderingArrays":
-        """The same as the kernels take it."""
+        """The rendering as the kernels take it."""
         rays, pose = self.grid.components, PoseArrays(self.R, self.t)
         return RenderingArrays(self.range_m, self.triangle, rays, self.stride, self.triangles_m, pose)
 
@@ -59,38 +60,38 @@ class RenderingArrays(NamedTuple):
     """``Rendering``, as the kernels take it."""
 
     range_m: Float32Array
-    """inf where there is nothing, shape (rows, columns)."""
+    """Range along the ray, inf on pixels that miss the target, shape (rows, columns)."""
     triangle: NDArray[np.int32]
-    """-1 where there is nothing, same shape."""
+    """Index of the visible triangle, -1 on pixels that miss the target, same shape."""
     rays: FloatArray
     """Unit rays of the coarse pixels, shape (3, rows, columns), two rows and columns or more."""
     stride: int
-    """Pixels from one coarse pixel to the next, at least 1."""
+    """Distance from one coarse pixel to the next, px, at least 1."""
     triangles_m: FloatArray
-    """Target axes, shape (T, 3, 3)."""
+    """Triangles of the target, target axes, shape (T, 3, 3)."""
     pose: PoseArrays
 
 
 class Around(NamedTuple):
-    """What nine rays in and around a coarse pixel meet."""
+    """Hits of nine rays in and around a coarse pixel."""
 
     low: float
-    """Least range, m, inf where none meets anything."""
+    """Least range, m; inf if no ray hits."""
     high: float
-    """Greatest range, m, 0 where none meets anything."""
+    """Greatest range, m; 0 if no ray hits."""
     hits: int
-    """How many rays meet something."""
+    """Number of rays that hit."""
 
 
 @kernel
 def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
-    """Return the least and greatest range in and around a coarse pixel, and how many of nine rays hit.
+    """Return the least and greatest range in and around a coarse pixel, and the number of hits of nine rays.
 
     Args:
         rendered: the target at a pose.
         i: row of the coarse pixel.
-        j: its column.
-        reach: to the eight rays around it, along rows and columns, px.
+        j: column of the coarse pixel.
+        reach: distance of the eight rays around it, along rows and columns, px.
     """
     owner, rays, stride, triangles = rendered.triangle, rendered.rays, rendered.stride, rendered.triangles_m
     R, t = rendered.pose
@@ -137,7 +138,7 @@ def facing(rendered: RenderingArrays, i: int, j: int) -> float:
 
 @kernel
 def _place(triangle: FloatArray, R: FloatArray, t: FloatArray, corner: FloatArray) -> None:
-    """Fill in the corners, shape (3, 3), m, of a triangle, shape (3, 3), m, in sensor axes at a pose R, t."""
+    """Fill ``corner``, (3, 3), with a triangle's corners, (3, 3), moved to sensor axes by R and t; m."""
     for n in range(3):
         x, y, z = triangle[n]
         for m in range(3):
@@ -146,13 +147,13 @@ def _place(triangle: FloatArray, R: FloatArray, t: FloatArray, corner: FloatArra
 
 @kernel
 def _per_range(corner: FloatArray, ray: FloatArray) -> float:
-    """Return one over the range at which a ray meets a triangle seen from outside, 0 where it does not.
+    """Return one over the range at which a ray meets a triangle seen from outside; 0 if it misses.
 
-    By the products of ``rpod_geometry.rays``; the ray's length is taken for one.
+    The test is that of ``rpod_geometry.rays``; the ray is assumed to have unit length.
 
     Args:
-        corner: of the triangle, sensor axes, shape (3, 3), m.
-        ray: sensor axes, shape (3,).
+        corner: corners of the triangle, sensor axes, shape (3, 3), m.
+        ray: direction of the ray, sensor axes, shape (3,).
     """
     total = 0.0
     for n in range(3):

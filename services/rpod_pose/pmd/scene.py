@@ -1,7 +1,7 @@
-"""What one PMD frame shows of the target, on every few pixels: depth, amplitude, and what is merely lit.
+"""One PMD frame on every few pixels: depth, amplitude, and pixels that are lit without depth.
 
-Depth is lost where the target is dark, glints or is seen at a grazing angle, but the amplitude lives on, and
-against the black sky it draws the outline.
+Depth is lost where the target is dark, glints or is seen at a grazing angle. The amplitude remains there, and
+shows the outline against the black sky.
 """
 
 from dataclasses import dataclass
@@ -14,66 +14,66 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView, thinned
+from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView, downsampled
 from rpod_pose.search.energy import CELLS, Image
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdSceneConfig
 from rpod_schemas.types import Camera, Float32Array, PmdFrame
 
 DARKEST_PERCENT = 2.0
-"""Percentile of the amplitudes of pixels with depth that counts as the darkest of them."""
+"""Percentile of the amplitudes of pixels with depth that stands for the darkest of them."""
 SEGMENTATION_ROUNDS = 5
 REACH = 1.5
-"""Radii of the target within which all of it that is seen lies around the middle of what is seen."""
+"""Radius, in radii of the target, around the median of its visible points that contains all of them."""
 SKY_SPREADS, LEAST_AMPLITUDE = 9.0, 1.0
-"""Median absolute deviations of the sky, six standard ones, above which a pixel is lit; counts."""
+"""Least amplitude of a lit pixel: median absolute deviations above the sky (six sigma), and counts."""
 MOST_GLINTS = 0.9
-"""Zeros that are a larger share of the dark pixels are the sky's, of an amplitude that has no noise left."""
+"""Greatest share of zeros among dark pixels by glints: more zeros are a sky whose amplitude has no noise."""
 WIPED, TOUCHED = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
-"""A glint is no smaller than the one, and changes medians as far as the other reaches."""
+"""Smallest shape of a glint, and the shape within which a glint changes medians."""
 MEDIAN_OVER_MEAN = 1.25
-"""Standard deviation of a median of normal errors over that of their mean."""
+"""Standard deviation of the median of normal errors over that of their mean."""
 
 
 @dataclass(frozen=True, eq=False)
 class PmdScene:
-    """A frame's coarse pixels; ``scene_of`` makes it."""
+    """A frame's coarse pixels, made by ``scene_of``."""
 
     view: DepthView
     range_m: Float32Array
-    """Distance along the ray, 0 where there is none, shape (rows, columns)."""
+    """Distance along the ray, 0 on pixels without depth, shape (rows, columns)."""
     sigma_m: Float32Array
-    """Standard deviation of the noise of a range, told by the neighbours, shape (rows, columns)."""
+    """Standard deviation of a range's noise, estimated from the neighbours, shape (rows, columns)."""
     amplitude: Float32Array
-    """Median of each pixel and its neighbours; 0 where there is none, or a glint touches it."""
+    """Median of each pixel and its neighbours; 0 if unknown, or if a glint touches the pixel."""
     lit: NDArray[np.bool_]
-    """Where depth or amplitude show something."""
+    """Pixels on which depth or amplitude show a surface."""
     blind: NDArray[np.bool_]
-    """Where a glint wiped out both: there may be surface or not."""
+    """Pixels on which a glint saturated both: there may be a surface or not."""
     least_amplitude: float
-    """From which on a pixel is lit; infinite where there is no amplitude to tell."""
+    """Least amplitude of a lit pixel; infinite without an amplitude image."""
     points_m: FloatArray
     """The measured points of the target, sensor axes, shape (N, 3)."""
 
     @property
     def outlined(self) -> bool:
-        """Whether an amplitude tells what shows something without having a depth."""
+        """Whether an amplitude image shows surfaces without depth."""
         return bool(np.isfinite(self.least_amplitude))
 
-    def thinned(self, count: int) -> FloatArray:
-        """Return about ``count`` points, evenly over the image."""
+    def downsampled(self, count: int) -> FloatArray:
+        """Return at most ``count`` points, spread evenly over the image, shape (n, 3)."""
         chosen = np.linspace(0, len(self.points_m) - 1, min(count, len(self.points_m))).astype(np.intp)
         return self.points_m[chosen]
 
     def middle_m(self) -> FloatArray:
-        """Return the centroid of what is seen, where depth is lost at the nearest depth, shape (3,)."""
+        """Return the centroid of the lit pixels, (3,), m; pixels without depth take the nearest depth."""
         nearest = distance_transform_edt(self.range_m == 0.0, return_distances=False, return_indices=True)
         shown = self.lit | self.blind
         middle: FloatArray = (self.view.coarse.components * self.range_m[*nearest])[:, shown].mean(axis=1)
         return middle
 
     def distances(self) -> Image:
-        """Return ``energy.Image`` of the squared angles from what is lit."""
+        """Return the ``energy.Image`` of the squared angles to the nearest lit pixel."""
         view = self.view
         rad_per_px = view.stride / view.camera.fx, view.stride / view.camera.fy
         distance_rad = distance_transform_edt(~(self.lit | self.blind), sampling=rad_per_px[::-1])
@@ -104,10 +104,10 @@ def _cells(view: DepthView) -> tuple[NDArray[np.intp], tuple[float, float], tupl
 
 
 def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> PmdScene | str:
-    """Return what a frame shows of a target of this radius, or why it cannot be used."""
-    strange = _strange_camera(frame.camera, config)
-    if strange:
-        return strange
+    """Return the scene of a frame with a target of this radius, or the reason why it cannot be used."""
+    implausible = _implausible_camera(frame.camera, config)
+    if implausible:
+        return implausible
     shown, dim = _measured(frame, config), np.inf
     if frame.amplitude is not None and shown.any():
         dim = config.lit_share * float(np.percentile(frame.amplitude[shown], DARKEST_PERCENT))
@@ -118,7 +118,7 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     except DistortionError as error:
         return str(error)
     shown_m = np.where(shown, frame.depth_m, np.float32(np.nan))
-    depth_m = thinned(shown_m, view.stride, view.offset)
+    depth_m = downsampled(shown_m, view.stride, view.offset)
     rays = view.coarse.components
     range_m = np.nan_to_num(depth_m / rays[2], nan=0.0).astype(np.float32)
     nearby = _around(rays, range_m, REACH * radius_m)
@@ -127,20 +127,20 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
     if len(points_m) < config.min_points:
         return f"{len(points_m)} points on {view.stride} px strides, {config.min_points} needed"
-    sigma_m = spread(shown_m, view.stride, view.offset, depth_m.shape)
+    sigma_m = noise_sigma(shown_m, view.stride, view.offset, depth_m.shape)
     return PmdScene(view, range_m, sigma_m, amplitude, lit | nearby, blind & ~nearby, least, points_m)
 
 
 def _amplitudes(
     amplitude: NDArray[np.uint16] | None, view: DepthView, unmeasured: NDArray[np.bool_], dim: float
 ) -> tuple[Float32Array, NDArray[np.bool_], NDArray[np.bool_], float]:
-    """Return PmdScene's amplitudes, what without depth is lit and what blind, and the least that is lit.
+    """Return the scene's amplitudes, the lit and the blind pixels without depth, and the least lit amplitude.
 
     Args:
-        amplitude: of all pixels, shape (H, W).
+        amplitude: amplitude of all pixels, shape (H, W).
         view: the coarse pixels.
-        unmeasured: those without depth, shape (rows, columns).
-        dim: amplitude that is lit in any case; infinite where nothing is known.
+        unmeasured: coarse pixels without depth, shape (rows, columns).
+        dim: amplitude above which a pixel is lit in any case; infinite if unknown.
     """
     if amplitude is None or not np.isfinite(dim):
         none = np.zeros(unmeasured.shape, bool)
@@ -154,10 +154,10 @@ def _amplitudes(
     return median, lit, touched & ~lit, least
 
 
-def _strange_camera(camera: Camera, config: PmdSceneConfig) -> str:
-    """Return why a camera matrix cannot belong to the image; empty if it may.
+def _implausible_camera(camera: Camera, config: PmdSceneConfig) -> str:
+    """Return why a camera matrix cannot belong to the image; empty if it can.
 
-    A principal point that is off shears the depth image by so little that the image itself does not tell.
+    A wrong principal point shears the depth image so little that the image itself does not show it.
     """
     if camera.distortion[PLUMB_BOB:].any():
         return f"distortion has {len(camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
@@ -180,7 +180,7 @@ def _measured(frame: PmdFrame, config: PmdSceneConfig) -> NDArray[np.bool_]:
 
 
 def _least_amplitude(dark: Float32Array, most: float) -> float:
-    """Return the amplitude that the sky does not have, if it is the most of what has no depth; shape (N,)."""
+    """Return an amplitude above the sky's, from pixels without depth, shape (N,), most of which are sky."""
     most = max(most, LEAST_AMPLITUDE)
     if not dark.size:
         return most
@@ -190,10 +190,10 @@ def _least_amplitude(dark: Float32Array, most: float) -> float:
 
 
 def _touched(amplitude: NDArray[np.uint16], dim: float) -> NDArray[np.bool_]:
-    """Return which pixels a glint wipes out or is beside, shape (H, W).
+    """Return which pixels are saturated by a glint or are beside one, shape (H, W).
 
-    A glint fills both taps of a pixel and leaves no difference: exactly zero, all around, which a sky with
-    noise never is.
+    A glint saturates both taps of a pixel, so that their difference is exactly zero, also on the pixels
+    around; a sky with noise never is.
     """
     wiped = (cv2.dilate(amplitude, WIPED) == 0).astype(np.uint8)
     if np.count_nonzero(wiped) > MOST_GLINTS * np.count_nonzero(amplitude <= dim):
@@ -202,7 +202,7 @@ def _touched(amplitude: NDArray[np.uint16], dim: float) -> NDArray[np.bool_]:
 
 
 def _around(rays: FloatArray, range_m: Float32Array, radius_m: float) -> NDArray[np.bool_]:
-    """Return which pixels measure something within the radius of their centre, found from those within."""
+    """Return which pixels measure a point within a radius of the points' median, computed iteratively."""
     measured = range_m > 0.0
     points_m = (rays * range_m)[:, measured].T
     near = np.ones(len(points_m), bool)
@@ -216,14 +216,14 @@ def _around(rays: FloatArray, range_m: Float32Array, radius_m: float) -> NDArray
 
 
 @kernel
-def spread(depth: Float32Array, stride: int, offset: int, shape: tuple[int, int]) -> Float32Array:
-    """Return the standard deviation of the medians of ``depth_view.thinned``, m, 0 where there is none.
+def noise_sigma(depth: Float32Array, stride: int, offset: int, shape: tuple[int, int]) -> Float32Array:
+    """Return the standard deviation of the medians of ``depth_view.downsampled``, m; 0 without depth.
 
     Args:
-        depth: as for ``thinned``, shape (height, width), m.
-        stride: as for ``thinned``.
-        offset: as for ``thinned``.
-        shape: rows and columns of what that returned.
+        depth: as for ``downsampled``, shape (height, width), m.
+        stride: as for ``downsampled``.
+        offset: as for ``downsampled``.
+        shape: rows and columns that ``downsampled`` returned.
     """
     sigma = np.zeros(shape, np.float32)
     height, width = depth.shape

@@ -1,13 +1,13 @@
-"""Depth points in the target's distance field: normal equations for others, and a tracker of its own.
+"""Depth points in the target's distance field: their normal equations, and a tracker.
 
 The residual, its derivatives and the loop are those of ``registration.field_alignment``: no correspondences
-are searched, and the Geman-McClure scale is annealed from wide to narrow.
+are searched, and the Geman-McClure scale narrows from step to step.
 """
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.pmd.depth_result import Progress, conclude
+from rpod_pose.pmd.depth_result import Progress, registration_of
 from rpod_pose.pmd.depth_view import usable_image
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
@@ -51,20 +51,20 @@ class SignedDistanceTracker:
     """
 
     def __init__(self, config: SignedDistanceConfig, target: Target) -> None:
-        self._config, self._target = config, target
+        self._tuning, self._target = config.tuning, target
         target.require_field()
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration from a predicted pose, or the reason why there is none."""
-        config = self._config
-        image = usable_image(measurement, config.image)
+        """Return the registration from a predicted pose, or the reason why the frame gives none."""
+        tuning = self._tuning
+        image = usable_image(measurement, tuning.image)
         if isinstance(image, str):
             return Registration.none(Source.PMD_DEPTH, image)
-        points_m = image.points(config.points)
-        scales_m = np.geomspace(config.scale_m, config.final_scale_m, config.iterations)
+        points_m = image.points(tuning.points)
+        scales_m = np.geomspace(tuning.scale_m, tuning.final_scale_m, tuning.iterations)
         problem = FieldProblem(Points.equal(points_m), field_arrays(self._target), scales_m)
         fit = field_fit(problem, PoseArrays.of(T_sensor_target))
         step_m = step_length_m(fit.step[:6], self._target.radius_m)
         T = pose_of(*fit.state.pose)
         progress = Progress(T, _equations(fit.linear), len(points_m), step_m, fit.steps)
-        return conclude(progress, image, self._target, config)
+        return registration_of(progress, image, self._target, tuning)

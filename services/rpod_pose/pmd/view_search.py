@@ -1,21 +1,22 @@
-"""Acquisition in one PMD frame, without a guess: every attitude is tried, the best is rendered and judged.
+"""Acquisition in one PMD frame, without a guess: all attitudes are tried, and the best pose is verified.
 
-1. Attitudes, spread over all of SO(3), are laid on the measured points by the centroid that the camera should
-   see of them and compared roughly (``energy``): points off the surface, and surface where nothing is lit.
-2. The best are drawn to the points in the target's distance field (``scan_alignment.draw_in``) and ranked by
-   render and compare of depth and amplitude (``pmd_fit``).
-3. What the best may be mistaken for, its near-symmetries and quarter turns about its axes, is tried too:
-   small details and materials alone tell them apart.
-4. The best distinct poses are finished, on more points and on the frame's outline.
+1. Attitudes, spread over all of SO(3), are aligned with the measured points by the centroid that the camera
+   should measure, and compared roughly (``energy``): points off the surface, and surface where nothing is
+   lit.
+2. The best are aligned with the points in the target's distance field (``registration.field_alignment``) and
+   ranked by rendering: depth and amplitude are compared (``fit``).
+3. Poses that the best may be mistaken for are tried too: its near-symmetries and quarter turns about its
+   axes. Only small details and materials distinguish them.
+4. The best distinct poses are refined on more points and on the frame's outline.
 
-The verdict asks how much of the frame the best pose explains, and how much of its shape: depth and outline.
-The weights of the hypotheses follow from their losses.
+The best pose is accepted if it explains enough of the frame, and enough of its shape: depth and outline. The
+weights of the hypotheses follow from their losses.
 
-What is really there may be made of other materials than the target's file says. Where no pose explains the
-frame by these, the search is done again and asks for the shape alone. Then nothing else tells two poses
-apart, so that the best is believed only where all others are worse by far; else the result is ambiguous.
+The real target may have other materials than the target file says. If no pose explains the frame with the
+file's materials, the search is repeated with the shape alone. Then the shape alone must distinguish poses:
+the best is accepted only if all others are much worse; otherwise the result is ambiguous.
 
-A pose that is believed is handed to the tracker, which has to believe it too and lays it on depth and edges.
+An accepted pose is given to the tracker, which must accept it too, and which refines it on depth and edges.
 """
 
 from collections.abc import Sequence
@@ -32,30 +33,30 @@ from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_pose.pmd.signed_distance import measured_equations
 from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker
 from rpod_pose.search.attitude_grid import attitudes_of, within
-from rpod_pose.search.hypotheses import believed_beside, rivals
+from rpod_pose.search.hypotheses import belief_with_rivals, rivals
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig, PmdLimitsConfig
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
-Judge = tuple[PmdFitter, PmdLimitsConfig]
-"""What it takes for the loss, and how much of it it grants."""
+Criterion = tuple[PmdFitter, PmdLimitsConfig]
+"""The comparison that computes the loss, and the limits of that loss."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A frame, and among which attitudes the target is looked for in it."""
+    """A frame and the attitudes among which the target is searched in it."""
 
     frame: PmdFrame
     scene: PmdScene
     attitudes: Float32Array
-    """To begin with, shape (M, 3, 3)."""
+    """Initial R_sensor_target, shape (M, 3, 3)."""
     around: FloatArray | None
-    """From which none may be far, shape (3, 3); None for any."""
+    """R_sensor_target near which all poses must be, shape (3, 3); None for any."""
 
     def failed(self, registration: Registration) -> Acquisition:
-        """Return a search that found no pose to believe."""
+        """Return the acquisition of a search without an accepted pose."""
         nothing = replace(registration, T_sensor_target=None, covariance=np.full((6, 6), np.nan))
         return Acquisition(nothing, templates=len(self.attitudes))
 
@@ -64,55 +65,59 @@ class ViewSearch:
     """Finds the target in a frame: ports.Acquirer[PmdFrame].
 
     Args:
-        config: its parameters.
-        target: what to look for.
-        tracker: of both images, for the pose that is found.
+        config: parameters of the search.
+        target: the target to find.
+        tracker: tracker by both images, which refines the pose.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
     """
 
     def __init__(self, config: PmdAcquisitionConfig, target: Target, tracker: Tracker[PmdFrame]) -> None:
-        self._config, self._model, self._tracker = config, Model.of(target, config), tracker
+        self._config, self._tuning = config, config.tuning
+        self._model, self._tracker = Model.of(target, config.tuning), tracker
 
     def acquire(self, measurement: PmdFrame) -> Acquisition:
-        """Return the pose that explains the frame best, the others that do, and the verdict."""
+        """Return the pose that explains the frame best, with its belief and its rivals."""
         return self._found(measurement, None)
 
     def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
-        """Return the same of the attitudes within ``near_deg`` of a pose's, wherever the target is."""
+        """Return the best pose among the attitudes within ``near_deg`` of a given one, at any position."""
         return self._found(measurement, T_sensor_target.rotation.as_matrix())
 
     def _found(self, measurement: PmdFrame, around: FloatArray | None) -> Acquisition:
-        config = self._config
-        scene = scene_of(measurement, config.scene, radius_m=self._model.target.radius_m)
+        tuning = self._tuning
+        scene = scene_of(measurement, tuning.scene, radius_m=self._model.target.radius_m)
         if isinstance(scene, str):
             return Acquisition(Registration.none(Source.NONE, scene))
         if around is None:
-            attitudes = attitudes_of(config.attitudes)
+            attitudes = attitudes_of(self._config.attitudes)
         else:
-            attitudes = attitudes_of(config.near_attitudes)
-            attitudes = attitudes[within(attitudes, around, config.near_deg)]
+            attitudes = attitudes_of(tuning.near_attitudes)
+            attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
         task = _Task(measurement, scene, attitudes, around)
-        shape = PmdFitter(config.model, self._model.target, scene, as_filed=False), config.verdict.shape
-        filed = PmdFitter(config.model, self._model.target, scene), config.verdict.as_filed
-        found = self._judged(task, (filed, shape))
+        shape = (
+            PmdFitter(tuning.model, self._model.target, scene, known_materials=False),
+            tuning.verdict.shape,
+        )
+        with_materials = PmdFitter(tuning.model, self._model.target, scene), tuning.verdict.as_filed
+        found = self._verified(task, (with_materials, shape))
         if found.outcome is not Outcome.FAILED:
             return found
-        by_shape = self._judged(task, (shape,))
+        by_shape = self._verified(task, (shape,))
         return found if by_shape.outcome is Outcome.FAILED else by_shape
 
-    def _judged(self, task: _Task, judges: Sequence[Judge]) -> Acquisition:
-        """Return the verdict on the distinct poses that are best in the eyes of the first judge."""
-        fitter, limits = judges[0]
-        poses = FrameSearch(self._config, self._model, task.scene, fitter).search(task.attitudes, task.around)
+    def _verified(self, task: _Task, criteria: Sequence[Criterion]) -> Acquisition:
+        """Return the acquisition of the poses that are best by the first criterion."""
+        fitter, limits = criteria[0]
+        poses = FrameSearch(self._tuning, self._model, task.scene, fitter).search(task.attitudes, task.around)
         if not poses:
             reason = "no attitude shows the target to the camera"
             return task.failed(Registration.none(Source.NONE, reason))
-        belief = self._belief(poses[0], judges)
+        belief = self._belief(poses[0], criteria)
         registration = self._registration(task.scene, poses[0], belief)
         logs = np.array([-pose.fit.loss * limits.facts / poses[0].fit.pixels for pose in poses])
-        sure = softmax(logs)[0] >= self._config.verdict.ambiguous_weight
+        sure = softmax(logs)[0] >= self._tuning.verdict.ambiguous_weight
         if sure and registration.T_sensor_target is not None:
             registration = self._tracker.track(task.frame, registration.T_sensor_target)
         if not registration.continues_track or registration.T_sensor_target is None:
@@ -120,17 +125,17 @@ class ViewSearch:
         matrix = registration.T_sensor_target.as_matrix()
         poses[0] = replace(poses[0], R=matrix[:3, :3], t=matrix[:3, 3])
         evidence = {**belief.evidence, **registration.belief.evidence}
-        believed = believed_beside(
+        believed = belief_with_rivals(
             rivals(poses, logs, self._model.turns.exact),
             Belief(evidence=evidence),
-            least=self._config.verdict.ambiguous_weight,
+            least=self._tuning.verdict.ambiguous_weight,
         )
         return Acquisition(replace(registration, belief=believed), templates=len(task.attitudes))
 
-    def _belief(self, pose: Pose, judges: Sequence[Judge]) -> Belief:
-        """Return whether a pose explains the frame to every judge; the first reason against it stands."""
+    def _belief(self, pose: Pose, criteria: Sequence[Criterion]) -> Belief:
+        """Return the belief in a pose, which must meet every criterion; the first unmet one is the reason."""
         evidence: dict[str, float] = {}
-        for fitter, limits in judges:
+        for fitter, limits in criteria:
             reason, numbers = self._contradiction(pose, fitter, limits)
             evidence = {**numbers, **evidence}
             if reason:
@@ -140,8 +145,8 @@ class ViewSearch:
     def _contradiction(
         self, pose: Pose, fitter: PmdFitter, limits: PmdLimitsConfig
     ) -> tuple[str, dict[str, float]]:
-        """Return why a pose does not explain the frame, empty if it does, and the numbers asked."""
-        verdict, fit = self._config.verdict, fitter.fit(pose.R, pose.t)
+        """Return why a pose does not explain the frame, empty if it does, and the evidence."""
+        verdict, fit = self._tuning.verdict, fitter.fit(pose.R, pose.t)
         patch, face = fitter.worst_patches(pose.R, pose.t, verdict.patch_px, verdict.face_px)
         evidence = {
             "explained_share": fit.explained_share,
@@ -164,8 +169,10 @@ class ViewSearch:
         return reason, evidence
 
     def _registration(self, scene: PmdScene, pose: Pose, belief: Belief) -> Registration:
-        config, T = self._config, pose_of(pose.R, pose.t)
-        sums = measured_equations(self._model.target, scene.thinned(config.fine_points), T, config.scale_m)
+        tuning, T = self._tuning, pose_of(pose.R, pose.t)
+        sums = measured_equations(
+            self._model.target, scene.downsampled(tuning.fine_points), T, tuning.scale_m
+        )
         if belief.continues_track and sums.degenerate(self._model.target.radius_m):
             reason = "degenerate: the measured surface leaves a motion undetermined"
             belief = doubtful(reason, **belief.evidence)
@@ -176,7 +183,7 @@ class ViewSearch:
             belief,
             cost_m2=sums.cost_m2,
             inliers=sums.inliers,
-            inlier_share=sums.inliers / min(len(scene.points_m), config.fine_points),
+            inlier_share=sums.inliers / min(len(scene.points_m), tuning.fine_points),
             explained_share=pose.fit.explained_share,
-            covariance=sums.covariance(T, config.errors) if believed else np.full((6, 6), np.nan),
+            covariance=sums.covariance(T, tuning.errors) if believed else np.full((6, 6), np.nan),
         )

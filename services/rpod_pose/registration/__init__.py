@@ -1,1 +1,1 @@
-"""What every registration needs: Lie group, distance field, normal equations, closest points."""
+"""Tools shared by all registrations: Lie group, distance field, normal equations, closest points."""

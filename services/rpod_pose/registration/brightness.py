@@ -1,4 +1,4 @@
-"""What an estimator expects of a surface's brightness: four classes, each known within a wide factor.
+"""Prior of a surface's brightness: four classes of albedo, each known only within a wide factor.
 
 No estimator knows a satellite's reflectances: paint yellows, foil crinkles, and a target's file is a
 drawing. What a user can tell are classes (``Material.looks``). A class is a mean albedo and a standard
@@ -22,12 +22,12 @@ from rpod_target import Albedo, Target
 
 
 class Brightness(NamedTuple):
-    """What is known of a class."""
+    """Prior of the albedo of one class, log-normal."""
 
     albedo: float
-    """Middle of the Lambertian albedo."""
+    """Median of the Lambertian albedo."""
     sigma_log: float
-    """Standard deviation of its logarithm."""
+    """Standard deviation of the albedo's natural logarithm."""
 
 
 CLASSES: Mapping[Albedo, Brightness] = MappingProxyType(
@@ -38,11 +38,11 @@ CLASSES: Mapping[Albedo, Brightness] = MappingProxyType(
         "mirror": Brightness(0.4, 2.0),
     }
 )
-"""By name."""
+"""Priors by the name of the class."""
 
 
 def albedos(target: Target) -> FloatArray:
-    """Return the middle of the albedo of each triangle's class, shape (T,)."""
+    """Return the median albedo of each triangle's class, shape (T,)."""
     known = np.array([CLASSES[material.looks].albedo for material in target.materials])
     each: FloatArray = known[target.triangle_material]
     return each

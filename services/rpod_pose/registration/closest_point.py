@@ -1,7 +1,7 @@
-"""What points match on a triangulated surface, exactly: the closest point, or the closest foot of a normal.
+"""Exact matches of points on a triangulated surface: the closest point, or the closest foot of a normal.
 
-For the closest point each point first tries the triangle that was closest the last time; its distance then
-lets most others be passed over by their bounding spheres.
+The search for the closest point first tries the triangle that was closest the last time. Its distance rules
+out most other triangles by their bounding spheres.
 """
 
 from dataclasses import dataclass
@@ -14,34 +14,34 @@ from rpod_geometry.kernels import kernel
 from rpod_schemas.arrays import FloatArray
 
 EDGE_M2 = 1e-9
-"""So much outside (distance times length of the edge) counts as inside: no foot falls between two faces."""
+"""Tolerance of the inside test (distance times length of the edge): no foot falls between two faces."""
 
 
 class Triangles(NamedTuple):
-    """Triangles with what bounds them, as the kernels take them."""
+    """Triangles with their bounding spheres, as the kernels take them."""
 
     triangles_m: FloatArray
-    """Shape (T, 3, 3)."""
+    """Corners, shape (T, 3, 3)."""
     centres_m: FloatArray
-    """Of the bounding spheres, shape (T, 3)."""
+    """Centres of the bounding spheres, shape (T, 3)."""
     radii_m: FloatArray
-    """Of the bounding spheres, shape (T,)."""
+    """Radii of the bounding spheres, shape (T,)."""
     usable: NDArray[np.bool_]
-    """Which triangles count, shape (T,)."""
+    """Mask of the triangles that may be matched, shape (T,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangles with what bounds them."""
+    """Triangles with their normals and bounding spheres."""
 
     triangles_m: FloatArray
-    """Shape (T, 3, 3)."""
+    """Corners, shape (T, 3, 3)."""
     normals: FloatArray
-    """Outward, shape (T, 3)."""
+    """Outward unit normals, shape (T, 3)."""
     centres_m: FloatArray
-    """Of the bounding spheres, shape (T, 3)."""
+    """Centres of the bounding spheres, shape (T, 3)."""
     radii_m: FloatArray
-    """Of the bounding spheres, shape (T,)."""
+    """Radii of the bounding spheres, shape (T,)."""
 
     @classmethod
     def of(cls, triangles_m: FloatArray, normals: FloatArray) -> Self:
@@ -58,12 +58,12 @@ class Surface:
     def closest(
         self, points_m: FloatArray, usable: NDArray[np.bool_], nearest: NDArray[np.int32]
     ) -> FloatArray:
-        """Return the closest points of the usable triangles, shape (N, 3).
+        """Return the closest point on a usable triangle for each point, shape (N, 3).
 
         Args:
             points_m: shape (N, 3).
-            usable: which triangles count, shape (T,); at least one must.
-            nearest: in: a guess of each point's triangle, shape (N,); out: the triangle.
+            usable: mask of the triangles that may be matched, shape (T,); at least one must be.
+            nearest: in: a guess of each point's triangle, shape (N,); out: the closest triangle.
         """
         closest_m: FloatArray = closest_points(
             Triangles(self.triangles_m, self.centres_m, self.radii_m, usable), points_m, nearest
@@ -73,13 +73,13 @@ class Surface:
     def projected(
         self, points_m: FloatArray, usable: NDArray[np.bool_], nearest: NDArray[np.int32]
     ) -> FloatArray:
-        """Return the closest of the feet of the normals on the usable triangles, shape (N, 3).
+        """Return the closest foot of a normal on a usable triangle for each point, shape (N, 3).
 
         Args:
             points_m: shape (N, 3).
-            usable: which triangles count, shape (T,).
+            usable: mask of the triangles that may be matched, shape (T,).
             nearest: out: the triangle of each point's foot, shape (N,); -1 where the point lies above or
-                below none, which is its own foot then.
+                below no triangle: such a point is returned unchanged.
         """
         projected_m: FloatArray = projected_points(points_m, self.triangles_m, self.normals, usable, nearest)
         return projected_m
@@ -93,7 +93,7 @@ def projected_points(
     usable: NDArray[np.bool_],
     nearest: NDArray[np.int32],
 ) -> FloatArray:
-    """Return ``Surface.projected`` of points, shape (N, 3), m; arguments as there and in ``Surface``.
+    """Return ``Surface.projected`` of points, shape (N, 3), m, with the same arguments as that method.
 
     The foot of the normal on a triangle's plane is p - n (n . (p - v0)).
     """
@@ -116,7 +116,7 @@ def projected_points(
 
 @kernel
 def is_above(p: FloatArray, triangle: FloatArray, normal: FloatArray) -> bool:
-    """Return whether the foot of p, (3,), on a triangle's plane lies in it, (3, 3), or on an edge; m."""
+    """Return whether the foot of p, (3,), on the plane of a triangle, (3, 3), lies in the triangle; m."""
     for i in range(3):
         a, b = triangle[i], triangle[(i + 1) % 3]
         x, y, z = p[0] - a[0], p[1] - a[1], p[2] - a[2]
@@ -129,14 +129,14 @@ def is_above(p: FloatArray, triangle: FloatArray, normal: FloatArray) -> bool:
 
 @kernel
 def closest_points(surface: Triangles, points: FloatArray, nearest: NDArray[np.int32]) -> FloatArray:
-    """Return the closest points of the usable triangles, shape (N, 3), m.
+    """Return the closest point on a usable triangle for each point, shape (N, 3), m.
 
-    A triangle whose bounding sphere is farther than the best so far is passed over.
+    A triangle whose bounding sphere is farther away than the closest point so far is skipped.
 
     Args:
         surface: T triangles, of which at least one is usable.
         points: shape (N, 3), m.
-        nearest: in: a guess of each point's triangle, shape (N,); out: the triangle.
+        nearest: in: a guess of each point's triangle, shape (N,); out: the closest triangle.
     """
     triangles, centres, radii, usable = surface
     closest = np.empty(points.shape)

@@ -11,32 +11,32 @@ from rpod_schemas.types import Float32Array
 from rpod_target import Target, TargetError
 
 FEWEST_NODES = 2
-"""Along each axis of a field: one cell."""
+"""Least number of nodes along each axis of a field: they make one cell."""
 
 
 class FieldArrays(NamedTuple):
-    """Values on the nodes of a regular grid, as the kernels take them; ``checked`` holds them."""
+    """Values on the nodes of a regular grid, as the kernels take them; ``checked`` validates them."""
 
     origin_m: FloatArray
-    """Place of the node [0, 0, 0], target axes, shape (3,), m."""
+    """Position of the node [0, 0, 0], target axes, shape (3,), m."""
     spacing_m: float
-    """From node to node along each axis."""
+    """Distance between neighbouring nodes along each axis."""
     values: Float32Array
-    """Distances, m, or what is made of them, shape (X, Y, Z), two nodes or more along each axis."""
+    """Distances, m, or a function of them, shape (X, Y, Z), with two nodes or more along each axis."""
 
 
 class FieldSample(NamedTuple):
     """The field at one place."""
 
     distance: float
-    """Signed, positive outside; m, where the gradient is a metre."""
+    """Signed distance, positive outside, m."""
     gradient: Vector
-    """Of the distance, target axes; a cell or a metre, as the function says."""
+    """Gradient of the distance, target axes; per cell or per metre, as the function says."""
 
 
 @kernel
 def distance_and_gradient(x: float, y: float, z: float, values: Float32Array) -> FieldSample:
-    """Return the trilinear distance and its gradient a cell, at a place in cells of the field.
+    """Return the trilinear distance and its gradient per cell, at a place in cells of the field.
 
     The distance is interpolated along x, then y, then z between the eight nodes around the place; the
     gradient is the derivative of that polynomial. Outside the grid, both are those of its border. A place
@@ -44,12 +44,12 @@ def distance_and_gradient(x: float, y: float, z: float, values: Float32Array) ->
 
     Args:
         x: cells from the first node along the first axis.
-        y: along the second axis.
-        z: along the third axis.
+        y: cells from the first node along the second axis.
+        z: cells from the first node along the third axis.
         values: ``FieldArrays.values``, shape (X, Y, Z).
     """
     nx, ny, nz = values.shape
-    # max(0.0, NaN) is 0.0, as in Python, while max(NaN, 0.0) is NaN, of which int makes any number
+    # max(0.0, NaN) is 0.0, as in Python; max(NaN, 0.0) would be NaN, which int turns into any number
     cx = min(max(0.0, x), nx - 1.001)
     cy = min(max(0.0, y), ny - 1.001)
     cz = min(max(0.0, z), nz - 1.001)
@@ -72,7 +72,7 @@ def distance_and_gradient(x: float, y: float, z: float, values: Float32Array) ->
 
 @kernel
 def field_at(field: FieldArrays, place: Vector) -> FieldSample:
-    """Return the distance, m, and its gradient a metre at a place in target axes, m."""
+    """Return the distance, m, and its gradient per metre at a place in target axes, m."""
     origin, per_m = field.origin_m, 1.0 / field.spacing_m
     sample = distance_and_gradient(
         (place.x - origin[0]) * per_m,
@@ -95,7 +95,7 @@ def field_arrays(target: Target) -> FieldArrays:
 
 
 def checked(target: Target, field: FieldArrays) -> FieldArrays:
-    """Return a field of a target as it is, if every place lies in one of its cells.
+    """Return a field of a target unchanged after a check that every place can be looked up in it.
 
     Raises:
         rpod_target.TargetError: the field has fewer than two nodes along an axis, or no positive spacing.
@@ -103,7 +103,7 @@ def checked(target: Target, field: FieldArrays) -> FieldArrays:
     if min(field.values.shape) < FEWEST_NODES or not 0.0 < field.spacing_m < np.inf:
         nodes = " x ".join(str(count) for count in field.values.shape)
         reason = (
-            f"{nodes} nodes {field.spacing_m:g} m apart, {FEWEST_NODES} or more are needed along each axis"
+            f"{nodes} nodes {field.spacing_m:g} m apart; {FEWEST_NODES} or more are needed along each axis"
         )
         raise TargetError(target.source, "distance_field", f"{reason}: give the target a smaller spacing")
     return field

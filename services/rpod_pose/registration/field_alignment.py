@@ -1,7 +1,7 @@
-"""Alignment of points with a target in its distance field: no correspondences are searched.
+"""Alignment of points with a target in its distance field, without a search for correspondences.
 
 A measured point p, in sensor axes, lies at q = R^T (p - t) in target axes; its residual is the signed
-distance d(q), trilinear in the grid, along its gradient (``normal_equations``). Outliers fade by
+distance d(q), trilinear in the grid, along its gradient (``normal_equations``). Outliers are damped by
 Geman-McClure weights, whose scale narrows from step to step.
 """
 
@@ -23,18 +23,18 @@ from rpod_pose.registration.normal_equations import (
 from rpod_schemas.arrays import FloatArray
 
 AWAY = 0.5
-"""A face turned from the ray by more than this cosine cannot have sent it back."""
+"""Greatest cosine between a ray and the normal of a face that can have reflected it."""
 REACH_M, REACH_RAD = 0.5, 0.1
-"""Standard deviation of a step that no return asks for: what they do not determine stays where it is."""
+"""Prior standard deviations of a step: a direction that the points do not determine stays where it is."""
 SPREAD = 0.1
-"""Standard deviation of the residuals, as a share of the Geman-McClure scale, that steps are weighed by."""
+"""Assumed standard deviation of the residuals, as a share of the Geman-McClure scale."""
 
 
 class Points(NamedTuple):
-    """Measured points."""
+    """Measured points with weights."""
 
     places_m: FloatArray
-    """Sensor axes, shape (N, 3)."""
+    """Positions of the points, sensor axes, shape (N, 3)."""
     trust: FloatArray
     """Weight of each point, 0 to 1, shape (N,)."""
 
@@ -45,14 +45,14 @@ class Points(NamedTuple):
 
 
 class FieldEvidence(NamedTuple):
-    """What points say in a distance field."""
+    """Statistics of points in a distance field."""
 
     weight: float
     """Sum of the weights."""
     squares_m2: float
     """Sum of the inliers' squared distances, times their trust."""
     inliers: int
-    """Points within the Geman-McClure scale."""
+    """Number of points within the Geman-McClure scale."""
     trusted: float
     """Sum of the inliers' trust."""
 
@@ -72,17 +72,17 @@ def add_field_points(  # noqa: PLR0917
 ) -> FieldEvidence:
     """Add the factors of points in a distance field to the sums, shape (35,); return their evidence.
 
-    A range too long by the bias b puts a point at q - b d, d its ray in target axes, so that the residual's
+    If ranges are too long by the bias b, a point lies at q - b d, d its ray in target axes: the residual's
     derivative by b is minus the gradient along the ray. A point whose nearest face is turned away from the
     sensor has no residual.
 
     Args:
-        sums: information and gradient, in and out.
+        sums: information and gradient, input and output.
         points: N measured points.
         state: pose and bias to linearise at.
         field: the target's distance field.
-        scale: of Geman and McClure, m, above 0.
-        biased: whether the bias is an unknown; else it stays as it is.
+        scale: Geman-McClure scale, m, above 0.
+        biased: whether the bias is an unknown; otherwise it stays as it is.
     """
     R, t, bias = state.pose.R, state.pose.t, state.bias_m
     places, trust, c2 = points.places_m, points.trust, scale * scale

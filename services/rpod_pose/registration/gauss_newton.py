@@ -1,4 +1,4 @@
-"""The one loop of all registrations: linearise at the pose, sum, solve, move, with narrower scales each time.
+"""The loop of all registrations: linearise at the pose, sum, solve, move, with narrower scales each time.
 
 A *problem* is a record of what was measured, of the model and of the scales of its steps. ``linearised``
 turns it into normal equations at a pose; each kind of problem registers how, by ``@linearises(ItsRecord)``,
@@ -26,7 +26,7 @@ K = TypeVar("K", bound=Callable[..., Any])
 
 
 class State(NamedTuple):
-    """What the loop moves."""
+    """The unknowns that the loop estimates."""
 
     pose: PoseArrays
     bias_m: float
@@ -34,28 +34,28 @@ class State(NamedTuple):
 
 
 class Linear(NamedTuple, Generic[E]):
-    """A problem at one state."""
+    """A problem linearised at one state."""
 
     sums: FloatArray
     """Information and gradient, shape (35,), as in ``normal_equations``."""
     hold: FloatArray
-    """Information that no step is needed, above 0, shape (7,)."""
+    """Prior information that the step is zero, above 0, shape (7,)."""
     determined: bool
-    """Whether the residuals are enough for a step."""
+    """Whether the residuals suffice for a step."""
     evidence: E
-    """What the problem counted on the way: a record of its own."""
+    """Statistics of the problem, in a record of its own type."""
 
 
 class Fit(NamedTuple, Generic[E]):
-    """Where the loop ended."""
+    """Result of the loop."""
 
     state: State
     linear: Linear[E]
-    """At the state before the last step."""
+    """The problem linearised at the state before the last step."""
     step: FloatArray
     """The last step, (dtau, dtheta, bias), shape (7,), m and rad; 0 where there was none."""
     steps: int
-    """How many were made."""
+    """Number of steps made."""
 
 
 def linearised(problem: Any, state: State, step: int) -> Linear[Any]:
@@ -97,10 +97,12 @@ def minimised(problem: Any, start: State, steps: int) -> Fit[Any]:
         steps: how many steps to make.
 
     Raises:
-        ValueError: no step is asked for.
+        ValueError: ``steps`` is below 1.
     """
     if steps < 1:
-        raise ValueError("steps is below 1, and nothing is linearised: give a problem one scale or more")
+        raise ValueError(
+            "steps is below 1, so that nothing would be linearised: give the problem one scale or more"
+        )
     state, last, step = start, np.zeros(UNKNOWNS), 0
     while True:
         linear = linearised(problem, state, step)

@@ -15,7 +15,7 @@ class PoseArrays(NamedTuple):
     R: FloatArray
     """R_sensor_target, shape (3, 3)."""
     t: FloatArray
-    """The target's origin, sensor axes, shape (3,), m."""
+    """Position of the target's origin, sensor axes, shape (3,), m."""
 
     @classmethod
     def of(cls, T_sensor_target: RigidTransform) -> Self:
@@ -34,7 +34,7 @@ class Vector(NamedTuple):
 
 @kernel
 def turned(R: FloatArray, rotation_vector: FloatArray) -> FloatArray:
-    """Return R Exp(rotation_vector), shape (3, 3), of a rotation vector, shape (3,), rad.
+    """Return R Exp(rotation_vector), shape (3, 3), for a rotation vector, shape (3,), rad.
 
     Rodrigues' formula, since SciPy's rotations do not compile: with K the cross-product matrix of the vector
     and a its length, Exp = I + sin(a) / a K + (1 - cos(a)) / a^2 K^2.
@@ -76,16 +76,16 @@ def stepped(pose: PoseArrays, step: FloatArray) -> PoseArrays:
 
 
 def moved(T_sensor_target: RigidTransform, step: FloatArray) -> RigidTransform:
-    """Return the pose after a step (dtau, dtheta)."""
+    """Return the pose after a step (dtau, dtheta), shape (6,), m and rad."""
     return T_sensor_target * RigidTransform.from_components(step[:3], Rotation.from_rotvec(step[3:]))
 
 
 def step_between(T_from: RigidTransform, T_to: RigidTransform) -> FloatArray:
-    """Return the step (dtau, dtheta) from one pose to another, the inverse of ``moved``."""
+    """Return the step (dtau, dtheta), shape (6,), from one pose to another: the inverse of ``moved``."""
     step = T_from.inv() * T_to
     return np.concatenate((step.translation, step.rotation.as_rotvec()))
 
 
 def step_length_m(step: FloatArray, radius_m: float) -> float:
-    """Return how far a step moves the surface of a target of this size."""
+    """Return an upper bound, m, of how far a step moves the surface of a target of this radius."""
     return float(np.linalg.norm(step[:3]) + radius_m * np.linalg.norm(step[3:]))

@@ -9,10 +9,10 @@ Every residual of the methods here is a length (or an angle) along a normal n at
 r = n . (q - what it is compared with), where q = R^T (p - t) is where a measured point p lies. A step moves q
 by -dtau - dtheta x q, so that J = (-n, -(q x n)) = (-n, n x q).
 
-The sums are kept in one flat array, shape (35,): of each of the six unknowns in turn the upper half of its
-row of the information, then its entry of the gradient, 27 numbers; then what the seventh adds, its column of
-the information and its entry of the gradient, 8 numbers. Constant places side by side in memory are what
-compilers make vectors of.
+The sums are kept in one flat array, shape (35,): for each of the six unknowns in turn the upper half of its
+row of the information, then its entry of the gradient, 27 numbers; then the entries of the seventh, its
+column of the information and its entry of the gradient, 8 numbers. Compilers vectorise writes to constant
+places of one array.
 """
 
 from dataclasses import dataclass
@@ -27,15 +27,15 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_methods import DepthErrorConfig
 
 DAMPING = 1e-6
-"""Information added a residual, so that an unobservable direction stays where it is."""
+"""Information added per residual, so that an unobservable direction stays where it is."""
 DEGENERATE = 1e-4
-"""Least information of the worst direction, as a share of what one fully determined by every residual has."""
+"""Least information of the worst direction, relative to a direction that every residual determines."""
 UNKNOWNS = 7
-"""Of the sums: six of the pose, and the length by which all ranges are too long."""
+"""Number of unknowns: six of the pose, and the length by which all ranges are too long."""
 LEAST_PIVOT = 1e-14
-"""Of a diagonal element, what must be left of it once the unknowns before are eliminated."""
+"""Least share of a diagonal element that must be left after the elimination of the unknowns before it."""
 SUMS = 35
-"""Entries of the sums: 7 + 6 + 5 + 4 + 3 + 2 of the pose, 8 of the seventh unknown."""
+"""Number of entries of the sums: 7 + 6 + 5 + 4 + 3 + 2 of the pose, 8 of the seventh unknown."""
 OF_POSE = 27
 """Of these, entries of the pose; those of the seventh unknown follow."""
 
@@ -53,7 +53,7 @@ class NormalEquations:
     squares_m2: float
     """Sum of the inliers' squared residuals."""
     inliers: int
-    """Residuals within the Geman-McClure scale."""
+    """Number of residuals within the Geman-McClure scale."""
 
     @classmethod
     def of(cls, sums: FloatArray, *, weight: float, squares_m2: float, inliers: int) -> Self:
@@ -80,13 +80,13 @@ class NormalEquations:
         return self.squares_m2 / self.inliers if self.inliers else float("nan")
 
     def step(self) -> FloatArray:
-        """Return (dtau, dtheta), shape (6,)."""
+        """Return the step (dtau, dtheta), shape (6,), m and rad."""
         damped = self.information + (DAMPING * self.weight + 1e-12) * np.eye(6)
         step: FloatArray = np.linalg.solve(damped, -self.gradient).astype(np.float64, copy=False)
         return step
 
     def degenerate(self, radius_m: float) -> bool:
-        """Return whether some motion of a target of this size is left undetermined."""
+        """Return whether some motion of a target of this radius is left undetermined."""
         if not self.inliers:
             return True
         scale = np.repeat((1.0, 1.0 / radius_m), 3)
@@ -96,8 +96,8 @@ class NormalEquations:
     def covariance(self, T_sensor_target: RigidTransform, errors: DepthErrorConfig) -> FloatArray:
         """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6).
 
-        The inverse information, with at most ``effective_points`` residuals counted, plus the errors that all
-        pixels share: they do not average out.
+        It is the inverse information, with at most ``effective_points`` residuals counted, plus the errors
+        that all pixels share, since these do not average out.
         """
         variance_m2 = max(self.cost_m2, errors.noise_m**2)
         counted = min(1.0, errors.effective_points / self.inliers)
@@ -121,11 +121,11 @@ def add_residual(sums: FloatArray, normal: Vector, place: Vector, residual: floa
     """Add a residual along a normal at a place to the sums, shape (35,); its row is derived above.
 
     Args:
-        sums: information and gradient, in and out.
-        normal: of the residual, target axes, its unit over m.
-        place: of the measured point, target axes, m.
-        residual: in its unit (m, px).
-        weight: of its square.
+        sums: information and gradient, input and output.
+        normal: direction of the residual, target axes, in its unit per metre.
+        place: position of the measured point, target axes, m.
+        residual: value of the residual in its unit (m or px).
+        weight: weight of the squared residual.
     """
     n0, n1, n2 = normal.x, normal.y, normal.z
     x, y, z = place.x, place.y, place.z
@@ -219,12 +219,12 @@ def gradient_of(sums: FloatArray, unknowns: int) -> FloatArray:
 def held_step(sums: FloatArray, hold: FloatArray) -> FloatArray:
     """Return the Gauss-Newton step, shape (7,), of sums, shape (35,); 0 where it is not determined.
 
-    By Cholesky's decomposition, which raises for no sums: those that are not positive definite to machine
-    precision, or not finite, make no step.
+    The system is solved by Cholesky's decomposition. Sums that are not finite, or not positive definite to
+    machine precision, give a step of 0; nothing is raised.
 
     Args:
         sums: information and gradient.
-        hold: information, above 0, that no step is needed, added to the diagonal, shape (7,): what the
+        hold: prior information that the step is zero, above 0, added to the diagonal, shape (7,): what the
             residuals do not determine stays where it is.
     """
     L, step = information_of(sums, UNKNOWNS), -gradient_of(sums, UNKNOWNS)

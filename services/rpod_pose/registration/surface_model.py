@@ -1,4 +1,4 @@
-"""What the LIDAR's kernels know of the target: its faces, and its distance field."""
+"""Model of the target for the LIDAR's kernels: its faces and its distance field."""
 
 from dataclasses import dataclass
 from typing import NamedTuple, Self
@@ -11,20 +11,20 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
 
 COARSE_CELLS = 3
-"""Cells of the distance field that make one of the coarse field."""
+"""Cells of the distance field per cell of the coarse field, along each axis."""
 
 
 class Faces(NamedTuple):
     """The target's triangles, as the kernels take them."""
 
     triangles_m: FloatArray
-    """Target axes, shape (T, 3, 3)."""
+    """Corners, target axes, shape (T, 3, 3)."""
     normals: FloatArray
-    """Outward, target axes, shape (T, 3)."""
+    """Outward unit normals, target axes, shape (T, 3)."""
     offsets_m: FloatArray
-    """Of their planes, n . v0, shape (T,)."""
+    """Offsets of the triangles' planes, n . v0, shape (T,), m."""
     albedo: FloatArray
-    """Of the class of each triangle's material, shape (T,)."""
+    """Median albedo of the class of each triangle's material, shape (T,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class SurfaceModel:
 
     faces: Faces
     coarse_field: FieldArrays
-    """The distance field at every few nodes: it stays in a processor's cache."""
+    """The distance field at every third node: small enough for a processor's cache."""
 
     @classmethod
     def of(cls, target: Target) -> Self:

@@ -1,1 +1,1 @@
-"""What the search of every sensor needs: attitude grids, energies, hypotheses, verified candidates."""
+"""Tools shared by the searches of all sensors: attitude grids, energies, hypotheses, verified candidates."""

@@ -15,7 +15,7 @@ BORESIGHT = np.array([0.0, 0.0, 1.0])
 
 
 def super_fibonacci(count: int) -> Rotation:
-    """Return ``count`` attitudes, low in discrepancy and always the same ones.
+    """Return ``count`` attitudes, of low discrepancy; the same for each call.
 
     Source: M. Alexa, Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3), CVPR 2022.
     """
@@ -40,11 +40,11 @@ def even_directions(count: int) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def attitudes_of(count: int) -> Float32Array:
-    """Return ``super_fibonacci`` as matrices, shape (count, 3, 3); made once, and not to be written to."""
+    """Return ``super_fibonacci`` as matrices, shape (count, 3, 3); cached, so not to be written to."""
     return super_fibonacci(count).as_matrix().astype(np.float32)
 
 
 def within(attitudes: Float32Array, around: FloatArray, angle_deg: float) -> NDArray[np.bool_]:
-    """Return which attitudes, shape (M, 3, 3), are within an angle of another one; shape (M,)."""
+    """Return which attitudes, shape (M, 3, 3), lie within an angle of another attitude, shape (M,)."""
     near: NDArray[np.bool_] = np.einsum("mij,ij->m", attitudes, around) >= 1.0 + 2.0 * cos(radians(angle_deg))
     return near

@@ -1,13 +1,13 @@
-"""How unlike a scan is what an attitude predicts? A rough answer for thousands of attitudes.
+"""Energies: fast measures of the mismatch between a scan and thousands of attitudes of the target.
 
-For each attitude the target is laid on the scan: the centroid of what the sensor should get back, of the
-points in view that face it, weighted by how many rays they catch and by P_D, goes onto the scan's own. Then
-both directions are compared, since what is missing counts as much as what is there:
+For each attitude the target is first aligned with the scan by its centroid: the expected centroid, over the
+points that face the sensor, weighted by how many rays they catch and by P_D, is moved to the scan's own.
+The mismatch is then computed in both directions, since a missing return counts as much as one too many:
 
 - each return costs its squared distance from the target's surface,
-- each point in view costs the squared distance of its ray from the nearest ray that came back.
+- each point in view costs the squared distance of its ray from the nearest ray with a return.
 
-Both are truncated, and averaged over returns and over weights.
+Both costs are truncated, and averaged over the returns and over the points' weights.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -23,40 +23,40 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 CELLS = 96
-"""Of the image of distances from returns, along each side."""
+"""Cells of the image of distances from returns, along each side."""
 NEAREST_M = np.float32(0.5)
-"""Points with a smaller z are out of view."""
+"""Least z of a point in view."""
 NOTHING_IN_VIEW = 1e9
-"""Energy of an attitude that shows nothing."""
+"""Energy of an attitude with no point in view."""
 
 
 Real = float | np.floating[Any]
 
 
 class Image(NamedTuple):
-    """Squared angles from what was measured, even in tan(azimuth) and tan(elevation)."""
+    """Squared angles to the nearest return, on a grid even in tan(azimuth) and tan(elevation)."""
 
     squares: Float32Array
-    """Shape (CELLS, CELLS), rad2."""
+    """Squared angles, shape (CELLS, CELLS), rad2."""
     first_column: Real
     """Edge of the first column, x/z."""
     column_step: Real
-    """Above 0."""
+    """Width of a column, x/z, above 0."""
     first_row: Real
     """Edge of the first row, y/hypot(x, z)."""
     row_step: Real
-    """Above 0."""
+    """Height of a row, y/hypot(x, z), above 0."""
 
 
 class Returns(Protocol):
-    """What was measured of the target."""
+    """The measured points of the target."""
 
     @property
     def points_m(self) -> FloatArray:
-        """Sensor axes, shape (N, 3)."""
+        """Positions of the points, sensor axes, shape (N, 3)."""
         ...
 
-    def thinned(self, count: int) -> FloatArray:
+    def downsampled(self, count: int) -> FloatArray:
         """Return about ``count`` of the points, evenly spread."""
         ...
 
@@ -74,25 +74,25 @@ def energies(
     rounds: int,
     truncation_m: float,
 ) -> Float32Array:
-    """Return the energy of each attitude, shape (M,), m2, and lay its place on the scan.
+    """Return the energy of each attitude, shape (M,), m2; align each place with the scan.
 
     Args:
         attitudes: R_sensor_target, float32, shape (M, 3, 3).
-        places_m: first guess of the target's origin, sensor axes, float32, shape (M, 3); replaced by the
-            aligned one.
+        places_m: first guesses of the target's origin, sensor axes, float32, shape (M, 3); replaced by the
+            aligned ones.
         seen: the measurement.
-        points: of the target.
-        squares: of the target; its border counts for all that is outside.
+        points: surface points of the target.
+        squares: squared distance field of the target; its border stands for all places outside.
         image: ``ReturnDistances.image`` of the scan.
-        detection: steps of a table a unit of echo, albedo cos(theta) / R^2, and the table: the share of rays
-            that come back.
-        returns: about how many returns are compared.
+        detection: steps of a table per unit of echo, albedo cos(theta) / R^2, and the table: the share of
+            rays with a return.
+        returns: approximate number of returns that are compared.
         rounds: how often the centroids are aligned.
-        truncation_m: of both distances; that of the field.
+        truncation_m: greatest distance that counts, in both directions; equal to the field's.
     """
     energy = np.empty(len(attitudes), np.float32)
     sight = _Sight(
-        np.ascontiguousarray(seen.thinned(returns).T, np.float32),
+        np.ascontiguousarray(seen.downsampled(returns).T, np.float32),
         seen.points_m.mean(axis=0).astype(np.float32),
         Image(image.squares, *(np.float32(bound) for bound in image[1:])),
         _Echoes(np.float32(detection[0]), detection[1].astype(np.float32)),
@@ -108,10 +108,10 @@ def energies(
 
 
 class _Echoes(NamedTuple):
-    """What comes back of a surface."""
+    """Probability that a surface returns an echo."""
 
     steps: np.float32
-    """Of the table a unit of echo, rho cos(theta) / R^2."""
+    """Steps of the table per unit of echo, rho cos(theta) / R^2."""
     table: Float32Array
     """Probability of detection, shape (steps,)."""
 
@@ -120,13 +120,13 @@ class _Sight(NamedTuple):
     """A measurement in single precision, as the kernels take it."""
 
     returns: Float32Array
-    """Sensor axes, shape (3, N), m."""
+    """Measured points, sensor axes, shape (3, N), m."""
     centroid: Float32Array
-    """Of all returns, shape (3,), m."""
+    """Centroid of all returns, sensor axes, shape (3,), m."""
     image: Image
     echoes: _Echoes
     most: np.float32
-    """Squared distance that costs most, m2."""
+    """Squared distance at which costs are truncated, m2."""
 
 
 class _Sums(NamedTuple):
@@ -134,9 +134,9 @@ class _Sums(NamedTuple):
 
     weight: np.float32
     cost: np.float32
-    """Times the weights, m2."""
+    """Sum of the costs, times the weights, m2."""
     x: np.float32
-    """Of the places, times the weights, sensor axes, m."""
+    """Sums of the positions x, y, z, times the weights, sensor axes, m."""
     y: np.float32
     z: np.float32
 
@@ -155,12 +155,12 @@ def _energies(  # noqa: PLR0917
 
     Args:
         attitudes: R_sensor_target, shape (M, 3, 3).
-        places: of the target in the sensor, shape (M, 3), m, in and out.
+        places: positions of the target in the sensor, shape (M, 3), m, input and output.
         sight: the measurement.
-        points: of the target.
+        points: surface points of the target.
         field: squared distances from the target, m2.
         rounds: how often the centroids are aligned.
-        energy: out.
+        energy: output.
     """
     centroid, image = sight.centroid, sight.image
     columns, seen_from, cube = points
@@ -194,17 +194,17 @@ def _project(  # noqa: PLR0917
     image: Image,
     rays: Float32Array,
 ) -> None:
-    """Fill x, y, z, the cells of the image, and the echo of the points, 0 where not in view.
+    """Compute x, y, z, the cells of the image, and the echo of the points, 0 for those not in view.
 
-    Short loops of few arrays each, since only those are vectorised.
+    The loops are short and touch few arrays each, since only such loops are vectorised.
 
     Args:
         R: R_sensor_target, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        viewpoint: of the sensor, target axes, m.
+        t: position of the target in the sensor, shape (3,), m.
+        viewpoint: position of the sensor, target axes, m.
         columns: ``Points.columns``, shape (9, K).
-        image: of what was measured.
-        rays: out, shape (6, K); cells of points that are not in view are no cells.
+        image: squared angles to the nearest return.
+        rays: output, shape (6, K); cells of points that are not in view are not valid.
     """
     squares, u0, du, v0, dv = image
     q, count = columns, columns.shape[1]
@@ -238,7 +238,7 @@ def _project(  # noqa: PLR0917
 def _compare(rays: Float32Array, seen: NDArray[np.bool_], columns: Float32Array, sight: _Sight) -> _Sums:
     """Return the sums of weights, of weighted costs, and of weighted places, over the points in view.
 
-    The echo, cos(theta) / R^2, also says how many rays a unit of area catches.
+    The echo, cos(theta) / R^2, is also proportional to the number of rays that a unit of area catches.
 
     Args:
         rays: filled by ``_project``, shape (6, K).
@@ -252,7 +252,7 @@ def _compare(rays: Float32Array, seen: NDArray[np.bool_], columns: Float32Array,
     weights, cost, sx, sy, sz = zero, zero, zero, zero, zero
     for k in range(columns.shape[1]):
         echo = rays[5, k]
-        if not echo > zero or not seen[k]:  # NaN is not
+        if not echo > zero or not seen[k]:  # also true for NaN
             continue
         x, y, z = rays[0, k], rays[1, k], rays[2, k]
         weight = columns[7, k] * echo * table[int(min(max(zero, echo * columns[8, k] * steps), last))]
@@ -268,14 +268,14 @@ def _compare(rays: Float32Array, seen: NDArray[np.bool_], columns: Float32Array,
 def _off_surface(
     R: Float32Array, t: Float32Array, returns: Float32Array, field: FieldArrays, cells: NDArray[np.int32]
 ) -> np.float32:
-    """Return the mean squared distance of returns from the surface, m2, by the nearest nodes.
+    """Return the mean squared distance of returns from the surface, m2, read at the nearest nodes.
 
     ``max(0, NaN)`` is 0, so that no node is outside of the field.
 
     Args:
         R: R_sensor_target, shape (3, 3).
-        t: of the target in the sensor, shape (3,), m.
-        returns: sensor axes, shape (3, N), m.
+        t: position of the target in the sensor, shape (3,), m.
+        returns: measured points, sensor axes, shape (3, N), m.
         field: squared distances from the target, m2.
         cells: buffer, shape (N,).
     """

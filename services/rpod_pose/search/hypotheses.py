@@ -21,12 +21,12 @@ class Placed(Protocol):
 
     @property
     def R(self) -> FloatArray:  # noqa: N802 - the rotation's name
-        """Shape (3, 3)."""
+        """R_sensor_target, shape (3, 3)."""
         ...
 
     @property
     def t(self) -> FloatArray:
-        """Shape (3,), m."""
+        """Position of the target's origin, sensor axes, shape (3,), m."""
         ...
 
 
@@ -34,8 +34,8 @@ def rivals(poses: Sequence[Placed], log_likelihoods: FloatArray, turns: FloatArr
     """Return the poses that explain a measurement beside the best one, likeliest first.
 
     Args:
-        poses: best first.
-        log_likelihoods: of the measurement under each pose, shape (N,).
+        poses: poses of the target, best first.
+        log_likelihoods: log likelihoods of the measurement under the poses, shape (N,).
         turns: matrices of the target's exact symmetries, the identity first, shape (K, 3, 3). Each pose is
             listed with all of them.
     """
@@ -54,18 +54,18 @@ def rivals(poses: Sequence[Placed], log_likelihoods: FloatArray, turns: FloatArr
 
 
 def _name(best: FloatArray, other: FloatArray, turns: FloatArray) -> str:
-    """Return by which angle two attitudes differ, modulo the exact symmetries."""
+    """Return the name of a rival: the angle between two attitudes, modulo the exact symmetries."""
     cosines = (np.trace(best.T @ other @ turns, axis1=1, axis2=2) - 1.0) / 2.0
     return f"turned by {np.degrees(np.arccos(np.clip(cosines.max(), -1.0, 1.0))):.0f} deg"
 
 
-def believed_beside(found: tuple[Rival, ...], belief: Belief, *, least: float) -> Belief:
-    """Return the belief in a best pose that is not contradicted, beside its rivals.
+def belief_with_rivals(found: tuple[Rival, ...], belief: Belief, *, least: float) -> Belief:
+    """Return the belief in a best pose that is not contradicted, with its rivals taken into account.
 
     Args:
         found: ``rivals`` of the best pose.
-        belief: in the best pose alone.
-        least: weight that the best pose, with its exact symmetries, needs to be told from other rivals.
+        belief: belief in the best pose alone.
+        least: least weight of the best pose, with its exact symmetries, to be accepted before other rivals.
     """
     logs = np.array([0.0, *(rival.log_likelihood for rival in found)])
     weights = softmax(logs)
@@ -75,11 +75,11 @@ def believed_beside(found: tuple[Rival, ...], belief: Belief, *, least: float) -
     if sure and not exact:
         return replace(belief, rivals=found)
     if sure:
-        reason = f"{alike} poses look alike by the target's symmetry"
+        reason = f"{alike} poses cannot be told apart, by the target's symmetry"
         return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=tuple(exact))
     first = next(rival for rival in found if not rival.exact)
     reason = (
-        f"{len(found) + 1} poses explain the measurement: the best has weight {weights[0]:.2f}, "
-        f"the next is {first.name}"
+        f"{len(found) + 1} poses explain the measurement: the best has weight {weights[0]:.2f} "
+        f"({least:g} needed), the next is {first.name}"
     )
     return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=found)

@@ -1,4 +1,4 @@
-"""Turns by which a target may be mistaken for itself, and how many points a search compares."""
+"""Rotations by which a target may be mistaken for itself, and the number of points that a search compares."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,40 +11,41 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
 
 HALF_TURNS = Rotation.from_rotvec(np.pi * np.eye(3))
-"""About the target's axes: what it is most easily mistaken by, where it declares no near-symmetries."""
+"""Half turns about the target's axes: the likeliest mistakes, if it declares no near-symmetries."""
 LEAST_TURN_RAD = 1e-6
-"""Smaller turns are none."""
+"""Rotations by a smaller angle count as the identity."""
 FEW_RETURNS, FEW_POINTS = 64, 80
-"""Of the scan and of the model, that all attitudes are compared on."""
+"""Number of returns of the scan and of points of the model in the comparison of all attitudes."""
 MORE_RETURNS = 256
-"""Of the scan, that the better ones are compared on, with all points of the model."""
+"""Number of returns in the comparison of the better attitudes, with all points of the model."""
 
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """What a target may be mistaken for itself by."""
+    """Rotations by which a target may be mistaken for itself."""
 
     all: FloatArray
-    """Without the identity, the declared ones first, shape (T, 3, 3)."""
+    """All of them, without the identity, the declared ones first, shape (T, 3, 3)."""
     declared: int
+    """Number of the declared ones."""
     exact: FloatArray
-    """Those that nobody sees, the identity first, shape (E, 3, 3)."""
+    """Exact symmetries, which no measurement shows, the identity first, shape (E, 3, 3)."""
 
     @classmethod
     def of(cls, target: Target) -> Self:
-        """Return the declared near-symmetries, else half turns, and quarter turns about the axes."""
+        """Return a target's declared near-symmetries (or half turns), and the rotations of a cube."""
         exact = Rotation.concatenate(
             [Rotation.identity(1), *(turn.rotation for turn in target.turns(exact=True))]
         )
-        declared = _told_apart([turn.rotation for turn in target.turns()], exact)
-        declared = declared or _told_apart(list(HALF_TURNS), exact)
-        every = _told_apart([*declared, *Rotation.create_group("O")], exact)
+        declared = _distinct([turn.rotation for turn in target.turns()], exact)
+        declared = declared or _distinct(list(HALF_TURNS), exact)
+        every = _distinct([*declared, *Rotation.create_group("O")], exact)
         matrices = np.array([turn.as_matrix() for turn in every]).reshape(-1, 3, 3)
         return cls(matrices, len(declared), exact.as_matrix())
 
 
-def _told_apart(turns: Sequence[Rotation], exact: Rotation) -> list[Rotation]:
-    """Return the turns that differ from the exact ones, and from each other by more than those."""
+def _distinct(turns: Sequence[Rotation], exact: Rotation) -> list[Rotation]:
+    """Return the rotations that differ, modulo the exact symmetries, from the identity and each other."""
     kept: list[Rotation] = []
     for turn in turns:
         known = [exact, *(exact * other for other in kept)]

@@ -1,4 +1,4 @@
-"""A search made an acquisition: its candidates are refined and checked by the tracker, and one is chosen."""
+"""Acquisition by a search: the tracker refines and checks its candidates, and one of them is chosen."""
 
 from dataclasses import replace
 from typing import Any, Literal
@@ -17,7 +17,7 @@ class VerifiedSearch:
     Args:
         search: proposes candidates.
         tracker: refines and checks them.
-        choice: which accepted candidate is taken: the first, or the one that explains most.
+        choice: which accepted candidate is taken: the first, or the one with the largest explained share.
     """
 
     def __init__(
@@ -26,11 +26,11 @@ class VerifiedSearch:
         self._search, self._tracker, self._choice = search, tracker, choice
 
     def acquire(self, measurement: SensorFrame) -> Acquisition:
-        """Return the accepted candidate that is chosen, else the first of all and why it is refused."""
+        """Return the chosen candidate; if none is accepted, the first one with the reason."""
         return self._checked(measurement, self._search.search(measurement))
 
     def near(self, measurement: SensorFrame, T_sensor_target: RigidTransform) -> Acquisition:
-        """Return the same of candidates around a pose."""
+        """Return the chosen candidate near a pose; if none is accepted, the first one with the reason."""
         return self._checked(measurement, self._search.near(measurement, T_sensor_target))
 
     def _checked(self, measurement: SensorFrame, found: Candidates) -> Acquisition:
@@ -39,7 +39,7 @@ class VerifiedSearch:
 
     def _best(self, measurement: SensorFrame, found: Candidates) -> Registration:
         if not found.poses:
-            return Registration.none(Source.NONE, "the search found nothing to work on")
+            return Registration.none(Source.NONE, "the search found too few points of the target")
         accepted: list[Registration] = []
         refused: list[Registration] = []
         for candidate in found.poses:
@@ -59,6 +59,6 @@ def _explained(registration: Registration) -> float:
 
 
 def _refused(registration: Registration) -> Registration:
-    """Return a registration at which no track may begin, with the reason in its belief."""
+    """Return a refused registration, contradicted, with the reason in its belief."""
     belief = registration.belief
     return replace(registration, belief=contradicted(f"not accepted: {belief.refusal}", **belief.evidence))

@@ -1,7 +1,8 @@
-"""A target as a few surface points that know from where they are seen.
+"""A target as a few hundred surface points, with a table of the directions from which each is visible.
 
-Casting a target takes ten times as long as projecting a few hundred of its points. Which points a sensor sees
-depends on its direction alone, roughly; that is tabulated once, over directions spread evenly.
+Casting a target takes ten times as long as projecting a few hundred of its points. Which points are visible
+depends, to a good approximation, on the direction of the sensor alone; it is tabulated once, over directions
+spread evenly.
 """
 
 from dataclasses import dataclass
@@ -25,26 +26,26 @@ from rpod_schemas.types import Camera, Float32Array
 from rpod_target import Target
 
 VIEWS = 600
-"""Directions of the table: about 8 degrees apart."""
+"""Number of directions in the table: they are about 8 degrees apart."""
 FROM_RADII = 2.5
 """Distance of the viewpoints, in radii of the target."""
 CUBE = 16
 """Cells along each edge of the cube that finds the nearest direction."""
 PIXELS = 128
-"""Of the images that tell what is hidden, along each side."""
+"""Pixels along each side of the images that show which points are hidden."""
 ANCHORS = 5
-"""Regions of the surface, any of which may be what a truncated scan shows."""
+"""Number of surface regions; a truncated scan may show any one of them."""
 AREA = 7
-"""Row of the points' areas."""
+"""Row of ``Points.columns`` that holds the areas."""
 
 
 class Points(NamedTuple):
     """Surface points of a target, as the kernels take them."""
 
     columns: Float32Array
-    """Place, normal, normal times place, area and albedo in rows, shape (9, K)."""
+    """Position, normal, normal times position, area share and albedo in rows, shape (9, K)."""
     seen_from: NDArray[np.bool_]
-    """Which points show from each direction, shape (VIEWS, K)."""
+    """Which points are visible from each direction, shape (VIEWS, K)."""
     cube: NDArray[np.int32]
     """Indices of directions, for ``view_of``, shape (6, CUBE, CUBE)."""
 
@@ -55,21 +56,21 @@ class ViewModel:
 
     points: Points
     few_points: Points
-    """The same of fewer points."""
+    """The first few of the points, for the comparison of all attitudes."""
     cube: NDArray[np.int32]
     """Indices of directions, for ``view_of``."""
     centroids_m: FloatArray
-    """Of what is seen from far away in each direction, shape (VIEWS, 3)."""
+    """Centroid of the surface visible from far away in each direction, target axes, shape (VIEWS, 3)."""
     anchors_m: FloatArray
-    """The origin, and centres of the surface's regions, shape (1 + ANCHORS, 3)."""
+    """The origin, and the centres of the surface's regions, target axes, shape (1 + ANCHORS, 3)."""
     squares: FieldArrays
-    """Origin, spacing, and values of the squared distance field, truncated."""
+    """Squared distance field, truncated, m2."""
 
     @classmethod
     def of(
         cls, target: Target, coarse_field: FieldArrays, *, count: int, few: int, truncation_m: float
     ) -> Self:
-        """Return the model of a target with at most ``count`` points, and ``few``."""
+        """Return the model of a target with at most ``count`` points, and at most ``few`` of them."""
         origin_m, spacing_m, distances_m = coarse_field
         scale_m = np.sqrt(spacing_m * target.radius_m) / 4.0  # so that both sides of a panel are kept
         lifted = np.hstack((target.model_points_m, scale_m * target.model_normals))
@@ -86,7 +87,9 @@ class ViewModel:
             columns = np.ascontiguousarray(np.vstack(rows), np.float32)
             return Points(columns, seen[:, :number].copy(), cube)
 
-        squares = np.full(distances_m.shape, truncation_m**2, np.float32)  # its border stands for all outside
+        squares = np.full(
+            distances_m.shape, truncation_m**2, np.float32
+        )  # the border stands for all places outside
         inner = (slice(1, -1),) * 3
         squares[inner] = np.minimum(distances_m[inner] ** 2, truncation_m**2)
         every = first(count)
@@ -104,7 +107,7 @@ class ViewModel:
 
 
 def spread(points: FloatArray, count: int) -> NDArray[np.int64]:
-    """Return indices of points, shape (N, D), each farthest from all before it (T. F. Gonzalez, 1985)."""
+    """Return indices of points, shape (N, D), each farthest from all before (T. F. Gonzalez, 1985)."""
     distances = np.full(len(points), np.inf)
     order = [0]
     while len(order) < min(count, len(points)):
@@ -123,7 +126,7 @@ def _albedo(target: Target, points_m: FloatArray) -> FloatArray:
 def _seen(
     target: Target, points_m: FloatArray, normals: FloatArray, directions: FloatArray
 ) -> NDArray[np.bool_]:
-    """Return which points show to a viewpoint in each direction, shape (directions, points)."""
+    """Return which points are visible from a viewpoint in each direction, shape (directions, points)."""
     range_m = FROM_RADII * target.radius_m
     focal_px = PIXELS / 2.2 * np.sqrt(FROM_RADII**2 - 1.0)
     middle = (PIXELS - 1) / 2.0
@@ -165,9 +168,9 @@ def view_of(x: float, y: float, z: float, cube: NDArray[np.int32]) -> int:
     is 0.0, so that no index is outside of the cube.
 
     Args:
-        x: of the direction, of any length.
-        y: see ``x``.
-        z: see ``x``.
+        x: first component of the direction, of any length.
+        y: second component.
+        z: third component.
         cube: ``ViewModel.cube``, shape (6, CUBE, CUBE).
     """
     ax, ay, az = abs(x), abs(y), abs(z)
@@ -177,7 +180,7 @@ def view_of(x: float, y: float, z: float, cube: NDArray[np.int32]) -> int:
         face, u, v, w = (3 if y > 0.0 else 2), z, x, ay
     else:
         face, u, v, w = (5 if z > 0.0 else 4), x, y, az
-    if not w > 0.0:  # from within
+    if not w > 0.0:  # the origin has no direction
         return 0
     half = 0.5 * cube.shape[1]
     last = cube.shape[1] - 1
@@ -189,11 +192,11 @@ def view_of(x: float, y: float, z: float, cube: NDArray[np.int32]) -> int:
 def centroids_in_view(
     attitudes: Float32Array, place: FloatArray, centroids: FloatArray, cube: NDArray[np.int32]
 ) -> Float32Array:
-    """Return the centroid that each attitude shows, target axes, shape (M, 3), m.
+    """Return the centroid of the surface that each attitude shows, target axes, shape (M, 3), m.
 
     Args:
         attitudes: R_sensor_target, shape (M, 3, 3).
-        place: of the target in the sensor, shape (3,), m.
+        place: position of the target in the sensor, shape (3,), m.
         centroids: ``ViewModel.centroids_m``, shape (VIEWS, 3).
         cube: ``ViewModel.cube``.
     """

@@ -1,4 +1,4 @@
-"""Whether a laser pulse comes back: the detection model of the 2015 paper, equation by equation.
+"""Detection of a laser pulse: the model of the 2015 paper, equation by equation.
 
 Source: Opromolla et al., Sensors 15(3), 2015, section 3.2, Eqs. 4 to 9. Powers and electrons are those
 of one pulse, all arrays broadcast.
@@ -23,7 +23,7 @@ from rpod_schemas.config.lidar import (
 def detection_probability(
     snr: FloatArray, false_alarm: float, threshold: Literal["usual", "printed"] = "usual"
 ) -> FloatArray:
-    """Return P_D (Eq. 4) for a signal-to-noise ratio, with the paper's threshold or the usual one."""
+    """Return P_D (Eq. 4) of a signal-to-noise ratio, with the paper's threshold or the usual one."""
     logarithm = log(1.0 / false_alarm)
     level = 0.5 * logarithm if threshold == "printed" else sqrt(logarithm)
     return 0.5 * (1.0 + erf(np.sqrt(0.5 + snr) - level))
@@ -98,7 +98,7 @@ def signal_to_noise(
 def echo(
     config: LidarConfig, *, reflectivity: FloatArray, cos_incidence: FloatArray, range_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the mean signal electrons N_Sig of rays that meet a surface, and their P_D; NaN of others."""
+    """Return the mean signal electrons N_Sig of rays that meet a surface, and their P_D; NaN for others."""
     laser, receiver, detection = config.transmitter, config.receiver, config.detection
     power_W = echo_power_W(reflectivity, cos_incidence, range_m, laser, receiver)
     signal_e = electrons(power_W, laser, receiver)

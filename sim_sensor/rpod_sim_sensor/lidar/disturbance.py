@@ -1,4 +1,4 @@
-"""Returns that a LIDAR has from no single surface: mixed at edges, reflected twice, or of stray light."""
+"""Disturbed returns of a LIDAR: mixed at edges, reflected twice, or from stray light."""
 
 import numpy as np
 from numpy.random import Generator
@@ -7,11 +7,11 @@ from rpod_schemas.arrays import FloatArray
 from rpod_sim_sensor.worlds import LidarWorld
 
 _APART_M = 0.1
-"""Surfaces nearer to each other than this make one echo."""
+"""Greatest distance of two surfaces that make one echo."""
 _STEEPEST = 0.05
-"""Cosine of incidence below which a plane is seen no more obliquely."""
+"""Least cosine of incidence in the spread of a beam on a plane."""
 _FALSE_SPREAD = 0.5, 1.5
-"""False ranges, evenly, over the middle of the others."""
+"""Limits of uniformly distributed false ranges over the median of the others."""
 
 
 def mixed(
@@ -20,14 +20,14 @@ def mixed(
     world: LidarWorld,
     generator: Generator,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what rays with a wide beam meet.
+    """Return the range, cosine of incidence and reflectivity that rays with a wide beam measure.
 
     Args:
         middle: range, cosine of incidence and reflectivity at the beam's middle, NaN where it meets nothing,
             shape (rows, columns) each.
-        beside: the same at the beam's rim.
-        world: how many rays are mixed.
-        generator: of the frame's disturbances.
+        beside: range, cosine and reflectivity at the beam's rim.
+        world: share of rays that are mixed.
+        generator: random numbers of the frame's disturbances.
     """
     shape = middle[0].shape
     chosen, weight = generator.random(shape) < world.mixed_share, generator.random(shape)
@@ -46,13 +46,13 @@ def mixed(
 
 
 def bounced(range_m: FloatArray, world: LidarWorld, generator: Generator) -> FloatArray:
-    """Return ranges of which some are too long by a second reflection."""
+    """Return ranges, some of which are too long by a second reflection."""
     late = generator.random(range_m.shape) < world.bounced_share
     return range_m + np.where(late, generator.exponential(world.detour_m, range_m.shape), 0.0)
 
 
 def false_m(range_m: FloatArray, world: LidarWorld, generator: Generator) -> FloatArray:
-    """Return ranges of stray light for some rays that meet nothing, NaN of all others."""
+    """Return ranges of stray light for some rays without a surface, NaN for all others."""
     shape = range_m.shape
     strays = (generator.random(shape) < world.false_share) & np.isnan(range_m)
     middle_m = float(np.nanmedian(range_m)) if np.isfinite(range_m).any() else np.nan

@@ -1,4 +1,4 @@
-"""A scan of the emulated LIDAR: what its rays meet, which come back, and with what errors."""
+"""Scans of the emulated LIDAR: the hits of its rays, their detection, and their errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ from rpod_sim_sensor.worlds import DOCUMENTED, World, lidar_cosine
 from rpod_target import Target
 
 _DISTURBED = "disturbed"
-"""In the name of a stream, so that a world's disturbances leave the frame's own noise as it is."""
+"""Suffix of a stream's name, so that a world's disturbances do not change the frame's own noise."""
 
 Met = tuple[FloatArray, FloatArray, FloatArray]
-"""Range, cosine of incidence and reflectivity of what each ray meets, NaN where nothing."""
+"""Range, cosine of incidence and reflectivity at the hit of each ray, NaN without a hit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,21 +30,21 @@ class LidarReturns:
     """One organised scan; rows are elevation, columns azimuth."""
 
     points_m: Float32Array
-    """Sensor axes, shape (rows, columns, 3), NaN where no return."""
+    """Measured points, sensor axes, shape (rows, columns, 3), NaN without a return."""
     intensity: Float32Array
-    """Mean signal photoelectrons N_Sig (Eq. 5), shape (rows, columns), 0 where no return."""
+    """Mean signal photoelectrons N_Sig (Eq. 5), shape (rows, columns), 0 without a return."""
     time_s: Float32Array
-    """Of each ray, from the stamp in the middle of the scan, shape (rows, columns)."""
+    """Time of each ray from the stamp in the middle of the scan, shape (rows, columns)."""
 
 
 class LidarEmulator:
     """Scans a target. The same seed, sensor name and frame number give the same noise.
 
     Args:
-        config: what the sensor says that it is.
-        target: what it looks at, as its file describes it.
-        seed: of all noise.
-        world: how sensor and target differ from that; nothing of it shows in what the sensor says of itself.
+        config: configuration of the documented sensor, from which its info message is made.
+        target: target of its file.
+        seed: seed of all noise.
+        world: differences of sensor and target from that, which the info message does not show.
     """
 
     def __init__(self, config: LidarConfig, target: Target, *, seed: int, world: World = DOCUMENTED) -> None:
@@ -60,7 +60,7 @@ class LidarEmulator:
 
         Args:
             poses: T_lidar_target at ``config.pose_times_s()``.
-            frame: its number, which with seed and sensor name gives its noise.
+            frame: number of the scan, which with seed and sensor name determines its noise.
         """
         config, world = self._config, self._world
         generator = noise_stream(self._seed, config.name, frame)
@@ -85,7 +85,7 @@ class LidarEmulator:
         )
 
     def _met(self, poses: Sequence[RigidTransform], strange: Generator) -> Met:
-        """Return what each ray meets, with a wide beam perhaps two surfaces."""
+        """Return the hit of each ray; rays with a wide beam may hit two surfaces."""
         middle = self._met_along((self._whole, self._rows), poses)
         if not self._world.lidar.footprint_rad:
             return middle
@@ -108,7 +108,7 @@ class LidarEmulator:
         return range_m, cos_incidence, self._reflectivity[triangle]
 
     def _measured_m(self, range_m: FloatArray, generator: Generator) -> FloatArray:
-        """Return the points as measured, shape (rows, columns, 3): the ideal ranges along rays that err."""
+        """Return the measured points, (rows, columns, 3), m: ideal ranges along rays with angular errors."""
         noise = self._config.noise
         measured_m = noisy_range_m(range_m, noise, generator, self._world.noise)
         directions = noisy_directions(self._whole.directions, noise.sigma_pointing_rad, generator)
@@ -116,7 +116,7 @@ class LidarEmulator:
 
 
 def _grids(config: LidarConfig, aside_rad: float) -> tuple[RayGrid, list[RayGrid]]:
-    """Return the rays of a pattern, turned aside by an angle both ways, as a whole and row by row."""
+    """Return the rays of a pattern, turned by an angle in both directions, as a whole and row by row."""
     azimuth_rad, elevation_rad = config.azimuth_rad + aside_rad, config.elevation_rad + aside_rad
     rows = [
         RayGrid.azimuth_elevation(azimuth_rad, elevation_rad[row : row + 1])

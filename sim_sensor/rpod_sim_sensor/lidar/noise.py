@@ -10,7 +10,7 @@ from rpod_schemas.config.lidar import LidarNoiseConfig
 from rpod_sim_sensor.worlds import DOCUMENTED, NoiseWorld
 
 MIN_RANGE_M = 0.1
-"""A measured range is never below this, whatever its error."""
+"""Least measured range, whatever its error."""
 
 
 def noisy_range_m(
@@ -19,7 +19,7 @@ def noisy_range_m(
     generator: Generator,
     world: NoiseWorld = DOCUMENTED.noise,
 ) -> FloatArray:
-    """Return ranges as measured, shape as given: white noise, 4-sigma outliers, gross outliers.
+    """Return ranges with errors, shape as given: white noise, 4-sigma outliers, gross outliers.
 
     Every ray draws the same number of variates whatever the parameters, so that runs that differ in one of
     them stay comparable.
@@ -34,7 +34,7 @@ def noisy_range_m(
 
 
 def noisy_directions(directions: FloatArray, sigma_rad: float, generator: Generator) -> FloatArray:
-    """Return unit vectors, shape (..., 3), off the given ones by a normal angle, evenly all around."""
+    """Return unit vectors, shape (..., 3), turned from the given ones by a normal angle in any direction."""
     angle_rad = sigma_rad * generator.standard_normal(directions.shape[:-1])
     turn_rad = generator.uniform(0.0, 2.0 * pi, directions.shape[:-1])
     # Two axes across each ray; a LIDAR's rays never come near its own y axis, which is 90 deg of elevation.

@@ -1,4 +1,4 @@
-"""A PMD camera: an exposure's samples, and depth and amplitude from them."""
+"""The emulated PMD camera: samples of an exposure, and depth and amplitude from them."""
 
 from rpod_sim_sensor.pmd.emulator import PmdEmulator, PmdExposure, PoseCountError
 from rpod_sim_sensor.pmd.reconstruction import (

@@ -25,13 +25,13 @@ from rpod_sim_sensor.worlds import DOCUMENTED, World
 from rpod_target import Target
 
 _POOL = 1 << 20
-"""Normal numbers that frames take their noise from: each row from a place of its own."""
+"""Number of normal numbers in the pool from which frames take their noise, each row from its own place."""
 _POOL_KEY = 1 << 63
-"""In the place of a frame's number, which is less."""
+"""Stands for a frame's number in the key of the pool; frame numbers are smaller."""
 
 
 class PoseCountError(SimSensorError):
-    """Not one pose for each sub-exposure."""
+    """Raised if the number of poses is not that of the sub-exposures."""
 
     def __init__(self, count: int, needed: int) -> None:
         super().__init__(f"got {count} poses, an exposure needs {needed}: one at each of its pose times")
@@ -39,14 +39,14 @@ class PoseCountError(SimSensorError):
 
 @dataclass(frozen=True, eq=False)
 class PmdExposure:
-    """One frame of a PMD camera; its arrays are the caller's."""
+    """One frame of a PMD camera, whose arrays belong to the caller."""
 
     images: Reconstruction
-    """Depth, amplitude, and why depth is lost."""
+    """Depth, amplitude, and the reason for lost depth."""
     samples: NDArray[np.uint16]
     """Q1..Q4, counts from an offset of 32768, shape (F, H, W, 4), in the order of the frequencies."""
     integration_time_s: float
-    """What the frame had: the profile's, or less where the exposure is automatic."""
+    """Integration time of the frame: the profile's, or less with automatic exposure."""
 
     @classmethod
     def of(cls, config: PmdConfig) -> Self:
@@ -56,7 +56,7 @@ class PmdExposure:
 
     @property
     def depth_m(self) -> Float32Array:
-        """z-depth, shape (H, W), NaN where there is none."""
+        """z-depth, shape (H, W), NaN without one."""
         return self.images.depth_m
 
     @property
@@ -66,13 +66,13 @@ class PmdExposure:
 
 
 class PmdEmulator:
-    """A PMD camera that looks at a target; a frame is the same in whatever order frames are asked for.
+    """A PMD camera that looks at a target; a frame is the same in whatever order frames are made.
 
     Args:
-        config: what the camera says that it is.
-        target: what it looks at, as its file describes it.
-        seed: of all noise.
-        world: how camera and target differ from that; nothing of it shows in what the camera says of itself.
+        config: configuration of the documented camera, from which its info message is made.
+        target: target of its file.
+        seed: seed of all noise.
+        world: differences of camera and target from that, which the info message does not show.
     """
 
     def __init__(self, config: PmdConfig, target: Target, *, seed: int, world: World = DOCUMENTED) -> None:
@@ -103,11 +103,11 @@ class PmdEmulator:
         Args:
             poses: T_optical_target at ``config.pose_times_s()``.
             sun_W_m2: unit vector to the sun times its irradiance, optical axes, shape (3,); zeros for none.
-            frame: number of the frame; with seed and name it gives the noise.
-            out: whose arrays to write into and to return; new ones where left out.
+            frame: number of the frame, which with seed and name determines its noise.
+            out: exposure whose arrays are written and returned; by default a new one.
 
         Raises:
-            PoseCountError: there is not one pose for each sub-exposure.
+            PoseCountError: the number of poses is not that of the sub-exposures.
         """
         if len(poses) != self._config.sub_exposures:
             raise PoseCountError(len(poses), self._config.sub_exposures)
@@ -146,12 +146,12 @@ class PmdEmulator:
 
 
 def _pool(generator: Generator, world: World) -> Float32Array:
-    """Return the errors that frames take, in units of their standard deviation, shape (P,)."""
+    """Return the pool of errors from which frames take theirs, in standard deviations, shape (P,)."""
     if world.noise == DOCUMENTED.noise:
         return generator.standard_normal(_POOL, np.float32)
     return world.noise.draw(generator, _POOL).astype(np.float32)
 
 
 def _between(first: RigidTransform, second: RigidTransform) -> RigidTransform:
-    """Return the pose halfway between two: of the mean of two rotations the nearest rotation is taken."""
+    """Return the pose halfway between two; the rotation is the nearest to the mean of both matrices."""
     return RigidTransform.from_matrix(0.5 * (first.as_matrix() + second.as_matrix()))

@@ -1,4 +1,4 @@
-"""What light reaches a pixel in each sub-exposure.
+"""Light that reaches each pixel in each sub-exposure.
 
 A pixel sums its rays, so that edges mix by themselves; where all rays of a pixel meet the same triangle, one
 through its centre stands for them. Which triangle a ray meets is taken from the middle of the exposure, how
@@ -27,14 +27,14 @@ SUN_RADIUS_RAD = 4.65e-3
 """Angular radius of the sun at one astronomical unit."""
 
 _GRAZING = 1e-4
-"""Least cosine of a normal: a tilted patch may turn away from who sees its surface."""
+"""Least cosine of a normal: a tilted patch of a visible surface may turn away from the camera."""
 
 
 class Lights(NamedTuple):
     """The lamp at the camera and the sun, in electrons of one sub-exposure."""
 
     lamp_e: float
-    """For a reflected share of 1/sr at 1 m."""
+    """Electrons from the lamp for a reflected share of 1/sr at 1 m."""
     lamp_radius_m: float
     turns_per_m: FloatArray
     """Phase over distance, 2 f / c, in each sub-exposure, shape (K,)."""
@@ -42,26 +42,26 @@ class Lights(NamedTuple):
     """Phase of the correlation in each sub-exposure, shape (K,)."""
     wiggling_share: float
     sun_e: float
-    """For a reflected share of 1/sr."""
+    """Electrons from the sun for a reflected share of 1/sr."""
     sun_direction: FloatArray
     """Unit vector in optical axes, shape (3,)."""
 
 
 class Fragments(NamedTuple):
-    """What a row of pixels sees, one after the other: each triangle in each pixel."""
+    """The fragments of a row of pixels: each triangle in each pixel, one after the other."""
 
     columns: NDArray[np.uint32]
     """Column of the pixel."""
     triangle: NDArray[np.uint32]
-    """Which one."""
+    """Index of the triangle."""
     ray: FloatArray
-    """Mean of the rays that meet it, optical axes, shape (3, F)."""
+    """Mean of the rays that hit the triangle, optical axes, shape (3, F)."""
     weight: FloatArray
-    """Their share of the pixel's rays."""
+    """Share of the pixel's rays that hit the triangle."""
     inverse: FloatArray
     """One over the distance, 1/m."""
     normal: FloatArray
-    """Away from the camera, optical axes, shape (3, F)."""
+    """Normal away from the camera, optical axes, shape (3, F)."""
     material: FloatArray
     """Diffuse albedo, specular reflectance, squared width of the lobe, shape (3, F)."""
     lamp_e: FloatArray
@@ -73,7 +73,7 @@ class Fragments(NamedTuple):
 
     @classmethod
     def of(cls, rays: int) -> "Fragments":
-        """Return buffers for a row with so many rays."""
+        """Return buffers for a row with the given number of rays."""
         columns, triangle = np.empty((2, rays), np.uint32)
         single, triple = np.empty((5, rays)), np.empty((3, 3, rays))
         return cls(columns, triangle, triple[0], single[0], single[1], triple[1], triple[2], *single[2:])
@@ -83,7 +83,7 @@ def lights(config: PmdConfig, sun_W_m2: FloatArray) -> Lights:
     """Return the lights of an exposure.
 
     Args:
-        config: of the camera.
+        config: configuration of the camera.
         sun_W_m2: unit vector to the sun times its irradiance over the whole spectrum, optical axes.
     """
     irradiance = float(np.linalg.norm(sun_W_m2))
@@ -110,17 +110,17 @@ def collect(
     modulated_e: Float32Array,
     charge_e: Float32Array,
 ) -> None:
-    """Fill in what each pixel collects.
+    """Fill the electrons that each pixel collects.
 
     Args:
-        owners: triangle that each ray meets in the middle of the exposure, -1 for none, shape (n H, n W).
+        owners: triangle that each ray hits in the middle of the exposure, -1 for none, shape (n H, n W).
         rays: unit rays, optical axes, shape (3, n H, n W).
         centres: unit rays through the pixels' centres, shape (3, H, W).
         surfaces: the triangles.
         lights: lamp and sun.
         fragments: buffers for a row.
-        modulated_e: out, sum of S [cos(phi - theta_k) + h3 cos 3(phi - theta_k)], electrons, shape (K, H, W).
-        charge_e: out, all electrons of a sub-exposure, S + B, shape (H, W).
+        modulated_e: output, sum of S [cos(phi - theta_k) + h3 cos 3(phi - theta_k)], electrons, (K, H, W).
+        charge_e: output, all electrons of a sub-exposure, S + B, shape (H, W).
     """
     _collect(_Rays(owners, rays, centres), surfaces, lights, fragments, modulated_e, charge_e)
 
@@ -129,7 +129,7 @@ class _Rays(NamedTuple):
     """The rays of all pixels, n x n each."""
 
     owners: NDArray[np.int32]
-    """Triangle that each meets in the middle of the exposure, -1 for none, shape (n H, n W)."""
+    """Triangle that each ray hits in the middle of the exposure, -1 for none, shape (n H, n W)."""
     directions: FloatArray
     """Unit rays, optical axes, shape (3, n H, n W)."""
     centres: FloatArray
@@ -156,7 +156,7 @@ def _collect(  # noqa: PLR0917
     modulated_e: Float32Array,
     charge_e: Float32Array,
 ) -> None:
-    """Fill in what each pixel collects; arguments as those of ``collect``."""
+    """Fill the electrons that each pixel collects; arguments as in ``collect``."""
     modulated_e[:] = 0.0
     charge_e[:] = 0.0
     columns = fragments.columns
@@ -175,7 +175,7 @@ def _collect(  # noqa: PLR0917
 
 @kernel
 def _list(every: _Rays, row: int, surfaces: Surfaces, fragments: Fragments) -> int:
-    """List which parts of a row's pixels see which triangle, and place the triangles; return how many."""
+    """List the fragments of a row of pixels, and place their triangles; return the number of fragments."""
     owners, _, centres = every
     width = centres.shape[2]
     n = owners.shape[1] // width
@@ -201,7 +201,7 @@ def _list(every: _Rays, row: int, surfaces: Surfaces, fragments: Fragments) -> i
 
 @kernel
 def _is_uniform(owners: NDArray[np.int32], top: int, left: int, n: int) -> bool:
-    """Return whether all rays of a pixel, n x n from a first one on, meet the same triangle, or none."""
+    """Return whether all n x n rays of a pixel hit the same triangle, or none."""
     for i in range(top, top + n):
         for j in range(left, left + n):
             if owners[i, j] != owners[top, left]:
@@ -211,7 +211,7 @@ def _is_uniform(owners: NDArray[np.int32], top: int, left: int, n: int) -> bool:
 
 @kernel
 def _mixed(every: _Rays, pixel: _Pixel, count: int, fragments: Fragments) -> int:
-    """Add a fragment for each triangle in a pixel, the mean of the rays that meet it; return the count."""
+    """Add a fragment for each triangle in a pixel, with the mean of its rays; return the count."""
     owners, rays, (top, left, n) = every.owners, every.directions, pixel
     index, ray, weight = fragments.triangle, fragments.ray, fragments.weight
     first, share = count, 1.0 / (n * n)
@@ -238,7 +238,7 @@ def _mixed(every: _Rays, pixel: _Pixel, count: int, fragments: Fragments) -> int
 
 @kernel
 def _look_up(fragments: Fragments, count: int, surfaces: Surfaces) -> None:
-    """Fill in distance, normal and material of a row's fragments."""
+    """Fill distance, normal and material of a row's fragments."""
     index, inverse, material = fragments.triangle, fragments.inverse, fragments.material
     x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]
     n_x, n_y, n_z = fragments.normal[0], fragments.normal[1], fragments.normal[2]
@@ -258,7 +258,7 @@ def _look_up(fragments: Fragments, count: int, surfaces: Surfaces) -> None:
 
 @kernel
 def _shade(fragments: Fragments, count: int, lights: Lights) -> None:
-    """Fill in the electrons of a row's fragments; nothing is looked up, so that the loops are vectorised."""
+    """Fill the electrons of a row's fragments, without look-ups so that the loops are vectorised."""
     weight, inverse = fragments.weight, fragments.inverse
     lamp_e, charge_e = fragments.lamp_e, fragments.charge_e
     x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]
@@ -284,7 +284,7 @@ def _shade(fragments: Fragments, count: int, lights: Lights) -> None:
 
 @kernel
 def _correlate(k: int, fragments: Fragments, count: int, planes: Float32Array, lights: Lights) -> None:
-    """Fill in the modulation of a row's fragments in one sub-exposure."""
+    """Fill the modulation of a row's fragments in one sub-exposure."""
     index, inverse = fragments.triangle, fragments.inverse
     lamp_e, modulated_e = fragments.lamp_e, fragments.modulated_e
     x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]

@@ -1,7 +1,7 @@
-"""The light of a frame before it becomes charge: how much of it strays, and how long to collect it.
+"""Metering of a frame's light before it becomes charge: its mean, and the exposure time.
 
-The exposure is a function of the very frame's light, before any noise: a frame stays the same in whatever
-order frames are asked for, and whichever are left out.
+The exposure depends on the light of the same frame, before any noise: a frame is the same in whatever order
+frames are made, and whichever are left out.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.pmd.pixel import Electronics
 
 _METERED = 4
-"""Every fourth row and column will do."""
+"""Stride of the rows and columns that are metered."""
 
 
 def mean_light_e(modulated_e: Float32Array, charge_e: Float32Array) -> FloatArray:
@@ -25,15 +25,15 @@ def mean_light_e(modulated_e: Float32Array, charge_e: Float32Array) -> FloatArra
 def exposure_share(
     modulated_e: Float32Array, charge_e: Float32Array, config: PmdConfig, electronics: Electronics
 ) -> float:
-    """Return the share of the profile's time that loses few of the lit pixels, a power of 1 / sqrt(2).
+    """Return the share of the profile's time at which few lit pixels lose depth, a power of 1 / sqrt(2).
 
-    Lit are those that have a depth at some time from the profile's down to the shortest.
+    A pixel is lit if it has a depth at some time between the profile's and the shortest.
 
     Args:
         modulated_e: correlation of the light with the modulation in the full time, shape (K, H, W).
         charge_e: all electrons of a sub-exposure in the full time, shape (H, W).
         config: of the camera.
-        electronics: the chip, in the full time.
+        electronics: the chip in the full time.
     """
     if config.exposure == "fixed":
         return 1.0
@@ -54,7 +54,7 @@ def _meter(
     limits_e: tuple[float, float],
     changes: NDArray[np.int64],
 ) -> int:
-    """Note at which half stop each pixel begins to fit and at which it is too dark; return the lit ones."""
+    """Store the half stops at which each pixel stops saturating and becomes too dark; return the lit ones."""
     count, height, width = modulated_e.shape
     least_e, most_e = limits_e
     lit = 0

@@ -1,8 +1,8 @@
-"""From light to counts: what the two taps of a photonic mixer make of their charge.
+"""From light to counts: the charge of the two taps of a photonic mixer.
 
-The taps share the charge in time with the modulation. The background suppression takes the same charge off
-both, so that sunlight, which fills them alike, leaves the difference as it is and only its noise behind. What
-remains in a tap is clipped at the full well, and the difference of the taps is converted.
+The taps share the charge in time with the modulation. The background suppression removes the same charge from
+both. Sunlight fills them equally, so that it does not change their difference but adds its noise. The charge
+that remains in a tap is clipped at the full well, and the difference of the taps is converted.
 """
 
 from typing import NamedTuple
@@ -39,25 +39,25 @@ class Electronics(NamedTuple):
 
 
 class Light(NamedTuple):
-    """What a frame collects in the full time, and which share of the time it has."""
+    """The light that a frame collects in the full time, and the share of the time that is used."""
 
     modulated_e: Float32Array
     """Correlation of the light with the modulation, electrons, shape (K, H, W)."""
     charge_e: Float32Array
     """All electrons of a sub-exposure, S + B, shape (H, W)."""
     stray_e: FloatArray
-    """What every pixel gets as well: modulation in each sub-exposure, then charge, shape (K + 1,)."""
+    """Stray light in every pixel: modulation in each sub-exposure, then charge, shape (K + 1,)."""
     time_share: float = 1.0
-    """Of the full time: the automatic exposure's."""
+    """Share of the full time that the automatic exposure uses."""
 
 
 class Noise(NamedTuple):
     """Standard normal numbers: row r takes W for each sub-exposure in turn, from ``pool[starts[r]]`` on."""
 
     pool: Float32Array
-    """Shape (P,)."""
+    """Normal numbers, shape (P,)."""
     starts: NDArray[np.int64]
-    """Shape (H,), at most P - W K."""
+    """First index in the pool for each row, shape (H,), at most P - W K."""
 
 
 def convert(
@@ -68,29 +68,29 @@ def convert(
     samples: NDArray[np.uint16],
     full: NDArray[np.bool_],
 ) -> None:
-    """Fill in Q1..Q4 and whether a tap of the pixel was full.
+    """Fill Q1..Q4 and whether a tap of the pixel was full.
 
     Args:
-        light: of the frame.
+        light: light of the frame.
         noise: shot and read noise of the difference of the taps.
         electronics: the chip.
-        samples: out, counts from an offset of 32768, shape (K / 4, H, W, 4).
-        full: out, shape (H, W).
+        samples: output, counts from an offset of 32768, shape (K / 4, H, W, 4).
+        full: output, pixels with a full tap, shape (H, W).
     """
     _convert(light, noise, electronics, samples, full)
 
 
 class _Taken(NamedTuple):
-    """What a row of pixels takes in one sub-exposure."""
+    """Light and noise of a row of pixels in one sub-exposure."""
 
     signal: Float32Array
     """Correlation of the light with the modulation in the full time, electrons, shape (W,)."""
     stray: float
-    """The same of stray light."""
+    """Correlation of the stray light with the modulation in the full time, electrons."""
     normal: Float32Array
     """Standard normal noise, shape (W,)."""
     share: float
-    """Of the full time."""
+    """Share of the full time that is used."""
 
 
 @kernel
@@ -101,7 +101,7 @@ def _convert(
     samples: NDArray[np.uint16],
     full: NDArray[np.bool_],
 ) -> None:
-    """Fill in samples and full pixels; arguments as those of ``convert``."""
+    """Fill samples and full pixels; arguments as in ``convert``."""
     modulated_e, charge_e, stray_e, share = light
     count, height, width = modulated_e.shape
     charge, sigma, fullest = np.empty(width), np.empty(width), np.empty(width)
@@ -132,7 +132,7 @@ def _fill(  # noqa: PLR0917
     fullest: FloatArray,
     counts: NDArray[np.int32],
 ) -> None:
-    """Fill both taps of a row's pixels in one sub-exposure, and convert what is kept of their difference."""
+    """Fill both taps of a row's pixels in one sub-exposure, and convert their clipped difference."""
     signal, stray, normal, share = taken
     suppression_e, full_well_e = share * electronics.suppression_e, electronics.full_well_e
     gain, counts_per_e = share * electronics.contrast, 1.0 / electronics.electrons_per_count

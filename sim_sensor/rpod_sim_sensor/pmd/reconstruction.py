@@ -1,6 +1,6 @@
 """Depth and amplitude from Q1..Q4: Klionovska et al. 2018, Eqs. 1 to 3.
 
-It takes a camera's raw samples, whether emulated or real.
+The samples may come from the emulator or from a real camera.
 """
 
 import math
@@ -24,7 +24,7 @@ class Lost(IntFlag):
     """Why a pixel has no depth."""
 
     TOO_DARK = 1
-    """The amplitude is under its least."""
+    """The amplitude is below its limit."""
     SATURATED = 2
     """A tap was full."""
     INCONSISTENT = 4
@@ -32,7 +32,7 @@ class Lost(IntFlag):
 
     @property
     def camera_code(self) -> int:
-        """What the camera's manual has in place of a distance; over goes before under and invalid."""
+        """Code of the camera's manual for lost depth; saturated precedes too dark and inconsistent."""
         if self & Lost.SATURATED:
             return 0x0000
         return 0xFFFF if self & Lost.TOO_DARK else 0x0001
@@ -42,11 +42,11 @@ class Reconstruction(NamedTuple):
     """The images of a frame."""
 
     depth_m: Float32Array
-    """z-depth, shape (H, W), NaN where there is none."""
+    """z-depth, shape (H, W), NaN without one."""
     amplitude: NDArray[np.uint16]
-    """Counts of the converter, shape (H, W); of two frequencies the mean."""
+    """Amplitude in counts of the converter, shape (H, W); the mean of two frequencies."""
     lost: NDArray[np.uint8]
-    """``Lost``, shape (H, W), 0 where there is depth."""
+    """``Lost`` of each pixel, shape (H, W), 0 for a pixel with depth."""
 
     @classmethod
     def of(cls, config: PmdConfig) -> "Reconstruction":
@@ -93,7 +93,7 @@ def amplitude(samples: Array) -> Array:
 
 
 def asymmetry(samples: Array) -> Array:
-    """Return the greater of |Q1 + Q2| and |Q3 + Q4|, which are zero but for noise and motion."""
+    """Return the greater of |Q1 + Q2| and |Q3 + Q4|, which are zero except for noise and motion."""
     greater: Array = _asymmetry(*_planes(samples))
     return greater
 
@@ -113,17 +113,16 @@ def reconstruct(
 ) -> Reconstruction:
     """Return the images of a frame.
 
-    The depth is lost where the amplitude is too low, a tap was full, or the samples contradict each other.
-    The amplitude lives on; both are lost only where both taps were full, so that nothing is left of their
-    difference.
+    The depth is lost if the amplitude is too low, a tap was full, or the samples are inconsistent with each
+    other. The amplitude remains. Both are lost only if both taps were full, so that their difference is zero.
 
     Args:
         samples: Q1..Q4, counts from an offset of 32768, shape (F, H, W, 4) in the order of
             ``config.frequencies_hz``, or (H, W, 4) of one frequency.
-        config: of the camera that took them.
+        config: configuration of the camera that took them.
         cosine: of the angle between each pixel's ray and the boresight, shape (H, W): z over radial distance.
-        full: pixels with a full tap, shape (H, W), where the camera says so.
-        out: buffers to write into and to return; new ones where left out.
+        full: pixels with a full tap, shape (H, W), if the camera reports them.
+        out: buffers to write into and to return; by default new ones.
     """
     every = samples.reshape(len(config.frequencies_hz), *samples.shape[-3:])
     if out is None:
@@ -138,7 +137,7 @@ def reconstruct(
 
 
 class _Limits(NamedTuple):
-    """What keeps a pixel's depth, in counts."""
+    """Limits within which a pixel has depth, in counts."""
 
     least_amplitude: float
     saturation: int
@@ -169,7 +168,7 @@ def _reconstruct(  # noqa: PLR0917
     turns: Turns,
     images: Reconstruction,
 ) -> None:
-    """Fill in the images of a frame; arguments as those of ``reconstruct``, samples of shape (F, H, W, 4)."""
+    """Fill the images of a frame; arguments as in ``reconstruct``, samples of shape (F, H, W, 4)."""
     frequencies, height, width, _ = samples.shape
     depth_m, strengths, losses = images
     wrapped, strength, lost = np.empty((2, width)), np.empty(width), np.empty(width, np.int64)
@@ -178,7 +177,7 @@ def _reconstruct(  # noqa: PLR0917
         for column in range(width):
             lost[column] = _SATURATED if full[row, column] else 0
         for frequency in range(frequencies):
-            _judge(samples[frequency, row], limits, wrapped[frequency], strength, lost)
+            _mark_row(samples[frequency, row], limits, wrapped[frequency], strength, lost)
         for column in range(width):
             metres = wrapped[0, column] * turns.first_m
             if frequencies > 1 and lost[column] == 0:
@@ -191,14 +190,14 @@ def _reconstruct(  # noqa: PLR0917
 
 
 @kernel
-def _judge(
+def _mark_row(
     samples: NDArray[np.uint16],
     limits: _Limits,
     wrapped: FloatArray,
     strength: FloatArray,
     lost: NDArray[np.int64],
 ) -> None:
-    """Fill in a row's phases in turns, add its amplitudes, and note which pixels give no depth."""
+    """Fill a row's phases in turns, add its amplitudes, and mark the pixels without depth."""
     offset = np.float64(SAMPLE_OFFSET)
     for column in range(wrapped.size):
         q1, q2 = samples[column, 0] - offset, samples[column, 1] - offset

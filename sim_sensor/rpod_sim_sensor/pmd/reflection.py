@@ -1,4 +1,4 @@
-"""How much light a surface sends back: a diffuse part and a specular lobe.
+"""Reflection of light by a surface: a diffuse part and a specular lobe.
 
 The lobe is the microfacet model with the GGX distribution (Walter et al., EGSR 2007), the height-correlated
 Smith masking (Heitz, JCGT 3(2), 2014) and Schlick's Fresnel term. The distribution's width alpha is the

@@ -21,33 +21,33 @@ from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
 _ASKEW = Rotation.from_rotvec((0.7, -0.4, 0.55)).as_matrix()
-"""From target axes into the lattice's."""
+"""Rotation from target axes into the lattice's."""
 
 
 class Surfaces(NamedTuple):
     """The target's triangles in one exposure."""
 
     normals: FloatArray
-    """Target axes, shape (T, 3)."""
+    """Unit normals, target axes, shape (T, 3)."""
     offsets_m: FloatArray
-    """n . v0, target axes, shape (T,)."""
+    """Offsets n . v0 of the planes, target axes, shape (T,)."""
     material: NDArray[np.int32]
-    """Row of ``materials``, shape (T,)."""
+    """Index of each triangle's row in ``materials``, shape (T,)."""
     materials: FloatArray
     """Diffuse albedo, specular reflectance, squared width of the lobe, patches per metre, and tilt of a patch
     in rad, shape (M, 5)."""
     rotations: FloatArray
     """R_optical_target in the middle of the exposure, then in each sub-exposure, shape (K + 1, 3, 3)."""
     positions_m: FloatArray
-    """t_optical_target likewise, shape (K + 1, 3)."""
+    """t_optical_target at the same times, shape (K + 1, 3)."""
     R_lattice_optical: FloatArray
-    """Shape (3, 3)."""
+    """Rotation from optical axes into the lattice's, shape (3, 3)."""
     t_lattice_optical: FloatArray
-    """Shape (3,)."""
+    """Origin of the optical axes in the lattice's, shape (3,)."""
     frame: int
     """Number of this exposure among the scene's."""
     placed: NDArray[np.int64]
-    """Exposure for which a triangle's planes were worked out last, shape (T,)."""
+    """Last exposure for which a triangle's planes were computed, shape (T,)."""
     planes: Float32Array
     """n / (n . v0), optical axes, shape (T, K + 1, 3): a ray d meets the plane at 1 / (plane . d)."""
     far_normals: Float32Array
@@ -75,7 +75,7 @@ class Scene:
     def placed(self, T_middle: RigidTransform, poses: Sequence[RigidTransform]) -> Surfaces:
         """Return the surfaces at T_optical_target in the middle of the exposure and in each sub-exposure.
 
-        They share the scene's buffers: the next call ends their use.
+        They share the scene's buffers and are valid until the next call.
         """
         self._frame += 1
         matrices = np.stack([pose.as_matrix() for pose in (T_middle, *poses)])
@@ -99,7 +99,7 @@ class Scene:
 
 @kernel
 def place(index: int, surfaces: Surfaces) -> None:
-    """Work out the planes of one triangle, an index below T, at the poses of the exposure."""
+    """Compute the planes of one triangle, an index below T, at the poses of the exposure."""
     normal, R, t = surfaces.normals[index], surfaces.rotations, surfaces.positions_m
     plane = surfaces.planes[index]
     for k in range(R.shape[0]):
@@ -119,12 +119,12 @@ def place(index: int, surfaces: Surfaces) -> None:
 def crinkled(  # noqa: PLR0917
     x: float, y: float, z: float, R: FloatArray, t: FloatArray, per_m: float, tilt_rad: float
 ) -> tuple[float, float, float]:
-    """Return what a patch adds to its normal, optical axes, before the sum is normalised.
+    """Return the vector that a patch adds to its normal, optical axes, before the sum is normalised.
 
     Args:
-        x: of the point, optical axes; ``y`` and ``z`` likewise.
-        y: see ``x``.
-        z: see ``x``.
+        x: first coordinate of the point, optical axes, m.
+        y: second coordinate.
+        z: third coordinate.
         R: ``Surfaces.R_lattice_optical``.
         t: ``Surfaces.t_lattice_optical``.
         per_m: cells of the lattice per metre.

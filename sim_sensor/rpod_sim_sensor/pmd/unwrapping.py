@@ -16,22 +16,22 @@ from rpod_schemas.config.pmd import PmdConfig
 
 
 class Turns(NamedTuple):
-    """How far apart the turns of two frequencies are."""
+    """Unambiguous ranges of two frequencies, and their differences."""
 
     first_m: float
-    """c / 2f of the first frequency."""
+    """Unambiguous range c / 2f of the first frequency."""
     second_m: float
-    """c / 2f of the second."""
+    """Unambiguous range c / 2f of the second frequency."""
     number: int
-    """Turns of the first until the second begins one at the same distance."""
+    """Number of turns of the first frequency until both begin a turn at the same distance."""
     half_gap_m: float
     """Half the least difference between two ways to unwrap."""
     first_weight: float
-    """Of the first distance in the mean: the noise of a distance goes as c / 2f."""
+    """Weight of the first distance in the mean: the noise of a distance is proportional to c / 2f."""
 
     @classmethod
     def of(cls, config: PmdConfig) -> "Turns":
-        """Return the turns of a camera; those of one frequency are its own."""
+        """Return the turns of a camera; with one frequency, both are that one."""
         frequencies_hz = config.frequencies_hz
         first_m, second_m = (constants.c / (2.0 * hz) for hz in (frequencies_hz[0], frequencies_hz[-1]))
         number = round(config.unambiguous_range_m / first_m)
@@ -45,8 +45,8 @@ def unwrap(first_m: Array, second_m: Array, config: PmdConfig) -> tuple[FloatArr
 
     Args:
         first_m: radial distances, m, modulo c / 2f (Eq. 2) of the first frequency, any shape.
-        second_m: of the second, the same shape.
-        config: of the camera, profile dual.
+        second_m: radial distances of the second frequency, same shape.
+        config: configuration of the camera, profile dual.
 
     Returns:
         The distances modulo ``config.unambiguous_range_m``, and by how much the two disagree, as a share of
@@ -62,14 +62,14 @@ def unwrap(first_m: Array, second_m: Array, config: PmdConfig) -> tuple[FloatArr
 def _unwrap(
     first_m: FloatArray, second_m: FloatArray, turns: Turns, distance_m: FloatArray, disagreement: FloatArray
 ) -> None:
-    """Fill in distances and disagreements, shape (N,) each, as ``unwrap`` does."""
+    """Fill distances and disagreements, shape (N,) each, like ``unwrap``."""
     for index in range(first_m.size):
         distance_m[index], disagreement[index] = unwrap_pixel(first_m[index], second_m[index], turns)
 
 
 @kernel
 def unwrap_pixel(first_m: float, second_m: float, turns: Turns) -> tuple[float, float]:
-    """Return the distance and the disagreement of one pixel, as ``unwrap`` does."""
+    """Return the distance and the disagreement of one pixel, like ``unwrap``."""
     least_m, near_m, other_m = np.inf, 0.0, 0.0
     for turn in range(turns.number):
         one_m = first_m + turn * turns.first_m

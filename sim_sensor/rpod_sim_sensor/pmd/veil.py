@@ -1,8 +1,8 @@
 """Light that reaches a pixel of a PMD camera from its surroundings: lens glare, and second reflections.
 
-Both take a share of each pixel's light and spread it over the pixels around. Glare keeps its phase. What was
-reflected twice comes late: its correlation turns by 2 pi (2 f / c) d for a way that is longer by d. The third
-harmonic, a few percent, is turned like the first.
+Both take a share of each pixel's light and spread it over the pixels around. Glare keeps its phase. Light
+that was reflected twice arrives late: its correlation turns by 2 pi (2 f / c) d for a path that is longer by
+d. The third harmonic, a few percent, is turned like the first.
 """
 
 import numpy as np
@@ -15,20 +15,20 @@ from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.worlds import CameraWorld
 
 _PASSES = 2
-"""Two means over a square make a halo that falls off linearly."""
+"""Number of box filters: two give a halo that decreases linearly."""
 
 
 def add_veils(
     modulated_e: Float32Array, charge_e: Float32Array, config: PmdConfig, world: CameraWorld
 ) -> None:
-    """Spread light as a world has it, in place.
+    """Spread light to neighbouring pixels as a world defines it, in place.
 
     Args:
         modulated_e: correlation of the light with the modulation, electrons, shape (K, H, W), at 0, 180, 90
             and 270 deg of each frequency in turn.
         charge_e: all electrons of a sub-exposure, shape (H, W).
-        config: of the camera.
-        world: which share is spread, and how far.
+        config: configuration of the camera.
+        world: shares that are spread, and their radii.
     """
     width = charge_e.shape[1]
     if world.bounced_share:  # from surface to surface: the sky stays dark

@@ -1,7 +1,12 @@
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
 import pytest
 
 from rpod_schemas.config.estimator import EstimatorConfig
-from rpod_schemas.config.migration import check_logged
+from rpod_schemas.config.migration import CONFIG_VERSION, VERSION_FIELD, check_logged, logged
 from rpod_schemas.errors import ConfigurationError
 
 OF_AN_EARLIER_VERSION = {
@@ -14,15 +19,37 @@ OF_AN_EARLIER_VERSION = {
 }
 
 
+def of_version_1() -> dict[str, Any]:
+    """A configuration out of the log of a run with a PMD camera and a LIDAR, before there was a version."""
+    file = Path(__file__).parent / "logged" / "estimator-version-1.json"
+    document: dict[str, Any] = json.loads(file.read_text("utf-8"))
+    return document
+
+
+def leaves(document: Any, place: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
+    """All values of a document by their place, without the parts of it that are called tuning."""
+    if isinstance(document, dict):
+        pairs = [(str(key), value) for key, value in document.items()]
+    elif isinstance(document, list) and any(isinstance(item, dict) for item in document):
+        pairs = [(str(index), value) for index, value in enumerate(document)]
+    else:
+        return {place: document}
+    found: dict[tuple[str, ...], Any] = {}
+    for key, value in pairs:
+        found |= leaves(value, place if key == "tuning" else (*place, key))
+    return found
+
+
 def test_fields_that_are_gone_are_left_out_and_named_with_their_place() -> None:
-    config, unknown = check_logged(EstimatorConfig, OF_AN_EARLIER_VERSION, source="run.mcap")
-    assert [sensor.kind for sensor in config.sensors] == ["pmd", "lidar"]
-    assert sorted(unknown) == [
+    migrated = check_logged(EstimatorConfig, OF_AN_EARLIER_VERSION, source="run.mcap")
+    assert [sensor.kind for sensor in migrated.config.sensors] == ["pmd", "lidar"]
+    assert sorted(migrated.unknown) == [
         "sensors.0.tracking.gone",
         "sensors.0.verification",
         "sensors.1.verification",
         "verbosity",
     ]
+    assert migrated.tuned == ()
 
 
 def test_a_value_that_is_wrong_today_is_an_error_that_names_the_field() -> None:
@@ -31,5 +58,66 @@ def test_a_value_that_is_wrong_today_is_an_error_that_names_the_field() -> None:
 
 
 def test_the_document_itself_stays_as_it_is() -> None:
-    check_logged(EstimatorConfig, OF_AN_EARLIER_VERSION, source="run.mcap")
-    assert "verbosity" in OF_AN_EARLIER_VERSION
+    document = of_version_1()
+    check_logged(EstimatorConfig, document, source="run.mcap")
+    assert document == of_version_1()
+
+
+def test_every_value_of_a_logged_configuration_is_kept_or_named_as_unknown() -> None:
+    document = of_version_1()
+    migrated = check_logged(EstimatorConfig, document, source="run.mcap")
+    today = leaves(migrated.config.model_dump(mode="json"))
+    lost = {place for place, value in leaves(document).items() if today.get(place, "missing") != value}
+    gone = [tuple(name.split(".")) for name in migrated.unknown]
+    assert all(any(place[: len(name)] == name for name in gone) for place in lost), lost
+
+
+def test_values_that_are_now_tuning_stay_what_the_log_says() -> None:
+    document = of_version_1()
+    pmd, lidar = document["sensors"]
+    pmd["tracking"] |= {"far_iterations": 11, "slack_m": 0.002}
+    pmd["tracking"]["depth"]["points"] = 777
+    lidar["acquisition"]["tracking"]["verdict"]["pessimistic"]["slack_m"] = 0.07
+    document["navigator"]["vague_deg"] = 4.5
+    migrated = check_logged(EstimatorConfig, document, source="run.mcap")
+    found = migrated.config.model_dump()
+    tracking = found["sensors"][0]["tracking"]
+    assert (tracking["slack_m"], tracking["tuning"]["far_iterations"]) == (0.002, 11)
+    assert tracking["tuning"]["depth"]["points"] == 777
+    scans = found["sensors"][1]["acquisition"]["tracking"]["tuning"]
+    assert scans["verdict"]["pessimistic"]["slack_m"] == 0.07
+    assert found["navigator"]["tuning"]["vague_deg"] == 4.5
+    assert {"sensors.0.tracking.far_iterations", "navigator.vague_deg"} < set(migrated.tuned)
+    assert "sensors.0.tracking.slack_m" not in migrated.tuned
+    assert "sensors.0.acquisition.model.foil_share" in migrated.unknown
+
+
+def test_one_line_names_what_is_now_tuning_and_what_is_unknown(caplog: pytest.LogCaptureFixture) -> None:
+    document = {**OF_AN_EARLIER_VERSION, "filter": {"gate_nis": 12.0}}
+    with caplog.at_level(logging.WARNING):
+        check_logged(EstimatorConfig, document, source="run.mcap").report("run.mcap")
+    (line,) = caplog.messages
+    assert line.startswith(
+        f"run.mcap: is of version 1, today's is {CONFIG_VERSION}; now tuning: filter (gate_nis)"
+    )
+    assert "unknown and left out: " in line
+    assert "sensors.0.tracking (gone)" in line
+
+
+def test_what_is_logged_today_has_a_version_and_is_read_without_a_word(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    config = check_logged(EstimatorConfig, of_version_1(), source="run.mcap").config
+    document = logged(config)
+    assert document[VERSION_FIELD] == CONFIG_VERSION
+    again = check_logged(EstimatorConfig, document, source="run.mcap")
+    again.report("run.mcap")
+    assert (again.tuned, again.unknown, caplog.messages) == ((), (), [])
+    assert logged(again.config) == document
+
+
+def test_of_todays_version_a_field_that_stands_beside_tuning_is_unknown() -> None:
+    document = {**OF_AN_EARLIER_VERSION, VERSION_FIELD: CONFIG_VERSION, "filter": {"gate_nis": 12.0}}
+    migrated = check_logged(EstimatorConfig, document, source="run.mcap")
+    assert "filter.gate_nis" in migrated.unknown
+    assert migrated.config.filter.tuning.gate_nis == 16.8

@@ -119,6 +119,6 @@ def test_a_subclass_under_another_name_keeps_its_parameters():
     class Mine(JointConfig):
         kind: str = "mine"
 
-    assert Mine(far_points=7).kind == "mine"
+    assert Mine(slack_m=0.007).kind == "mine"
     with pytest.raises(ValueError, match="Mine needs 'mine'"):
         Mine(kind="joint")

@@ -131,7 +131,7 @@ def _scheduler(address: str) -> Iterator[str]:
             n_workers=int(local[1]),
             threads_per_worker=1,
             host="127.0.0.1",
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
         ) as cluster,
     ):

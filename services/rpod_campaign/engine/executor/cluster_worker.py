@@ -21,7 +21,7 @@ import polars as pl
 from rpod_campaign.catalogue import find
 from rpod_campaign.engine.campaign import AnyCampaign
 from rpod_campaign.engine.errors import CampaignUnknownError
-from rpod_campaign.engine.executor.outcome import Failure, run_batch
+from rpod_campaign.engine.executor.outcome import Failure, failure_of, run_batch
 from rpod_campaign.engine.folder import CampaignFolder, cell_parameters
 from rpod_campaign.engine.software import differences, identity
 from rpod_campaign.engine.trial.targets import missing_targets, provide_targets
@@ -78,7 +78,14 @@ class Delivery(NamedTuple):
 
 
 def hello(job: Job) -> Answer:
-    """Say whether this worker may run a job's trials."""
+    """Say whether this worker may run a job's trials; whatever keeps it from that is a refusal."""
+    try:
+        return _answer(job)
+    except Exception as error:  # noqa: BLE001 - an exception may not travel, an answer does
+        return Answer(f"{type(error).__name__}: {error}", ())
+
+
+def _answer(job: Job) -> Answer:
     with _LOCK:
         threads = [name for name in _ONE_THREAD if os.environ.get(name) != "1"]
         if threads:
@@ -105,6 +112,13 @@ def take_targets(job: Job, targets: Mapping[str, Target]) -> Answer:
 
 def run(job: Job, cell: int, numbers: Sequence[int]) -> Delivery:
     """Run trials of one cell, up to the first that raises."""
+    try:
+        return _delivery(job, cell, numbers)
+    except Exception as error:  # noqa: BLE001 - such as a full disk; an exception may not travel
+        return Delivery((), None, 0.0, failure_of(numbers[0], error))
+
+
+def _delivery(job: Job, cell: int, numbers: Sequence[int]) -> Delivery:
     with _LOCK:
         campaign, cells, seed = _made(job)
         outcome = run_batch(campaign.trial, cells[cell], cell, seed, numbers)

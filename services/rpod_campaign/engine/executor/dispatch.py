@@ -117,10 +117,15 @@ class Dispatch:
             raise SchedulerLostError
 
     def _require_workers(self, address: str, patience_s: float) -> None:
-        if any(worker.stage is not _Stage.REFUSED for worker in self._workers.values()):
+        if any(worker.stage is _Stage.READY for worker in self._workers.values()):
             self._useful_s = time.monotonic()
         elif time.monotonic() - self._useful_s > patience_s:
-            raise NoWorkersError(address, patience_s, self._refusals)
+            silent = [
+                f"worker {worker.name} at {worker.address}: it does not answer"
+                for worker in self._workers.values()
+                if worker.stage is _Stage.ASKED
+            ]
+            raise NoWorkersError(address, patience_s, [*self._refusals, *silent])
 
     def _feed(self) -> None:
         ready = [worker for worker in self._workers.values() if worker.stage is _Stage.READY]

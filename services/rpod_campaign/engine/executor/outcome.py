@@ -69,7 +69,7 @@ def run_batch(trial: Trial, cell: Any, index: int, seed: int, numbers: Sequence[
         try:
             made = trial(cell, seed, number)
         except Exception as error:  # noqa: BLE001 - told to whoever started the campaign, whatever it is
-            return _outcome(index, done, rows, begin_s, _failure(number, error))
+            return _outcome(index, done, rows, begin_s, failure_of(number, error))
         several = [made] if isinstance(made, Mapping) else made
         rows += [{CELL: index, TRIAL: number, **row} for row in several]
         done.append(number)
@@ -82,7 +82,8 @@ def _outcome(
     return Outcome(index, tuple(done), tuple(rows), time.perf_counter() - begin_s, failure)
 
 
-def _failure(number: int, error: Exception) -> Failure:
+def failure_of(number: int, error: Exception) -> Failure:
+    """Return a trial's exception in a form that every process can read."""
     trace = "".join(traceback.format_exception(error))
     expected = isinstance(error, _EXPECTED)
     return Failure(number, type(error).__name__, str(error), expected, trace, _pickled(error))

@@ -1,8 +1,9 @@
-"""The loop over the templates of on-line template matching, compiled: cast, centre, compare, correlate.
+"""The compiled loop over the templates of on-line template matching: cast, centre, compare, correlate.
 
-The correlation needs each scan point's nearest template point, in single precision. Both are packed in small
-blocks with bounding boxes; pairs of blocks are passed over where the boxes are farther apart than what was
-found. Differences, squares and sums are rounded monotonically, so the squares are those of all pairs exactly.
+The correlation needs each scan point's nearest template point, in single precision. Both sets are packed in
+small blocks with bounding boxes; a pair of blocks is skipped if its boxes are farther apart than the nearest
+points so far. Differences, squares and sums are rounded monotonically, so that the results are exactly those
+of a comparison of all pairs.
 """
 
 from typing import NamedTuple
@@ -16,33 +17,33 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 BLOCK = 32
-"""Scan points in a block: a few vector registers."""
+"""Number of scan points in a block: a few vector registers."""
 SEGMENT = 8
-"""Most template points in a block, neighbours in one row of the scan pattern."""
+"""Greatest number of template points in a block; they are neighbours in one row of the scan pattern."""
 
 
 class PackedScan(NamedTuple):
     """A scan, as the kernels take it."""
 
     centroid_m: FloatArray
-    """Shape (3,)."""
+    """Centroid of the scan, sensor axes, shape (3,)."""
     blocks_m: Float32Array
     """``packed`` points about the centroid, shape (blocks, 3, BLOCK)."""
     points: int
-    """Their number."""
+    """Number of points."""
     spread_m: float
-    """D_BOR (Eq. 2)."""
+    """Mean distance D_BOR from the boresight (Eq. 2)."""
 
 
 class Correlation(NamedTuple):
-    """What each of K templates is like."""
+    """Comparison of a scan with each of K templates."""
 
     costs_m2: FloatArray
-    """C of Eq. 1, shape (K,), inf where not correlated or given up."""
+    """Costs C of Eq. 1, shape (K,); inf for a template that was not correlated or was abandoned."""
     centroids_m: FloatArray
-    """Shape (K, 3)."""
+    """Centroids of the templates' points, shape (K, 3)."""
     spreads_m: FloatArray
-    """D_BOR, shape (K,), NaN for a template without any point."""
+    """Mean distances D_BOR from the boresight, shape (K,), NaN for a template without any point."""
 
 
 def packed(points_m: FloatArray) -> Float32Array:
@@ -69,15 +70,15 @@ def match_templates(  # noqa: PLR0917
     tau: float,
     best_only: bool,
 ) -> Correlation:
-    """Return what each template is like: mean squared distance, centroid and spread about the boresight.
+    """Return the mean squared distance, centroid and spread about the boresight of each template.
 
     Args:
         grid: ``RayGrid.arrays``.
         triangles: target axes, shape (T, 3, 3), closed.
-        rotations: of the target in the sensor, shape (K, 3, 3).
-        scan: the scan; the target is put at its centroid.
+        rotations: R_sensor_target of the templates, shape (K, 3, 3).
+        scan: the scan; the target is placed at its centroid.
         tau: templates whose D_BOR differs by a larger share are not correlated (Eq. 3).
-        best_only: give a template up as soon as it is worse than the best before it.
+        best_only: whether to abandon a template as soon as it is worse than the best before it.
     """
     centroid, blocks, scan_count, spread = scan
     rows, columns = grid[0].shape[1:]
@@ -119,9 +120,9 @@ def match_templates(  # noqa: PLR0917
 def cast_covariances(
     grid: GridArrays, triangles: FloatArray, rotations: FloatArray, position: FloatArray
 ) -> FloatArray:
-    """Return the covariances of the templates' points, shape (K, 3, 3), m2; zero where there is none.
+    """Return the covariances of the templates' points, shape (K, 3, 3), m2; zero for one without points.
 
-    Arguments as those of ``match_templates``; the target is at ``position``, shape (3,), m.
+    The arguments are as in ``match_templates``; the target is at ``position``, shape (3,), m.
     """
     rows, columns = grid[0].shape[1:]
     range_m, triangle = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.int32)
@@ -145,14 +146,14 @@ def _collect(
     points: FloatArray,
     ends: NDArray[np.int64],
 ) -> tuple[int, int]:
-    """Fill in the hits' points, row by row, and the ends of the segments; return the numbers of both.
+    """Fill the points of the hits, row by row, and the ends of the segments; return the numbers of both.
 
     Args:
         rays: unit rays, shape (3, rows, columns).
-        range_m: of the hits, shape (rows, columns).
-        triangle: of the hits, -1 for none, same shape.
-        points: out, shape (rows columns, 3), m.
-        ends: out, index after the last point of each segment, shape (rows columns,).
+        range_m: ranges of the hits, shape (rows, columns).
+        triangle: triangles of the hits, -1 for none, same shape.
+        points: output, shape (rows columns, 3), m.
+        ends: output, index after the last point of each segment, shape (rows columns,).
     """
     size, segments = 0, 0
     for row in range(range_m.shape[0]):
@@ -174,7 +175,7 @@ def _collect(
 
 @kernel
 def _spread(points: FloatArray, size: int, centroid: FloatArray) -> float:
-    """Fill in the centroid, shape (3,), of the first points, shape (N, 3); return D_BOR (Eq. 2); m."""
+    """Fill the centroid, shape (3,), of the first points, shape (N, 3); return D_BOR (Eq. 2); m."""
     spread = 0.0
     centroid[:] = 0.0
     for m in range(size):
@@ -204,14 +205,14 @@ def _pack(
     template: Float32Array,
     box: Float32Array,
 ) -> None:
-    """Fill in the segments about the centroid, their last points repeated, and their boxes.
+    """Fill the segments about the centroid, padded with their last points, and their boxes.
 
     Args:
-        points: of the template, shape (N, 3), m.
-        centroid: of the points, shape (3,), m.
+        points: points of the template, shape (N, 3), m.
+        centroid: centroid of the points, shape (3,), m.
         ends: index after the last point of each segment, shape (segments,).
-        template: out, shape (segments, 3, SEGMENT), m.
-        box: out, least and greatest coordinates, shape (6, segments), m.
+        template: output, shape (segments, 3, SEGMENT), m.
+        box: output, least and greatest coordinates, shape (6, segments), m.
     """
     for segment in range(ends.size):
         start, end = ends[segment - 1] if segment else 0, ends[segment]
@@ -226,7 +227,7 @@ def _pack(
 
 @kernel
 def _gaps(scan_box: Float32Array, box: Float32Array, gaps: Float32Array) -> None:
-    """Fill in the squared distances, (segments,), m2, from a box, (6,), to the segments', (6, segments)."""
+    """Fill the squared distances, (segments,), m2, from a box, (6,), to the segments', (6, segments)."""
     zero = np.float32(0.0)
     for segment in range(gaps.size):
         gap = zero
@@ -242,13 +243,13 @@ def _gaps(scan_box: Float32Array, box: Float32Array, gaps: Float32Array) -> None
 def _nearest_squares(
     points: Float32Array, template: Float32Array, gaps: Float32Array, nearest: Float32Array
 ) -> None:
-    """Fill in the squared distances of points to their nearest in the template.
+    """Fill the squared distances of points to their nearest points in the template.
 
     Args:
-        points: shape (3, BLOCK), m.
-        template: shape (segments, 3, SEGMENT), m.
-        gaps: of the segments' boxes from that of the points, shape (segments,), m2.
-        nearest: out, shape (BLOCK,), m2.
+        points: points of the scan, shape (3, BLOCK), m.
+        template: points of the template, shape (segments, 3, SEGMENT), m.
+        gaps: squared distances of the segments' boxes from that of the points, shape (segments,), m2.
+        nearest: output, shape (BLOCK,), m2.
     """
     closest = 0
     for segment in range(1, gaps.size):
@@ -263,7 +264,7 @@ def _nearest_squares(
 
 @reassociated_kernel
 def _add_segment(points: Float32Array, segment: Float32Array, nearest: Float32Array) -> float:
-    """Lower the squared distances where a segment, shape (3, SEGMENT), is nearer; return the largest."""
+    """Reduce the squared distances to those of a nearer segment, shape (3, SEGMENT); return the largest."""
     x, y, z = points[0], points[1], points[2]
     for m in range(0, SEGMENT, 4):  # four at a time, for as few loads and stores
         a0, b0, c0, d0 = segment[0, m], segment[0, m + 1], segment[0, m + 2], segment[0, m + 3]

@@ -1,11 +1,11 @@
-"""A cue that thins templates before they are cast: how the scan's points are spread about their centroid.
+"""A cue that selects templates before they are cast: the covariance of the scan's points.
 
-It takes up what Opromolla et al., Sensors 15(3), 2015, leave to future work (section 4): fewer templates by
-what the point cloud itself tells. The covariance of the points, a symmetric matrix in sensor axes, holds
-their extents and the directions of these. Each attitude's is known beforehand, from ideal scans of the
-target on the boresight at a few ranges, since a target that fills the field of view shows but a part of
-itself. The distance of two covariances A and B is the Frobenius norm of sqrt(A) - sqrt(B), a length. The
-attitudes whose covariance is nearest to the scan's are kept.
+It follows a suggestion that Opromolla et al., Sensors 15(3), 2015, leave to future work (section 4): fewer
+templates by properties of the point cloud itself. The covariance of the points, a symmetric matrix in sensor
+axes, contains their extents with the directions. It is computed in advance for each attitude, from ideal
+scans of the target on the boresight at a few ranges, since a target that fills the field of view shows only a
+part of itself. The distance of two covariances A and B is the Frobenius norm of sqrt(A) - sqrt(B), a length.
+The attitudes whose covariance is nearest to the scan's are kept.
 """
 
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ AWAY = np.sqrt(2.0) ** np.arange(5)
 
 @dataclass(frozen=True, eq=False)
 class CovarianceCue:
-    """What the scans of a grid of attitudes are spread like."""
+    """Covariances of ideal scans over a grid of attitudes."""
 
     ranges_m: FloatArray
-    """Of the ideal scans, shape (L,)."""
+    """Ranges of the ideal scans, shape (L,)."""
     spreads_m: FloatArray
-    """Square roots of their covariances, sensor axes, shape (L, K, 3, 3); zero where nothing is seen."""
+    """Square roots of their covariances, sensor axes, shape (L, K, 3, 3); zero without returns."""
 
     @classmethod
     def of(cls, grid: RayGrid, target: Target, rotations: FloatArray) -> Self:
@@ -42,13 +42,13 @@ class CovarianceCue:
         ]
         return cls(ranges_m, _square_roots(np.stack(covariances)))
 
-    def most_alike(self, points_m: FloatArray, which: NDArray[np.intp], share: float) -> NDArray[np.intp]:
-        """Return where in ``which`` the attitudes are that a scan is most like, in their order.
+    def most_similar(self, points_m: FloatArray, which: NDArray[np.intp], share: float) -> NDArray[np.intp]:
+        """Return the positions in ``which`` of the attitudes most similar to a scan, in their order.
 
         Args:
-            points_m: of the scan, shape (N, 3).
+            points_m: points of the scan, shape (N, 3).
             which: indices of attitudes, shape (K,).
-            share: of them to be kept; at least one is.
+            share: share of the attitudes to keep; at least one is kept.
         """
         level = np.argmin(np.abs(self.ranges_m - np.linalg.norm(points_m.mean(axis=0))))
         spread_m = _square_roots(np.cov(points_m.T, bias=True))

@@ -1,4 +1,4 @@
-"""ICP: measured points against the target's surface, from a predicted pose.
+"""ICP of measured points with the target's surface, from a predicted pose.
 
 Source: P. J. Besl, N. D. McKay, A Method for Registration of 3-D Shapes, IEEE PAMI 14 (1992), as
 Opromolla et al., Sensors 15(3), 2015, section 4.2 use it. Each measured point is matched, exactly and among
@@ -7,17 +7,17 @@ the faces that the sensor can see, by one of two matchers:
 ``nearest_neighbour`` takes the closest point of the surface.
 
 ``normal_shooting`` takes the closest foot of a normal of the surface that passes through the point; a point
-beside all faces has no match. From a rough start points beside their own face shoot at another one behind
-it, so that it fails more often (section 4.4).
+above no face has no match. From a rough start, points beside their own face are matched with another face
+behind it, so that this matcher fails more often (section 4.4).
 
-Two metrics:
+There are two metrics:
 
 ``point_to_point`` is the paper's: the rigid motion that minimises the squared distances of the pairs,
-in closed form. Points keep to where they are on a face, so it converges slowly, and may stop early.
+in closed form. Points hardly slide along a face, so that it converges slowly and may stop early.
 
-``point_to_plane`` counts each pair's distance along the line that joins them alone, which on a face is
-its normal and at an edge points to the edge: faces slide, and a few Gauss-Newton steps converge. A
-small weight on the points' own motion keeps what no face determines where the prediction has it.
+``point_to_plane`` counts only the distance along the line that joins a pair, which on a face is the face's
+normal and at an edge points to the edge: faces slide, and a few Gauss-Newton steps converge. A small weight
+on the points' own motion keeps motions that no face determines at the prediction.
 """
 
 from dataclasses import dataclass
@@ -45,23 +45,23 @@ from rpod_schemas.types import LidarScan, Source
 from rpod_target import Target
 
 TO_SIGMA = 1.4826
-"""Standard deviation over the median of absolute values, for normal ones."""
+"""Standard deviation over the median of absolute values, for normal errors."""
 ON_SURFACE_M = 1e-6
-"""Nearer than this, the direction to the closest point is the face's normal."""
+"""Distance below which the face's normal replaces the direction to the closest point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Points and their closest ones on the surface, in target axes."""
+    """Points with their closest points on the surface, in target axes."""
 
     points_m: FloatArray
-    """Shape (N, 3)."""
+    """Measured points, shape (N, 3)."""
     closest_m: FloatArray
-    """Shape (N, 3)."""
+    """Closest points on the surface, shape (N, 3)."""
     normals: FloatArray
-    """Of the faces of the closest points, shape (N, 3)."""
+    """Normals of the faces of the closest points, shape (N, 3)."""
     inlier: NDArray[np.bool_]
-    """Shape (N,); points without a match are none."""
+    """Mask of the inliers, shape (N,); points without a match are not inliers."""
 
     @property
     def inliers(self) -> int:
@@ -107,10 +107,10 @@ def plane_equations(
     """Return the sums, shape (35,), of the offsets along lines.
 
     Args:
-        points: target axes, (N, 3), m.
-        offsets: from the closest points to them, (N, 3), m.
-        lines: unit vectors, (N, 3).
-        inlier: which points count, (N,).
+        points: measured points, target axes, shape (N, 3), m.
+        offsets: vectors from the closest points to them, shape (N, 3), m.
+        lines: unit vectors, shape (N, 3).
+        inlier: mask of the points that count, shape (N,).
         resistance: weight with which each point's own motion, along any axis, counts against a step.
     """
     sums = no_sums()
@@ -129,7 +129,7 @@ def plane_equations(
 
 
 class Progress:
-    """When the iterations end: settled, without progress, or out of steps."""
+    """Decides when the iterations end: converged, without progress, or out of steps."""
 
     def __init__(self, config: IcpNearestNeighbourConfig) -> None:
         self._config = config
@@ -141,12 +141,12 @@ class Progress:
         self.steps, self._step_m = self.steps + 1, step_m
 
     def ended(self, cost_m2: float) -> bool:
-        """Return whether to stop at a pose of this cost; wrong poses often end in a cycle."""
+        """Return whether to stop at a pose of this cost; at wrong poses the iterations often cycle."""
         if cost_m2 < self._least_m2:
             self._least_m2, self._least_at = cost_m2, self.steps
-        settled = self._step_m < self._config.step_m
+        converged = self._step_m < self._config.step_m
         stuck = self.steps - self._least_at >= self._config.patience
-        return settled or stuck or self.steps == self._config.iterations
+        return converged or stuck or self.steps == self._config.iterations
 
 
 class NearestNeighbourIcp:
@@ -169,7 +169,7 @@ class NearestNeighbourIcp:
         )
 
     def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration from a predicted pose, or the reason why there is none."""
+        """Return the registration from a predicted pose, or the reason why the scan gives none."""
         config, T = self._config, T_sensor_target
         points_m = measurement.returns_m.astype(np.float64)
         if len(points_m) < config.min_points:
@@ -202,7 +202,7 @@ class NearestNeighbourIcp:
     def _match(
         self, points_m: FloatArray, T_sensor_target: RigidTransform, nearest: NDArray[np.int32]
     ) -> Matches | None:
-        """Match points, sensor axes; None where the sensor sees no face. ``nearest`` is updated."""
+        """Return the matches of points, sensor axes; None if no face is visible. ``nearest`` is updated."""
         T_target_sensor = T_sensor_target.inv()
         facing = self._surface.facing(T_target_sensor.translation)
         if not facing.any():

@@ -1,7 +1,7 @@
 """The self-check of a scan's registration: does the target, cast at the pose, explain the rays?
 
-Rays that come back where none should count against a pose, and so do rays that should and do not: a
-pose that lays its few points on the wrong faces is found out by what it predicts and the scan lacks.
+Returns that the pose does not predict count against it, and so do predicted returns that are missing: a pose
+that aligns few points with the wrong faces predicts returns that the scan does not have.
 """
 
 from math import radians
@@ -21,8 +21,8 @@ from rpod_target import Target
 class ScanComparison:
     """Compares organised scans of one pattern with the model.
 
-    Each ray is cast with four neighbours a margin beside it. A return is predicted for certain where all
-    five meet the target, a miss where none does; ranges may lie anywhere between those of the five.
+    Each ray is cast with four neighbours at a margin. A return is predicted with certainty if all five meet
+    the target, a miss if none does; ranges may lie anywhere between those of the five.
     """
 
     def __init__(
@@ -44,9 +44,9 @@ class ScanComparison:
         ]
 
     def explained_share(self, scan: LidarScan, T_sensor_target: RigidTransform) -> float:
-        """Return the share of rays that agree, of those where scan or model say "return".
+        """Return the share of agreeing rays among those with a measured or predicted return.
 
-        NaN for a scan that is not organised in the pattern's rows and columns.
+        It is NaN for a scan that is not organised in the pattern's rows and columns.
         """
         if scan.points_m.shape[:-1] != self._shape:
             return float("nan")
@@ -58,11 +58,11 @@ class ScanComparison:
         measured_m = np.linalg.norm(scan.points_m, axis=-1)
         agrees = (measured_m > nearest_m - tolerance_m) & (measured_m < farthest_m + tolerance_m)
         missing = np.isnan(measured_m) & (range_m < np.inf).all(axis=0) & self._bright(hits, T_sensor_target)
-        asked = np.count_nonzero(np.isfinite(measured_m) | missing)
-        return np.count_nonzero(agrees) / asked if asked else float("nan")
+        counted = np.count_nonzero(np.isfinite(measured_m) | missing)
+        return np.count_nonzero(agrees) / counted if counted else float("nan")
 
     def _bright(self, hits: Hits, T_sensor_target: RigidTransform) -> NDArray[np.bool_]:
-        """Return which rays meet a surface that surely sends them back, shape (rows, columns)."""
+        """Return which rays meet a surface that certainly gives a return, shape (rows, columns)."""
         normals = T_sensor_target.rotation.apply(self._target.normals)
         cos_incidence = np.abs((normals[hits.triangle] * self._grid.directions).sum(axis=-1))
         echo = self._albedo[hits.triangle] * cos_incidence / hits.range_m.astype(np.float64) ** 2

@@ -1,4 +1,4 @@
-"""Which tau should the fast variant of template matching have? Success against templates left out.
+"""Choice of tau for the fast variant of template matching: success against templates left out.
 
 Source: Opromolla et al., Sensors 15(3), 2015, section 2.2 and Eq. 3. A larger tau leaves fewer templates out;
 the paper takes 0.1.
@@ -16,19 +16,19 @@ from rpod_schemas.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class TauSweep:
-    """What the fast variant would make of scans, for several limits."""
+    """Results of the fast variant for several values of tau."""
 
     taus: FloatArray
-    """Shape (L,)."""
+    """Values of tau, shape (L,)."""
     success_share: FloatArray
-    """Of the scans, those whose best template among the kept ones succeeds, shape (L,)."""
+    """Share of the scans whose best template among the kept ones succeeds, shape (L,)."""
     excluded_share: FloatArray
-    """Of the templates, those that are left out, mean over the scans, shape (L,)."""
+    """Share of the templates that are left out, mean over the scans, shape (L,)."""
     plain_success_share: float
-    """Of the scans, those that succeed where no template is left out."""
+    """Share of the scans that succeed if no template is left out."""
 
     def smallest_tau(self, loss: float) -> float:
-        """Return the least tau from which on at most a share of the scans is lost; inf if there is none."""
+        """Return the least tau from which on at most the share ``loss`` of scans is lost; inf if none."""
         enough = self.success_share >= self.plain_success_share - loss
         first = len(enough) - int(np.logical_and.accumulate(enough[::-1]).sum())
         return float(self.taus[first]) if first < len(enough) else float("inf")
@@ -40,8 +40,9 @@ def sweep_tau(
     """Return success and templates left out as functions of tau.
 
     Args:
-        comparisons: of each scan with all templates, by the plain variant; at least one.
-        succeeds: whether a scan's template, both by index, leads to the true pose; asked once for each pair.
+        comparisons: comparisons of each scan with all templates, by the plain variant; at least one.
+        succeeds: function of the indices of scan and template: whether it leads to the true pose; called once
+            a pair.
         taus: ascending, shape (L,).
     """
     succeeds = cache(succeeds)

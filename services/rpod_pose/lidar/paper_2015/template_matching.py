@@ -1,11 +1,11 @@
-"""On-line template matching: which attitude would give a scan most like the measured one?
+"""On-line template matching: search of the attitude whose ideal scan is most similar to the measured one.
 
-Source: Opromolla et al., Sensors 15(3), 2015, section 2. The scan's centroid stands for the position;
-a template, the ideal scan of the target there, is cast for each attitude of a grid of Euler angles
-(321: R_sensor_target = Rz(yaw) Ry(pitch) Rx(roll)), laid on the scan by its centroid, and correlated
+Source: Opromolla et al., Sensors 15(3), 2015, section 2. The scan's centroid is the estimate of the position.
+A template, the ideal scan of the target there, is cast for each attitude of a grid of Euler angles
+(321: R_sensor_target = Rz(yaw) Ry(pitch) Rx(roll)), aligned with the scan by its centroid, and correlated
 by the mean squared distance of nearest neighbours (Eq. 1).
 
-``plain`` casts and correlates every template. ``fast`` casts every one, and correlates those spread about
+``plain`` casts and correlates all templates. ``fast`` casts all, and correlates those spread about
 the boresight like the scan (Eqs. 2, 3). ``cued`` casts and correlates only a share of them, chosen by the
 scan's own covariance before anything is cast (``covariance_cue``).
 """
@@ -27,9 +27,9 @@ from rpod_schemas.types import LidarScan
 from rpod_target import Target
 
 BOUND_MARGIN_DEG = 1e-6
-"""The bounds of the angles are left out by this, so that both ends of a range are templates."""
+"""Distance of the templates from the bounds of the angles, so that both ends of a range are distinct."""
 LEAST_SPREAD_M = 1e-9
-"""Stands for the spread of a scan that lies on the boresight altogether."""
+"""Least spread of a scan in a division, for one that lies on the boresight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ class Comparison:
     """A scan compared with templates at its centroid."""
 
     costs_m2: FloatArray
-    """C of Eq. 1, shape (K,); inf where a template was left out, was given up or has no point."""
+    """Costs C of Eq. 1, shape (K,); inf for a template that was left out, was abandoned or has no point."""
     centroids_m: FloatArray
-    """Of the templates' points, sensor axes, shape (K, 3)."""
+    """Centroids of the templates' points, sensor axes, shape (K, 3)."""
     spread_differences: FloatArray
     """|D_BOR of the template - D_BOR of the scan| over the latter (Eq. 3), shape (K,); NaN without points."""
 
@@ -67,7 +67,7 @@ class OnlineTemplateMatching:
     def search(self, measurement: LidarScan) -> Candidates:
         """Return candidates of distinct attitudes, least mean squared distance first.
 
-        Empty where the scan has too few returns, or where no template has any.
+        The result is empty if the scan has too few returns, or if no template has a point.
         """
         return self._matched(measurement, np.arange(len(self._attitudes)), self._config.distinct_deg)
 
@@ -82,8 +82,8 @@ class OnlineTemplateMatching:
     ) -> Comparison:
         """Compare returns, shape (N, 3), with templates of some attitudes of the grid, or with all.
 
-        Templates that the variant ``fast`` leaves out are not correlated; a cue is not asked. For the best
-        alone, a template is given up as soon as it is worse than one before it.
+        Templates that the variant ``fast`` leaves out are not correlated; the cue is not used. With
+        ``best_only``, a template is abandoned as soon as it is worse than one before it.
         """
         centroid_m, spread_m = points_m.mean(axis=0), boresight_distance_m(points_m)
         costs_m2, centroids_m, spreads_m = match_templates(
@@ -101,14 +101,14 @@ class OnlineTemplateMatching:
         points_m = measurement.returns_m.astype(np.float64)
         if len(points_m) < self._config.min_points or not which.size:
             return Candidates()
-        asked = which
+        chosen = which
         if self._cue is not None:
-            asked = which[self._cue.most_alike(points_m, which, self._config.cued_share)]
-        compared = self.compare(points_m, asked, best_only=self._config.candidates == 1)
+            chosen = which[self._cue.most_similar(points_m, which, self._config.cued_share)]
+        compared = self.compare(points_m, chosen, best_only=self._config.candidates == 1)
         positions_m = np.broadcast_to(points_m.mean(axis=0), compared.centroids_m.shape)
         if self._config.centroid_offset:
             positions_m = 2.0 * positions_m - compared.centroids_m
-        attitudes = self._attitudes[asked]
+        attitudes = self._attitudes[chosen]
         poses = RigidTransform.from_components(positions_m, attitudes)
         best = self._best_distinct(compared.costs_m2, attitudes, distinct_deg)
         correlated = np.count_nonzero(compared.spread_differences <= self._tau)
@@ -119,7 +119,7 @@ class OnlineTemplateMatching:
         )
 
     def _best_distinct(self, costs_m2: FloatArray, attitudes: Rotation, distinct_deg: float) -> list[int]:
-        """Return indices of templates, cheapest first, passing over those close to a cheaper one."""
+        """Return indices of templates, least cost first, without those close to a better one."""
         quaternions = attitudes.as_quat()
         alike = np.cos(radians(distinct_deg) / 2.0)
         chosen: list[int] = []
@@ -134,7 +134,7 @@ class OnlineTemplateMatching:
 def euler_grid(step_deg: float) -> Rotation:
     """Return R_sensor_target over yaw and roll in +-180 and pitch in +-90 deg.
 
-    Both ends are in where the step divides the range; else the grid is centred, so that 40 deg give a
+    Both ends are included if the step divides the range; if not, the grid is centred, so that 40 deg give a
     pitch of -80, -40, 0, 40 and 80 deg.
     """
     full, half = _centred_steps_deg(180.0, step_deg), _centred_steps_deg(90.0, step_deg)

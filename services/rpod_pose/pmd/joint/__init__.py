@@ -1,1 +1,1 @@
-"""The joint tracker: distances of depth points and places of amplitude edges in one least squares."""
+"""The joint tracker: distances of depth points and positions of amplitude edges in one least squares."""

@@ -1,4 +1,4 @@
-"""The brightness of a target in an amplitude image, and the noise, told by the image itself."""
+"""Typical brightness of a target in an amplitude image, and the image's noise, estimated from the image."""
 
 import numpy as np
 
@@ -6,20 +6,20 @@ from rpod_geometry.kernels import kernel
 from rpod_schemas.types import Float32Array
 
 SAMPLES = 3000
-"""Pixels that are asked."""
+"""Number of pixels in the estimates."""
 SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
 """Median of the absolute second difference of normal noise over the noise's standard deviation."""
 LIT = 0.25, 4.0
-"""Times the median amplitude: darker pixels are the sky's, brighter ones glint."""
+"""Limits over the median amplitude: darker pixels are the sky's, brighter ones glint."""
 ROUNDS = 4
-"""In which that median settles."""
+"""Iterations in which that median converges."""
 
 
 @kernel
 def noise_of(image: Float32Array, least: float) -> float:
     """Return the standard deviation of a pixel's noise where an image, shape (H, W), exceeds ``least``.
 
-    The second difference along a row knows nothing of brightness and slope, its median nothing of edges
+    The second difference along a row is independent of brightness and slope, and its median of edges
     (after J. Immerkaer, Fast Noise Variance Estimation, Computer Vision and Image Understanding 64(2), 1996).
     """
     rows, columns = image.shape
@@ -34,9 +34,9 @@ def noise_of(image: Float32Array, least: float) -> float:
 
 
 def noise_of_change(blur_px: float) -> float:
-    """Return the noise of a change over two pixels, after a Gaussian blur, over that of a pixel before it.
+    """Return the noise of a change over two pixels after a Gaussian blur, relative to a pixel's before it.
 
-    The blur leaves a variance of 1 / (4 pi s^2) and correlates places d apart by exp(-d^2 / (4 s^2)).
+    The blur leaves a variance of 1 / (4 pi s^2) and correlates pixels d apart by exp(-d^2 / (4 s^2)).
     """
     correlation = np.exp(-(blur_px**-2.0))
     return float(np.sqrt((1.0 - correlation) / (2.0 * np.pi)) / blur_px)
@@ -47,7 +47,7 @@ def typical_of(image: Float32Array, start: float) -> float:
 
     Args:
         image: shape (H, W).
-        start: a guess, right within a few times; 0 stays.
+        start: a guess, right within a small factor; 0 stays 0.
     """
     step = int(np.sqrt(image.size / SAMPLES)) + 1
     few = np.sort(image[::step, ::step], axis=None)

@@ -1,7 +1,7 @@
-"""The target's edges as an amplitude image shows them in their place, sampled.
+"""Samples of the target's edges that an amplitude image shows at their true position.
 
-The outline of a curved surface is left out: it darkens towards its limb, so that the image's steepest change
-lies beside it, by a pixel and more.
+The outline of a curved surface is left out: the surface darkens towards its limb, so that the steepest change
+of the image is a pixel or more away from it.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from rpod_target import Target
 from rpod_target.topology import edges
 
 CREASE_RAD = np.radians(15.0)
-"""Faces that meet at less than this are one curved surface."""
+"""Least angle between faces at an edge: below, they belong to one curved surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +24,11 @@ class EdgeModel:
     """Samples of creases and of boundaries between materials."""
 
     places_m: FloatArray
-    """Target axes, shape (N, 3)."""
+    """Positions of the samples, target axes, shape (N, 3)."""
     directions: FloatArray
     """Unit vectors along the edges, target axes, shape (N, 3)."""
     normals: FloatArray
-    """Of the faces on both sides, target axes, shape (N, 2, 3); n and -n where there is one face."""
+    """Normals of the faces on both sides, target axes, shape (N, 2, 3); n and -n if there is one face."""
 
     @classmethod
     def of(cls, target: Target, *, spacing_m: float) -> "EdgeModel":
@@ -49,17 +49,17 @@ class EdgeModel:
 
     @property
     def arrays(self) -> EdgeArrays:
-        """The same as the kernels take it."""
+        """The samples as the kernels take them."""
         return EdgeArrays(self.places_m, self.directions, self.normals)
 
 
 def _edges_of_part(target: Target, triangles: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-    """Return segments and the normals beside them of one part."""
+    """Return the visible edges of one part, shape (E, 2, 3), and the normals beside them, shape (E, 2, 3)."""
     segments_m, faces = edges(target.triangles_m[triangles])
     faces = triangles[faces]
     normals, material = target.normals[faces], target.triangle_material[faces]
     normals[faces[:, 0] == faces[:, 1], 1] *= -1.0
     cosine = np.einsum("ij,ij->i", normals[:, 0], normals[:, 1])
-    drawn = (cosine < np.cos(CREASE_RAD)) | (material[:, 0] != material[:, 1])
-    drawn &= (np.ptp(segments_m, axis=1) != 0.0).any(axis=1)
-    return segments_m[drawn], normals[drawn]
+    visible = (cosine < np.cos(CREASE_RAD)) | (material[:, 0] != material[:, 1])
+    visible &= (np.ptp(segments_m, axis=1) != 0.0).any(axis=1)
+    return segments_m[visible], normals[visible]

@@ -1,9 +1,9 @@
-"""The model's edges in an amplitude image: which show, where each lies, and what that says of the pose.
+"""Search of the model's edges in an amplitude image: which are visible, and where each lies.
 
-An edge sample shows where one of its faces is seen and nothing stands before it. From its projection the
-image is searched along the projected edge's normal for the steepest change of amplitude, nearer ones
-preferred, to sub-pixels by a parabola. How far that is from the projection is the residual (after
-T. Drummond, R. Cipolla, Real-Time Visual Tracking of Complex Structures, IEEE PAMI 24(7), 2002).
+An edge sample is visible if one of its faces is, and nothing hides it. From its projection the image is
+searched along the projected edge's normal for the steepest change of amplitude, with a preference for near
+ones, to sub-pixels by a parabola. The distance from the projection is the residual (after T. Drummond, R.
+Cipolla, Real-Time Visual Tracking of Complex Structures, IEEE PAMI 24(7), 2002).
 """
 
 from typing import NamedTuple
@@ -18,17 +18,17 @@ from rpod_schemas.types import Float32Array
 
 NEAR_M = 0.05
 HIDDEN_SHARE = 0.02
-"""An edge is hidden where it lies farther behind what is rendered around it than this share of its range."""
+"""Distance behind the rendered surface around it from which on an edge is hidden, over its range."""
 MOST_REACH = 32
-"""Pixels: the longest profile both ways."""
+"""Greatest length of a profile in both directions, px."""
 FLAT = 0.02
-"""Of the change that counts: noise alone changes more, so that less is a glint's or a blackout's."""
+"""Least change along a profile over the change that counts: noise changes more, glints and blackouts less."""
 MIDDLE = 2
-"""Pixels both ways of a line's middle."""
+"""Half length of the middle of a profile, px."""
 
 
 class Lens(NamedTuple):
-    """A camera's matrix and distortion (plumb_bob, as in CameraInfo), px and slopes."""
+    """A camera's matrix and distortion (plumb_bob, as in CameraInfo)."""
 
     fx: float
     fy: float
@@ -45,39 +45,39 @@ class EdgeArrays(NamedTuple):
     """Samples of the target's edges, as the kernels take them."""
 
     places_m: FloatArray
-    """Target axes, shape (N, 3)."""
+    """Positions of the samples, target axes, shape (N, 3)."""
     directions: FloatArray
     """Unit vectors along the edges, target axes, shape (N, 3)."""
     normals: FloatArray
-    """Of the faces on both sides, target axes, shape (N, 2, 3)."""
+    """Normals of the faces on both sides, target axes, shape (N, 2, 3)."""
 
 
 class CoarsePixels(NamedTuple):
-    """Which pixels are rendered."""
+    """Positions of the rendered pixels in the image."""
 
     stride: int
-    """From one to the next, px, at least 1."""
+    """Distance from one to the next, px, at least 1."""
     offset: int
-    """Of the first, px."""
+    """Row and column of the first, px."""
 
 
 class Patch(NamedTuple):
-    """The part of an amplitude image that edges are looked for in."""
+    """The part of an amplitude image in which edges are searched."""
 
     image: Float32Array
     """Smoothed amplitude, shape (rows, columns)."""
     column: float
-    """Of its first pixel."""
+    """Column of its first pixel."""
     row: float
-    """Of its first pixel."""
+    """Row of its first pixel."""
     least: float
-    """Change of amplitude over two pixels that counts."""
+    """Least change of amplitude over two pixels that counts as an edge."""
     noise: float
     """Standard deviation of a change of amplitude over two pixels."""
 
 
 class Imaged(NamedTuple):
-    """Where slopes are imaged, and the derivatives, px."""
+    """Pixel that images a pair of slopes, and the derivatives by the slopes, px."""
 
     column: float
     row: float
@@ -88,30 +88,30 @@ class Imaged(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """A line across the image."""
+    """A line in the image along which edges are searched."""
 
     column: float
-    """Of its middle."""
+    """Column of its middle."""
     row: float
-    """Of its middle."""
+    """Row of its middle."""
     across: float
-    """Component of its unit vector along columns."""
+    """Component of its direction along the columns."""
     down: float
-    """Component of its unit vector along rows."""
+    """Component of its direction along the rows."""
 
 
 class Step(NamedTuple):
     """The steepest change along a line."""
 
     place: float
-    """From the line's middle, px."""
+    """Position along the line from its middle, px."""
     change: float
-    """Of amplitude over two pixels; 0 where none counts, negative where there was nothing to look at."""
+    """Change of amplitude over two pixels; 0 if none counts, negative if the line cannot be searched."""
 
 
 @kernel
 def imaged(x: float, y: float, lens: Lens) -> Imaged:
-    """Return where a lens images the slopes x / z and y / z, and the derivatives by them.
+    """Return the pixel that images the slopes x / z and y / z, and the derivatives by them.
 
     Source: the plumb_bob model of OpenCV's camera calibration; derivatives by the product rule, with
     d r^2 = 2 x dx + 2 y dy.
@@ -132,14 +132,14 @@ def imaged(x: float, y: float, lens: Lens) -> Imaged:
 def showing(
     edges: EdgeArrays, pose: PoseArrays, lens: Lens, coarse: CoarsePixels, range_m: Float32Array
 ) -> NDArray[np.int64]:
-    """Return the indices of the samples that show at a pose, shape (M,).
+    """Return the indices of the samples that are visible at a pose, shape (M,).
 
     Args:
         edges: N samples.
-        pose: of the target.
-        lens: of the camera.
-        coarse: which pixels are rendered.
-        range_m: what is rendered at the pose, shape (rows, columns), m, inf where nothing is.
+        pose: pose of the target.
+        lens: matrix and distortion of the camera.
+        coarse: positions of the rendered pixels.
+        range_m: rendered range at the pose, shape (rows, columns), m, inf without surface.
     """
     places, normals, R, t = edges.places_m, edges.normals, pose.R, pose.t
     rows, columns = range_m.shape
@@ -161,7 +161,7 @@ def showing(
             (projected.column - coarse.offset) / coarse.stride,
             (projected.row - coarse.offset) / coarse.stride,
         )
-        if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):  # nor NaN, nor what no integer holds
+        if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):  # also true for NaN and beyond integers
             continue
         i, j = int(v), int(u)
         before = max(range_m[i, j], range_m[i + 1, j], range_m[i, j + 1], range_m[i + 1, j + 1])
@@ -174,15 +174,15 @@ def showing(
 
 @kernel
 def steepest(image: Float32Array, line: Profile, reach: float, least: float) -> Step:
-    """Return where along a line the image changes most, and by how much.
+    """Return the position and size of the steepest change along a line.
 
-    There is nothing to look at where the line leaves the image, is dark in its middle or clipped all along.
+    A line cannot be searched if it leaves the image, is dark in its middle, or is clipped all along.
 
     Args:
         image: shape (rows, columns).
-        line: where to look.
-        reach: pixels searched both ways, at most ``MOST_REACH``.
-        least: change that counts.
+        line: line to search.
+        reach: half length of the search, px, at most ``MOST_REACH``.
+        least: least change that counts.
     """
     if not reach >= 0.0:
         return Step(0.0, -1.0)

@@ -1,8 +1,8 @@
-"""Depth points and amplitude edges in one least squares.
+"""Joint least squares of depth points and amplitude edges.
 
-The unknowns are those of ``normal_equations``, (dtau, dtheta), and one more: how much too long all ranges of
-the frame are. The camera's wiggling is such an error; edges do not feel it, so that where they determine the
-range they correct the depth, and where they do not its standard deviation enters the covariance.
+The unknowns are those of ``normal_equations``: (dtau, dtheta), and the bias, the length by which all ranges
+of the frame are too long. The camera's wiggling is such an error. Edges are free of it: if they determine the
+range they correct the depth; if not, the standard deviation of the bias enters the covariance.
 """
 
 import math
@@ -38,25 +38,25 @@ from rpod_pose.registration.normal_equations import (
 from rpod_schemas.arrays import FloatArray
 
 REACH_M, REACH_RAD = 0.5, 0.2
-"""Standard deviation of a step that nothing asks for."""
+"""Prior standard deviations of a step."""
 SCALE = 0.2
-"""Geman-McClure scale of an edge's place over the reach of its search."""
+"""Geman-McClure scale of an edge's residual over the reach of its search."""
 BLUNTNESS_PX = 1.4
-"""Times the noise of its change over the change itself: standard deviation of an edge's place by noise."""
+"""Standard deviation of an edge's position by noise, px, per noise of its change over the change itself."""
 SHORTEST = 1e-9
-"""Pixels a metre: an edge that is seen from its end has no direction in the image."""
+"""Least length of an edge in the image, px/m: an edge seen from its end has no direction."""
 NEAREST_M = 0.3
-"""Edges are not weighed for being nearer than this."""
+"""Least distance in the weights of edges."""
 
 
 class JointModel(NamedTuple):
     """The target, as the joint fit takes it."""
 
     triangles_m: FloatArray
-    """Target axes, shape (T, 3, 3)."""
+    """Triangles of the target, target axes, shape (T, 3, 3)."""
     field: FieldArrays
     edges: EdgeArrays
-    """N samples."""
+    """N samples of the target's edges."""
 
 
 class JointView(NamedTuple):
@@ -69,37 +69,37 @@ class JointView(NamedTuple):
 
 
 class DepthErrors(NamedTuple):
-    """What is assumed of the depth, m."""
+    """Assumed errors of the depth, m."""
 
     noise_m: float
     """Least standard deviation of a residual."""
     most_points: float
-    """So many residuals count at most: neighbours share their errors."""
+    """Greatest number of residuals that count, since neighbours share their errors."""
     bias_m: float
     """Standard deviation of the length by which all ranges are too long."""
     uneven_m: float
-    """Standard deviation of what differs from that across the target."""
+    """Standard deviation of range errors that differ across the target."""
     slack_m: float
-    """Standard deviation of the model's own error; of edges too."""
+    """Standard deviation of the model's own error, for edges too."""
 
 
 class EdgeErrors(NamedTuple):
-    """What is assumed of edges."""
+    """Assumed errors of edges."""
 
     noise_px: float
-    """Least standard deviation of an edge's place."""
+    """Least standard deviation of an edge's position in the image."""
     most_edges: float
-    """So many samples count at most."""
+    """Greatest number of samples that count, since neighbours share their errors."""
 
 
 class EdgeSight(NamedTuple):
-    """Edges and the image in which they are looked for."""
+    """Edges and the image in which they are searched."""
 
     edges: EdgeArrays
     lens: Lens
     patch: Patch
     noise_px: float
-    """Standard deviation of an edge's place."""
+    """Standard deviation of an edge's position in the image."""
 
 
 class JointProblem(NamedTuple):
@@ -114,26 +114,26 @@ class JointProblem(NamedTuple):
     schedule: FloatArray
     """Geman-McClure scale of the points, m, and reach of the edges' search, px, by step, shape (S, 2)."""
     buffers: RenderBuffers
-    """Of the coarse pixels, shape (rows, columns)."""
+    """Buffers of the coarse pixels, shape (rows, columns)."""
     shown: NDArray[np.int64]
-    """Buffer: how many samples of edges show, and their indices, shape (N + 1,)."""
+    """Buffer for the number of visible edge samples and their indices, shape (N + 1,)."""
 
 
 class EdgeEvidence(NamedTuple):
-    """What samples of edges say."""
+    """Statistics of the edge samples."""
 
     squares_px2: float
     """Sum of the inliers' squared residuals."""
     inliers: int
-    """Samples within the Geman-McClure scale."""
-    asked: int
-    """Samples whose place could be looked at."""
+    """Number of samples within the Geman-McClure scale."""
+    checked: int
+    """Number of samples whose place in the image could be searched."""
     expected: float
-    """Samples that show a change and that the right pose should have within the scale."""
+    """Expected number of samples within the scale at the right pose, among those that show a change."""
 
 
 class JointEvidence(NamedTuple):
-    """What points and edges say."""
+    """Statistics of points and edges."""
 
     points: FieldEvidence
     edges: EdgeEvidence
@@ -146,9 +146,9 @@ class JointFit(NamedTuple):
     bias_m: float
     """Length by which all ranges are too long."""
     information: FloatArray
-    """About (dtau, dtheta, bias) in the last step, shape (7, 7)."""
+    """Information about (dtau, dtheta, bias) in the last step, shape (7, 7)."""
     evidence: JointEvidence
-    """Of the last step."""
+    """Statistics of the last step."""
 
 
 @kernel
@@ -161,22 +161,22 @@ def add_edge_points(
 ) -> EdgeEvidence:
     """Add the factors of samples of edges, residuals in px, to the sums, shape (35,); return their evidence.
 
-    The residual is how far across the projected edge the image changes most. With (a, d) the unit vector
+    The residual is the distance of the steepest change from the projected edge. With (a, d) the unit vector
     across the edge in the image, U the lens's derivatives by the slopes and z the sample's depth, a step of
     the sample in sensor axes moves it across the edge by h = (g_x, g_y, -g . s) / z with g = (a, d) U and s
     the slopes; in target axes that is k = R^T h, the normal of the residual -place is -k.
 
     Args:
-        sums: information and gradient, in and out.
+        sums: information and gradient, input and output.
         sight: edges, lens, image and noise.
-        pose: to linearise at.
-        shown: indices of the samples that show, shape (M,).
-        reach: of the search, px.
+        pose: pose to linearise at.
+        shown: indices of the visible samples, shape (M,).
+        reach: half length of the search, px.
     """
     edges, lens, patch, noise_px = sight
     places, directions = edges.places_m, edges.directions
     R, t = pose.R, pose.t
-    squares, inliers, asked, expected = 0.0, 0, 0, 0.0
+    squares, inliers, checked, expected = 0.0, 0, 0, 0.0
     c2 = (SCALE * reach) ** 2
     for n in shown:
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
@@ -194,7 +194,7 @@ def add_edge_points(
         across, down = -tv / length, tu / length
         line = Profile(at.column - patch.column, at.row - patch.row, across, down)
         place, change = steepest(patch.image, line, reach, patch.least)
-        asked += change >= 0.0
+        checked += change >= 0.0
         if change <= 0.0:
             continue
         expected += share_within(SCALE * reach, noise_px, BLUNTNESS_PX * patch.noise / change)
@@ -206,18 +206,18 @@ def add_edge_points(
         if e2 < c2:
             inliers += 1
             squares += e2
-    return EdgeEvidence(squares, inliers, asked, expected)
+    return EdgeEvidence(squares, inliers, checked, expected)
 
 
 @kernel
 def share_within(reach: float, own: float, noisy: float) -> float:
-    """Return the share of normal errors within a reach, whose variance is the sum of two squares."""
+    """Return the share of normal errors within +-``reach``, if their variance is own^2 + noisy^2."""
     return math.erf(reach / math.sqrt(2.0 * (own * own + noisy * noisy)))
 
 
 @kernel
 def note_shown(problem: JointProblem, pose: PoseArrays) -> None:
-    """Render the target at a pose into the problem's buffers and note which samples of edges show."""
+    """Render the target at a pose into the problem's buffers; store the indices of visible edge samples."""
     buffers, camera, shown = problem.buffers, problem.camera, problem.shown
     triangles = problem.model.triangles_m
     cast_pose(camera.grid, triangles, pose.R, pose.t, True, buffers.range_m, buffers.triangle)
@@ -229,11 +229,11 @@ def note_shown(problem: JointProblem, pose: PoseArrays) -> None:
 @linearises(JointProblem)
 @kernel
 def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[JointEvidence]:
-    """Return the normal equations of points and edges, each weighed by its own residuals' variance.
+    """Return the normal equations of points and edges, each weighted by its own residuals' variance.
 
     The sums of the points are divided by their weight and by the variance of one of them, so that they count
-    as at most ``most_points`` independent ones; those of the edges likewise, less as long as the search is
-    wide. The bias has a prior of its own.
+    as at most ``most_points`` independent points. The sums of the edges are treated in the same way, with a
+    smaller weight as long as the search is wide. The bias has a prior of its own.
     """
     depth, edge_errors, patch = problem.depth_errors, problem.edge_errors, problem.patch
     steps, pose = problem.schedule.shape[0], state.pose
@@ -271,14 +271,14 @@ def align(problem: JointProblem, pose: PoseArrays) -> JointFit:
 
 
 class Measured(NamedTuple):
-    """Ranges of the coarse pixels, and when they agree with rendered ones."""
+    """Ranges of the coarse pixels, and their tolerances."""
 
     range_m: FloatArray
-    """Shape (rows, columns), NaN for none."""
+    """Range, shape (rows, columns), NaN without one."""
     sigma_m: FloatArray
     """Standard deviation of their noise, same shape."""
     tolerance_m: float
-    """Within which ranges agree; twice their noise where that is more."""
+    """Tolerance of a range; twice its noise if that is larger."""
     missing: float
     """Weight of a predicted pixel without a measurement."""
 
@@ -287,43 +287,43 @@ class Measured(NamedTuple):
 def agreement(
     measured: Measured, grid: GridArrays, triangles: FloatArray, pose: PoseArrays, buffers: RenderBuffers
 ) -> tuple[float, float]:
-    """Return the weight of the coarse pixels that agree with a pose, and that of all that say "surface".
+    """Return the weight of the coarse pixels that agree with a pose, and that of all checked pixels.
 
     Args:
         measured: the frame.
         grid: rays of the coarse pixels.
-        triangles: of the target, shape (T, 3, 3), m.
-        pose: of the target.
-        buffers: out, the target rendered at the pose.
+        triangles: triangles of the target, shape (T, 3, 3), m.
+        pose: pose of the target.
+        buffers: output, the target rendered at the pose.
     """
     range_m, owner = buffers
     cast_pose(grid, triangles, pose.R, pose.t, True, range_m, owner)
-    agreeing, asked = 0.0, 0.0
+    agreeing, checked = 0.0, 0.0
     for i in range(range_m.shape[0]):
         for j in range(range_m.shape[1]):
             m = measured.range_m[i, j]
             if np.isnan(m):
-                asked += measured.missing if owner[i, j] >= 0 else 0.0
+                checked += measured.missing if owner[i, j] >= 0 else 0.0
                 continue
-            asked += 1.0
+            checked += 1.0
             tolerance = max(measured.tolerance_m, 2.0 * measured.sigma_m[i, j])
             if owner[i, j] >= 0 and abs(m - range_m[i, j]) < tolerance:
                 agreeing += 1.0
-    return agreeing, asked
+    return agreeing, checked
 
 
 @kernel
 def edges_at(
     sight: EdgeSight, coarse: CoarsePixels, pose: PoseArrays, buffers: RenderBuffers, reach: float
 ) -> EdgeEvidence:
-    """Return what the samples of edges that show at a pose, as it was rendered, say of it.
+    """Return the statistics of the edge samples that are visible at a rendered pose.
 
     Args:
         sight: edges, lens, image and noise.
-        coarse: which pixels are rendered.
-        pose: of the target.
-        buffers: what is rendered at the pose.
-        reach: of the search, px.
+        coarse: positions of the rendered pixels.
+        pose: pose of the target.
+        buffers: the target rendered at the pose.
+        reach: half length of the search, px.
     """
     shown = showing(sight.edges, pose, sight.lens, coarse, buffers.range_m)
     return add_edge_points(no_sums(), sight, pose, shown, reach)

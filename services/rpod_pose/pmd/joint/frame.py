@@ -1,4 +1,4 @@
-"""A PMD frame as the joint tracker looks at it: points of its depth, and its amplitude around the target."""
+"""A PMD frame prepared for the joint tracker: points of its depth, and its amplitude around the target."""
 
 import math
 from dataclasses import dataclass
@@ -14,66 +14,66 @@ from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
-from rpod_schemas.config.pmd_joint import JointConfig, JointEdgeConfig
+from rpod_schemas.config.pmd_joint import JointEdgeConfig, JointTuning
 from rpod_schemas.types import Camera, Float32Array, PmdFrame
 
 MARGIN_PX = 16
-"""Around the target's sphere."""
+"""Margin around the projection of the target's bounding sphere."""
 FILLED = 0.4
-"""Share of the square around its sphere that a target typically fills."""
+"""Typical share of the square around its bounding sphere that a target fills."""
 STRIDES_PX = 3, 8
 """Least and greatest distance of two points in the image."""
 SPARSE = 4
-"""Every how many pixels the image's mean is taken from, and depth is counted."""
+"""Stride of the pixels in the image's mean and in the count of depth pixels."""
 MIN_PATCH = 3
-"""Rows and columns of which edges can be told."""
+"""Least number of rows and columns in which edges are searched."""
 LIT_SHARE = 0.25
-"""Of the median amplitude: darker pixels do not tell the noise."""
+"""Least amplitude in the estimate of the noise, over the median amplitude."""
 CHANGE_SIGMAS = 3.0
-"""Of the noise: a lesser change of amplitude does not count as an edge."""
+"""Least change of amplitude that counts as an edge, over its noise."""
 _NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0)
 _Window = tuple[slice, slice]
-"""Rows and columns."""
+"""A window of the image: rows and columns."""
 OUTER = 4
-"""Of the nine pixels' ranges, in order, this part is left out at each end: the mean of the others stands."""
+"""Divisor of the trim: a quarter of the sorted ranges is left out at each end, the others are averaged."""
 MIDDLE_OVER_MEAN = 1.06
-"""Standard deviation of that mean over the one of all, for normal errors."""
+"""Standard deviation of the trimmed mean over that of the mean of all, for normal errors."""
 NEAR_M, FARTHEST_M = 0.05, 1e3
-"""Depths beyond these are none."""
+"""Limits of a valid depth."""
 FEWEST = 3
-"""Of nine depths: fewer are an outline's or a ghost's."""
+"""Least number of valid depths among nine: fewer are found on outlines and ghosts."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointFrame:
-    """One frame as the kernels take it."""
+    """One frame, prepared for the kernels."""
 
     view: DepthView
     range_m: FloatArray
-    """Of the coarse pixels, shape (rows, columns), NaN for none."""
+    """Range of the coarse pixels, shape (rows, columns), NaN without one."""
     sigma_m: FloatArray
-    """Standard deviation of their noise, same shape."""
+    """Standard deviation of the ranges' noise, same shape."""
     shade: FloatArray
-    """Their amplitude, same shape; 0 where a glint wiped it out, NaN where there is none."""
+    """Amplitude of the coarse pixels, same shape; 0 where a glint saturates, NaN if unknown."""
     typical: float
-    """Median amplitude of the pixels with depth; 0 where these are too few."""
+    """Median amplitude of the pixels with depth; 0 if these are too few."""
     points_m: FloatArray
-    """Sensor axes, shape (N, 3)."""
+    """Points of the depth, sensor axes, shape (N, 3)."""
     trust: FloatArray
-    """Weight of each point, 0 to 1: less for one that is dark for the frame's noise, shape (N,)."""
+    """Weight of each point, 0 to 1, smaller for dark and therefore noisy points, shape (N,)."""
     patch: Patch
     """Smoothed amplitude around the target."""
 
     @classmethod
     def of(
-        cls, frame: PmdFrame, t: FloatArray, *, radius_m: float, config: JointConfig
+        cls, frame: PmdFrame, t: FloatArray, *, radius_m: float, tuning: JointTuning
     ) -> "JointFrame | str":
-        """Return a frame for a target expected at ``t``, shape (3,), m, or why nothing can be made of it."""
+        """Return a frame for a target expected at ``t``, shape (3,), m, or why it cannot be used."""
         if frame.camera.distortion[PLUMB_BOB:].any():
             return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
         around = _around(frame.camera, t, radius_m)
         radius_px = frame.camera.fx * radius_m / max(t[2], 1e-3)
-        stride = _stride(frame, around, radius_px=radius_px, points=config.depth.points)
+        stride = _stride(frame, around, radius_px=radius_px, points=tuning.depth.points)
         try:
             view = DepthView.of(frame.camera, stride)
         except DistortionError as error:
@@ -81,24 +81,24 @@ class JointFrame:
         amplitude = np.ones_like(frame.depth_m) if frame.amplitude is None else frame.amplitude
         sparse = slice(None, None, SPARSE)
         lit = np.where(frame.depth_m[sparse, sparse] > 0.0, amplitude[sparse, sparse], 0.0)
-        least = config.ghost_share * float(lit.mean())
+        least = tuning.ghost_share * float(lit.mean())
         images, pixels = DepthImages(frame.depth_m, amplitude, least), CoarsePixels(view.stride, view.offset)
         range_m, sigma_m, strengths, shade = coarse_ranges(images, view.coarse.components[2], pixels)
-        range_m[sigma_m > config.check.most_noise_m] = np.nan
+        range_m[sigma_m > tuning.check.most_noise_m] = np.nan
         measured = np.flatnonzero(np.isfinite(range_m))
-        if len(measured) > config.depth.points:
-            measured = measured[np.linspace(0, len(measured) - 1, config.depth.points).astype(np.intp)]
+        if len(measured) > tuning.depth.points:
+            measured = measured[np.linspace(0, len(measured) - 1, tuning.depth.points).astype(np.intp)]
         rays = view.coarse.components.reshape(3, -1)[:, measured]
         points_m = np.ascontiguousarray((rays * range_m.ravel()[measured]).T)
         strength = strengths.ravel()[measured]
         typical = float(np.median(strength)) if len(measured) else 1.0
-        trust = _trust(sigma_m.ravel()[measured], strength, config.depth.noise_m)
-        typical = typical if len(measured) >= config.verdict.min_points else 0.0
+        trust = _trust(sigma_m.ravel()[measured], strength, tuning.depth.noise_m)
+        typical = typical if len(measured) >= tuning.verdict.min_points else 0.0
         patch = _NO_PATCH
         if frame.amplitude is None:
             shade[:] = np.nan
         else:
-            patch = _patch(frame.amplitude, around, typical=typical, config=config.edges)
+            patch = _patch(frame.amplitude, around, typical=typical, config=tuning.edges)
         return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch)
 
     @property
@@ -109,21 +109,21 @@ class JointFrame:
 
     @property
     def pixels(self) -> CoarsePixels:
-        """Which pixels are the coarse ones."""
+        """Positions of the coarse pixels."""
         return CoarsePixels(self.view.stride, self.view.offset)
 
 
 def _trust(sigma_m: FloatArray, strength: FloatArray, other_m: float) -> FloatArray:
-    """Return the weight of points: what else is wrong with a range, over that and its noise, squared.
+    """Return the weights of points: the variance of a range's other errors over that of all its errors.
 
-    Noise goes by one over the amplitude; each point's own is told too badly by its few pixels.
+    Noise is proportional to one over the amplitude; a point's own few pixels estimate it too poorly.
     """
     scale_m = float(np.median(sigma_m * strength)) if len(strength) else 0.0
     return 1.0 / (1.0 + (scale_m / (other_m * np.maximum(strength, 1e-9))) ** 2)
 
 
 def _stride(frame: PmdFrame, around: _Window, *, radius_px: float, points: int) -> int:
-    """Return every how many pixels what depth the target has holds the points wanted."""
+    """Return the stride at which the depth on the target gives the wanted number of points."""
     camera = frame.camera
     filled = FILLED * min(camera.width, 2.0 * radius_px) * min(camera.height, 2.0 * radius_px)
     left = SPARSE**2 * int(np.count_nonzero(frame.depth_m[around][::SPARSE, ::SPARSE] > 0.0))
@@ -131,7 +131,7 @@ def _stride(frame: PmdFrame, around: _Window, *, radius_px: float, points: int) 
 
 
 def _around(camera: Camera, t: FloatArray, radius_m: float) -> _Window:
-    """Return the rows and columns around the target's sphere; all where it is close."""
+    """Return the rows and columns around the target's bounding sphere; all if the target is close."""
     if t[2] <= 2.0 * radius_m:
         return slice(0, camera.height), slice(0, camera.width)
     radius = radius_m / (t[2] - radius_m)
@@ -143,7 +143,7 @@ def _around(camera: Camera, t: FloatArray, radius_m: float) -> _Window:
 
 
 def _between(first: float, last: float, size: int) -> slice:
-    """Return the lines from one place to another within an image; all where a place is no number."""
+    """Return the lines from ``first`` to ``last`` within an image; all of them if one is NaN."""
     if np.isnan(first) or np.isnan(last):
         return slice(0, size)
     return slice(int(np.clip(first, 0.0, size)), int(np.clip(last, 0.0, size)))
@@ -152,9 +152,9 @@ def _between(first: float, last: float, size: int) -> slice:
 def _patch(
     amplitude: NDArray[np.generic], around: _Window, *, typical: float, config: JointEdgeConfig
 ) -> Patch:
-    """Return the smoothed amplitude around the target, its first pixel, a change's least and noise.
+    """Return the smoothed amplitude around the target, with the least change that counts and its noise.
 
-    What is typical where depth is left is a start only: that may be on the dark parts alone.
+    The typical amplitude of pixels with depth is only a start: depth may be left on dark parts alone.
     """
     rows, columns = around
     part = np.nan_to_num(amplitude[around].astype(np.float32))
@@ -171,40 +171,40 @@ def _patch(
 
 
 class DepthImages(NamedTuple):
-    """A frame's images, as the kernel takes them."""
+    """The images of a frame, as the kernel takes them."""
 
     depth_m: Float32Array
-    """z-depth, shape (height, width); NaN or 0 for none."""
+    """z-depth, shape (height, width); NaN or 0 without one."""
     amplitude: Array
-    """Same shape."""
+    """Amplitude, same shape."""
     least: float
-    """Amplitude below which depth does not count."""
+    """Least amplitude of a pixel whose depth counts."""
 
 
 class CoarseRanges(NamedTuple):
-    """What the coarse pixels show, each with its eight neighbours; shape (rows, columns) each."""
+    """Measurements of the coarse pixels with their eight neighbours; each array is (rows, columns)."""
 
     range_m: FloatArray
-    """Middle range of the nine; NaN where fewer than ``FEWEST`` have depth or the amplitude is too low."""
+    """Trimmed mean range of the nine; NaN if fewer than ``FEWEST`` have depth or the pixel is too dark."""
     sigma_m: FloatArray
-    """Its standard deviation, told by how the nine differ."""
+    """Standard deviation of that range, from the scatter of the nine."""
     strength: FloatArray
-    """The pixel's own amplitude where it has a range, else 0."""
+    """Amplitude of the pixel itself if it has a range, otherwise 0."""
     shade: FloatArray
-    """The nine's mean amplitude."""
+    """Mean amplitude of the nine."""
 
 
 @kernel
 def coarse_ranges(images: DepthImages, rays_z: FloatArray, pixels: CoarsePixels) -> CoarseRanges:
-    """Return what every ``stride``-th pixel and its neighbours show.
+    """Return the measurements of every ``stride``-th pixel with its neighbours.
 
-    Of the nine ranges, sorted, a quarter is left out at each end and the others are averaged, so that a mixed
-    pixel at an outline does not move the result; the noise is that mean's standard deviation.
+    The nine ranges are sorted, a quarter is left out at each end, and the others are averaged, so that a
+    mixed pixel at an outline does not shift the result. The noise is the standard deviation of that mean.
 
     Args:
-        images: of the frame.
-        rays_z: z of the coarse pixels' unit rays, shape (rows, columns).
-        pixels: which pixels are the coarse ones; all lie in the image.
+        images: images of the frame.
+        rays_z: z component of the coarse pixels' unit rays, shape (rows, columns).
+        pixels: positions of the coarse pixels; all lie in the image.
     """
     depth, amplitude, least = images
     height, width = depth.shape

@@ -1,12 +1,15 @@
-"""Tracking in depth and amplitude at once: signed distance of the points, places of the edges.
+"""Tracking by depth and amplitude together: signed distances of points, and positions of edges.
 
-A prediction that has the edges in their places needs the last, narrow steps only: a wider search may take one
-for its neighbour, and where there is little depth that draws the pose away first. One that has many of them
-near needs a few wider steps before; one that explains the depth fairly all of them; any other is first drawn
-in on depth alone, which needs no edge to be near its place. Where the result is in doubt, for depth may agree
-before the attitude does, the wider start is tried too. The self-check asks both images: with a wrong camera
-matrix, another target or a mirrored image the depth may agree, the edges do not. Where one image says
-nothing, the other goes on alone, and the source says so.
+The steps depend on the prediction. If the edges are near their predicted places, only the last, narrow steps
+are made: a wider search may confuse neighbouring edges, which shifts the pose if there is little depth. If
+many edges are near, a few wider steps come first; if the pose explains the depth moderately, all steps are
+made. Any other prediction is first aligned by depth alone, which needs no edge near its place. If the result
+is inconsistent with the frame, the next wider start is tried, since the depth may agree before the attitude
+does.
+
+The self-check uses both images: with a wrong camera matrix, another target or a mirrored image the depth may
+agree, but the edges do not. If one image shows nothing of the target, the other is used alone, and the source
+says so.
 """
 
 from collections.abc import Iterator
@@ -48,51 +51,52 @@ from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 
 MOST_WIDER = 3.0
-"""Close by, edges of a good prediction are farther off: so many times the last search's reach at most."""
+"""Greatest factor on the last search's reach for close targets, whose edges are farther off in pixels."""
 
 
 class JointTracker:
     """Registers PMD frames: ports.Tracker[PmdFrame].
 
     Args:
-        config: its parameters.
-        target: what to look for.
-        calibrated: whether the depth is, so that less of it is doubted.
+        config: parameters of the tracker.
+        target: the target to track.
+        calibrated: whether the depth is calibrated, so that its assumed errors are smaller.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
     """
 
     def __init__(self, config: JointConfig, target: Target, *, calibrated: bool = False) -> None:
-        self._config, self._target = config, target
-        self._ranges = config.depth.calibrated if calibrated else config.depth.raw
-        edges = EdgeModel.of(target, spacing_m=config.edges.spacing_share * target.radius_m)
+        tuning = config.tuning
+        self._tuning, self._target = tuning, target
+        self._ranges = tuning.depth.calibrated if calibrated else tuning.depth.raw
+        edges = EdgeModel.of(target, spacing_m=tuning.edges.spacing_share * target.radius_m)
         self._model = JointModel(np.ascontiguousarray(target.triangles_m), field_arrays(target), edges.arrays)
-        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
+        weak = np.repeat((tuning.unobserved_m, radians(tuning.unobserved_deg)), 3)
         self._weak = np.diag(np.append(weak**-2, 0.0))
-        scales_m = np.geomspace(config.depth.scale_m, config.depth.final_scale_m, config.iterations)
-        reaches_px = np.geomspace(config.edges.search_px, config.edges.final_search_px, config.iterations)
+        scales_m = np.geomspace(tuning.depth.scale_m, tuning.depth.final_scale_m, tuning.iterations)
+        reaches_px = np.geomspace(tuning.edges.search_px, tuning.edges.final_search_px, tuning.iterations)
         coarse = np.column_stack((scales_m, reaches_px))
-        self._sharp = np.tile(coarse[-1], (config.near_iterations, 1))
-        self._near = np.vstack((coarse[-config.near_iterations :], self._sharp))
-        self._fair = np.vstack((coarse, self._sharp))
-        self._far = np.geomspace(config.far_scale_m, config.depth.scale_m, config.far_iterations)
+        self._narrow = np.tile(coarse[-1], (tuning.near_iterations, 1))
+        self._near = np.vstack((coarse[-tuning.near_iterations :], self._narrow))
+        self._full = np.vstack((coarse, self._narrow))
+        self._far = np.geomspace(tuning.far_scale_m, tuning.depth.scale_m, tuning.far_iterations)
         self._coarse = SurfaceModel.of(target).coarse_field
         self._depth_errors = DepthErrors(
-            config.depth.noise_m,
-            float(config.depth.effective_points),
+            tuning.depth.noise_m,
+            float(tuning.depth.effective_points),
             self._ranges.bias_m,
             self._ranges.uneven_m,
             config.slack_m,
         )
-        self._edge_errors = EdgeErrors(config.edges.sigma_px, float(config.edges.effective_edges))
+        self._edge_errors = EdgeErrors(tuning.edges.sigma_px, float(tuning.edges.effective_edges))
         self._shown = np.zeros(len(edges.places_m) + 1, np.int64)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration from a predicted pose, or the reason why there is none."""
+        """Return the registration from a predicted pose, or the reason why the frame gives none."""
         pose = PoseArrays.of(T_sensor_target)
-        seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, config=self._config)
+        seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
         if isinstance(seen, str):
             return Registration.none(Source.PMD_JOINT, seen)
         registration = Registration.none(Source.PMD_JOINT, "nothing to see")
@@ -103,20 +107,20 @@ class JointTracker:
         return registration
 
     def _starts(self, seen: JointFrame, pose: PoseArrays) -> Iterator[tuple[PoseArrays, FloatArray]]:
-        """Yield poses to start from and the steps to do there, the fewest that may do first."""
-        config = self._config
+        """Yield starting poses with their schedules of steps, those with the fewest steps first."""
+        tuning = self._tuning
         share, in_place = self._explained(seen, pose), self._in_place(seen, pose)
-        if in_place >= config.near_share:
-            yield pose, self._sharp if in_place >= config.sharp_share else self._near
-        if share >= config.fair_share or len(seen.points_m) < config.verdict.min_points:
-            yield pose, self._fair
-        if len(seen.points_m) >= config.verdict.min_points:
-            every = max(1, round(len(seen.points_m) / config.far_points))
+        if in_place >= tuning.near_share:
+            yield pose, self._narrow if in_place >= tuning.sharp_share else self._near
+        if share >= tuning.fair_share or len(seen.points_m) < tuning.verdict.min_points:
+            yield pose, self._full
+        if len(seen.points_m) >= tuning.verdict.min_points:
+            every = max(1, round(len(seen.points_m) / tuning.far_points))
             few = Points.equal(np.ascontiguousarray(seen.points_m[::every]))
-            yield field_aligned(few, pose, self._coarse, self._far), self._fair
+            yield field_aligned(few, pose, self._coarse, self._far), self._full
 
     def _registered(self, seen: JointFrame, start: PoseArrays, schedule: FloatArray) -> Registration:
-        config, view = self._config, seen.view
+        tuning, view = self._tuning, seen.view
         problem = JointProblem(
             Points(seen.points_m, seen.trust),
             seen.patch,
@@ -130,47 +134,47 @@ class JointTracker:
         )
         (R, t), bias, information, (depth, found) = align(problem, start)
         points, squares = depth.inliers, depth.squares_m2
-        edges, asked, expected = found.inliers, found.asked, found.expected
-        if points < config.verdict.min_points and asked < config.verdict.min_edges:
-            reason = f"nothing to see: {points} points on the target, {asked} places of edges"
+        edges, checked, expected = found.inliers, found.checked, found.expected
+        if points < tuning.verdict.min_points and checked < tuning.verdict.min_edges:
+            reason = f"nothing to see: {points} points on the target, {checked} places of edges"
             return Registration.none(Source.PMD_JOINT, reason)
-        contrary = self._contradictions(seen, R, t, bias)
+        inconsistent = self._contradictions(seen, R, t, bias)
         in_place = edges_in_place(
-            config.verdict, edges=edges, expected=expected, asked=asked, points=len(seen.points_m)
+            tuning.verdict, edges=edges, expected=expected, checked=checked, points=len(seen.points_m)
         )
-        belief = self._belief(contrary, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
+        belief = self._belief(inconsistent, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
         to_sensor = np.zeros((6, 6))
         to_sensor[:3, :3] = to_sensor[3:, 3:] = R
         covariance = np.linalg.inv(information + self._weak)[:6, :6]
-        covariance *= max(1.0, self._fills(seen, t)) ** 2  # errors of fewer parts cancel out less
+        covariance *= max(1.0, self._fills(seen, t)) ** 2  # with fewer parts in view, errors average out less
         return Registration(
-            self._source(points, asked),
+            self._source(points, checked),
             T_sensor_target=pose_of(R, t),
             belief=belief,
             cost_m2=squares / max(points, 1),
             inliers=points + edges,
-            inlier_share=(points + edges) / max(len(seen.points_m) + asked, 1),
-            explained_share=contrary.explained_share,
+            inlier_share=(points + edges) / max(len(seen.points_m) + checked, 1),
+            explained_share=inconsistent.explained_share,
             covariance=to_sensor @ covariance @ to_sensor.T,
             iterations=len(schedule),
         )
 
     def _explained(self, seen: JointFrame, pose: PoseArrays) -> float:
-        """Return the share of the pixels that agree with a predicted pose."""
-        config, view = self._config, seen.view
-        measured = Measured(seen.range_m, seen.sigma_m, config.near_m, config.missing_weight)
+        """Return the share of the checked pixels that agree with a predicted pose."""
+        tuning, view = self._tuning, seen.view
+        measured = Measured(seen.range_m, seen.sigma_m, tuning.near_m, tuning.missing_weight)
         triangles_m = self._model.triangles_m
-        agreeing, asked = agreement(measured, view.coarse.arrays, triangles_m, pose, self._buffers_of(view))
-        return agreeing / asked if asked else 0.0
+        agreeing, checked = agreement(measured, view.coarse.arrays, triangles_m, pose, self._buffers_of(view))
+        return agreeing / checked if checked else 0.0
 
     def _in_place(self, seen: JointFrame, pose: PoseArrays) -> float:
-        """Return the share of the edges that lie where a predicted pose, as rendered, has them."""
-        config = self._config
-        sight = EdgeSight(self._model.edges, seen.lens, seen.patch, config.edges.sigma_px)
+        """Return the share of edges found near their place at a predicted pose, which was just rendered."""
+        tuning = self._tuning
+        sight = EdgeSight(self._model.edges, seen.lens, seen.patch, tuning.edges.sigma_px)
         wider = float(np.clip(2.0 * self._fills(seen, pose.t), 1.0, MOST_WIDER))
-        reach_px = config.edges.final_search_px * wider
+        reach_px = tuning.edges.final_search_px * wider
         found = edges_at(sight, seen.pixels, pose, self._buffers_of(seen.view), reach_px)
-        if found.asked < config.verdict.min_edges:
+        if found.checked < tuning.verdict.min_edges:
             return 0.0
         return found.inliers / max(found.expected, 1.0)
 
@@ -183,25 +187,27 @@ class JointTracker:
             *buffers, view.coarse, view.stride, view.camera.fx, self._model.triangles_m, R, t
         )
         images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
-        return contradictions(images, rendered, self._config.check, typical=seen.typical, bias_m=bias_m)
+        return contradictions(images, rendered, self._tuning.check, typical=seen.typical, bias_m=bias_m)
 
     def _fills(self, seen: JointFrame, t: FloatArray) -> float:
-        """Return the target's radius over the image's smaller side: from 1 on few of its parts are seen."""
+        """Return the target's radius over the image's smaller side; above 1 few of its parts are in view."""
         camera = seen.view.camera
         radius_px = camera.fx * self._target.radius_m / max(float(t[2]), NEAREST_M)
         return radius_px / min(camera.width, camera.height)
 
     def _source(self, points: int, edges: int) -> Source:
-        if edges < self._config.verdict.min_edges:
+        if edges < self._tuning.verdict.min_edges:
             return Source.PMD_DEPTH
-        return Source.PMD_JOINT if points >= self._config.verdict.min_points else Source.PMD_AMPLITUDE
+        return Source.PMD_JOINT if points >= self._tuning.verdict.min_points else Source.PMD_AMPLITUDE
 
-    def _belief(self, contrary: Contradictions, in_place: float, *, bias_m: float, range_m: float) -> Belief:
-        """Return whether a pose is believed, by its pixels, its edges and its scale."""
-        limits, sigma_m = self._config.verdict, self._ranges.bias_m
-        evidence = {**contrary.evidence, "edges_in_place_share": in_place, "range_bias_m": bias_m}
+    def _belief(
+        self, inconsistent: Contradictions, in_place: float, *, bias_m: float, range_m: float
+    ) -> Belief:
+        """Return the belief in a pose by its pixels, its edges and its scale."""
+        limits, sigma_m = self._tuning.verdict, self._ranges.bias_m
+        evidence = {**inconsistent.evidence, "edges_in_place_share": in_place, "range_bias_m": bias_m}
         reason = (
-            contrary.reason(self._config.check)
+            inconsistent.reason(self._tuning.check)
             or misplaced_edges(limits, in_place)
             or wrong_scale(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m)
         )

@@ -1,8 +1,8 @@
-"""The amplitude image as edges and lines: low-pass, Canny, sub-pixel places, Hough lines.
+"""Edges and lines of the amplitude image: low-pass, Canny, sub-pixel positions, Hough lines.
 
 Klionovska et al., Robotics 7(1), 2018, section 3.3.1, steps 1 to 5. Edges are found on grey levels of 8
-bits, as the paper's are, and then moved to the steepest place of the linear amplitude across them. Places
-leave this module straightened: where a lens without distortion would have imaged them.
+bits, as in the paper, and then moved to the steepest point of the linear amplitude across them. The positions
+that this module returns are undistorted: a lens without distortion would have imaged them there.
 """
 
 from dataclasses import dataclass
@@ -20,56 +20,56 @@ from rpod_schemas.types import Camera, Float32Array, PmdFrame
 
 PLUMB_BOB = 5
 WHITE = 255.0
-THINNED = 2
-"""Every how many pixels, across and down, the image's brightness is asked."""
+BRIGHTNESS_STRIDE = 2
+"""Stride, across and down, of the pixels from which the image's brightness is estimated."""
 BEYOND_PX = 3.0
-"""So far from an edge, on its darker side, the background begins where there is nothing else."""
+"""Distance from a silhouette, on its darker side, at which the background is read."""
 
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Pixels of edges and the lines that they make."""
+    """Edge pixels and the lines that they form."""
 
     places: FloatArray
-    """Column and row, to sub-pixel, straightened, shape (N, 2)."""
+    """Column and row of the edge pixels, to sub-pixel, undistorted, shape (N, 2)."""
     across: FloatArray
-    """Unit vectors towards the brighter side there, shape (N, 2)."""
+    """Unit vectors across the edge towards its brighter side, shape (N, 2)."""
     segments: FloatArray
-    """Ends of the Hough lines, straightened, shape (M, 2, 2)."""
+    """Ends of the Hough lines, undistorted, shape (M, 2, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeImage:
-    """Edges and lines of one amplitude image; ``edge_image`` makes it from a frame."""
+    """Edges and lines of one amplitude image, made from a frame by ``edge_image``."""
 
     camera: Camera
     grey: NDArray[np.uint8]
     """Smoothed grey levels, shape (height, width)."""
     light: Float32Array
-    """Smoothed amplitude, 1 for white, brighter where a glint is, shape (height, width)."""
+    """Smoothed amplitude, 1 for white, above 1 on glints, shape (height, width)."""
     inner: "Edges"
     """All edges."""
     outer: "Edges"
-    """Those whose darker side is background: they may be silhouettes, and no pattern of a surface is."""
+    """Edges whose darker side is background: silhouettes are among them, patterns of a surface are not."""
 
     def project(self, points_m: FloatArray) -> FloatArray:
-        """Return the straightened pixels of points in sensor axes with z > 0, shape (..., 2)."""
+        """Return the undistorted pixels of points in sensor axes with z > 0, shape (..., 2)."""
         camera = self.camera
         slopes = points_m[..., :2] / points_m[..., 2:]
         pixels: FloatArray = slopes * (camera.fx, camera.fy) + (camera.cx, camera.cy)
         return pixels
 
     def edges(self, *, silhouette: bool) -> "Edges":
-        """Return the edges among which to seek a line of the model."""
+        """Return the edges among which a line of the model is searched."""
         return self.outer if silhouette else self.inner
 
 
 def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
-    """Return the edges and lines of a frame's amplitude, or why there are none.
+    """Return the edges and lines of a frame's amplitude, or the reason why there are none.
 
     Args:
-        frame: its amplitude is uint8, uint16 or float32; the scale does not matter.
-        config: every threshold.
+        frame: frame with an amplitude of uint8, uint16 or float32, in any scale.
+        config: all thresholds.
     """
     if frame.amplitude is None:
         return "no amplitude image was sent"
@@ -99,7 +99,7 @@ def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
 def _edges_of(
     pixels: NDArray[np.uint8], places: FloatArray, across: FloatArray, camera: Camera, config: EdgeImageConfig
 ) -> Edges:
-    """Return edges with their lines: steps 3 to 5 of the paper, the Hough transform.
+    """Return edges with their lines by the Hough transform: steps 3 to 5 of the paper.
 
     Raises:
         rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted there.
@@ -118,12 +118,12 @@ def _edges_of(
 
 
 def _scaled(amplitude: NDArray[np.generic], config: EdgeImageConfig) -> Float32Array | str:
-    """Return the amplitude as a share of white, or why it shows nothing."""
+    """Return the amplitude as a share of white, or the reason why it shows nothing."""
     light = np.nan_to_num(amplitude.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    thinned = light[::THINNED, ::THINNED]
-    brightest = float(np.percentile(thinned, 99.0))
-    lit = thinned[thinned > config.dark_share * brightest]
-    count = THINNED**2 * lit.size if brightest > 0.0 else 0
+    sparse = light[::BRIGHTNESS_STRIDE, ::BRIGHTNESS_STRIDE]
+    brightest = float(np.percentile(sparse, 99.0))
+    lit = sparse[sparse > config.dark_share * brightest]
+    count = BRIGHTNESS_STRIDE**2 * lit.size if brightest > 0.0 else 0
     if count < config.min_lit:
         return f"{count} lit pixels in the amplitude image, {config.min_lit} needed"
     white = np.percentile(lit, config.white_percentile)
@@ -135,9 +135,9 @@ def _low_pass(light: Float32Array, sigma_px: float) -> Float32Array:
 
 
 def _steepest_places(edges: NDArray[np.uint8], linear: Float32Array) -> tuple[FloatArray, FloatArray]:
-    """Return where the amplitude is steepest across each edge pixel, and the direction across it.
+    """Return the steepest point of the amplitude across each edge pixel, and the direction across it.
 
-    A parabola through the gradient at the pixel and one pixel to either side; the shift is a pixel at most.
+    It is the vertex of a parabola through the gradients at the pixel and its two neighbours across the edge.
     """
     row, column = np.nonzero(edges)
     right = cv2.Sobel(linear, cv2.CV_32F, 1, 0)
@@ -154,13 +154,13 @@ def _steepest_places(edges: NDArray[np.uint8], linear: Float32Array) -> tuple[Fl
 
 
 def _sampled(image: Float32Array, places: FloatArray) -> FloatArray:
-    """Return an image between its pixels; OpenCV's remap takes 32,766 places at most, noise has more."""
+    """Return an image interpolated at places, shape (N,); OpenCV's remap is limited to 32,766 places."""
     sampled: FloatArray = map_coordinates(image, places.T[::-1], np.float64, order=1, mode="nearest")
     return sampled
 
 
 def straightened(pixels: FloatArray, camera: Camera) -> FloatArray:
-    """Return where a lens without distortion images what is seen at pixels, shape (N, 2).
+    """Return undistorted pixels: where a lens without distortion images the same rays, shape (N, 2).
 
     Raises:
         rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted there.
@@ -171,7 +171,7 @@ def straightened(pixels: FloatArray, camera: Camera) -> FloatArray:
 
 
 def bent(pixels: FloatArray, camera: Camera) -> FloatArray:
-    """Return where the camera images what a lens without distortion would at pixels, shape (N, 2)."""
+    """Return distorted pixels: where the camera images the rays of undistorted pixels, shape (N, 2)."""
     scale, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
     seen: FloatArray = distort(((pixels - centre) / scale).T, camera).T * scale + centre
     return seen

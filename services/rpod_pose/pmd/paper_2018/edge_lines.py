@@ -1,9 +1,9 @@
 """Lines of the image matched with the projected wireframe, and the corners where they intersect.
 
-Klionovska et al., Robotics 7(1), 2018, section 3.3.1: each line of the model is projected with the prior
-pose; of the Hough lines the nearest neighbour in angle and position is its own, those beyond the
-thresholds belong to nothing. The paper pairs the ends of the lines; ends shorten where an edge fades, so
-here neighbouring lines are intersected, after all edge pixels along them have measured them.
+Klionovska et al., Robotics 7(1), 2018, section 3.3.1: each line of the model is projected with the prior pose
+and matched with the Hough line nearest in angle and position, within thresholds. The paper pairs the ends of
+the lines. Ends are shortened where an edge fades, so here each line is fitted to all edge pixels along it,
+and neighbouring lines are intersected.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from rpod_schemas.config.pmd_amplitude import LineMatchConfig
 
 REFITS = 2
 ALIGNED = np.cos(np.deg2rad(25.0))
-"""The amplitude rises across an edge pixel within 25 degrees of the line's normal."""
+"""Least cosine between an edge pixel's gradient and the normal of its line: 25 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class ImageLine:
 
 @dataclass(frozen=True)
 class Reach:
-    """How far from its prediction a feature is sought."""
+    """Limits of the search around a feature's prediction."""
 
     angle_rad: float
     distance_px: float
@@ -40,15 +40,15 @@ class Reach:
 def matched_line(
     edges: Edges, ends: FloatArray, *, reach: Reach, config: LineMatchConfig
 ) -> ImageLine | None:
-    """Return the image's line that belongs to a line of the model with these projected ends, shape (2, 2)."""
+    """Return the image's line matched with a line of the model with projected ends of shape (2, 2)."""
     segment = nearest_segment(edges.segments, ends, reach)
     return None if segment is None else measured_line(edges, segment, ends, reach=reach, config=config)
 
 
 def nearest_segment(segments: FloatArray, ends: FloatArray, reach: Reach) -> FloatArray | None:
-    """Return the ends of the segment nearest to a model line in angle and position, None beyond the limits.
+    """Return the ends of the segment nearest to a model line in angle and position; None if none is near.
 
-    A segment counts where more than half of it lies along the model line, its reach included.
+    A segment counts if more than half of it lies along the model line, extended by the reach.
     """
     length_px = float(np.linalg.norm(ends[1] - ends[0]))
     if length_px < 1.0:
@@ -73,7 +73,7 @@ def nearest_segment(segments: FloatArray, ends: FloatArray, reach: Reach) -> Flo
 def measured_line(
     edges: Edges, segment: FloatArray, ends: FloatArray, *, reach: Reach, config: LineMatchConfig
 ) -> ImageLine | None:
-    """Return the line through the edge pixels along a segment, as far as its model line reaches."""
+    """Return the line fitted to the edge pixels along a segment, between the ends of its model line."""
     limits = (config.band_px, reach.distance_px)
     middle, normal, members = line_along(edges.places, edges.across, segment, ends, limits)
     return ImageLine(normal, float(normal @ middle)) if members >= config.min_pixels else None
@@ -83,16 +83,16 @@ def measured_line(
 def line_along(
     places: FloatArray, across: FloatArray, segment: FloatArray, ends: FloatArray, limits: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Return a point and the normal of the line through the edge pixels along a segment, and their number.
+    """Return a point and the normal of the line fitted to the edge pixels along a segment, and their number.
 
-    Total least squares; fitted again to the pixels beside the fitted line.
+    The fit is by total least squares, and is repeated with the pixels near the fitted line.
 
     Args:
-        places: of the edge pixels, (N, 2).
-        across: unit vectors across the edge there, (N, 2).
-        segment: where to begin, (2, 2).
-        ends: of the model line, which bound the pixels along the line, (2, 2).
-        limits: most distance from the line, and beyond the ends, px.
+        places: positions of the edge pixels, shape (N, 2).
+        across: unit vectors across the edge there, shape (N, 2).
+        segment: ends of the initial line, shape (2, 2).
+        ends: ends of the model line, which bound the pixels along the line, shape (2, 2).
+        limits: greatest distances from the line and beyond the ends, px.
     """
     band, beyond = limits
     x, y = (segment[0] + segment[1]) / 2.0
@@ -116,13 +116,13 @@ def line_along(
             return np.array((x, y)), np.array((-dy, dx)), 0
         x, y = x + su / count, y + sv / count
         suu, suv, svv = suu - su * su / count, suv - su * sv / count, svv - sv * sv / count
-        angle = 0.5 * np.arctan2(2.0 * suv, suu - svv)  # of the scatter's larger axis
+        angle = 0.5 * np.arctan2(2.0 * suv, suu - svv)  # direction of the scatter's larger axis
         dx, dy = np.cos(angle), np.sin(angle)
     return np.array((x, y)), np.array((-dy, dx)), count
 
 
 def intersection(lines: list[ImageLine], *, min_turn_rad: float) -> FloatArray | None:
-    """Return the place nearest to all lines, shape (2,); None where no two of them cross clearly."""
+    """Return the point nearest to all lines, shape (2,); None if no two of them cross at a clear angle."""
     if len(lines) < 2:
         return None
     normals = np.stack([line.normal for line in lines])

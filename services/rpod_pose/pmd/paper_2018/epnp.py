@@ -1,13 +1,13 @@
 """The 2018 paper's second technique: lines and a circle of the amplitude image, corners, EPnP.
 
-Klionovska et al., Robotics 7(1), 2018, section 3.3: the wireframe is projected with the prior pose, each
-of its lines takes the nearest Hough line, neighbouring lines make a corner where they intersect, the
-nose's circle a seventh point, and EPnP the pose (Eqs. 5 to 7). Beside the paper: features are sought
-again, closer, around the pose that they gave, so that the first search may be wide; the pose is refined
-to the least reprojection error.
+Klionovska et al., Robotics 7(1), 2018, section 3.3: the wireframe is projected with the prior pose, and each
+of its lines is matched with the nearest Hough line. Neighbouring lines intersect in corners, the nose's
+circle gives a seventh point, and EPnP gives the pose (Eqs. 5 to 7). Two steps are added to the paper's: the
+search is repeated with narrower limits around the resulting pose, so that the first search may be wide, and
+the pose is refined to the least reprojection error.
 
-Sets that do not determine a pose are refused with a reason: fewer than four points, corners of one plane
-without the nose, points that contradict each other, a pose that leaves the prediction.
+Points that do not determine a pose are rejected with a reason: fewer than four points, corners of one plane
+without the nose, points that are inconsistent with each other, or a pose far from the prediction.
 """
 
 from dataclasses import dataclass
@@ -30,28 +30,28 @@ from rpod_schemas.types import Camera, PmdFrame, Source
 from rpod_target import Target
 
 STRIDE_PX = 4
-"""Every how many pixels the model is rendered to tell what is hidden."""
+"""Stride of the pixels on which the model is rendered to find what is hidden."""
 FARTHEST_RADII = 200.0
-"""At more of its radii away a target has no lines."""
+"""Greatest distance of a target with visible lines, in its radii."""
 LEAST_ANGLE_RAD, LEAST_REACH_PX, LEAST_TOLERANCE = np.deg2rad(6.0), 2.5, 0.06
-"""The limits of the matches do not narrow below these: short lines and small circles are no surer."""
+"""Least limits of the matches: short lines and small circles are not more accurate."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """How far from their predictions the features of one round are sought."""
+    """Limits of the search for features in one round."""
 
     lines: Reach
     circle_m: float
-    """Distance of a circle's centre, on its plane."""
+    """Greatest distance of a circle's centre from its prediction, on its plane."""
     tolerance: float
-    """Of a circle's radius, as a share of it."""
+    """Greatest difference of a circle's radius from its prediction, as a share of it."""
     first: bool
-    """Circles are found by the Hough transform; later rounds measure them where the pose tells."""
+    """Whether circles are found by the Hough transform; later rounds measure them at the known pose."""
 
     @classmethod
     def of(cls, config: EpnpConfig, *, number: int, px_per_m: float) -> "Search":
-        """Return the search of a round, 0 for the first, at a distance."""
+        """Return the search of a round, numbered from 0, at the scale of the target's distance."""
         width = config.lines.narrowing**number
         reach_px = max(config.lines.reach_m * width * px_per_m, LEAST_REACH_PX)
         return cls(
@@ -75,7 +75,7 @@ class EpnpTracker:
         )
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration from a predicted pose, or the reason why there is none."""
+        """Return the registration from a predicted pose, or the reason why the frame gives none."""
         image = edge_image(measurement, self._config.edges)
         if isinstance(image, str):
             return _refused(image)
@@ -91,14 +91,14 @@ class EpnpTracker:
                 return _refused(fit)
             pose = fit.T_sensor_target
             fits.append(fit)
-        return self._concluded(fits[-1], T_sensor_target, image.camera)
+        return self._registered(fits[-1], T_sensor_target, image.camera)
 
     def _found(
         self, image: EdgeImage, view: DepthView, T_sensor_target: RigidTransform, number: int
     ) -> Correspondences | str:
-        """Return the corners and centres that the image shows around a pose, or why there are none."""
+        """Return the corners and centres found around a pose, or the reason why there are none."""
         if not NEAR_M < T_sensor_target.translation[2] < self._farthest_m:
-            return "the target is not before the camera"
+            return "the target is not in front of the camera"
         shown = self._view.shown(T_sensor_target, view)
         if isinstance(shown, str):
             return shown
@@ -115,7 +115,7 @@ class EpnpTracker:
     def _corners(
         self, image: EdgeImage, shown: Shown, T_sensor_target: RigidTransform, search: Search
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Return corners of the model, target axes, and where neighbouring lines of the image intersect."""
+        """Return corners of the model, target axes, with their pixels: intersections of image lines."""
         config, wireframe = self._config.lines, self._view.wireframe
         corners_m = T_sensor_target.apply(wireframe.corners_m)
         corners_m[:, 2] = np.maximum(corners_m[:, 2], NEAR_M)
@@ -140,7 +140,7 @@ class EpnpTracker:
     def _centres(
         self, image: EdgeImage, shown: Shown, T_sensor_target: RigidTransform, search: Search
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Return centres of circles of the model, target axes, and where the image shows them."""
+        """Return centres of the model's circles, target axes, with their pixels in the image."""
         found: list[tuple[FloatArray, FloatArray]] = []
         for disc in shown.discs:
             place = circle_centre(
@@ -155,26 +155,26 @@ class EpnpTracker:
         return found
 
     def _fit(self, points: Correspondences, camera: Camera) -> Fit | str:
-        """Return the pose of points, outliers dropped one by one, or why there is none."""
+        """Return the pose of points after the removal of outliers one by one, or why there is none."""
         config = self._config
         while True:
             if len(points) < config.min_points:
                 return f"{len(points)} corners and circles found, {config.min_points} needed"
             if points.relief < config.min_relief:
-                return f"{len(points)} points of one plane without the nose: their tilt is ambiguous"
+                return f"{len(points)} points lie in one plane, without the nose: the tilt is ambiguous"
             fit = pose_from_points(points, camera, iterations=config.polish_iterations)
             if fit is None:
-                return "EPnP found no pose before the camera"
+                return "EPnP found no pose in front of the camera"
             distances_px = fit.distances_px
             if distances_px.max() <= config.outlier_px or len(points) == config.min_points:
                 break
             points = points.without(int(distances_px.argmax()))
         if fit.rms_px > config.max_error_px:
-            return f"the points reproject {fit.rms_px:.1f} px off, {config.max_error_px:.1f} at most"
+            return f"reprojection error {fit.rms_px:.1f} px, {config.max_error_px:.1f} px at most"
         return fit
 
-    def _concluded(self, fit: Fit, T_predicted: RigidTransform, camera: Camera) -> Registration:
-        """Return the registration of the last round's pose, or why it is not believed."""
+    def _registered(self, fit: Fit, T_predicted: RigidTransform, camera: Camera) -> Registration:
+        """Return the registration of the last round's pose, or the reason why it is rejected."""
         pose = fit.T_sensor_target
         covariance = fit.covariance(self._config.noise_px)
         reason = self._refusal(pose, T_predicted, covariance)

@@ -1,17 +1,17 @@
-"""Both techniques of the 2018 paper on every frame, and which pose is taken: by a rule without the truth.
+"""Both techniques of the 2018 paper on every frame, with a rule for the choice that needs no truth.
 
-Klionovska et al., Robotics 7(1), 2018, compare the two in hindsight and leave their fusion open (section 5).
-Here each is judged by the frame alone: the depth by residual, inliers and the share of the depth image that
-its pose explains, the amplitude by points, reprojection error, covariance and distance from the prediction.
+Klionovska et al., Robotics 7(1), 2018, compare the two afterwards and leave their fusion open (section 5).
+Here each is accepted by the frame alone: depth by residual, inliers and the share of the depth image that its
+pose explains; amplitude by points, reprojection error, covariance and distance from the prediction.
 
-1. One that fails is left out: the other alone gives the pose. With 60 % of the depth lost the pose explains
-   too little of the image for the depth to be believed; the amplitude goes on as if nothing were missing.
-2. Two that agree within their covariances are fused, each weighted with its information: PMD_JOINT. They err
-   differently: the depth has some 25 mm along the line of sight where it is not calibrated, and knows the
-   roll worse from outlines than the amplitude from corners; the amplitude's tilt hangs on one circle.
-3. Two that disagree are not fused, since one is wrong. The amplitude's pose is taken where it rests on enough
-   points to contradict each other, else the depth's: four or five points fit almost anything, while a small
-   reprojection error of six or seven is no accident.
+1. If one fails, the other alone gives the pose. With 60 % of the depth lost, the pose explains too little of
+   the depth image to be accepted; the amplitude is not affected.
+2. If the two agree within their covariances, they are fused, weighted with their information: PMD_JOINT.
+   Their errors differ: uncalibrated depth has an error of about 25 mm along the line of sight and determines
+   roll from outlines less well than amplitude does from corners; the tilt by amplitude depends on one circle.
+3. If the two disagree, they are not fused, since one is wrong. The amplitude's pose is taken if it has enough
+   redundant points, otherwise the depth's: four or five points fit almost anything, but a small reprojection
+   error of six or seven is not a coincidence.
 """
 
 from dataclasses import replace
@@ -30,7 +30,7 @@ from rpod_target import Target
 
 
 class HybridTracker:
-    """Registers frames by depth and by amplitude and arbitrates: ports.Tracker[PmdFrame].
+    """Registers frames by depth and by amplitude and chooses or fuses: ports.Tracker[PmdFrame].
 
     Raises:
         rpod_target.TargetError: as ``ReverseCalibrationIcp``.
@@ -49,7 +49,7 @@ class HybridTracker:
         self._amplitude = EpnpTracker(config.amplitude, target)
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration from a predicted pose, or both reasons why there is none."""
+        """Return the registration from a predicted pose, or both reasons why the frame gives none."""
         depth = self._depth.track(measurement, T_sensor_target)
         amplitude = self._amplitude.track(measurement, T_sensor_target)
         if not depth.begins_track and not amplitude.begins_track:
@@ -73,9 +73,9 @@ def squared_difference(first: Registration, second: Registration) -> float:
 def fused(first: Registration, second: Registration) -> Registration:
     """Return the mean of two poses on SE(3), each weighted with its information.
 
-    To the first order: from the first, by P1 (P1 + P2)^-1 of the way (dp, dtheta) to the second.
+    To first order, it is the first pose moved by P1 (P1 + P2)^-1 times the step (dp, dtheta) to the second.
     """
-    assert first.T_sensor_target is not None  # noqa: S101 - told by the caller
+    assert first.T_sensor_target is not None  # noqa: S101 - guaranteed by the caller
     gain = np.linalg.solve(first.covariance + second.covariance, first.covariance).T
     step = gain @ _difference(first, second)
     covariance = first.covariance - gain @ first.covariance
@@ -90,8 +90,8 @@ def fused(first: Registration, second: Registration) -> Registration:
 
 def _difference(first: Registration, second: Registration) -> FloatArray:
     """Return (dp, dtheta) from one pose to another in the sensor's fixed axes, shape (6,)."""
-    assert first.T_sensor_target is not None  # noqa: S101 - told by the caller
-    assert second.T_sensor_target is not None  # noqa: S101 - told by the caller
+    assert first.T_sensor_target is not None  # noqa: S101 - guaranteed by the caller
+    assert second.T_sensor_target is not None  # noqa: S101 - guaranteed by the caller
     turn = second.T_sensor_target.rotation * first.T_sensor_target.rotation.inv()
     shift_m = second.T_sensor_target.translation - first.T_sensor_target.translation
     return np.concatenate((shift_m, turn.as_rotvec()))

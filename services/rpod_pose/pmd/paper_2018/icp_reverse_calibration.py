@@ -1,20 +1,21 @@
-"""ICP with reverse calibration: matches are looked up in the depth image, around the projected model.
+"""ICP with reverse calibration: matches are found in the depth image, around the projected model.
 
 Klionovska et al., "Close Range Tracking of an Uncooperative Target in a Sequence of PMD Images", Robotics
 2018, 7, 5, sections 3.2.1 and 3.2.2 (Figs. 5 and 6, Eq. 4), with two metrics:
 
 ``point_to_point`` is the paper's. Each visible model point is projected with the camera's calibration, the
 pixels within a radius are searched for the measured point nearest to it, and the rigid motion that minimises
-the distances of all pairs follows in closed form. On a plane the nearest neighbours stay where they are, so
-it lags behind a turning target, and slides along one that is seen obliquely until it has lost it.
+the distances of all pairs follows in closed form. On a plane the nearest neighbours hardly move from step to
+step, so that this metric lags behind a rotating target and slides along a surface that is seen obliquely,
+until it loses the target.
 
-``point_to_plane`` is ours. Where depth close to the model point lies under its pixel and the neighbours, only
-the distance of their mean along the model's normal counts, so faces slide freely. Where it does not
-(background, lost depth, a jump), model and image disagree on an outline, and the model point is drawn to its
-nearest neighbour within the radius, but only along the line between the two: the outline may slide along
-itself. These pairs carry the roll about the boresight. Measured points that the model leaves uncovered pull
-from the other side, by the target's distance field. Weights are robust; radius, direct match and scale narrow
-from step to step.
+``point_to_plane`` is the facility's own. If measured points under the model point's pixel and its neighbours
+lie close to the model point, only the distance of their mean along the model's normal counts, so that faces
+slide freely. If not (background, lost depth, a jump), model and image disagree on an outline. Then the model
+point is moved towards its nearest neighbour within the radius, but only along the line between the two: the
+outline may slide along itself. These pairs determine the roll about the boresight. Measured points that no
+model point matches count by the target's distance field. Weights are robust; radius, direct match and scale
+narrow from step to step.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.depth_result import Progress, conclude
+from rpod_pose.pmd.depth_result import Progress, registration_of
 from rpod_pose.pmd.depth_view import DepthImage, DepthView, usable_image
 from rpod_pose.pmd.signed_distance import measured_equations
 from rpod_pose.ports import Registration
@@ -45,20 +46,20 @@ from rpod_target import Target
 NO_MATCH, DIRECT, NEAREST = 0, 1, 2
 NEAR_M = 0.05
 STALE_M = 0.01
-"""After a longer step it is asked anew which model points are visible."""
+"""Least step after which the visible model points are determined again."""
 EQUAL_WEIGHTS_M = 1e3
-"""A Geman-McClure scale at which every match weighs the same."""
+"""A Geman-McClure scale at which all matches have the same weight."""
 FEWEST_BENEATH = 2
-"""Points that make a direct match: one alone is too noisy, and beside an outline it may be mixed."""
+"""Least number of points in a direct match: one point is too noisy, and near an outline it may be mixed."""
 NARROWING = 0.75
-"""Radius and scale shrink by this from iteration to iteration."""
+"""Factor on radius and scale from iteration to iteration."""
 
 
 class DepthPixels(NamedTuple):
     """A depth image, as the kernels take it."""
 
     depth_m: Float32Array
-    """z-depth, NaN for none, shape (height, width)."""
+    """z-depth, NaN without one, shape (height, width)."""
     slopes: FloatArray
     """x/z and y/z of the pixels' rays, shape (height, width, 2)."""
 
@@ -69,13 +70,13 @@ def mean_beneath(point: FloatArray, column: int, row: int, image: DepthPixels, n
 
     Args:
         point: model point, sensor axes, shape (3,), m.
-        column: of the pixel, in the image.
-        row: of the pixel, in the image.
-        image: what was measured.
+        column: column of the pixel, in the image.
+        row: row of the pixel, in the image.
+        image: measured depth image.
         near: distance from ``point`` below which a measured point counts, m.
 
     Returns:
-        The mean, sensor axes, m; zeros where fewer than ``FEWEST_BENEATH`` count.
+        The mean, sensor axes, m; zeros if fewer than ``FEWEST_BENEATH`` points count.
     """
     depth, slopes = image
     top, bottom = max(row - 1, 0), min(row + 2, depth.shape[0])
@@ -93,14 +94,14 @@ def mean_beneath(point: FloatArray, column: int, row: int, image: DepthPixels, n
 
 
 class MatchReach(NamedTuple):
-    """How far a match may be."""
+    """Limits of the search for matches."""
 
     radius_px: int
-    """Of the neighbour search."""
+    """Radius of the neighbour search."""
     direct_m: float
-    """Points under a pixel and its neighbours nearer than this make a direct match; 0 always searches."""
+    """Greatest distance of points in a direct match; 0 for the neighbour search always."""
     gate_m: float
-    """No match is longer than this."""
+    """Greatest length of a match."""
 
 
 @kernel
@@ -114,8 +115,8 @@ def find_matches(
     Args:
         points: model points in sensor axes, (N, 3), m.
         pixels: their projections, column and row, (N, 2); one that is not in the image has no match.
-        image: what was measured.
-        reach: how far matches are looked for.
+        image: measured depth image.
+        reach: limits of the search.
     """
     depth, slopes = image
     radius, gate = reach.radius_px, reach.gate_m
@@ -123,7 +124,7 @@ def find_matches(
     matched, kind = np.zeros(points.shape), np.zeros(points.shape[0], np.uint8)
     for n in range(points.shape[0]):
         u0, v0 = pixels[n, 0], pixels[n, 1]
-        if not (-1.0 < u0 < width and -1.0 < v0 < height):  # NaN and what no integer holds
+        if not (-1.0 < u0 < width and -1.0 < v0 < height):  # also true for NaN and beyond integers
             continue
         column, row = round(u0), round(v0)
         if not (0 <= column < width and 0 <= row < height):
@@ -150,16 +151,16 @@ def find_matches(
 
 
 class Matches(NamedTuple):
-    """Model points and what was measured of them, as the kernels take them."""
+    """Model points with their matches, as the kernels take them."""
 
     model_m: FloatArray
-    """Target axes, shape (N, 3)."""
+    """Model points, target axes, shape (N, 3)."""
     normals: FloatArray
-    """Of the model points, shape (N, 3)."""
+    """Normals at the model points, target axes, shape (N, 3)."""
     measured_m: FloatArray
-    """Target axes, shape (N, 3)."""
+    """Measured points, target axes, shape (N, 3)."""
     kind: NDArray[np.uint8]
-    """NO_MATCH, DIRECT or NEAREST, shape (N,)."""
+    """Kind of each match: NO_MATCH, DIRECT or NEAREST, shape (N,)."""
 
 
 @kernel
@@ -169,9 +170,9 @@ def match_equations(
     """Return the sums, shape (35,), of residuals along the normal, or along the match, and their evidence.
 
     Args:
-        matches: of N model points.
-        scale: of Geman and McClure, m, above 0.
-        outline_weight: weight of a nearest match beside a direct one.
+        matches: N model points with their matches.
+        scale: Geman-McClure scale, m, above 0.
+        outline_weight: weight of a nearest match relative to a direct one.
     """
     sums, weights, squares, inliers, c2 = no_sums(), 0.0, 0.0, 0, scale * scale
     for n in range(matches.model_m.shape[0]):
@@ -195,16 +196,16 @@ def match_equations(
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Visible model points and what was measured of them."""
+    """Visible model points with their matches."""
 
     model_m: FloatArray
-    """Target axes, shape (N, 3)."""
+    """Model points, target axes, shape (N, 3)."""
     normals: FloatArray
-    """Of the model points, shape (N, 3)."""
+    """Normals at the model points, target axes, shape (N, 3)."""
     measured_m: FloatArray
-    """The measured points in sensor axes, shape (N, 3)."""
+    """Measured points, sensor axes, shape (N, 3)."""
     kind: NDArray[np.uint8]
-    """NO_MATCH, DIRECT or NEAREST, shape (N,)."""
+    """Kind of each match: NO_MATCH, DIRECT or NEAREST, shape (N,)."""
 
     def __len__(self) -> int:
         return int(np.count_nonzero(self.kind))
@@ -233,7 +234,7 @@ class ReverseCalibrationIcp:
     """Registers depth images by ICP with reverse calibration: ports.Tracker[PmdFrame].
 
     Raises:
-        rpod_target.TargetError: ``cover_points`` are asked for and the target has no distance field.
+        rpod_target.TargetError: ``cover_points`` is above 0 and the target has no distance field.
     """
 
     def __init__(self, config: IcpReverseCalibrationConfig, target: Target) -> None:
@@ -243,31 +244,31 @@ class ReverseCalibrationIcp:
             target.require_field()
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration from a predicted pose, or the reason why there is none."""
+        """Return the registration from a predicted pose, or the reason why the frame gives none."""
         config = self._config
         image = usable_image(measurement, config.image)
         if isinstance(image, str):
             return Registration.none(Source.PMD_DEPTH, image)
         measured_m = image.points(config.cover_points if self._slides else 0)
         progress, shown = Progress(T_sensor_target), np.empty(0, np.intp)
-        while progress.iterations < config.iterations and not self._settled(progress):
+        while progress.iterations < config.iterations and not self._converged(progress):
             if progress.step_m > STALE_M:
                 shown = self._shown(image.view, progress.T_sensor_target)
             progress = self._advanced(progress, image, shown, measured_m)
-        return conclude(progress, image, self._target, config)
+        return registration_of(progress, image, self._target, config)
 
     def _width(self, iteration: int) -> float:
-        """Return the share of their first values that radius, direct match and scale have in an iteration."""
+        """Return the factor on the initial radius, direct match and scale in an iteration."""
         return max(NARROWING**iteration, self._config.final_share) if self._slides else 1.0
 
-    def _settled(self, progress: Progress) -> bool:
+    def _converged(self, progress: Progress) -> bool:
         config = self._config
         wide = self._slides and self._width(progress.iterations - 1) > config.final_share
         small = progress.step_m < config.step_m or progress.sums.cost_m2 < config.error_m2
         return bool(progress.reason) or (small and not wide)
 
     def _shown(self, view: DepthView, T_sensor_target: RigidTransform) -> NDArray[np.intp]:
-        """Return the indices of the model points that the camera would see at a pose."""
+        """Return the indices of the model points that are visible to the camera at a pose."""
         target = self._target
         camera_m = T_sensor_target.inv().translation
         sight_m = camera_m - target.model_points_m
@@ -307,7 +308,7 @@ class ReverseCalibrationIcp:
     def _paired(
         self, image: DepthImage, shown: NDArray[np.intp], T_sensor_target: RigidTransform, width: float
     ) -> Pairs:
-        """Find the measured points of model points."""
+        """Return the visible model points with their matches."""
         config = self._config
         model_m = self._target.model_points_m[shown]
         points_m = T_sensor_target.apply(model_m)

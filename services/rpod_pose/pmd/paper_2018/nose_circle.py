@@ -1,8 +1,8 @@
 """The centre of a circular face in the image: a Hough circle on the face's own plane.
 
-Klionovska et al., Robotics 7(1), 2018, section 3.3.1. The Hough transform knows circles alone, and seen
-from the side a circle is an ellipse whose centre is not the circle's. So the image is drawn as the
-predicted plane of the face shows it, where the circle is round, and its centre is the face's.
+Klionovska et al., Robotics 7(1), 2018, section 3.3.1. The Hough transform finds circles only, and a circle
+seen obliquely is an ellipse whose centre is not the circle's. Therefore the image is resampled on the
+predicted plane of the face, where the circle is round and its centre is the face's.
 """
 
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ from rpod_schemas.types import Float32Array
 from rpod_target.outlines import Disc
 
 MARGIN = 1.4
-"""The drawing reaches this many radii from the predicted centre, and the reach of the search besides."""
+"""Extent of the resampled image from the predicted centre, in radii, beyond the reach of the search."""
 SPOKES = 48
 STEPS = 25
-"""Places along a spoke at which the amplitude is read."""
+"""Number of points along a spoke at which the amplitude is read."""
 REFITS = 3
 _ANGLE = np.arange(SPOKES) * (2.0 * np.pi / SPOKES)
 _SPOKE = np.stack((np.cos(_ANGLE), np.sin(_ANGLE)), axis=1)
@@ -33,13 +33,13 @@ _SPOKE = np.stack((np.cos(_ANGLE), np.sin(_ANGLE)), axis=1)
 
 @dataclass(frozen=True, eq=False)
 class DiscPlane:
-    """The plane of a disc as an image shows it; its coordinates are in radii from the disc's centre."""
+    """The plane of a disc in an image; its coordinates are in radii from the disc's centre."""
 
     image: EdgeImage
     homography: FloatArray
-    """From homogeneous places in the plane to straightened pixels, shape (3, 3)."""
+    """Homography from homogeneous points of the plane to undistorted pixels, shape (3, 3)."""
     cosine: float
-    """Of the angle between the line of sight and the disc's axis."""
+    """Cosine of the angle between the line of sight and the disc's axis."""
 
     @classmethod
     def of(cls, image: EdgeImage, disc: Disc, T_sensor_target: RigidTransform) -> Self:
@@ -52,13 +52,13 @@ class DiscPlane:
         return cls(image, homography, cosine)
 
     def straight_pixels(self, places: FloatArray) -> FloatArray:
-        """Return the straightened pixels of places in the plane, shape (..., 2)."""
+        """Return the undistorted pixels of points of the plane, shape (..., 2)."""
         seen = places @ self.homography[:, :2].T + self.homography[:, 2]
         pixels: FloatArray = seen[..., :2] / seen[..., 2:]
         return pixels
 
     def read(self, values: Float32Array | NDArray[np.uint8], places: FloatArray) -> FloatArray:
-        """Return an image's values at places in the plane, shape (rows, columns, 2); 0 beside the image."""
+        """Return an image's values at points of the plane, shape (rows, columns, 2); 0 outside the image."""
         pixels = self.straight_pixels(places)
         camera = self.image.camera
         if camera.distortion.any():
@@ -69,7 +69,7 @@ class DiscPlane:
 
     @property
     def radius_px(self) -> float:
-        """The longest radius of the disc in the image."""
+        """Longest radius of the disc in the image."""
         rim = self.straight_pixels(_SPOKE) - self.straight_pixels(np.zeros(2))
         return float(np.sqrt((rim**2).sum(axis=1).max()))
 
@@ -77,13 +77,13 @@ class DiscPlane:
 def circle_centre(
     plane: DiscPlane, *, reach: float, tolerance: float, config: CircleConfig, canny_high: float | None
 ) -> FloatArray | None:
-    """Return the straightened pixel of a disc's centre, shape (2,), or None where no circle is found.
+    """Return the undistorted pixel of a disc's centre, shape (2,), or None if no circle is found.
 
     Args:
-        plane: the disc as its pose predicts it.
-        reach: most that the centre is from the predicted one, in radii.
-        tolerance: most that the radius differs from the predicted one, as a share of it.
-        config: every other threshold.
+        plane: plane of the disc at the predicted pose.
+        reach: greatest distance of the centre from the predicted one, in radii.
+        tolerance: greatest difference of the radius from the predicted one, as a share of it.
+        config: all other thresholds.
         canny_high: gradient from which a pixel starts an edge, grey levels; None to measure the circle around
             the predicted centre without a Hough transform.
     """
@@ -104,7 +104,8 @@ def hough_circle(
 ) -> FloatArray | None:
     """Return the centre of the Hough circle nearest to the predicted one, in radii from it, shape (2,).
 
-    The limits are how far from it, in radii, and how much the radius may differ, as a share.
+    The limits are the greatest distance from it, in radii, and the greatest difference of the radius, as a
+    share.
     """
     reach, tolerance = limits
     radius_px = min(config.radius_px, plane.radius_px)
@@ -131,9 +132,9 @@ def hough_circle(
 def measured_circle(
     plane: DiscPlane, centre: FloatArray, *, tolerance: float, min_rim_share: float
 ) -> FloatArray | None:
-    """Return the centre to sub-pixel, in radii from the predicted one: a circle through its rim's steps.
+    """Return the centre, to sub-pixel, of a circle fitted to the rim, in radii from the predicted one.
 
-    Along spokes from the centre, the steepest place of the linear amplitude is the rim.
+    The rim is the steepest point of the linear amplitude along spokes from the centre.
     """
     radius, spread = 1.0, tolerance
     for _ in range(REFITS):
@@ -153,14 +154,14 @@ def measured_circle(
 
 
 LEAST_STEP = 0.01
-"""Between two places of a spoke, as a share of white: below there is no edge."""
+"""Least change between two points of a spoke that counts as an edge, as a share of white."""
 
 
 @kernel
 def circle_through(points: FloatArray) -> tuple[FloatArray, float]:
-    """Return centre, (2,), and radius of the circle through points, (N, 2): least squares (Kasa, 1976).
+    """Return centre, (2,), and radius of the circle fitted to points, (N, 2): least squares (Kasa, 1976).
 
-    Fitted again without those farther off than twice the median.
+    The fit is repeated without the points whose residual is above twice the median.
     """
     centre, radius = np.zeros(2), 1.0
     off, limit = np.zeros(points.shape[0]), 1.0

@@ -1,7 +1,7 @@
-"""A pose from points and their places in the image: EPnP, its refinement, what it can be trusted with.
+"""A pose from points and their pixels in the image: EPnP, its refinement, and its covariance.
 
 Klionovska et al., Robotics 7(1), 2018, section 3.3.2, Eqs. 5 to 7; the solver is OpenCV's (Lepetit et
-al., Int. J. Comput. Vis. 81, 2009). Places are straightened, so the camera is a pinhole. The refinement
+al., Int. J. Comput. Vis. 81, 2009). Pixels are undistorted, so the camera is a pinhole. The refinement
 minimises the reprojection error by Gauss-Newton steps with the perturbation of ``normal_equations``.
 """
 
@@ -25,66 +25,66 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import Camera
 
-SETTLED = 1e-6
-"""A step of less, m and rad, ends the refinement."""
+CONVERGED = 1e-6
+"""Step, m and rad, below which the refinement has converged."""
 LEAST_HOLD = 1e-12
-"""Information that no step is needed, 1/m2 or 1/rad2 times px2: next to none."""
+"""Prior information that the step is zero, 1/m2 or 1/rad2 times px2: negligible."""
 BEHIND_M = 1e-3
 PRIOR_RESIDUALS = 4.0
-"""The assumed noise counts as so many residuals: six or seven points say little about their own spread."""
+"""Number of residuals for which the assumed noise counts: few points hardly determine their own noise."""
 WORST_CONDITION = 1e10
 
 
 @dataclass(frozen=True, eq=False)
 class Correspondences:
-    """Points of the model and where the image shows them."""
+    """Points of the model with their pixels in the image."""
 
     points_m: FloatArray
-    """Target axes, shape (N, 3)."""
+    """Points of the model, target axes, shape (N, 3)."""
     pixels: FloatArray
-    """Straightened column and row, shape (N, 2)."""
+    """Undistorted column and row of the points, shape (N, 2)."""
 
     def __len__(self) -> int:
         return len(self.points_m)
 
     def without(self, number: int) -> "Correspondences":
-        """Return the same without one point."""
+        """Return the correspondences without one point."""
         kept = np.arange(len(self)) != number
         return Correspondences(self.points_m[kept], self.pixels[kept])
 
     @property
     def relief(self) -> float:
-        """Extent of the points across their common plane over that along it: 0 where they are coplanar."""
+        """Extent of the points across their best plane over that along it: 0 if they are coplanar."""
         extents = np.linalg.svd(self.points_m - self.points_m.mean(axis=0), compute_uv=False)
         return float(extents[2] / extents[0]) if extents[0] > 0.0 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A pose and how its points reproject."""
+    """A pose with its reprojection errors."""
 
     T_sensor_target: RigidTransform
     errors_px: FloatArray
-    """Projected minus seen, shape (N, 2)."""
+    """Projected minus measured pixels, shape (N, 2)."""
     information: FloatArray
     """J^T J of the errors by (dtau, dtheta) in target axes, 1/px^2 to be scaled, shape (6, 6)."""
 
     @property
     def distances_px(self) -> FloatArray:
-        """How far each point reprojects from its place, shape (N,)."""
+        """Length of each reprojection error, shape (N,)."""
         distances: FloatArray = np.sqrt((self.errors_px**2).sum(axis=1))
         return distances
 
     @property
     def rms_px(self) -> float:
-        """Root mean square of the distances."""
+        """Root mean square of the reprojection errors."""
         return float(np.sqrt((self.errors_px**2).sum(axis=1).mean()))
 
     def covariance(self, noise_px: float) -> FloatArray:
         """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6).
 
-        s^2 (J^T J)^-1 with s the spread of the errors, no less than ``noise_px``. NaN where the points leave
-        a motion undetermined.
+        It is s^2 (J^T J)^-1 with the standard deviation s of the errors, which is at least ``noise_px``. It
+        is NaN if the points leave a motion undetermined.
         """
         if not np.linalg.cond(self.information) < WORST_CONDITION:
             return np.full((6, 6), np.nan)
@@ -97,12 +97,12 @@ class Fit:
 
 
 def pose_from_points(points: Correspondences, camera: Camera, *, iterations: int) -> Fit | None:
-    """Return the pose by EPnP, refined; None where it is not before the camera.
+    """Return the pose by EPnP after its refinement; None if it is not in front of the camera.
 
     Args:
         points: four or more, not in one plane.
-        camera: its matrix; the distortion is not asked.
-        iterations: most Gauss-Newton steps; 0 for what EPnP gives.
+        camera: camera matrix; the distortion is not used.
+        iterations: greatest number of Gauss-Newton steps; 0 for the pose of EPnP itself.
     """
     found, turn, position = cv2.solvePnP(
         points.points_m, points.pixels, camera.K, None, flags=cv2.SOLVEPNP_EPNP
@@ -134,28 +134,28 @@ class Pinhole(NamedTuple):
 
 
 class Reprojection(NamedTuple):
-    """Where points of a model are imaged."""
+    """Reprojection of points of a model."""
 
     errors_px: FloatArray
-    """From where they were seen to where the pose has them, shape (N, 2)."""
+    """Projected minus measured pixels, shape (N, 2)."""
     sums: FloatArray
-    """Of the errors, weight 1, shape (35,)."""
+    """Sums over the errors, with weight 1, shape (35,)."""
     before: bool
-    """Whether all points lie before the camera; else the others are not filled in."""
+    """Whether all points lie in front of the camera; if not, the other fields are not complete."""
 
 
 @kernel
 def reproject(points: FloatArray, pixels: FloatArray, pinhole: Pinhole, pose: PoseArrays) -> Reprojection:
-    """Return how points reproject at a pose.
+    """Return the reprojection of points at a pose.
 
     A pixel u = fx x / z + cx moves by (fx / z, 0, -fx x / z^2) times a step of the point in sensor axes, so
     that the residual's normal is minus that, turned into target axes; v likewise.
 
     Args:
-        points: target axes, shape (N, 3), m.
-        pixels: where they were seen, column and row, shape (N, 2).
+        points: points of the model, target axes, shape (N, 3), m.
+        pixels: measured pixels of the points, column and row, shape (N, 2).
         pinhole: the camera.
-        pose: of the target.
+        pose: pose of the target.
     """
     sums, errors, R = no_sums(), np.empty(pixels.shape), pose.R
     for n in range(points.shape[0]):
@@ -178,14 +178,14 @@ def reproject(points: FloatArray, pixels: FloatArray, pinhole: Pinhole, pose: Po
 def refine(
     points: FloatArray, pixels: FloatArray, pinhole: Pinhole, start: PoseArrays, iterations: int
 ) -> PoseArrays:
-    """Return the pose after at most so many Gauss-Newton steps on the reprojection error.
+    """Return the pose after Gauss-Newton steps on the reprojection error.
 
     Args:
-        points: target axes, shape (N, 3), m.
-        pixels: where they were seen, column and row, shape (N, 2).
+        points: points of the model, target axes, shape (N, 3), m.
+        pixels: measured pixels of the points, column and row, shape (N, 2).
         pinhole: the camera.
-        start: pose to begin with.
-        iterations: most steps; fewer where a step is shorter than ``SETTLED``.
+        start: initial pose.
+        iterations: greatest number of steps; the first step below ``CONVERGED`` is the last.
     """
     pose, hold = start, np.full(UNKNOWNS, LEAST_HOLD)
     for _ in range(iterations):
@@ -194,6 +194,6 @@ def refine(
             break
         step = held_step(seen.sums, hold)
         pose = stepped(pose, step[:6])
-        if np.abs(step).max() < SETTLED:
+        if np.abs(step).max() < CONVERGED:
             break
     return pose

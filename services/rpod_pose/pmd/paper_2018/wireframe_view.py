@@ -1,4 +1,4 @@
-"""The wireframe of a target as one pose shows it: which lines, corners and circles to seek in an image.
+"""The wireframe of a target at one pose: the lines, corners and circles to search in an image.
 
 Klionovska et al., Robotics 7(1), 2018, sections 3.1 and 3.3.1: the front hexagon and the extreme point of
 the nose. Which face is the front follows from the pose: the largest one that is seen.
@@ -19,15 +19,15 @@ from rpod_target.outlines import Disc, Face, plane_faces
 
 NEAR_M = 0.05
 BESIDE_STRIDES = 1.5
-"""So many coarse pixels beside a line it is asked whether there is background."""
+"""Distance from a line, in coarse pixels, at which the background is checked."""
 KNOTS = np.linspace(0.04, 0.96, 12)
-"""Where along a line, or around a rim, it is asked whether it is seen."""
+"""Positions along a line, or around a rim, at which its visibility is checked."""
 SAME_CORNER = 1e-5
-"""Corners nearer than this share of the target's extent are one."""
+"""Greatest distance of two equal corners, as a share of the target's extent."""
 PARALLEL = 0.99
-"""Cosine of the angle between normals that count as parallel."""
+"""Least cosine of the angle between normals that count as parallel."""
 AXIS_SHARE = 0.01
-"""Circles whose axes are nearer than this share of the radius share one."""
+"""Greatest distance of two equal axes of circles, as a share of the radius."""
 RIM = np.stack([np.cos(2.0 * np.pi * KNOTS), np.sin(2.0 * np.pi * KNOTS)], axis=1)
 
 
@@ -36,7 +36,7 @@ class Wireframe:
     """Corners of a target's plane faces and the lines between them."""
 
     corners_m: FloatArray
-    """Target axes, shape (C, 3)."""
+    """Corners, target axes, shape (C, 3)."""
     lines: NDArray[np.int64]
     """Indices of each line's two corners, shape (L, 2)."""
     of_face: NDArray[np.bool_]
@@ -44,7 +44,7 @@ class Wireframe:
 
     @classmethod
     def of(cls, faces: Sequence[Face]) -> Self:
-        """Return the wireframe of faces: equal corners are one, and so are the lines between them."""
+        """Return the wireframe of faces, with equal corners and equal lines merged."""
         if not faces:
             return cls(np.empty((0, 3)), np.empty((0, 2), np.int64), np.empty((0, 0), bool))
         corners_m = np.concatenate([face.corners_m for face in faces])
@@ -64,24 +64,24 @@ class Wireframe:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What of a wireframe one pose shows."""
+    """The part of a wireframe that is visible at one pose."""
 
     lines: NDArray[np.int64]
-    """Numbers of the lines that are seen, shape (K,)."""
+    """Indices of the visible lines, shape (K,)."""
     silhouette: NDArray[np.bool_]
-    """Whether there is background beside each of these, shape (K,)."""
+    """Whether each of these lines has background on one side, shape (K,)."""
     discs: tuple[Disc, ...]
-    """The circles that are seen."""
+    """The visible circles."""
 
 
 class WireframeView:
-    """A target's faces and circles, and which of them a pose shows.
+    """A target's faces and circles, and which of them are visible at a pose.
 
     Args:
-        target: its plane faces make the wireframe.
-        only_front: take the largest face that is seen and the circles of the nose before it, not all.
-        min_face_share: smaller faces, by this share of the largest one's area, have no lines.
-        min_seen_share: lines and circles of which less is seen are left out.
+        target: target whose plane faces make the wireframe.
+        only_front: whether only the largest visible face and the circles of the nose in front of it are used.
+        min_face_share: least area of a face with lines, as a share of the largest face's.
+        min_seen_share: least visible share of a line or circle that is used.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class WireframeView:
         self.wireframe = Wireframe.of(self._faces)
 
     def shown(self, T_sensor_target: RigidTransform, view: DepthView) -> Shown | str:
-        """Return what a camera sees of the wireframe at a pose, or why that is nothing."""
+        """Return the part of the wireframe that a camera sees at a pose, or why it sees nothing."""
         eye_m = T_sensor_target.inv().translation
         towards = np.array([(eye_m - face.corners_m[0]) @ face.normal > 0.0 for face in self._faces], bool)
         if not towards.any():
@@ -123,7 +123,7 @@ class WireframeView:
     def _seen(
         self, points_m: FloatArray, T_sensor_target: RigidTransform, view: DepthView, rendered_m: FloatArray
     ) -> NDArray[np.bool_]:
-        """Return which rows of points, target axes, shape (rows, knots, 3), are seen well enough."""
+        """Return which rows of points, target axes, shape (rows, knots, 3), are visible enough, (rows,)."""
         at_m = T_sensor_target.apply(points_m.reshape(-1, 3))
         ahead = at_m[:, 2] > NEAR_M
         at_m[~ahead, 2] = NEAR_M
@@ -158,10 +158,10 @@ def _cells(
 
 
 def nose_discs(face: Face, discs: list[Disc]) -> list[Disc]:
-    """Return the circle, of those parallel to a face and before it, that is the farthest out, or none.
+    """Return the outermost circle among those parallel to a face and in front of it; empty if there is none.
 
-    Circles about the same axis come with it: where light saturates, the rim of a step behind the nose's end
-    is the one that shows.
+    Circles about the same axis are included: where light saturates, the visible rim is that of a step behind
+    the nose's end.
     """
     centre_m = face.corners_m.mean(axis=0)
     reach_m = float(np.linalg.norm(face.corners_m - centre_m, axis=1).max())
@@ -187,12 +187,12 @@ def nose_discs(face: Face, discs: list[Disc]) -> list[Disc]:
 
 
 def plane_axes(normal: FloatArray) -> FloatArray:
-    """Return two unit vectors across a normal and each other, shape (2, 3)."""
+    """Return two unit vectors perpendicular to a normal and to each other, shape (2, 3)."""
     basis, _ = np.linalg.qr(np.column_stack((normal, np.eye(3))))
     return np.ascontiguousarray(basis[:, 1:3].T)
 
 
 def rim_m(disc: Disc, circle: FloatArray) -> FloatArray:
-    """Return the points at places of the unit circle, shape (N, 2), on a disc's rim, shape (N, 3)."""
+    """Return the points of a disc's rim, shape (N, 3), m, at points of the unit circle, shape (N, 2)."""
     points_m: FloatArray = disc.centre_m + disc.radius_m * circle @ plane_axes(disc.normal)
     return points_m

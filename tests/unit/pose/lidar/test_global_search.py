@@ -94,7 +94,7 @@ def test_a_symmetric_target_is_ambiguous_and_one_of_its_hypotheses_is_right(targ
         assert acquisition.outcome is Outcome.AMBIGUOUS
         assert all(rival.exact for rival in acquisition.belief.rivals)
         assert acquisition.begins_track
-        assert acquisition.belief.reason == f"{alike} poses look alike by the target's symmetry"
+        assert acquisition.belief.reason == f"{alike} poses cannot be told apart, by the target's symmetry"
         hypotheses = acquisition.hypotheses
         assert len(hypotheses) == alike
         assert sum(hypothesis.weight for hypothesis in hypotheses) == pytest.approx(1.0)
@@ -159,8 +159,8 @@ def test_the_same_scan_gives_the_same_result_bit_for_bit():
 def test_a_right_pose_is_judged_right_and_refined(target, range_m):
     for seed in range(5):
         T = random_pose(seed, range_m)
-        judged = search(target).judge(scan_at(T, target, frame=seed), off(T, 2.0, 0.1, seed))
-        assert_accepted(judged, T)
+        verified = search(target).verify(scan_at(T, target, frame=seed), off(T, 2.0, 0.1, seed))
+        assert_accepted(verified, T)
 
 
 @pytest.mark.parametrize(("target", "range_m"), [(BULKY, 20.0), (SLIM, 50.0), (MESH, 30.0)])
@@ -169,26 +169,26 @@ def test_a_pose_turned_by_half_a_turn_is_judged_wrong_and_told_by_how_much(targe
         T = random_pose(seed, range_m)
         scan = scan_at(T, target, frame=seed)
         for turn in load(target).turns():
-            judged = search(target).judge(scan, T * turn)
-            assert judged.outcome is Outcome.FAILED
-            assert judged.belief.reason in {
+            verified = search(target).verify(scan, T * turn)
+            assert verified.outcome is Outcome.FAILED
+            assert verified.belief.reason in {
                 f"the pose turned by {deg} deg explains the scan better" for deg in (179, 180)
             }
-            assert errors(T, judged.pose)[0] > 170.0
+            assert errors(T, verified.pose)[0] > 170.0
 
 
 def test_a_pose_beside_the_target_or_a_scan_of_nothing_is_judged_wrong():
     T = random_pose(2)
     for z_m in (-20.0, 500.0):
-        judged = search().judge(scan_at(T), make_pose(translation_m=(0.0, 0.0, z_m)))
-        assert judged.outcome is Outcome.FAILED
-        assert judged.belief.reason
-    nothing = search().judge(scan_of(np.full((41, 41, 3), np.nan)), T)
+        verified = search().verify(scan_at(T), make_pose(translation_m=(0.0, 0.0, z_m)))
+        assert verified.outcome is Outcome.FAILED
+        assert verified.belief.reason
+    nothing = search().verify(scan_of(np.full((41, 41, 3), np.nan)), T)
     assert (nothing.outcome, nothing.belief.reason) == (Outcome.FAILED, "0 returns, 6 needed")
 
 
 def test_a_pose_in_the_sensor_itself_is_judged_wrong():
-    assert search().judge(scan_at(random_pose(2)), make_pose()).outcome is Outcome.FAILED
+    assert search().verify(scan_at(random_pose(2)), make_pose()).outcome is Outcome.FAILED
 
 
 @pytest.mark.parametrize(("target", "range_m"), [(BULKY, 20.0), (SLIM, 50.0), (MESH, 30.0)])

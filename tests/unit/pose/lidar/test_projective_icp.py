@@ -21,7 +21,7 @@ from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
-from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+from rpod_schemas.config.lidar_search import ProjectiveIcpConfig, ProjectiveIcpTuning
 from rpod_schemas.poses import make_pose, pose_of
 from rpod_schemas.types import Source
 
@@ -32,13 +32,13 @@ EXACT = LidarConfig(noise=LidarNoiseConfig(sigma_range_m=0.0, sigma_pointing_rad
 
 
 @pytest.mark.parametrize(("target", "range_m"), SCENES)
-def test_a_rough_pose_is_drawn_in_by_the_distance_field(target, range_m):
+def test_a_rough_pose_is_aligned_by_the_distance_field(target, range_m):
     off_deg, off_m = [], []
     for seed in range(12):
         T = random_pose(seed, range_m)
         seen, guess = tracker(target).view.seen(scan_at(T, target, frame=seed)), off(T, 15.0, 1.0, seed)
         R, t = field_aligned(
-            Points.equal(seen.thinned(128)),
+            Points.equal(seen.downsampled(128)),
             PoseArrays.of(guess),
             tracker(target).surface.coarse_field,
             np.geomspace(1.0, 0.15, 6),
@@ -123,7 +123,7 @@ def test_the_covariance_is_symmetric_and_positive_definite():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_one_face_alone_leaves_sliding_along_it_and_turning_about_its_normal_open(seed):
-    T, target, config = random_pose(seed), load(BULKY), ProjectiveIcpConfig()
+    T, target, config = random_pose(seed), load(BULKY), ProjectiveIcpConfig().tuning
     points_m = scan_at(T, frame=seed).points_m.copy()
     owner = cast(tracker().view.grid, target.triangles_m, T).triangle
     planes = np.column_stack((target.normals, (target.normals * target.triangles_m[:, 0]).sum(axis=1)))
@@ -183,11 +183,11 @@ def test_organised_or_not_a_scan_is_registered_bit_for_bit_the_same(seed):
 
 
 def test_a_tracker_may_do_without_the_steps_from_afar():
-    T, config = random_pose(2), ProjectiveIcpConfig(draw_in_steps=0)
+    T, config = random_pose(2), ProjectiveIcpConfig(tuning=ProjectiveIcpTuning(draw_in_steps=0))
     near = ProjectiveIcp(config, load(BULKY), **told_by(LIDAR))
     registration = near.track(scan_at(T), off(T, 1.0, 0.05, 2))
     assert errors(T, registration.T_sensor_target)[0] < 0.3
-    assert registration.iterations == config.settle_steps
+    assert registration.iterations == config.tuning.settle_steps
 
 
 @pytest.mark.parametrize("scan", STRANGE)

@@ -164,9 +164,9 @@ def test_a_scan_of_half_the_target_says_that_the_other_half_is_missing():
     half, seen = fitted(T, scan_of(points_m))
     assert whole.agreement.missing < 20.0
     assert half.agreement.missing > 50.0
-    assert half.agreement.contrary <= whole.agreement.contrary
+    assert half.agreement.inconsistent <= whole.agreement.inconsistent
     assert reason_against(T, scan_of(points_m)) == (
-        f"does not explain the scan: of {seen.returns} returns {half.agreement.contrary} contradict "
+        f"does not explain the scan: of {seen.returns} returns {half.agreement.inconsistent} contradict "
         f"the pose, {half.agreement.missing:.0f} more are missing"
     )
 
@@ -174,7 +174,11 @@ def test_a_scan_of_half_the_target_says_that_the_other_half_is_missing():
 def test_returns_where_the_pose_predicts_none_all_contradict_it():
     T = make_pose(translation_m=(0.0, 0.0, -30.0))
     fit, seen = fitted(T, scan_at(random_pose(3)))
-    assert (fit.agreement.agreeing, fit.agreement.contrary, fit.agreement.missing) == (0, seen.returns, 0.0)
+    assert (fit.agreement.agreeing, fit.agreement.inconsistent, fit.agreement.missing) == (
+        0,
+        seen.returns,
+        0.0,
+    )
     assert fit.agreement.share == 0.0
     assert fit.deficit > 0.0
 
@@ -186,15 +190,15 @@ def test_of_nothing_nothing_is_explained():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_pose_is_sharpened_by_the_outline(seed):
+def test_a_pose_is_refined_by_the_outline(seed):
     T = random_pose(seed, 50.0)
     scan, rough = scan_at(T, SLIM, frame=seed), off(T, 1.5, 0.3, seed)
     model, seen = tracker(SLIM).model, tracker(SLIM).view.seen(scan)
     covariance = np.diag([0.3**2] * 3 + [0.03**2] * 3)
-    R, t = model.sharpen(seen, *parts(rough), covariance)
+    R, t = model.outline_refined(seen, *parts(rough), covariance)
     assert model.fit(seen, R, t).log_likelihood > model.fit(seen, *parts(rough)).log_likelihood
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
     assert errors(T, pose_of(R, t))[1] < errors(T, rough)[1]
-    again = model.sharpen(seen, *parts(rough), covariance)
+    again = model.outline_refined(seen, *parts(rough), covariance)
     np.testing.assert_array_equal(R, again[0])
     np.testing.assert_array_equal(t, again[1])

@@ -81,7 +81,7 @@ def test_a_scan_is_cut_off_where_an_outermost_ray_returned():
 @pytest.mark.parametrize("count", [10, 64, 10**6])
 def test_points_are_thinned_to_about_the_number_asked_for(count):
     seen = VIEW.seen(SCAN)
-    assert len(seen.thinned(count)) == pytest.approx(min(count, seen.returns), rel=0.25)
+    assert len(seen.downsampled(count)) == pytest.approx(min(count, seen.returns), rel=0.25)
 
 
 def test_the_spacing_is_the_typical_one_and_that_of_a_single_line_a_degree():

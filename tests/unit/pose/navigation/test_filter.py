@@ -19,11 +19,13 @@ from rpod_pose.navigation.filter import (
     update,
 )
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.filter import FilterConfig, FilterTuning
 from rpod_schemas.poses import make_pose
 
 SECOND_NS = 1_000_000_000
-PLAIN = FilterConfig(position_floor_m=0.0, attitude_floor_deg=0.0, correlation_inflation=1.0, gate_nis=1e9)
+PLAIN = FilterConfig(
+    position_floor_m=0.0, attitude_floor_deg=0.0, correlation_inflation=1.0, tuning=FilterTuning(gate_nis=1e9)
+)
 """Takes measurements at their word."""
 ORIGIN, CENTRE_M = np.zeros(3), np.array([-3.86, -0.4, 0.7])
 """Where the centre of mass lies, target axes."""
@@ -191,14 +193,14 @@ def test_the_gate_rejects_outliers_and_leaves_the_state_alone() -> None:
     outlier = turned(np.array([0.0, 0.0, np.pi / 3]), np.zeros(3), state.T_chaser_target)
     rejected = update(state, outlier, COVARIANCE, config=FilterConfig())
     assert not rejected.accepted
-    assert rejected.nis > FilterConfig().gate_nis
+    assert rejected.nis > FilterConfig().tuning.gate_nis
     assert rejected.state is state
     assert update(state, state.T_chaser_target, COVARIANCE, config=FilterConfig()).nis == pytest.approx(0.0)
 
 
 def test_the_gate_lets_99_percent_of_good_measurements_pass() -> None:
     rng, state = np.random.default_rng(5), tracked_state()
-    config = PLAIN.model_copy(update={"gate_nis": FilterConfig().gate_nis})
+    config = PLAIN.model_copy(update={"tuning": FilterConfig().tuning})
     innovation = state.covariance[:6, :6] + COVARIANCE
     errors = rng.multivariate_normal(np.zeros(6), innovation, size=800)
     accepted = [

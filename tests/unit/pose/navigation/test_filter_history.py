@@ -58,7 +58,7 @@ def test_an_outlier_among_them_changes_nothing_of_that() -> None:
     good, outlier, newest = measurement(0.2), measurement(0.5, offset_m=3.0), measurement(0.6)
     late = apply(after(good, newest), outlier, CONFIG)
     assert not late.accepted
-    assert late.nis > CONFIG.gate_nis
+    assert late.nis > CONFIG.tuning.gate_nis
     assert_same(late.history.state, after(good, outlier, newest).state)
 
 

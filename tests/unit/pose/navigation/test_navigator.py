@@ -229,7 +229,7 @@ def test_without_candidates_the_search_goes_on():
     output = made.see(blind(START_S))
     assert made.mode == Mode.ACQUIRING
     assert not output.status.accepted
-    assert output.status.reason == "the search found nothing to work on"
+    assert output.status.reason == "the search found too few points of the target"
 
 
 def test_a_candidate_that_is_not_believed_is_no_hypothesis_and_says_why():
@@ -352,7 +352,7 @@ def test_tracking_searches_nothing():
 
 
 def test_a_track_whose_prediction_has_become_vague_is_searched_around():
-    made = tracking(vague_deg=3.0)
+    made = tracking(tuning={"vague_deg": 3.0})
     made.see(replace(untracked(START_S + 1.5), nearby=(registration(in_sensor(START_S + 1.5)),)))
     assert made.method.asked == ["track"]
     output = made.see(replace(untracked(START_S + 9.0), nearby=(registration(in_sensor(START_S + 9.0)),)))
@@ -477,7 +477,7 @@ def test_what_stays_lost_says_why():
     made = lost()
     output = made.see(blind(START_S + 6.1))
     assert made.mode == Mode.LOST
-    assert output.status.reason == "the search found nothing to work on"
+    assert output.status.reason == "the search found too few points of the target"
     assert output.odometry is None
 
 

@@ -2,7 +2,7 @@ import pytest
 from pydantic import ValidationError
 
 from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
-from rpod_schemas.config.pmd_joint import JointConfig, JointVerdictConfig
+from rpod_schemas.config.pmd_joint import JointTuning, JointVerdictConfig
 
 LIMITS = JointVerdictConfig(
     min_edge_share=0.5, min_changed_share=0.5, min_points=40, min_edges=40, bias_sigmas=2.0, scale_share=0.004
@@ -12,10 +12,10 @@ LIMITS = JointVerdictConfig(
 @pytest.mark.parametrize(
     ("counts", "share"),
     [
-        ({"edges": 75, "expected": 100.0, "asked": 120, "points": 500}, 0.85),
-        ({"edges": 75, "expected": 20.0, "asked": 200, "points": 500}, 0.85),
-        ({"edges": 75, "expected": 20.0, "asked": 100, "points": 39}, 0.85),
-        ({"edges": 0, "expected": 0.0, "asked": 39, "points": 500}, 1.0),
+        ({"edges": 75, "expected": 100.0, "checked": 120, "points": 500}, 0.85),
+        ({"edges": 75, "expected": 20.0, "checked": 200, "points": 500}, 0.85),
+        ({"edges": 75, "expected": 20.0, "checked": 100, "points": 39}, 0.85),
+        ({"edges": 0, "expected": 0.0, "checked": 39, "points": 500}, 1.0),
     ],
     ids=["of what is expected", "of what should change at least", "of all without depth", "too few"],
 )
@@ -31,7 +31,7 @@ def test_misplaced_edges_are_a_reason_with_figures():
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_ranges_that_do_not_fit_the_size_are_a_reason_and_farther_off_more_is_tolerated(sign):
     assert wrong_scale(LIMITS, bias_m=sign * 0.059, sigma_m=0.025, range_m=2.5) == ""
-    assert "0.061 m off where edges have the target, 0.060 at most" in wrong_scale(
+    assert "0.061 m off the distance that the edges give, 0.060 m at most" in wrong_scale(
         LIMITS, bias_m=sign * 0.061, sigma_m=0.025, range_m=2.5
     )
     assert wrong_scale(LIMITS, bias_m=sign * 0.061, sigma_m=0.025, range_m=5.0) == ""
@@ -39,4 +39,4 @@ def test_ranges_that_do_not_fit_the_size_are_a_reason_and_farther_off_more_is_to
 
 def test_what_is_not_believed_is_weak():
     with pytest.raises(ValidationError, match="weak_edge_share"):
-        JointConfig(verdict=JointVerdictConfig(min_edge_share=0.7, weak_edge_share=0.6))
+        JointTuning(verdict=JointVerdictConfig(min_edge_share=0.7, weak_edge_share=0.6))

@@ -88,7 +88,7 @@ def test_a_bright_place_where_no_surface_should_be_contradicts():
     assert "a detail contradicts" in compared(images).reason(LIMITS)
 
 
-def test_a_few_dark_pixels_say_that_a_surface_is_lacking_where_as_many_wrong_ranges_may_be_noise():
+def test_a_few_dark_pixels_say_that_a_surface_is_missing_where_as_many_wrong_ranges_may_be_noise():
     few = (np.array((30, 30, 31, 31, 32)), np.array((34, 35, 34, 35, 34)))
     assert (rendered().triangle[few] >= 0).all()
     range_m, sigma_m, shade = seen()
@@ -96,7 +96,7 @@ def test_a_few_dark_pixels_say_that_a_surface_is_lacking_where_as_many_wrong_ran
     assert compared((range_m, sigma_m, shade)).reason(LIMITS) == ""
     range_m[few], shade[few] = np.nan, SKY
     assert compared((range_m, sigma_m, shade)).reason(LIMITS) == (
-        "a detail is lacking: 5 of 25 pixels there are dark, 4 at most"
+        "a detail is missing: 5 of 25 pixels there are dark, 4 at most"
     )
 
 
@@ -125,9 +125,16 @@ def test_an_outline_may_be_off_by_some_pixels_of_the_image_and_not_by_a_coarse_o
     assert bool(compared(seen(T=moved)).reason(LIMITS)) is contradicts
 
 
-@pytest.mark.parametrize(("contrary", "refused"), [(3, False), (4, True)])
-def test_of_few_pixels_some_may_contradict(contrary, refused):
-    assert bool(Contradictions(pixels=21, contrary=contrary, fullest=1, lacking=0).reason(LIMITS)) is refused
+@pytest.mark.parametrize(("inconsistent", "refused"), [(3, False), (4, True)])
+def test_of_few_pixels_some_may_contradict(inconsistent, refused):
+    assert (
+        bool(
+            Contradictions(pixels=21, inconsistent=inconsistent, most_in_patch=1, most_missing=0).reason(
+                LIMITS
+            )
+        )
+        is refused
+    )
 
 
 def test_where_nothing_is_seen_nothing_is_explained():

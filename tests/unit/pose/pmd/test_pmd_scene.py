@@ -74,7 +74,8 @@ def test_a_glint_speaks_for_no_pose_and_against_none():
     whole = scene(ideal().depth_m, shade(200))
     R, t = POSE.rotation.as_matrix(), POSE.translation
     fits = [
-        PmdFitter(PmdModelConfig(), mockup(), one, as_filed=False).fit(R, t) for one in (glinting()[0], whole)
+        PmdFitter(PmdModelConfig(), mockup(), one, known_materials=False).fit(R, t)
+        for one in (glinting()[0], whole)
     ]
     assert fits[0].mean_loss == pytest.approx(fits[1].mean_loss, abs=0.05)
     assert fits[0].explained_share > 0.99
@@ -92,7 +93,10 @@ def test_lost_depth_hardly_moves_the_middle_of_what_is_seen():
 def test_other_materials_change_the_loss_of_the_amplitude_alone():
     R, t = POSE.rotation.as_matrix(), POSE.translation
     even = scene(ideal().depth_m, shade(200))
-    fits = [PmdFitter(PmdModelConfig(), mockup(), even, as_filed=filed).fit(R, t) for filed in (True, False)]
+    fits = [
+        PmdFitter(PmdModelConfig(), mockup(), even, known_materials=filed).fit(R, t)
+        for filed in (True, False)
+    ]
     assert fits[0].loss > 2.0 * fits[1].loss
     assert fits[1].mean_loss < 0.2
 
@@ -131,15 +135,15 @@ def test_the_right_pose_explains_a_frame_best():
         assert fitter.fit(turned.as_matrix(), POSE.translation).loss > 1.2 * right.loss
 
 
-def test_sharpening_never_makes_a_pose_worse():
+def test_the_refinement_never_makes_a_pose_worse():
     fitter = PmdFitter(PmdModelConfig(), mockup(), scene(ideal().depth_m))
     draws = np.random.default_rng(1).standard_normal((3, 16, 6))
     off = make_pose(
         rotation=POSE.rotation * Rotation.from_rotvec([0.03, 0.0, 0.02]), translation_m=(0.02, 0.0, 4.01)
     )
     R, t = off.rotation.as_matrix(), off.translation
-    sharper = fitter.sharpened(R, t, np.full(6, 0.02), draws)
-    assert fitter.fit(*sharper).loss < fitter.fit(R, t).loss
+    refined = fitter.outline_refined(R, t, np.full(6, 0.02), draws)
+    assert fitter.fit(*refined).loss < fitter.fit(R, t).loss
 
 
 def test_a_missing_detail_shows_in_the_worst_patch():

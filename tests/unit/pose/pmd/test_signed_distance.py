@@ -13,7 +13,7 @@ from rpod_pose.pmd.signed_distance import SignedDistanceTracker, measured_equati
 from rpod_pose.registration.distance_field import distance_and_gradient, field_arrays
 from rpod_pose.registration.lie_group import moved, turned
 from rpod_schemas.config.motion import FACING
-from rpod_schemas.config.pmd_methods import SignedDistanceConfig
+from rpod_schemas.config.pmd_methods import SignedDistanceConfig, SignedDistanceTuning
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_target import TargetError, load_target
 
@@ -111,4 +111,4 @@ def test_a_target_that_is_not_closed_cannot_be_tracked_by_its_field():
 
 def test_a_scale_that_widens_is_refused():
     with pytest.raises(ValidationError, match="must not exceed"):
-        SignedDistanceConfig(scale_m=0.05, final_scale_m=0.1)
+        SignedDistanceTuning(scale_m=0.05, final_scale_m=0.1)

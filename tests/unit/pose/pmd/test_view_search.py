@@ -73,7 +73,7 @@ def test_what_explains_the_frame_is_accepted():
     assert found().belief.reason == ""
 
 
-def test_what_is_accepted_is_laid_on_the_edges_too():
+def test_an_accepted_pose_is_aligned_with_the_edges_too():
     result = found()
     assert result.registration.source is Source.PMD_JOINT
     assert attitude_error_deg(OBLIQUE, result.pose) < 0.5

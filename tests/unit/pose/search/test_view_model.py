@@ -45,7 +45,7 @@ def test_the_grid_of_attitudes_covers_all_of_them_better_than_chance(count, wors
 
 def test_the_default_levels_of_the_search_are_dense_enough_for_its_alignment():
     asked = Rotation.random(500, rng=np.random.default_rng(2))
-    for level in GlobalSearchConfig().levels:
+    for level in GlobalSearchConfig().tuning.levels:
         assert angles_deg(asked, super_fibonacci(level.attitudes)).mean() < 15.0
 
 

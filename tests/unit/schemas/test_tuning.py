@@ -1,0 +1,150 @@
+"""How much of the estimator's configuration is public, and where the values of the rest come from."""
+
+import re
+from collections.abc import Iterator
+
+import pytest
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from rpod_schemas.config.base import Config, check
+from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, PmdInput
+from rpod_schemas.config.service import ServiceConfig
+from rpod_schemas.config.tuning import Provenance, Tuning, public_fields, sources, tuning_values
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.sensors import methods, sensor_kinds
+
+MOST_PUBLIC_FIELDS = 60
+"""For the whole estimator. A capability that needs more raises it, with a decision record."""
+MOST_BY_HAND = 134
+"""Values that a hand fitted on emulated frames, mostly of the mock-up. It only ever falls."""
+FEWEST_WORDS = 4
+"""Of the sentence that tells what a field does."""
+
+
+def estimator_fields() -> dict[str, FieldInfo]:
+    """All public leaves, of one LIDAR and one PMD camera with their default methods.
+
+    What every service has (its bus, its name) is the facility's. The parameters of the papers' methods are
+    documented with them. Neither is counted. All that a calibration file holds is.
+    """
+    found = {
+        name: field
+        for name, field in public_fields(EstimatorConfig).items()
+        if name.split(".")[0] not in {"sensors", *ServiceConfig.model_fields}
+    }
+    for model in (LidarInput, PmdInput):
+        kind = model.model_fields["kind"].default
+        found |= {f"sensors.{kind}.{name}": field for name, field in public_fields(model).items()}
+    return found
+
+
+def below(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    for child in model.__subclasses__():
+        if child.__module__.startswith("rpod_schemas."):
+            yield child
+            yield from below(child)
+
+
+def tuning_roots() -> list[type[BaseModel]]:
+    """Every model that stands as ``tuning`` in a configuration of the project."""
+    for kind in sensor_kinds():
+        methods(kind.name)
+    fields = (model.model_fields.get("tuning") for model in below(Config))
+    defaults = [field.default for field in fields if field is not None]
+    roots = {type(default) for default in defaults if isinstance(default, BaseModel)}
+    return sorted(roots, key=lambda model: model.__name__)
+
+
+def test_the_estimator_has_at_most_sixty_public_fields(capsys: pytest.CaptureFixture[str]) -> None:
+    names = estimator_fields()
+    with capsys.disabled():
+        print(f"\n[configuration] {len(names)} public fields of the estimator, {MOST_PUBLIC_FIELDS} at most")  # noqa: T201 - for who reads the run of the tests
+    assert len(names) <= MOST_PUBLIC_FIELDS, "\n".join(names)
+
+
+def test_every_public_field_has_a_sentence() -> None:
+    mute = {
+        name
+        for name, field in estimator_fields().items()
+        if len((field.description or "").split()) < FEWEST_WORDS and ".camera." not in name
+    }
+    assert {name for name in mute if not name.endswith(".kind")} == set()
+
+
+def test_every_tuning_value_says_where_it_comes_from(capsys: pytest.CaptureFixture[str]) -> None:
+    values = {root: tuning_values(root) for root in tuning_roots()}
+    without = [
+        f"{root.__name__}.{value.path}"
+        for root, of in values.items()
+        for value in of
+        if value.provenance is None or not value.provenance.note
+    ]
+    assert not without, f"no provenance: {', '.join(without)}"
+    counts = sources([value for of in values.values() for value in of])
+    with capsys.disabled():
+        told = ", ".join(f"{count} {source}" for source, count in counts.most_common())
+        print(f"\n[configuration] {counts.total()} tuning values: {told}")  # noqa: T201 - for who reads the run of the tests
+    assert counts["hand, mock-up"] <= MOST_BY_HAND
+
+
+def test_every_tuning_model_is_part_of_a_configuration() -> None:
+    reached: set[type[BaseModel]] = set()
+    open_ = list(tuning_roots())
+    while open_:
+        model = open_.pop()
+        reached.add(model)
+        nested = (type(field.default) for field in model.model_fields.values())
+        open_ += [each for each in nested if issubclass(each, BaseModel) and each not in reached]
+    assert all(issubclass(root, Tuning) for root in tuning_roots())
+    missing = {model.__name__ for model in below(Tuning)} - {model.__name__ for model in reached}
+    assert missing == {"SearchLevelConfig"}  # which stands in a tuple, and has its values there
+
+
+def test_a_value_without_provenance_is_found() -> None:
+    class Inner(Tuning):
+        told: int = 1
+
+    class Outer(Tuning):
+        bare: float = 0.5
+        inner: Inner = Inner()
+
+    assert [(value.path, value.provenance) for value in tuning_values(Outer)] == [
+        ("bare", None),
+        ("inner.told", None),
+    ]
+    assert sources(tuning_values(Outer)) == {"none": 2}
+
+
+def test_tuning_is_not_public_and_what_stands_beside_is() -> None:
+    assert "tuning.gate_nis" not in public_fields(EstimatorConfig)
+    assert not any("tuning" in name for name in estimator_fields())
+    assert {"sensors.pmd.tracking.slack_m", "sensors.pmd.camera.fx", "filter.position_floor_m"} < set(
+        estimator_fields()
+    )
+    assert isinstance(tuning_values(tuning_roots()[0])[0].provenance, Provenance)
+
+
+@pytest.mark.parametrize(
+    ("document", "place"),
+    [
+        ({"filter": {"gate_nis": 12.0}}, "filter.tuning.gate_nis"),
+        (
+            {"sensors": [{"kind": "pmd", "tracking": {"kind": "joint", "depth": {"points": 9}}}]},
+            "sensors.0.tracking.tuning.depth",
+        ),
+    ],
+)
+def test_the_error_of_a_field_that_became_tuning_names_its_place(
+    document: dict[str, object], place: str
+) -> None:
+    whole = {"target": "mockup", "sensors": [{"kind": "pmd"}], **document}
+    with pytest.raises(ConfigurationError, match=re.escape(f"write it as {place}")):
+        check(EstimatorConfig, whole, source="run.yaml")
+
+
+def test_the_error_of_a_field_that_nobody_knows_names_no_tuning() -> None:
+    whole = {"target": "mockup", "sensors": [{"kind": "pmd"}], "filter": {"gone": 1}}
+    with pytest.raises(ConfigurationError, match=r"filter\.gone") as raised:
+        check(EstimatorConfig, whole, source="run.yaml")
+    assert "tuning" not in str(raised.value)
