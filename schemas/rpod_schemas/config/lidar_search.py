@@ -22,6 +22,11 @@ class ScanModelConfig(Tuning):
         Positive, Provenance("physics", "the sensor's own message is believed as it is")
     ] = 1.0
     """Standard deviation over that."""
+    least_range_m: Annotated[
+        Positive, Provenance("physics", "LIDARs for rendezvous state larger ranges in their data sheets")
+    ] = 100.0
+    """Range at which a white surface at normal incidence gives a return for every other pulse, at least. No
+    sensor is assumed to be weaker."""
     surest_detection: Annotated[
         Annotated[float, Field(gt=0, lt=1)],
         Provenance("hand, mock-up", "a prior: holes, edges and mirrors lose a few rays of any sensor"),

@@ -1,20 +1,24 @@
 """Probability that a ray that meets the target gives a return, estimated from the scan itself.
 
-No estimator knows a LIDAR's power, its threshold, or how the target's surfaces have aged. It knows only that
-a brighter echo is detected more often than a dimmer one. The echo of a surface is
+No estimator knows a LIDAR's power, its threshold, or how the target's surfaces have aged. It knows that a
+brighter echo is detected more often than a dimmer one, and the least range at which the sensor works, which a
+data sheet states. The echo of a surface is
 
-    e = albedo cos(theta) (R0 / R)^2,
+    e = albedo cos(theta) (R_least / R)^2,
 
-with the albedo of its class (``brightness``) and R0 the median of the scan's own ranges, which sets the
-scale. It is detected with the probability
+with the albedo of its class (``brightness``) and that range R_least, so that a white surface at normal
+incidence there has an echo of 1. It is detected with the probability
 
     P(e) = surest / (1 + (half / e)^STEEPNESS).
 
 One parameter of this law is unknown: ``half``, the echo that is detected with half of the greatest
 probability. A pose predicts which rays meet the target, and the scan shows which of them gave a return, so
 that each pose has its own estimate of ``half``. The likelihood of the pose is the mean over all values, with
-equal weights, from "everything is detected" to "only the brightest echoes". All rays of one pose share one
+equal weights, from "everything is detected" to the weakest sensor, with 1. All rays of one pose share one
 value.
+
+Without this bound, surfaces far behind a near face could always be too dim to be detected, and a small body
+was accepted as the nearest face of a large one.
 """
 
 from math import log
@@ -24,15 +28,16 @@ import numpy as np
 
 from rpod_schemas.arrays import FloatArray
 
-HALVES: FloatArray = np.append(0.0, np.geomspace(1e-3, 1.0, 7))
-"""Values of ``half``, about half a decade apart; 0 means that everything is detected."""
+HALVES: FloatArray = np.append(0.0, np.geomspace(1e-2, 1.0, 5))
+"""Values of ``half``, half a decade apart, of sensors with 1 to 10 times the least range; 0 means that
+everything is detected."""
 STEEPNESS = log(81.0) / log(10.0)
 """Exponent for a rise from 10 to 90 % over a factor of ten: detectors need a factor of four, and the albedo
 of a class is known within a factor of two."""
-LEAST_LOG, RUNGS, RUNGS_PER_LOG = log(1e-4), 48, 4.5
+LEAST_LOG, RUNGS, RUNGS_PER_LOG = log(1e-4), 64, 4.5
 """Logarithm of the least echo of the table, its length, and its steps per unit of the logarithm."""
-LINEAR_RUNGS = 256
-"""Steps of ``expected_shares`` up to the echo of a white surface at normal incidence."""
+LINEAR_RUNGS, LINEAR_STEPS = 512, 64.0
+"""Length of the table of ``expected_shares``, and its steps per unit of the echo."""
 
 
 class Detection(NamedTuple):
@@ -60,7 +65,7 @@ def detection(surest: float, clutter_share: float) -> Detection:
 
 def expected_shares(surest: float) -> FloatArray:
     """Return the prior probability of a return over even steps of the echo, shape (L,)."""
-    echoes = (np.arange(LINEAR_RUNGS) + 0.5) / LINEAR_RUNGS
+    echoes = np.arange(0.5, LINEAR_RUNGS, dtype=np.float64) / LINEAR_STEPS
     shares: FloatArray = _law(echoes, surest).mean(axis=0)
     return shares
 

@@ -19,12 +19,11 @@ from scipy.stats import norm, qmc
 
 from rpod_geometry.rays import cast
 from rpod_pose.belief import Belief, contradicted
-from rpod_pose.lidar.detection import LINEAR_RUNGS, detection, expected_shares
+from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
 from rpod_pose.lidar.scan_likelihood import (
     Assumptions,
     Draws,
     Rays,
-    Returns,
     ScanStatistics,
     agreement_counts,
     likeliest,
@@ -113,19 +112,20 @@ class ScanModel:
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
-        return _fit(scan_statistics(_returns(seen), R, t, self._rays, self._assumed))
+        return _fit(scan_statistics(seen.range_m, R, t, self._rays, self._assumed))
 
     def agreement(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Agreement:
         """Return the agreement of ``fit`` alone, in half the time."""
-        return Agreement(*agreement_counts(_returns(seen), R, t, self._rays, self._assumed))
+        return Agreement(*agreement_counts(seen.range_m, R, t, self._rays, self._assumed))
 
     def log_likelihood(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> float:
         """Return the log likelihood of ``fit`` alone."""
-        return float(log_likelihood(_returns(seen), R, t, self._rays, self._assumed))
+        return float(log_likelihood(seen.range_m, R, t, self._rays, self._assumed))
 
-    def expected_shares(self, seen: SeenScan) -> tuple[float, FloatArray]:
+    @property
+    def expected_shares(self) -> tuple[float, FloatArray]:
         """Return the ``detection`` of ``energies``: steps of the table per unit of echo, and the table."""
-        return LINEAR_RUNGS * seen.middle_m**2, self._shares
+        return LINEAR_STEPS * self._assumed.least_range_m**2, self._shares
 
     def belief(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> Belief:
         """Return the belief that a pose with a known fit explains a scan."""
@@ -138,7 +138,7 @@ class ScanModel:
         }
         if self._explains(fit, seen.returns):
             return Belief(evidence=evidence)
-        less = _fit(scan_statistics(_returns(seen), R, t, self._rays, self._pessimistic))
+        less = _fit(scan_statistics(seen.range_m, R, t, self._rays, self._pessimistic))
         if self._explains(less, seen.returns):
             return Belief(evidence=evidence)
         reason = (
@@ -181,9 +181,8 @@ class ScanModel:
             np.empty(measured.shape, np.float32),
             np.empty(measured.shape, np.int32),
         )
-        returns = Returns(measured, seen.middle_m)
         refined: tuple[FloatArray, FloatArray] = likeliest(
-            returns, R, t, rays, self._assumed, covariance, _DRAWS
+            measured, R, t, rays, self._assumed, covariance, _DRAWS
         )
         return refined
 
@@ -194,16 +193,13 @@ def _fit(statistics: ScanStatistics) -> ScanFit:
     return ScanFit(statistics.log_likelihood, deficit, sqrt(statistics.variance), Agreement(*counts))
 
 
-def _returns(seen: SeenScan) -> Returns:
-    return Returns(seen.range_m, seen.middle_m)
-
-
 def _assumptions(config: ScanModelConfig, sigma_range_m: float) -> Assumptions:
     return Assumptions(
         sigma_m=config.noise_scale * sigma_range_m,
         slack_m=config.slack_m,
         clutter_share=config.clutter_share,
         clutter_density=config.clutter_share / config.clutter_depth_m,
+        least_range_m=config.least_range_m,
         detection=detection(config.surest_detection, config.clutter_share),
     )
 

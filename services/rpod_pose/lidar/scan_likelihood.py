@@ -27,15 +27,6 @@ HIT_MEAN, HIT_VARIANCE = 1.6818, 0.9661
 """Mean and variance of minus the logarithm of that density, integrated numerically."""
 
 
-class Returns(NamedTuple):
-    """Measured ranges of the rays of a pattern."""
-
-    range_m: FloatArray
-    """Range of each ray, 0 without a return, shape (rows, columns)."""
-    middle_m: float
-    """Median of the returns' ranges."""
-
-
 class Assumptions(NamedTuple):
     """Assumed statistics of returns."""
 
@@ -47,6 +38,8 @@ class Assumptions(NamedTuple):
     """Share of rays whose result, return or none, is unrelated to the target."""
     clutter_density: float
     """Number of unrelated returns per ray and metre of range, 1/m."""
+    least_range_m: float
+    """Range at which a white surface at normal incidence gives a return for every other pulse, at least."""
     detection: Detection
     """Probabilities that rays give returns."""
 
@@ -92,43 +85,45 @@ class ScanStatistics(NamedTuple):
 
 @kernel
 def scan_statistics(
-    returns: Returns, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
+    range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
 ) -> ScanStatistics:
     """Return the statistics of a scan at a pose R, t of the target in the sensor.
 
     Args:
-        returns: measured ranges.
+        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
         R: R_sensor_target, shape (3, 3).
         t: position of the target in the sensor, shape (3,), m.
         rays: rays, target and buffers.
         assumed: statistics of returns.
     """
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
-    log, power = _log_likelihood(returns, R, rays, assumed)
-    mean, variance = _expectation(returns, R, rays, assumed, power)
-    counts = _agreement(returns, R, rays, assumed, power)
+    log, power = _log_likelihood(range_m, R, rays, assumed)
+    mean, variance = _expectation(R, rays, assumed, power)
+    counts = _agreement(range_m, R, rays, assumed, power)
     return ScanStatistics(log, mean, variance, counts[0], counts[1], counts[2])
 
 
 @kernel
-def log_likelihood(returns: Returns, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions) -> float:
+def log_likelihood(
+    range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
+) -> float:
     """Return the log likelihood of ``scan_statistics`` alone."""
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
-    return _log_likelihood(returns, R, rays, assumed)[0]
+    return _log_likelihood(range_m, R, rays, assumed)[0]
 
 
 @kernel
 def agreement_counts(
-    returns: Returns, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
+    range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
 ) -> tuple[int, int, float]:
     """Return the counts of ``scan_statistics`` alone: agreeing, inconsistent, missing."""
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
-    power = _log_likelihood(returns, R, rays, assumed)[1]
-    return _agreement(returns, R, rays, assumed, power)
+    power = _log_likelihood(range_m, R, rays, assumed)[1]
+    return _agreement(range_m, R, rays, assumed, power)
 
 
 @kernel
-def _met(returns: Returns, R: FloatArray, rays: Rays, i: int, j: int) -> tuple[float, float, int]:
+def _met(R: FloatArray, rays: Rays, least_range_m: float, i: int, j: int) -> tuple[float, float, int]:
     """Return a ray's predicted range, m, its cosine of incidence, and the step of its echo in the table."""
     directions, (_, normals, _, albedo) = rays.grid[0], rays.faces
     face = rays.face[i, j]
@@ -137,7 +132,7 @@ def _met(returns: Returns, R: FloatArray, rays: Rays, i: int, j: int) -> tuple[f
     for k in range(3):
         cosine -= normals[face, k] * (R[0, k] * dx + R[1, k] * dy + R[2, k] * dz)
     r = np.float64(rays.range_m[i, j])
-    echo = cosine * albedo[face] * (returns.middle_m / r) ** 2
+    echo = cosine * albedo[face] * (least_range_m / r) ** 2
     rung = int((np.log(max(echo, 1e-9)) - LEAST_LOG) * RUNGS_PER_LOG)
     return r, cosine, min(max(rung, 0), RUNGS - 1)
 
@@ -153,7 +148,9 @@ def _density(error_m: float, cosine: float, assumed: Assumptions) -> float:
 
 
 @kernel
-def _log_likelihood(returns: Returns, R: FloatArray, rays: Rays, assumed: Assumptions) -> tuple[float, int]:
+def _log_likelihood(
+    range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions
+) -> tuple[float, int]:
     """Return a scan's log likelihood relative to an empty sky, and the index of the likeliest ``half``.
 
     A return that clutter explains better than the face does is not counted as detected.
@@ -162,12 +159,12 @@ def _log_likelihood(returns: Returns, R: FloatArray, rays: Rays, assumed: Assump
     returned, missing, total = np.zeros(RUNGS), np.zeros(RUNGS), 0.0
     for i in range(rays.face.shape[0]):
         for j in range(rays.face.shape[1]):
-            m = returns.range_m[i, j]
+            m = range_m[i, j]
             if rays.face[i, j] < 0:
                 if m > 0.0:
                     total += log_density - log_clear
                 continue
-            r, cosine, rung = _met(returns, R, rays, i, j)
+            r, cosine, rung = _met(R, rays, assumed.least_range_m, i, j)
             total -= log_clear
             if m <= 0.0:
                 missing[rung] += 1.0
@@ -200,9 +197,7 @@ def _detected(returned: FloatArray, missing: FloatArray, detection: Detection) -
 
 
 @kernel
-def _expectation(
-    returns: Returns, R: FloatArray, rays: Rays, assumed: Assumptions, power: int
-) -> tuple[float, float]:
+def _expectation(R: FloatArray, rays: Rays, assumed: Assumptions, power: int) -> tuple[float, float]:
     """Return mean and variance of the log likelihood over the scans that the pose predicts."""
     log_clear, mean, variance = np.log(1.0 - assumed.clutter_share), 0.0, 0.0
     share, log_share, log_missing = assumed.detection
@@ -210,7 +205,7 @@ def _expectation(
         for j in range(rays.face.shape[1]):
             if rays.face[i, j] < 0:
                 continue
-            _, cosine, rung = _met(returns, R, rays, i, j)
+            _, cosine, rung = _met(R, rays, assumed.least_range_m, i, j)
             p, miss = share[power, rung], log_missing[power, rung]
             lateral_m = assumed.slack_m / max(cosine, STEEPEST)
             scale = np.log(assumed.sigma_m * assumed.sigma_m + lateral_m * lateral_m)
@@ -222,7 +217,7 @@ def _expectation(
 
 @kernel
 def _agreement(
-    returns: Returns, R: FloatArray, rays: Rays, assumed: Assumptions, power: int
+    range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions, power: int
 ) -> tuple[int, int, float]:
     """Return the numbers of returns that agree, that are inconsistent, and that are missing.
 
@@ -233,11 +228,11 @@ def _agreement(
     missed, expected = np.zeros(RUNGS), np.zeros(RUNGS)
     for i in range(rays.face.shape[0]):
         for j in range(rays.face.shape[1]):
-            m = returns.range_m[i, j]
+            m = range_m[i, j]
             if rays.face[i, j] < 0:
                 inconsistent += m > 0.0
                 continue
-            r, cosine, rung = _met(returns, R, rays, i, j)
+            r, cosine, rung = _met(R, rays, assumed.least_range_m, i, j)
             expected[rung] += 1.0 - assumed.detection.share[power, rung]
             if m <= 0.0:
                 missed[rung] += 1.0
@@ -253,7 +248,7 @@ def _agreement(
 
 @kernel
 def likeliest(  # noqa: PLR0917
-    returns: Returns,
+    range_m: FloatArray,
     R: FloatArray,
     t: FloatArray,
     rays: Rays,
@@ -269,7 +264,7 @@ def likeliest(  # noqa: PLR0917
     """
     normal, elite = draws
     best_R, best_t = R, t
-    best = log_likelihood(returns, R, t, rays, assumed)
+    best = log_likelihood(range_m, R, t, rays, assumed)
     steps, scores, spread = np.empty(normal.shape[1:]), np.empty(normal.shape[1]), covariance
     for number in range(normal.shape[0]):
         root = np.linalg.cholesky(spread + 1e-12 * np.eye(6))
@@ -277,7 +272,7 @@ def likeliest(  # noqa: PLR0917
         for n in range(normal.shape[1]):
             steps[n] = root @ normal[number, n]
             moved_R, moved_t = turned(centre_R, steps[n, 3:]), centre_t + centre_R @ steps[n, :3]
-            scores[n] = log_likelihood(returns, moved_R, moved_t, rays, assumed)
+            scores[n] = log_likelihood(range_m, moved_R, moved_t, rays, assumed)
             if scores[n] > best:
                 best, best_R, best_t = scores[n], moved_R, moved_t
         leading = steps[np.argsort(-scores)[:elite]]

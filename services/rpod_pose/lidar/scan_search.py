@@ -232,7 +232,7 @@ class ScanSearch:
             points=views.few_points if roughly else views.points,
             squares=views.squares,
             image=self._image,
-            detection=self._scanner.statistics.expected_shares(self.seen),
+            detection=self._scanner.statistics.expected_shares,
             returns=FEW_RETURNS if roughly else MORE_RETURNS,
             rounds=rounds,
             truncation_m=self._tuning.truncation_m,

@@ -1,7 +1,6 @@
 """A scan assigned to the rays of its pattern, as the kernels take it."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -31,12 +30,6 @@ class SeenScan:
     def returns(self) -> int:
         """Number of points."""
         return len(self.points_m)
-
-    @cached_property
-    def middle_m(self) -> float:
-        """Median of the rays' ranges, m; 1 if there is no return."""
-        ranges_m = self.range_m[self.range_m > 0.0]
-        return float(np.median(ranges_m)) if ranges_m.size else 1.0
 
     @property
     def cut_off(self) -> bool:

@@ -10,6 +10,8 @@ from rpod.scenarios import find, shipped
 from rpod_campaign.catalogue import BUILT_IN
 from rpod_campaign.catalogue import find as find_campaign
 from rpod_campaign.lidar_acquisition import trial as lidar
+from rpod_campaign.lidar_verdict import trial as lidar_verdict
+from rpod_campaign.lidar_verdict.trial import VerdictCell
 from rpod_campaign.pmd.scene import Stage, scenario_of
 from rpod_campaign.pmd.world import World
 
@@ -42,6 +44,14 @@ def test_a_scan_of_another_world_is_another_and_the_method_is_the_same():
     ours, theirs = lidar.run(cell, 1, 0), lidar.run(replace(cell, world="noisy"), 1, 0)
     assert ours["truth"] == theirs["truth"]
     assert ours["found"] != theirs["found"]
+
+
+@pytest.mark.parametrize("range_m", [20.0, 40.0])
+def test_a_small_body_is_not_taken_for_the_nearest_face_of_a_large_one(range_m):
+    """Were the sensor's power anybody's guess, all that lies behind that face could be too dim to be seen."""
+    names = {"target": "envisat-slim", "scanned_target": "hexagonal-body", "method": "global"}
+    cell = VerdictCell(**names, step_deg=None, range_m=range_m)
+    assert not any(lidar_verdict.run(cell, 71, trial)["accepted"] for trial in range(12))
 
 
 def test_a_frame_of_another_world_is_another_and_the_pose_is_the_same():

@@ -126,7 +126,7 @@ def energies_of(attitudes, places_m, scan, *, rounds):
         points=model.points,
         squares=model.squares,
         image=ReturnDistances.of(view).image(seen),
-        detection=tracker().model.expected_shares(seen),
+        detection=tracker().model.expected_shares,
         returns=256,
         rounds=rounds,
         truncation_m=1.5,
