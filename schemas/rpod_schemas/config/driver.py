@@ -19,7 +19,7 @@ class DriverConfig(ServiceConfig):
     kind: str
     """What the sensor delivers: ``pmd``, ``lidar``, or a kind that another installed package brings."""
     name: Name
-    """Of the sensor: the first part of its topics."""
+    """Name of the sensor: the first part of its topics."""
     T_chaser_sensor: Pose = Field(default_factory=make_pose)
     """Mount: pose of the sensor's (optical) frame in the chaser, from the hand-eye calibration."""
     silence_s: Positive = 3.0

@@ -27,7 +27,7 @@ class Migrated(Generic[Model]):
     config: Model
     """The configuration."""
     version: int
-    """Of the models with which it was logged."""
+    """Version of the models with which it was logged."""
     tuned: tuple[str, ...] = ()
     """Names of the fields that stand in a ``tuning`` model today; their values are kept."""
     unknown: tuple[str, ...] = ()

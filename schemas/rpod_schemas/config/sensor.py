@@ -52,7 +52,7 @@ class SensorInput(Kinded):
     """A sensor that the estimator listens to; a kind adds what its methods need."""
 
     name: Name
-    """Of the sensor: the first part of its topics."""
+    """Name of the sensor: the first part of its topics."""
     T_chaser_sensor: Pose | None = None
     """Mount, where tf_static does not tell."""
 

@@ -33,7 +33,7 @@ class MonoPixelConfig(Config):
     black_share: Share = 0.01
     """Level of a pixel without light, as a share of the last count."""
     bits: Literal[8, 12] = 12
-    """Of the converter: 8 gives ``mono8``, 12 gives ``mono16``."""
+    """Resolution of the converter: 8 bits give ``mono8``, 12 give ``mono16``."""
 
 
 class MonoConfig(EmulatedSensor):
@@ -56,7 +56,7 @@ class MonoConfig(EmulatedSensor):
     f_number: Positive = 4.0
     """Focal length over aperture."""
     transmission: Share = 0.8
-    """Of the lens in the visible band."""
+    """Transmission of the lens in the visible band."""
     sun_share: Share = 0.4
     """Share of the sun's irradiance in the band: 400 to 700 nm have about 530 of 1361 W/m2."""
     blur_px: NonNegative = 0.7
@@ -118,7 +118,7 @@ class MonoInput(SensorInput):
     kind: str = "mono"
     """Which methods."""
     name: Name = "mono"
-    """Of the sensor: the first part of its topics."""
+    """Name of the sensor: the first part of its topics."""
     acquisition: Annotated[MethodConfig, chosen("mono", "acquisition")] = Field(
         default_factory=NearPredictionConfig
     )

@@ -18,7 +18,7 @@ from rpod_schemas.types import Camera, Float32Array
 from rpod_target import Target
 
 _STEP_M = 1e-5
-"""Of the numerical derivatives of the projection."""
+"""Step of the numerical derivatives of the projection."""
 
 
 @dataclass(frozen=True, eq=False)
