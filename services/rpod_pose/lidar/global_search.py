@@ -27,7 +27,7 @@ from rpod_pose.lidar.scan_view import SeenScan
 from rpod_pose.ports import Acquisition, Registration
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import NEGLIGIBLE, belief_with_rivals, rivals
-from rpod_pose.search.turns import FEW_POINTS, Turns
+from rpod_pose.search.turns import Turns
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import GlobalSearchConfig
@@ -72,7 +72,6 @@ class GlobalSearch:
             target,
             surface.coarse_field,
             count=self._tuning.model_points,
-            few=FEW_POINTS,
             truncation_m=self._tuning.truncation_m,
         )
         self._model = Model(views, surface, Turns.of(target))
@@ -102,7 +101,7 @@ class GlobalSearch:
         poses = search.completed([given], siblings=1)
         least = poses[0].fit.log_likelihood + log(NEGLIGIBLE)
         rivals = [pose for pose in poses if pose.fit.log_likelihood >= least]
-        if search.close([given], rivals).any():
+        if search.are_close(given, rivals).any():
             return self._verified(whole, search, poses, 0)
         turn = np.degrees(Rotation.from_matrix(given.R.T @ poses[0].R).magnitude())
         registration = self._tracker.finish(whole, given.R, given.t)

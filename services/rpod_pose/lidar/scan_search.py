@@ -1,8 +1,7 @@
 """The search in one scan: from thousands of attitudes to a few poses, ranked by likelihood."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import cos, radians
 from typing import Self
 
 import numpy as np
@@ -16,9 +15,9 @@ from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel
-from rpod_pose.search.energy import NOTHING_IN_VIEW, energies
-from rpod_pose.search.turns import FEW_RETURNS, MORE_RETURNS, Turns
-from rpod_pose.search.view_model import ViewModel, centroids_in_view
+from rpod_pose.search.comparison import Comparison
+from rpod_pose.search.turns import Turns, matrices
+from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, SearchLevelConfig
 from rpod_schemas.types import Float32Array
@@ -84,8 +83,15 @@ class ScanSearch:
     def __init__(self, config: GlobalSearchConfig, model: Model, scanner: Scanner, seen: SeenScan) -> None:
         self._config, self._tuning = config, config.tuning
         self._model, self._scanner, self.seen = model, scanner, seen
-        self._image = scanner.distances.image(seen)
-        self._centroid_m = seen.points_m.mean(axis=0)
+        self._comparison = Comparison(
+            model.views,
+            seen,
+            seen.points_m.mean(axis=0),
+            scanner.distances.image(seen),
+            scanner.statistics.expected_shares,
+            self._tuning.truncation_m,
+            truncated=seen.cut_off,
+        )
         self._few = Points.equal(seen.downsampled(self._tuning.draw_in_points))
         self._far_m = np.geomspace(*FIELD_SCALES_M, self._tuning.draw_in_steps)
 
@@ -97,8 +103,9 @@ class ScanSearch:
             level: how many of them are compared and refined.
         """
         found: list[Pose] = []
-        for R, t in self._candidates(attitudes, level):
-            found.append(self._field_aligned(R, t))
+        candidates = self._comparison.candidates(attitudes, compared=level.compared, refined=level.refined)
+        for candidate in candidates:
+            found.append(self._field_aligned(*candidate))
             if self._is_sure(found[-1]):
                 return self.completed(found, siblings=1)
         return self.completed(found, siblings=self._tuning.siblings)
@@ -140,18 +147,14 @@ class ScanSearch:
     def _is_turned(self, pose: Pose, turned: Sequence[Pose]) -> bool:
         """Return whether a pose's near-symmetries were tried when it was about as likely as now."""
         return any(
-            alike and pose.fit.log_likelihood <= other.fit.log_likelihood + GAIN
-            for alike, other in zip(self.close([pose], turned)[0], turned, strict=True)
+            near and pose.fit.log_likelihood <= other.fit.log_likelihood + GAIN
+            for near, other in zip(self.are_close(pose, turned), turned, strict=True)
         )
 
-    def close(self, poses: Sequence[Pose], others: Sequence[Pose]) -> NDArray[np.bool_]:
-        """Return which poses' attitudes are close to which others', modulo exact symmetries, shape (P, O)."""
-        least = 1.0 + 2.0 * cos(radians(self._tuning.distinct_deg))
-        exact = self._model.turns.exact
-        R = np.array([pose.R for pose in poses]).reshape(-1, 1, 3, 3) @ exact
-        other_R = np.array([other.R for other in others]).reshape(-1, 9)
-        traces = (R.reshape(-1, 9) @ other_R.T).reshape(len(poses), len(exact), len(others))
-        near: NDArray[np.bool_] = traces.max(axis=1, initial=-1.0) > least
+    def are_close(self, pose: Pose, others: Sequence[Pose]) -> NDArray[np.bool_]:
+        """Return which others' attitudes are close to a pose's, modulo exact symmetries, shape (O,)."""
+        turns, limit_deg = self._model.turns, self._tuning.distinct_deg
+        near: NDArray[np.bool_] = turns.close(matrices([pose]), matrices(others), limit_deg)[0]
         return near
 
     def face_aligned(self, R: FloatArray, t: FloatArray, scales_m: FloatArray) -> Pose:
@@ -190,76 +193,29 @@ class ScanSearch:
             returns >= self._tuning.sure_returns and pose.fit.deficit <= -self._tuning.sure_surplus * returns
         )
 
-    def _candidates(
-        self, attitudes: Float32Array, level: SearchLevelConfig
-    ) -> Iterator[tuple[Float32Array, Float32Array]]:
-        """Return rough poses R, t, least energy first."""
-        if self.seen.cut_off:  # several positions for each attitude
-            attitudes = attitudes[:: len(self._model.views.anchors_m) // 2]
-        attitudes, places_m = self._centroid_aligned(attitudes)
-        energy = self._energies(attitudes, places_m, rounds=1, roughly=True)
-        better = np.argsort(energy, kind="stable")[: level.compared]
-        attitudes, places_m = attitudes[better], places_m[better]
-        energy = self._energies(attitudes, places_m, rounds=2)
-        for index in np.argsort(energy, kind="stable")[: level.refined]:
-            if energy[index] < NOTHING_IN_VIEW:
-                yield attitudes[index], places_m[index]
-
-    def _centroid_aligned(self, attitudes: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Return attitudes and first guesses of the target's position by the scan's centroid.
-
-        A scan that the field of view truncates may show any region of the target: each region is tried.
-        """
-        views = self._model.views
-        offsets_m: FloatArray | Float32Array
-        if self.seen.cut_off:
-            attitudes = np.repeat(attitudes, len(views.anchors_m), axis=0)
-            offsets_m = np.tile(views.anchors_m, (len(attitudes) // len(views.anchors_m), 1))
-        else:
-            offsets_m = centroids_in_view(attitudes, self._centroid_m, views.centroids_m, views.cube)
-        places_m = self._centroid_m - (attitudes @ offsets_m[..., None])[..., 0]
-        return attitudes, places_m.astype(np.float32)
-
-    def _energies(
-        self, attitudes: Float32Array, places_m: Float32Array, *, rounds: int, roughly: bool = False
-    ) -> Float32Array:
-        """Return the energies of poses, and align their positions with the scan."""
-        views = self._model.views
-        return energies(
-            attitudes,
-            places_m,
-            seen=self.seen,
-            points=views.few_points if roughly else views.points,
-            squares=views.squares,
-            image=self._image,
-            detection=self._scanner.statistics.expected_shares,
-            returns=FEW_RETURNS if roughly else MORE_RETURNS,
-            rounds=rounds,
-            truncation_m=self._tuning.truncation_m,
-        )
-
     def _turned(self, pose: Pose) -> list[Pose]:
         """Return a pose's near-symmetries and best other rotations, in place and aligned by the centroid."""
         turns = self._model.turns
         turned = (pose.R @ turns.all).astype(np.float32)
         here_m = np.tile(pose.t, (len(turned), 1)).astype(np.float32)
-        here = self._energies(turned, here_m, rounds=0)
+        here = self._comparison.energies(turned, here_m, rounds=0)
         here[: turns.declared] = 0.0
-        anew, anew_m = self._centroid_aligned(turned)
-        energy = self._energies(anew, anew_m, rounds=2).reshape(len(turned), -1)
+        anew, anew_m = self._comparison.centroid_aligned(turned)
+        energy = self._comparison.energies(anew, anew_m, rounds=2).reshape(len(turned), -1)
         best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
         order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[: self._tuning.turns]
         return [
             self._improved(self._unrefined(pose.R @ turns.all[index], pose.t), FACE_SCALES_M)
             if index < len(turned)
-            else self._field_aligned(turned[index - len(turned)], best_m[index - len(turned)])
+            else self._field_aligned(
+                pose.R @ turns.all[index - len(turned)], best_m[index - len(turned)].astype(np.float64)
+            )
             for index in order
         ]
 
-    def _field_aligned(self, R: Float32Array, t: Float32Array) -> Pose:
+    def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a rough pose aligned with the scan."""
-        pose = PoseArrays(R.astype(np.float64), t.astype(np.float64))
-        aligned = field_aligned(self._few, pose, self._model.surface.coarse_field, self._far_m)
+        aligned = field_aligned(self._few, PoseArrays(R, t), self._model.surface.coarse_field, self._far_m)
         return self.face_aligned(*aligned, FACE_SCALES_M)
 
     def _outline_refined(self, pose: Pose) -> Pose:
@@ -274,9 +230,4 @@ class ScanSearch:
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, without those close to a likelier one."""
         ranked = sorted(poses, key=lambda pose: -pose.fit.log_likelihood)
-        alike = self.close(ranked, ranked)
-        kept: list[int] = []
-        for index in range(len(ranked)):
-            if not alike[index, kept].any():
-                kept.append(index)
-        return [ranked[index] for index in kept]
+        return self._model.turns.distinct(ranked, self._tuning.distinct_deg)

@@ -1,8 +1,7 @@
 """The search in one PMD frame: from thousands of attitudes to a few poses, ranked by render and compare."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from math import cos, radians
 from typing import Self
 
 import numpy as np
@@ -15,9 +14,10 @@ from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_pose.search.attitude_grid import within
-from rpod_pose.search.energy import NOTHING_IN_VIEW, energies
-from rpod_pose.search.turns import FEW_POINTS, FEW_RETURNS, MORE_RETURNS, Turns
-from rpod_pose.search.view_model import ViewModel, centroids_in_view
+from rpod_pose.search.comparison import Comparison
+from rpod_pose.search.energy import NOTHING_IN_VIEW
+from rpod_pose.search.turns import Turns, matrices
+from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionTuning
 from rpod_schemas.types import Float32Array
@@ -66,11 +66,7 @@ class Model:
         """
         surface = SurfaceModel.of(target)
         views = ViewModel.of(
-            target,
-            surface.coarse_field,
-            count=tuning.model_points,
-            few=FEW_POINTS,
-            truncation_m=tuning.truncation_m,
+            target, surface.coarse_field, count=tuning.model_points, truncation_m=tuning.truncation_m
         )
         return cls(target, views, surface, field_arrays(target), Turns.of(target))
 
@@ -82,8 +78,9 @@ class FrameSearch:
         self, tuning: PmdAcquisitionTuning, model: Model, scene: PmdScene, fitter: PmdFitter
     ) -> None:
         self._tuning, self._model, self._scene, self._fitter = tuning, model, scene, fitter
-        self._image = scene.distances()
-        self._centroid_m = scene.middle_m()
+        self._comparison = Comparison(
+            model.views, scene, scene.middle_m(), scene.distances(), ANY_ECHO, tuning.truncation_m
+        )
         self._few = Points.equal(scene.downsampled(tuning.draw_in_points))
         self._fine = Points.equal(scene.downsampled(tuning.fine_points))
 
@@ -96,10 +93,13 @@ class FrameSearch:
         """
         tuning = self._tuning
         refined = tuning.refined if around is None else tuning.near_refined
-        found = [self._field_aligned(R, t) for R, t in self._candidates(attitudes, refined)]
+        candidates = self._comparison.candidates(attitudes, compared=tuning.compared, refined=refined)
+        found = [self._field_aligned(*candidate) for candidate in candidates]
         turned: list[Pose] = []
         for _ in range(tuning.turned):
-            chosen = next((pose for pose in self._distinct(found) if not self._is_close(pose, turned)), None)
+            best = self._distinct(found)
+            close = self._model.turns.close(matrices(best), matrices(turned), tuning.distinct_deg)
+            chosen = next((pose for pose, near in zip(best, close, strict=True) if not near.any()), None)
             if chosen is None:
                 break
             chosen = self._refined(chosen)
@@ -115,45 +115,6 @@ class FrameSearch:
         most = refined[0].fit.loss + self._tuning.rival_loss
         return self._distinct(
             self._outline_refined(pose) if pose.fit.loss <= most else pose for pose in refined
-        )
-
-    def _candidates(self, attitudes: Float32Array, refined: int) -> Iterable[tuple[FloatArray, FloatArray]]:
-        """Return rough poses R, t, least energy first."""
-        tuning = self._tuning
-        places_m = self._centroid_aligned(attitudes)
-        energy = self._energies(attitudes, places_m, rounds=1, roughly=True)
-        better = np.argsort(energy, kind="stable")[: tuning.compared]
-        attitudes, places_m = attitudes[better], places_m[better]
-        energy = self._energies(attitudes, places_m, rounds=2)
-        for index in np.argsort(energy, kind="stable")[:refined]:
-            if energy[index] < NOTHING_IN_VIEW:
-                yield attitudes[index].astype(np.float64), places_m[index].astype(np.float64)
-
-    def _centroid_aligned(self, attitudes: Float32Array) -> Float32Array:
-        """Return first guesses of the target's position by the points' centroid, shape (M, 3), m."""
-        views = self._model.views
-        offsets_m = centroids_in_view(attitudes, self._centroid_m, views.centroids_m, views.cube)
-        places_m: Float32Array = (self._centroid_m - (attitudes @ offsets_m[..., None])[..., 0]).astype(
-            np.float32
-        )
-        return places_m
-
-    def _energies(
-        self, attitudes: Float32Array, places_m: Float32Array, *, rounds: int, roughly: bool = False
-    ) -> Float32Array:
-        """Return the energies of poses, and align their positions with the points."""
-        views = self._model.views
-        return energies(
-            attitudes,
-            places_m,
-            seen=self._scene,
-            points=views.few_points if roughly else views.points,
-            squares=views.squares,
-            image=self._image,
-            detection=ANY_ECHO,
-            returns=FEW_RETURNS if roughly else MORE_RETURNS,
-            rounds=rounds,
-            truncation_m=self._tuning.truncation_m,
         )
 
     def _fitted(self, R: FloatArray, t: FloatArray) -> Pose:
@@ -184,8 +145,8 @@ class FrameSearch:
             allowed = within(turned, around, self._tuning.near_deg)
         if not allowed.any():
             return []
-        anew_m = self._centroid_aligned(turned)
-        energy = self._energies(turned, anew_m, rounds=2)
+        _, anew_m = self._comparison.centroid_aligned(turned)
+        energy = self._comparison.energies(turned, anew_m, rounds=2)
         declared = np.arange(len(turned)) < turns.declared
         energy[declared] = 0.0
         energy[~allowed] = NOTHING_IN_VIEW
@@ -198,16 +159,7 @@ class FrameSearch:
             if energy[index] < NOTHING_IN_VIEW
         ]
 
-    def _is_close(self, pose: Pose, others: Sequence[Pose]) -> bool:
-        """Return whether a pose's attitude is close to another's, modulo the exact symmetries."""
-        least = 1.0 + 2.0 * cos(radians(self._tuning.distinct_deg))
-        turns = self._model.turns.exact
-        return any((np.einsum("kij,ij->k", other.R @ turns, pose.R) > least).any() for other in others)
-
     def _distinct(self, poses: Iterable[Pose]) -> list[Pose]:
         """Return the poses, best first, without those close to a better one."""
-        kept: list[Pose] = []
-        for pose in sorted(poses, key=lambda pose: pose.fit.loss):
-            if not self._is_close(pose, kept):
-                kept.append(pose)
-        return kept
+        ranked = sorted(poses, key=lambda pose: pose.fit.loss)
+        return self._model.turns.distinct(ranked, self._tuning.distinct_deg)

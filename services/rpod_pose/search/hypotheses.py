@@ -2,32 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from scipy.special import softmax
 
 from rpod_pose.belief import SYMMETRY, Belief, Rival
+from rpod_pose.search.turns import Placed
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import BeliefLevel
 
 NEGLIGIBLE = 1e-3
 """Rivals with a smaller weight are not listed."""
-
-
-class Placed(Protocol):
-    """A pose of the target in the sensor."""
-
-    @property
-    def R(self) -> FloatArray:  # noqa: N802 - the rotation's name
-        """R_sensor_target, shape (3, 3)."""
-        ...
-
-    @property
-    def t(self) -> FloatArray:
-        """Position of the target's origin, sensor axes, shape (3,), m."""
-        ...
 
 
 def rivals(poses: Sequence[Placed], log_likelihoods: FloatArray, turns: FloatArray) -> tuple[Rival, ...]:

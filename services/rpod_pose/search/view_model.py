@@ -35,6 +35,8 @@ PIXELS = 128
 """Pixels along each side of the images that show which points are hidden."""
 ANCHORS = 5
 """Number of surface regions; a truncated scan may show any one of them."""
+FEW_POINTS = 80
+"""Number of points in the comparison of all attitudes."""
 AREA = 7
 """Row of ``Points.columns`` that holds the areas."""
 
@@ -67,10 +69,8 @@ class ViewModel:
     """Squared distance field, truncated, m2."""
 
     @classmethod
-    def of(
-        cls, target: Target, coarse_field: FieldArrays, *, count: int, few: int, truncation_m: float
-    ) -> Self:
-        """Return the model of a target with at most ``count`` points, and at most ``few`` of them."""
+    def of(cls, target: Target, coarse_field: FieldArrays, *, count: int, truncation_m: float) -> Self:
+        """Return the model of a target with at most ``count`` points."""
         origin_m, spacing_m, distances_m = coarse_field
         scale_m = np.sqrt(spacing_m * target.radius_m) / 4.0  # so that both sides of a panel are kept
         lifted = np.hstack((target.model_points_m, scale_m * target.model_normals))
@@ -98,7 +98,7 @@ class ViewModel:
         regions_m, _ = kmeans2(target.model_points_m, ANCHORS, minit="++", seed=0)
         return cls(
             every,
-            first(few),
+            first(FEW_POINTS),
             cube,
             centroids_m,
             np.vstack((np.zeros(3), regions_m)),

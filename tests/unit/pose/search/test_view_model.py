@@ -24,7 +24,7 @@ WHOLE = [(20.0, 3), (35.0, 1), (50.0, 0), (50.0, 3), (50.0, 4), (50.0, 5)]
 @cache
 def views(target=BULKY):
     coarse_field = tracker(target).surface.coarse_field
-    return ViewModel.of(load(target), coarse_field, count=240, few=80, truncation_m=1.5)
+    return ViewModel.of(load(target), coarse_field, count=240, truncation_m=1.5)
 
 
 def angles_deg(attitudes, others):
