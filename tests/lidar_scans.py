@@ -7,6 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.lidar.global_search import GlobalSearch
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.poses import make_pose, pose_error
@@ -28,20 +29,14 @@ def emulator(target=BULKY, lidar=LIDAR):
     return LidarEmulator(lidar, load(target), seed=5)
 
 
-def told_by(lidar):
-    """Return what a LIDAR says of itself."""
-    names = "azimuth_rad", "elevation_rad", "sigma_range_m"
-    return {name: getattr(lidar.info(), name) for name in names}
-
-
 @cache
 def search(target=BULKY, lidar=LIDAR):
-    return GlobalSearch(GlobalSearchConfig(), load(target), **told_by(lidar))
+    return GlobalSearch(GlobalSearchConfig(), load(target), ScanPattern.of(lidar.info()))
 
 
 @cache
 def tracker(target=BULKY, lidar=LIDAR):
-    return ProjectiveIcp(ProjectiveIcpConfig(), load(target), **told_by(lidar))
+    return ProjectiveIcp(ProjectiveIcpConfig(), load(target), ScanPattern.of(lidar.info()))
 
 
 def scan_of(points_m, time_s=None):

@@ -202,9 +202,7 @@ def template_search(sensor: LidarInput, target: Target, pattern: ScanPattern) ->
     """Return template matching without what refines and judges its templates."""
     if not isinstance(sensor.acquisition, TemplateMatchingConfig):
         raise TypeError(f"{type(sensor.acquisition).__name__} is no template matching")
-    return OnlineTemplateMatching(
-        sensor.acquisition, target, azimuth_rad=pattern.azimuth_rad, elevation_rad=pattern.elevation_rad
-    )
+    return OnlineTemplateMatching(sensor.acquisition, target, pattern)
 
 
 def pattern_of(config: LidarConfig) -> ScanPattern:

@@ -74,18 +74,16 @@ class Judge:
 
     def __init__(self, cell: VerdictCell, pattern: ScanPattern) -> None:
         target = cached_target(cell.target)
-        rays = {"azimuth_rad": pattern.azimuth_rad, "elevation_rad": pattern.elevation_rad}
         sensor = lidar_input(
             cell.method, step_deg=cell.step_deg, centroid="offset", matcher="nearest-neighbour"
         )
         config = GlobalSearchConfig()
         self._acquirer = methods_of(sensor, target, pattern).acquirer
         self._judges_itself = sensor.acquisition == config
-        sigma_range_m = pattern.sigma_range_m
-        self._verdict = GlobalSearch(config, target, **rays, sigma_range_m=sigma_range_m)
-        self._fine = ProjectiveIcp(config.tracking, target, **rays, sigma_range_m=sigma_range_m)
+        self._verdict = GlobalSearch(config, target, pattern)
+        self._fine = ProjectiveIcp(config.tracking, target, pattern)
         paper = IcpNearestNeighbourConfig.model_validate(MATCHERS["nearest-neighbour"])
-        self._paper = NearestNeighbourIcp(paper, target, **rays)
+        self._paper = NearestNeighbourIcp(paper, target, pattern)
 
     def judged(self, scan: LidarScan) -> Acquisition:
         """Return what the method finds, with the facility's verdict on it."""

@@ -88,10 +88,7 @@ def _bench(
     lidar, target = lidar_config(), cached_target(cell.target)
     pattern = pattern_of(lidar)
     matching = OnlineTemplateMatching(
-        TemplateMatchingConfig(step_deg=cell.step_deg, variant="plain"),
-        target,
-        azimuth_rad=pattern.azimuth_rad,
-        elevation_rad=pattern.elevation_rad,
+        TemplateMatchingConfig(step_deg=cell.step_deg, variant="plain"), target, pattern
     )
     sensor = lidar_input(
         "template-matching", step_deg=cell.step_deg, centroid="plain", matcher="nearest-neighbour"

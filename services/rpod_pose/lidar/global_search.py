@@ -22,6 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import contradicted
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_search import FINE_SCALES_M, Model, Pose, Scanner, ScanSearch
 from rpod_pose.lidar.scan_view import SeenScan
 from rpod_pose.ports import Acquisition, Registration
@@ -41,32 +42,16 @@ class GlobalSearch:
     Args:
         config: parameters of the search.
         target: the target to find.
-        azimuth_rad: azimuths of the scan pattern's columns, shape (columns,).
-        elevation_rad: elevations of its rows, shape (rows,).
-        sigma_range_m: standard deviation of a range as the sensor states it; 0 if it does not.
+        pattern: directions of the sensor's rays, and the range error that it states.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
     """
 
-    def __init__(
-        self,
-        config: GlobalSearchConfig,
-        target: Target,
-        *,
-        azimuth_rad: FloatArray,
-        elevation_rad: FloatArray,
-        sigma_range_m: float = 0.0,
-    ) -> None:
+    def __init__(self, config: GlobalSearchConfig, target: Target, pattern: ScanPattern) -> None:
         self._config, self._tuning = config, config.tuning
-        self._radius_m, self._sigma_range_m = target.radius_m, sigma_range_m
-        self._tracker = ProjectiveIcp(
-            config.tracking,
-            target,
-            azimuth_rad=azimuth_rad,
-            elevation_rad=elevation_rad,
-            sigma_range_m=sigma_range_m,
-        )
+        self._radius_m, self._sigma_range_m = target.radius_m, pattern.sigma_range_m
+        self._tracker = ProjectiveIcp(config.tracking, target, pattern)
         surface = self._tracker.surface
         views = ViewModel.of(
             target,

@@ -1,11 +1,9 @@
 """The LIDAR's methods as the registry names them, and how they are made for a scan pattern."""
 
-from typing import TypedDict
-
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.rays import RayGrid, cast
+from rpod_geometry.rays import cast
 from rpod_pose.lidar.deskew import deskewed
 from rpod_pose.lidar.global_search import GlobalSearch
 from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
@@ -14,7 +12,6 @@ from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
 from rpod_pose.search.verified_search import VerifiedSearch
-from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
@@ -23,37 +20,26 @@ from rpod_schemas.types import LidarInfo, LidarScan
 from rpod_target import Target
 
 
-class Rays(TypedDict):
-    """Directions of a scan's columns and rows."""
-
-    azimuth_rad: FloatArray
-    elevation_rad: FloatArray
-
-
-def _rays(task: Task) -> Rays:
-    return {"azimuth_rad": task.setup.azimuth_rad, "elevation_rad": task.setup.elevation_rad}
-
-
 def global_search(config: GlobalSearchConfig, task: Task) -> Acquirer[LidarScan]:
     """Return the facility's own search."""
-    return GlobalSearch(config, task.target, **_rays(task), sigma_range_m=task.setup.sigma_range_m)
+    return GlobalSearch(config, task.target, task.setup)
 
 
 def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[LidarScan]:
     """Return the template matching of the 2015 paper, whose candidates the tracker refines."""
     assert task.tracker is not None  # noqa: S101 - made before the acquirer
-    search = OnlineTemplateMatching(config, task.target, **_rays(task))
+    search = OnlineTemplateMatching(config, task.target, task.setup)
     return VerifiedSearch(search, task.tracker, config.choice)
 
 
 def projective_point_to_plane(config: ProjectiveIcpConfig, task: Task) -> Tracker[LidarScan]:
     """Return the facility's own tracker."""
-    return ProjectiveIcp(config, task.target, **_rays(task), sigma_range_m=task.setup.sigma_range_m)
+    return ProjectiveIcp(config, task.target, task.setup)
 
 
 def icp_nearest_neighbour(config: IcpNearestNeighbourConfig, task: Task) -> Tracker[LidarScan]:
     """Return the ICP of the 2015 paper, in the configured variant."""
-    return NearestNeighbourIcp(config, task.target, **_rays(task))
+    return NearestNeighbourIcp(config, task.target, task.setup)
 
 
 def known_pattern(sensor: LidarInput, said: LidarInfo | None) -> ScanPattern | None:
@@ -76,7 +62,7 @@ def make(task: Task) -> Methods:
 
 def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan]:
     """Return a scan without noise, for the warm-up."""
-    grid = RayGrid.azimuth_elevation(pattern.azimuth_rad, pattern.elevation_rad)
+    grid = pattern.grid
     hits = cast(grid, target.triangles_m, T_lidar_target)
     range_m = np.where(np.isfinite(hits.range_m), hits.range_m, np.nan)
     points_m = (range_m[..., None] * grid.directions).astype(np.float32)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, face_aligned, pose_covariance
 from rpod_pose.lidar.scan_fit import ScanModel
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Registration
 from rpod_pose.registration.field_alignment import Points, field_aligned
@@ -30,31 +31,21 @@ class ProjectiveIcp:
     Args:
         config: parameters of the tracker.
         target: the target to track.
-        azimuth_rad: azimuths of the scan pattern's columns, shape (columns,).
-        elevation_rad: elevations of its rows, shape (rows,).
-        sigma_range_m: standard deviation of a range as the sensor states it; 0 if it does not.
+        pattern: directions of the sensor's rays, and the range error that it states.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
     """
 
-    def __init__(
-        self,
-        config: ProjectiveIcpConfig,
-        target: Target,
-        *,
-        azimuth_rad: FloatArray,
-        elevation_rad: FloatArray,
-        sigma_range_m: float = 0.0,
-    ) -> None:
+    def __init__(self, config: ProjectiveIcpConfig, target: Target, pattern: ScanPattern) -> None:
         tuning = config.tuning
         self._tuning = tuning
         weak = np.repeat((tuning.unobserved_m, radians(tuning.unobserved_deg)), 3)
         self._weak = np.diag(weak**-2)
-        self.view = ScanView.of(azimuth_rad, elevation_rad)
+        self.view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad)
         self.surface = SurfaceModel.of(target)
         self.model = ScanModel(
-            tuning.model, tuning.verdict, self.view, self.surface, sigma_range_m=sigma_range_m
+            tuning.model, tuning.verdict, self.view, self.surface, sigma_range_m=pattern.sigma_range_m
         )
         self._errors = ScanErrors(
             self.model.sigma_range_m,

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rpod_geometry.rays import RayGrid
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import LidarInfo
 
@@ -13,11 +14,18 @@ class ScanPattern:
     """Directions of an organised scan, and the range error that the sensor states."""
 
     azimuth_rad: FloatArray
+    """Azimuths of the columns, shape (columns,)."""
     elevation_rad: FloatArray
+    """Elevations of the rows, shape (rows,)."""
     rows_are_elevation: bool = True
     """Whether the rows of the scans, as they are sent, are elevations."""
     sigma_range_m: float = 0.0
     """Standard deviation of a range; 0 if the sensor does not state it."""
+
+    @property
+    def grid(self) -> RayGrid:
+        """Rays of the pattern, shape (rows, columns)."""
+        return RayGrid.azimuth_elevation(self.azimuth_rad, self.elevation_rad)
 
     @classmethod
     def of(cls, info: LidarInfo) -> "ScanPattern":

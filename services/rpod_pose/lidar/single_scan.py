@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from rpod_pose.lidar.global_search import GlobalSearch
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.ports import Acquisition
 from rpod_schemas.config.lidar_search import GlobalSearchConfig
 from rpod_schemas.types import LidarInfo, LidarScan
@@ -44,17 +45,12 @@ def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
         >>> bool((truth.inv() * found.pose).rotation.magnitude() < 0.01)
         True
     """
-    pattern = sensor.azimuth_rad.tobytes(), sensor.elevation_rad.tobytes()
-    return _search(target, pattern, sensor.sigma_range_m).acquire(scan)
+    angles = sensor.azimuth_rad.tobytes(), sensor.elevation_rad.tobytes()
+    return _search(target, angles, sensor.sigma_range_m).acquire(scan)
 
 
 @lru_cache(maxsize=8)
-def _search(target: Target, pattern: tuple[bytes, bytes], sigma_range_m: float) -> GlobalSearch:
-    azimuth_rad, elevation_rad = (np.frombuffer(angles) for angles in pattern)
-    return GlobalSearch(
-        GlobalSearchConfig(),
-        target,
-        azimuth_rad=azimuth_rad,
-        elevation_rad=elevation_rad,
-        sigma_range_m=sigma_range_m,
-    )
+def _search(target: Target, angles: tuple[bytes, bytes], sigma_range_m: float) -> GlobalSearch:
+    azimuth_rad, elevation_rad = map(np.frombuffer, angles)
+    pattern = ScanPattern(azimuth_rad, elevation_rad, sigma_range_m=sigma_range_m)
+    return GlobalSearch(GlobalSearchConfig(), target, pattern)

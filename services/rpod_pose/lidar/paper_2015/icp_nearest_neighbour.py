@@ -30,6 +30,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_geometry.kernels import kernel
 from rpod_pose.acceptance import accepted_by_residuals
 from rpod_pose.lidar.paper_2015.scan_check import ScanComparison
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.ports import Registration
 from rpod_pose.registration.closest_point import Surface
 from rpod_pose.registration.lie_group import Vector
@@ -152,21 +153,12 @@ class Progress:
 class NearestNeighbourIcp:
     """Registers scans by ICP: ports.Tracker[LidarScan]."""
 
-    def __init__(
-        self,
-        config: IcpNearestNeighbourConfig,
-        target: Target,
-        *,
-        azimuth_rad: FloatArray,
-        elevation_rad: FloatArray,
-    ) -> None:
+    def __init__(self, config: IcpNearestNeighbourConfig, target: Target, pattern: ScanPattern) -> None:
         self._config, self._radius_m = config, target.radius_m
         self._surface = Surface.of(target.triangles_m, target.normals)
         shooting = config.matcher == "normal_shooting"
         self._match_on_surface = self._surface.projected if shooting else self._surface.closest
-        self._comparison = ScanComparison(
-            config.comparison, target, azimuth_rad=azimuth_rad, elevation_rad=elevation_rad
-        )
+        self._comparison = ScanComparison(config.comparison, target, pattern)
 
     def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the scan gives none."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import Hits, RayGrid, cast
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.registration.brightness import albedos
-from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_methods import ScanComparisonConfig
 from rpod_schemas.types import LidarScan
 from rpod_target import Target
@@ -25,19 +25,13 @@ class ScanComparison:
     the target, a miss if none does; ranges may lie anywhere between those of the five.
     """
 
-    def __init__(
-        self,
-        config: ScanComparisonConfig,
-        target: Target,
-        *,
-        azimuth_rad: FloatArray,
-        elevation_rad: FloatArray,
-    ) -> None:
+    def __init__(self, config: ScanComparisonConfig, target: Target, pattern: ScanPattern) -> None:
         self._config, self._target = config, target
+        azimuth_rad, elevation_rad = pattern.azimuth_rad, pattern.elevation_rad
         self._shape = (elevation_rad.size, azimuth_rad.size)
         self._albedo = albedos(target)
         margin_rad = radians(config.margin_deg)
-        self._grid = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad)
+        self._grid = pattern.grid
         self._beside = [
             RayGrid.azimuth_elevation(azimuth_rad + across * margin_rad, elevation_rad + down * margin_rad)
             for across, down in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_geometry.rays import RayGrid
 from rpod_pose.lidar.paper_2015.correlation import PackedScan, match_templates, packed
 from rpod_pose.lidar.paper_2015.covariance_cue import CovarianceCue
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.ports import Candidate, Candidates
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
@@ -47,16 +47,9 @@ class Comparison:
 class OnlineTemplateMatching:
     """Finds the target in a scan: ports.Search[LidarScan]."""
 
-    def __init__(
-        self,
-        config: TemplateMatchingConfig,
-        target: Target,
-        *,
-        azimuth_rad: FloatArray,
-        elevation_rad: FloatArray,
-    ) -> None:
+    def __init__(self, config: TemplateMatchingConfig, target: Target, pattern: ScanPattern) -> None:
         self._config, self._target = config, target
-        self._grid = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad)
+        self._grid = pattern.grid
         self._attitudes = euler_grid(config.step_deg)
         self._rotations = self._attitudes.as_matrix()
         self._tau = config.tau if config.variant == "fast" else np.inf

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_pose.lidar.paper_2015.scan_check import ScanComparison
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, ScanComparisonConfig
 from rpod_schemas.poses import make_pose, pose_error
@@ -14,7 +15,7 @@ from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_target import load_target
 
 LIDAR = LidarConfig()
-PATTERN = {"azimuth_rad": LIDAR.azimuth_rad, "elevation_rad": LIDAR.elevation_rad}
+PATTERN = ScanPattern.of(LIDAR.info())
 load = cache(load_target)
 BULKY = "envisat-bulky"
 MATCHERS = ["nearest_neighbour", "normal_shooting"]
@@ -24,7 +25,7 @@ HALF_TURN = make_pose(rotation=Rotation.from_rotvec([np.pi, 0.0, 0.0]))
 
 @cache
 def icp(target=BULKY, **options):
-    return NearestNeighbourIcp(IcpNearestNeighbourConfig(**options), load(target), **PATTERN)
+    return NearestNeighbourIcp(IcpNearestNeighbourConfig(**options), load(target), PATTERN)
 
 
 def scan_of(points_m):
@@ -169,7 +170,7 @@ def test_strange_scans_and_predictions_never_raise(matcher, metric):
 
 @pytest.mark.parametrize("range_m", [20.0, 50.0])
 def test_the_true_pose_explains_nearly_every_ray_and_a_shifted_one_does_not(range_m):
-    comparison = ScanComparison(ScanComparisonConfig(), load(BULKY), **PATTERN)
+    comparison = ScanComparison(ScanComparisonConfig(), load(BULKY), PATTERN)
     for seed in range(8):
         T, _ = pose_and_guess(seed, range_m)
         shift = make_pose(translation_m=(0.0, 0.0, 0.6))
@@ -178,7 +179,7 @@ def test_the_true_pose_explains_nearly_every_ray_and_a_shifted_one_does_not(rang
 
 
 def test_returns_that_should_be_there_and_are_not_count_against_a_pose():
-    comparison = ScanComparison(ScanComparisonConfig(), load(BULKY), **PATTERN)
+    comparison = ScanComparison(ScanComparisonConfig(), load(BULKY), PATTERN)
     T, _ = pose_and_guess(0)
     points_m = scan_at(T).points_m.copy()
     points_m[::2] = np.nan

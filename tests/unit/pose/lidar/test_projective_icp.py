@@ -12,12 +12,12 @@ from lidar_scans import (
     scan_at,
     scan_of,
     strange_scans,
-    told_by,
     tracker,
 )
 
 from rpod_geometry.rays import cast
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
@@ -184,7 +184,7 @@ def test_organised_or_not_a_scan_is_registered_bit_for_bit_the_same(seed):
 
 def test_a_tracker_may_do_without_the_steps_from_afar():
     T, config = random_pose(2), ProjectiveIcpConfig(tuning=ProjectiveIcpTuning(draw_in_steps=0))
-    near = ProjectiveIcp(config, load(BULKY), **told_by(LIDAR))
+    near = ProjectiveIcp(config, load(BULKY), ScanPattern.of(LIDAR.info()))
     registration = near.track(scan_at(T), off(T, 1.0, 0.05, 2))
     assert errors(T, registration.T_sensor_target)[0] < 0.3
     assert registration.iterations == config.tuning.settle_steps

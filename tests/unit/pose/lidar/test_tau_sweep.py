@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_pose.lidar.paper_2015.tau_sweep import sweep_tau
 from rpod_pose.lidar.paper_2015.template_matching import Comparison, OnlineTemplateMatching
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
 from rpod_schemas.poses import make_pose
@@ -55,14 +56,12 @@ def test_each_template_is_asked_for_once():
 
 def test_the_sweep_keeps_what_the_fast_variant_keeps():
     lidar, target = LidarConfig(), load_target("envisat-bulky")
-    pattern = {"azimuth_rad": lidar.azimuth_rad, "elevation_rad": lidar.elevation_rad}
+    pattern = ScanPattern.of(lidar.info())
     T = make_pose(rotation=Rotation.random(rng=np.random.default_rng(4)), translation_m=(0.0, 0.0, 20.0))
     points_m = LidarEmulator(lidar, target, seed=1).scan([T], frame=0).points_m.astype(np.float32)
     scan = LidarScan(stamp_ns=0, frame_id="", points_m=points_m)
     plain, fast = (
-        OnlineTemplateMatching(
-            TemplateMatchingConfig(step_deg=60, variant=variant, tau=0.2), target, **pattern
-        )
+        OnlineTemplateMatching(TemplateMatchingConfig(step_deg=60, variant=variant, tau=0.2), target, pattern)
         for variant in ("plain", "fast")
     )
     comparison = plain.compare(scan.returns_m.astype(np.float64))

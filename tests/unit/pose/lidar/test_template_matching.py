@@ -9,6 +9,7 @@ from rpod_pose.lidar.paper_2015.template_matching import (
     boresight_distance_m,
     euler_grid,
 )
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
 from rpod_schemas.poses import make_pose, pose_error
@@ -17,13 +18,13 @@ from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_target import load_target
 
 LIDAR = LidarConfig()
-PATTERN = {"azimuth_rad": LIDAR.azimuth_rad, "elevation_rad": LIDAR.elevation_rad}
+PATTERN = ScanPattern.of(LIDAR.info())
 bulky = cache(lambda: load_target("envisat-bulky"))
 
 
 @cache
 def matching(**options):
-    return OnlineTemplateMatching(TemplateMatchingConfig(**options), bulky(), **PATTERN)
+    return OnlineTemplateMatching(TemplateMatchingConfig(**options), bulky(), PATTERN)
 
 
 def scan_of(points_m):
