@@ -10,12 +10,13 @@ from math import radians
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, face_aligned, pose_covariance
-from rpod_pose.lidar.scan_fit import ScanModel
+from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, pose_covariance
+from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.lidar.scan_registration import ScanRegistration, refined, tracked
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Registration
-from rpod_pose.registration.field_alignment import Points, field_aligned
+from rpod_pose.registration.field_alignment import FieldProblem, Points
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
@@ -62,16 +63,20 @@ class ProjectiveIcp:
         seen = self.view.seen(measurement)
         if seen.returns < self._tuning.min_points:
             return _failed(f"{seen.returns} returns, {self._tuning.min_points} needed")
-        pose = PoseArrays.of(T_sensor_target)
-        if self.model.agreement(seen, *pose).share < self._tuning.near_share:
-            points = Points.equal(seen.downsampled(self._tuning.points))
-            pose = field_aligned(points, pose, self.surface.coarse_field, self._far)
-        return self.finish(seen, *pose)
+        points = Points.equal(seen.downsampled(self._tuning.points))
+        far = FieldProblem(points, self.surface.coarse_field, self._far)
+        start, share = PoseArrays.of(T_sensor_target), self._tuning.near_share
+        return self._registration(
+            seen, tracked(far, self._problem(seen), start, seen.range_m, self.model.assumed, share)
+        )
 
     def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
         """Return the registration from a pose R, t, sensor axes, that is close to the solution."""
-        tuning, hits = self._tuning, self.view.hits
-        problem = FaceProblem(
+        problem, start = self._problem(seen), PoseArrays(R, t)
+        return self._registration(seen, refined(problem, start, seen.range_m, self.model.assumed))
+
+    def _problem(self, seen: SeenScan) -> FaceProblem:
+        return FaceProblem(
             seen.points_m,
             seen.rays,
             self.view.grid.arrays,
@@ -79,16 +84,14 @@ class ProjectiveIcp:
             self.surface.coarse_field,
             self._errors,
             self._near,
-            hits.arrays,
+            self.view.hits.arrays,
         )
-        (aligned_R, aligned_t), information, squares, inliers = face_aligned(problem, PoseArrays(R, t))
-        if inliers < tuning.min_points:
-            return _failed(f"{inliers} returns on faces, {tuning.min_points} needed")
-        fit = self.model.fit(seen, aligned_R, aligned_t)
-        if self.model.log_likelihood(seen, R, t) > fit.log_likelihood:
-            fit = self.model.fit(seen, R, t)  # the faces made worse what the outline had right
-        else:
-            R, t = aligned_R, aligned_t
+
+    def _registration(self, seen: SeenScan, found: ScanRegistration) -> Registration:
+        inliers, squares, (R, t) = found.faces.inliers, found.faces.squares_m2, found.pose
+        if inliers < self._tuning.min_points:
+            return _failed(f"{inliers} returns on faces, {self._tuning.min_points} needed")
+        fit = ScanFit.of(found.statistics)
         return Registration(
             Source.LIDAR,
             T_sensor_target=pose_of(R, t),
@@ -97,7 +100,7 @@ class ProjectiveIcp:
             inliers=inliers,
             inlier_share=inliers / seen.returns,
             explained_share=fit.agreement.share,
-            covariance=self._covariance(information, squares / inliers, inliers, R),
+            covariance=self._covariance(found.faces.information, squares / inliers, inliers, R),
             iterations=len(self._far) + len(self._near),
         )
 

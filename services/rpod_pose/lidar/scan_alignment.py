@@ -182,7 +182,9 @@ def add_face_points(
         fading = geman_mcclure(along2, c2)
         weight = fading / (errors.sigma_m**2 * cosine2 + errors.slack_m**2)
         add_residual(sums, Vector(n0, n1, n2), Vector(x, y, z), e, weight)
-        rows[n] = (n0, n1, n2, y * n2 - z * n1, z * n0 - x * n2, x * n1 - y * n0, weight)
+        rows[n, 0], rows[n, 1], rows[n, 2] = n0, n1, n2
+        rows[n, 3], rows[n, 4], rows[n, 5] = y * n2 - z * n1, z * n0 - x * n2, x * n1 - y * n0
+        rows[n, 6] = weight
         if along2 < c2:
             inliers += 1
             counted += fading

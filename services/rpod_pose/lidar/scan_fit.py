@@ -12,6 +12,7 @@ comparison: the deficit of a right pose is small and random, that of a wrong one
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,7 @@ from rpod_pose.lidar.scan_likelihood import (
     Draws,
     Rays,
     ScanStatistics,
-    agreement_counts,
     likeliest,
-    log_likelihood,
     scan_statistics,
 )
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
@@ -82,6 +81,13 @@ class ScanFit:
     """Standard deviation of the deficit under the pose."""
     agreement: Agreement
 
+    @classmethod
+    def of(cls, statistics: ScanStatistics) -> Self:
+        """Return the fit of a pose at which a scan has these statistics."""
+        counts = Agreement(statistics.agreeing, statistics.inconsistent, statistics.missing)
+        deficit = statistics.expected - statistics.log_likelihood
+        return cls(statistics.log_likelihood, deficit, sqrt(statistics.variance), counts)
+
 
 class ScanModel:
     """The statistics of a sensor's scans of a target.
@@ -107,25 +113,17 @@ class ScanModel:
         self.sigma_range_m = config.sigma_range_m or sigma_range_m or UNKNOWN_SIGMA_M
         self._rays = Rays(view.grid.arrays, surface.faces, view.hits.range_m, view.hits.triangle)
         self._shares = expected_shares(config.surest_detection)
-        self._assumed = _assumptions(config, self.sigma_range_m)
+        self.assumed = _assumptions(config, self.sigma_range_m)
         self._pessimistic = _assumptions(verdict.pessimistic, self.sigma_range_m)
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
-        return _fit(scan_statistics(seen.range_m, R, t, self._rays, self._assumed))
-
-    def agreement(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Agreement:
-        """Return the agreement of ``fit`` alone, in half the time."""
-        return Agreement(*agreement_counts(seen.range_m, R, t, self._rays, self._assumed))
-
-    def log_likelihood(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> float:
-        """Return the log likelihood of ``fit`` alone."""
-        return float(log_likelihood(seen.range_m, R, t, self._rays, self._assumed))
+        return ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays, self.assumed))
 
     @property
     def expected_shares(self) -> tuple[float, FloatArray]:
         """Return the ``detection`` of ``energies``: steps of the table per unit of echo, and the table."""
-        return LINEAR_STEPS * self._assumed.least_range_m**2, self._shares
+        return LINEAR_STEPS * self.assumed.least_range_m**2, self._shares
 
     def belief(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> Belief:
         """Return the belief that a pose with a known fit explains a scan."""
@@ -138,7 +136,7 @@ class ScanModel:
         }
         if self._explains(fit, seen.returns):
             return Belief(evidence=evidence)
-        less = _fit(scan_statistics(seen.range_m, R, t, self._rays, self._pessimistic))
+        less = ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays, self._pessimistic))
         if self._explains(less, seen.returns):
             return Belief(evidence=evidence)
         reason = (
@@ -182,15 +180,9 @@ class ScanModel:
             np.empty(measured.shape, np.int32),
         )
         refined: tuple[FloatArray, FloatArray] = likeliest(
-            measured, R, t, rays, self._assumed, covariance, _DRAWS
+            measured, R, t, rays, self.assumed, covariance, _DRAWS
         )
         return refined
-
-
-def _fit(statistics: ScanStatistics) -> ScanFit:
-    counts = statistics.agreeing, statistics.inconsistent, statistics.missing
-    deficit = statistics.expected - statistics.log_likelihood
-    return ScanFit(statistics.log_likelihood, deficit, sqrt(statistics.variance), Agreement(*counts))
 
 
 def _assumptions(config: ScanModelConfig, sigma_range_m: float) -> Assumptions:

@@ -83,6 +83,25 @@ class ScanStatistics(NamedTuple):
     """Number of rays that meet a face and gave no return, above the number expected for their echoes."""
 
 
+class RaySums(NamedTuple):
+    """Sums over the rays of a scan at a pose, those of rays that meet a face by their echo."""
+
+    log_density: float
+    """Sum of the logarithms of the returns' densities, relative to an empty sky."""
+    agreeing: int
+    """Number of returns that the predicted face explains better than clutter does."""
+    inconsistent: int
+    """Number of all other returns."""
+    met: FloatArray
+    """Number of rays that meet a face, shape (RUNGS,)."""
+    returned: FloatArray
+    """Number of agreeing returns, shape (RUNGS,)."""
+    missing: FloatArray
+    """Number of rays that meet a face and gave no return, shape (RUNGS,)."""
+    log_variance: FloatArray
+    """Sums of the logarithm of a range error's variance, m2, and of its square, shape (2, RUNGS)."""
+
+
 @kernel
 def scan_statistics(
     range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
@@ -97,10 +116,13 @@ def scan_statistics(
         assumed: statistics of returns.
     """
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
-    log, power = _log_likelihood(range_m, R, rays, assumed)
-    mean, variance = _expectation(R, rays, assumed, power)
-    counts = _agreement(range_m, R, rays, assumed, power)
-    return ScanStatistics(log, mean, variance, counts[0], counts[1], counts[2])
+    sums = _ray_sums(range_m, R, rays, assumed, True)
+    evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
+    mean, variance = _expectation(sums, assumed, power)
+    missing = _missing(sums, assumed.detection.share[power])
+    return ScanStatistics(
+        sums.log_density + evidence, mean, variance, sums.agreeing, sums.inconsistent, missing
+    )
 
 
 @kernel
@@ -109,7 +131,8 @@ def log_likelihood(
 ) -> float:
     """Return the log likelihood of ``scan_statistics`` alone."""
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
-    return _log_likelihood(range_m, R, rays, assumed)[0]
+    sums = _ray_sums(range_m, R, rays, assumed, False)
+    return sums.log_density + _detected(sums.returned, sums.missing, assumed.detection)[0]
 
 
 @kernel
@@ -118,71 +141,75 @@ def agreement_counts(
 ) -> tuple[int, int, float]:
     """Return the counts of ``scan_statistics`` alone: agreeing, inconsistent, missing."""
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
-    power = _log_likelihood(range_m, R, rays, assumed)[1]
-    return _agreement(range_m, R, rays, assumed, power)
+    sums = _ray_sums(range_m, R, rays, assumed, False)
+    power = _detected(sums.returned, sums.missing, assumed.detection)[1]
+    return sums.agreeing, sums.inconsistent, _missing(sums, assumed.detection.share[power])
 
 
 @kernel
-def _met(R: FloatArray, rays: Rays, least_range_m: float, i: int, j: int) -> tuple[float, float, int]:
-    """Return a ray's predicted range, m, its cosine of incidence, and the step of its echo in the table."""
-    directions, (_, normals, _, albedo) = rays.grid[0], rays.faces
-    face = rays.face[i, j]
-    dx, dy, dz = directions[0, i, j], directions[1, i, j], directions[2, i, j]
-    cosine = 0.0
-    for k in range(3):
-        cosine -= normals[face, k] * (R[0, k] * dx + R[1, k] * dy + R[2, k] * dz)
-    r = np.float64(rays.range_m[i, j])
-    echo = cosine * albedo[face] * (least_range_m / r) ** 2
-    rung = int((np.log(max(echo, 1e-9)) - LEAST_LOG) * RUNGS_PER_LOG)
-    return r, cosine, min(max(rung, 0), RUNGS - 1)
+def _ray_sums(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions, spread: bool) -> RaySums:
+    """Return the sums over the rays, after the target was cast at the pose.
 
-
-@kernel
-def _density(error_m: float, cosine: float, assumed: Assumptions) -> float:
-    """Return the density of a range error on a face, 1/m."""
-    lateral_m = assumed.slack_m / max(cosine, STEEPEST)
-    variance = assumed.sigma_m * assumed.sigma_m + lateral_m * lateral_m
-    tail = 1.0 + 0.25 * error_m * error_m / variance
-    density: float = PEAK / (np.sqrt(variance * tail) * tail * tail)
-    return density
-
-
-@kernel
-def _log_likelihood(
-    range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions
-) -> tuple[float, int]:
-    """Return a scan's log likelihood relative to an empty sky, and the index of the likeliest ``half``.
-
-    A return that clutter explains better than the face does is not counted as detected.
+    Args:
+        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
+        R: R_sensor_target, shape (3, 3).
+        rays: rays, target and buffers, which hold the target rendered at the pose.
+        assumed: statistics of returns.
+        spread: whether ``log_variance`` is computed, which only the expectation needs.
     """
-    log_density, log_clear = np.log(assumed.clutter_density), np.log(1.0 - assumed.clutter_share)
-    returned, missing, total = np.zeros(RUNGS), np.zeros(RUNGS), 0.0
+    directions, (_, normals, _, albedo) = rays.grid[0], rays.faces
+    density, sigma2 = assumed.clutter_density, assumed.sigma_m * assumed.sigma_m
+    log_clear = np.log(1.0 - assumed.clutter_share)
+    log_empty = np.log(density) - log_clear
+    met, returned, missing = np.zeros(RUNGS), np.zeros(RUNGS), np.zeros(RUNGS)
+    log_variance = np.zeros((2, RUNGS))
+    total, agreeing, inconsistent = 0.0, 0, 0
     for i in range(rays.face.shape[0]):
         for j in range(rays.face.shape[1]):
-            m = range_m[i, j]
-            if rays.face[i, j] < 0:
+            m, face = range_m[i, j], rays.face[i, j]
+            if face < 0:
                 if m > 0.0:
-                    total += log_density - log_clear
+                    total += log_empty
+                    inconsistent += 1
                 continue
-            r, cosine, rung = _met(R, rays, assumed.least_range_m, i, j)
+            dx, dy, dz = directions[0, i, j], directions[1, i, j], directions[2, i, j]
+            cosine = 0.0
+            for k in range(3):
+                cosine -= normals[face, k] * (R[0, k] * dx + R[1, k] * dy + R[2, k] * dz)
+            r = np.float64(rays.range_m[i, j])
+            echo = cosine * albedo[face] * (assumed.least_range_m / r) ** 2
+            step = int((np.log(max(echo, 1e-9)) - LEAST_LOG) * RUNGS_PER_LOG)
+            rung = min(max(step, 0), RUNGS - 1)
+            lateral_m = assumed.slack_m / max(cosine, STEEPEST)
+            variance = sigma2 + lateral_m * lateral_m
+            met[rung] += 1.0
+            if spread:
+                log_scale = np.log(variance)
+                log_variance[0, rung] += log_scale
+                log_variance[1, rung] += log_scale * log_scale
             total -= log_clear
             if m <= 0.0:
                 missing[rung] += 1.0
                 continue
-            near = _density(m - r, cosine, assumed)
-            total += np.log(near + assumed.clutter_density)
-            if near > assumed.clutter_density:
+            tail = 1.0 + 0.25 * (m - r) * (m - r) / variance
+            near = PEAK / (np.sqrt(variance * tail) * tail * tail)
+            total += np.log(near + density)
+            if near > density:
                 returned[rung] += 1.0
-    evidence, power = _detected(returned, missing, assumed.detection)
-    return total + evidence, power
+                agreeing += 1
+            else:
+                inconsistent += 1
+    return RaySums(total, agreeing, inconsistent, met, returned, missing, log_variance)
 
 
 @kernel
 def _detected(returned: FloatArray, missing: FloatArray, detection: Detection) -> tuple[float, int]:
     """Return the log mean likelihood of the detections over ``HALVES``, and the index of the likeliest one.
 
+    A return that clutter explains better than the face does is not counted as detected.
+
     Args:
-        returned: number of rays with a return, by echo, shape (RUNGS,).
+        returned: number of agreeing returns, by echo, shape (RUNGS,).
         missing: number of rays without a return, by echo, shape (RUNGS,).
         detection: probabilities of a return.
     """
@@ -197,53 +224,42 @@ def _detected(returned: FloatArray, missing: FloatArray, detection: Detection) -
 
 
 @kernel
-def _expectation(R: FloatArray, rays: Rays, assumed: Assumptions, power: int) -> tuple[float, float]:
-    """Return mean and variance of the log likelihood over the scans that the pose predicts."""
+def _expectation(sums: RaySums, assumed: Assumptions, power: int) -> tuple[float, float]:
+    """Return mean and variance of the log likelihood over the scans that the pose predicts.
+
+    A ray whose return has the probability p adds p h + (1 - p) m to the mean and p (1 - p) (h - m)^2 + p v to
+    the variance. Here m is the log likelihood of no return, and h that of a return on average, a - s / 2,
+    with the logarithm s of its error's variance; v is ``HIT_VARIANCE``. The sums of s and s^2 over the rays
+    of one echo give both.
+    """
     log_clear, mean, variance = np.log(1.0 - assumed.clutter_share), 0.0, 0.0
     share, log_share, log_missing = assumed.detection
-    for i in range(rays.face.shape[0]):
-        for j in range(rays.face.shape[1]):
-            if rays.face[i, j] < 0:
-                continue
-            _, cosine, rung = _met(R, rays, assumed.least_range_m, i, j)
-            p, miss = share[power, rung], log_missing[power, rung]
-            lateral_m = assumed.slack_m / max(cosine, STEEPEST)
-            scale = np.log(assumed.sigma_m * assumed.sigma_m + lateral_m * lateral_m)
-            hit = log_share[power, rung] - 0.5 * scale - HIT_MEAN
-            mean += p * hit + (1.0 - p) * miss - log_clear
-            variance += p * (1.0 - p) * (hit - miss) ** 2 + HIT_VARIANCE * p
+    for rung in range(RUNGS):
+        count, s, s2 = sums.met[rung], sums.log_variance[0, rung], sums.log_variance[1, rung]
+        p, miss = share[power, rung], log_missing[power, rung]
+        hit = log_share[power, rung] - HIT_MEAN
+        mean += p * (count * hit - 0.5 * s) + count * ((1.0 - p) * miss - log_clear)
+        squares = count * (hit - miss) ** 2 - (hit - miss) * s + 0.25 * s2
+        variance += p * (1.0 - p) * squares + HIT_VARIANCE * p * count
     return mean, variance
 
 
 @kernel
-def _agreement(
-    range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions, power: int
-) -> tuple[int, int, float]:
-    """Return the numbers of returns that agree, that are inconsistent, and that are missing.
+def _missing(sums: RaySums, share: FloatArray) -> float:
+    """Return the number of returns that are missing, above the expected number.
 
     Missing returns are counted separately for each echo: no sensor misses bright surfaces and detects dark
     ones. The number at each echo is reduced by one standard deviation.
+
+    Args:
+        sums: sums over the rays.
+        share: probability of a return by echo, shape (RUNGS,).
     """
-    agreeing, inconsistent = 0, 0
-    missed, expected = np.zeros(RUNGS), np.zeros(RUNGS)
-    for i in range(rays.face.shape[0]):
-        for j in range(rays.face.shape[1]):
-            m = range_m[i, j]
-            if rays.face[i, j] < 0:
-                inconsistent += m > 0.0
-                continue
-            r, cosine, rung = _met(R, rays, assumed.least_range_m, i, j)
-            expected[rung] += 1.0 - assumed.detection.share[power, rung]
-            if m <= 0.0:
-                missed[rung] += 1.0
-            elif _density(m - r, cosine, assumed) > assumed.clutter_density:
-                agreeing += 1
-            else:
-                inconsistent += 1
     missing = 0.0
     for rung in range(RUNGS):
-        missing += max(0.0, missed[rung] - expected[rung] - np.sqrt(expected[rung]))
-    return agreeing, inconsistent, missing
+        expected = sums.met[rung] * (1.0 - share[rung])
+        missing += max(0.0, sums.missing[rung] - expected - np.sqrt(expected))
+    return missing
 
 
 @kernel

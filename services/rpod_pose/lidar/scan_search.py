@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
-from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, face_aligned
+from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
+from rpod_pose.lidar.scan_registration import aligned
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays
@@ -170,8 +171,9 @@ class ScanSearch:
             scales_m,
             view.hits.arrays,
         )
-        (R, t), information, *_ = face_aligned(problem, PoseArrays(R, t))
-        return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), information)
+        statistics = self._scanner.statistics
+        found = aligned(problem, PoseArrays(R, t), self.seen.range_m, statistics.assumed)
+        return Pose(*found.pose, ScanFit.of(found.statistics), found.faces.information)
 
     def _unrefined(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a pose as it is, with its fit, without information from any alignment."""
@@ -179,9 +181,9 @@ class ScanSearch:
 
     def _improved(self, pose: Pose, scales_m: FloatArray) -> Pose:
         """Return a pose aligned with the faces, or unchanged if the alignment makes it less likely."""
-        aligned = self.face_aligned(pose.R, pose.t, scales_m)
-        better = aligned.fit.log_likelihood >= pose.fit.log_likelihood
-        return aligned if better else replace(pose, information=aligned.information)
+        moved = self.face_aligned(pose.R, pose.t, scales_m)
+        better = moved.fit.log_likelihood >= pose.fit.log_likelihood
+        return moved if better else replace(pose, information=moved.information)
 
     def belief(self, pose: Pose) -> Belief:
         """Return the belief that a pose explains the scan."""
@@ -215,8 +217,8 @@ class ScanSearch:
 
     def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a rough pose aligned with the scan."""
-        aligned = field_aligned(self._few, PoseArrays(R, t), self._model.surface.coarse_field, self._far_m)
-        return self.face_aligned(*aligned, FACE_SCALES_M)
+        rough = field_aligned(self._few, PoseArrays(R, t), self._model.surface.coarse_field, self._far_m)
+        return self.face_aligned(*rough, FACE_SCALES_M)
 
     def _outline_refined(self, pose: Pose) -> Pose:
         """Return a pose refined on the outline too; unchanged if no return lies on a ray of the pattern."""
