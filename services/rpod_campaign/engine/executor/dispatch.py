@@ -23,7 +23,7 @@ _LOOK_S = 0.5
 """How often to look which workers there are."""
 _RESULT_S = 10.0
 """How long an answer may take that the scheduler says is there."""
-_MOST_ENDED = 4
+_MOST_ENDED = 3
 """Workers that may end while they run a trial before the trial is to blame."""
 
 
