@@ -52,7 +52,7 @@ class ScanVerdictConfig(Tuning):
     """Expected minus actual log likelihood is at most this many of its standard deviations, and ..."""
     max_deficit_per_return: Annotated[NonNegative, BY_HAND] = 0.05
     """... this much a return on top."""
-    contrary_share: Annotated[Share, BY_HAND] = 0.055
+    inconsistent_share: Annotated[Share, BY_HAND] = 0.055
     """Share of rays that may contradict the pose, or be missing; two standard deviations of their number more
     where returns are few."""
     pessimistic: Annotated[
@@ -69,12 +69,12 @@ class ProjectiveIcpTuning(Tuning):
 
     points: Annotated[Count, BUDGET] = 100
     """Returns that the first steps work on."""
-    draw_in_steps: Annotated[int, Field(ge=0), BUDGET] = 5
+    coarse_steps: Annotated[int, Field(ge=0), BUDGET] = 5
     """Steps in the distance field, on ``points`` returns."""
     near_share: Annotated[Share, BY_HAND] = 0.95
     """A prediction that explains this share of a scan is not drawn in: those steps let the target slide along
     what its faces leave open."""
-    settle_steps: Annotated[Count, BUDGET] = 3
+    fine_steps: Annotated[Count, BUDGET] = 3
     """Steps to the faces, on all returns."""
     widest_m: Annotated[Positive, BY_HAND] = 1.0
     """Scale beyond which a return is an outlier, of the first step."""
@@ -139,9 +139,9 @@ class GlobalSearchTuning(Tuning):
     """Surface points that stand for the target while attitudes are compared."""
     truncation_m: Annotated[Positive, BY_HAND] = 1.5
     """Distances beyond this cost no more."""
-    draw_in_points: Annotated[Count, BUDGET] = 128
+    coarse_points: Annotated[Count, BUDGET] = 128
     """Returns that candidates are drawn in on."""
-    draw_in_steps: Annotated[Count, BUDGET] = 6
+    coarse_steps: Annotated[Count, BUDGET] = 6
     """Steps in the distance field, of each candidate."""
     most_returns: Annotated[Count, BUDGET] = 900
     """Scans with more are thinned by rows and columns."""
@@ -150,7 +150,7 @@ class GlobalSearchTuning(Tuning):
     log likelihood exceeds what is expected by ..."""
     sure_surplus: Annotated[NonNegative, BY_HAND] = 0.3
     """... this much a return."""
-    sharpened_returns: Annotated[int, Field(ge=0), BY_HAND] = 70
+    sufficient_returns: Annotated[int, Field(ge=0), BY_HAND] = 70
     """Of scans with fewer the outline is searched too, once the best poses are drawn in; of others only for
     poses that explain them halfway, and where the best has a rival."""
     rival_log_likelihood: Annotated[Positive, BY_HAND] = 25.0

@@ -23,7 +23,7 @@ class PmdCheckConfig(Tuning):
         Provenance("hand, mock-up", "twice 3 mm, by which a target may differ from its file; a guess"),
     ] = 0.006
     """The same on the target, which is not quite built as drawn: twice 3 mm."""
-    most_contrary_share: Annotated[
+    most_inconsistent_share: Annotated[
         Share,
         Provenance(
             "hand, mock-up", "right poses had up to 0.024 on emulated frames, the sun behind a camera 7 m off"

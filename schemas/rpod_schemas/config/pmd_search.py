@@ -109,7 +109,7 @@ class PmdAcquisitionTuning(Tuning):
     """Surface points that stand for the target while attitudes are compared."""
     truncation_m: Annotated[Positive, BY_HAND] = 0.5
     """Distances beyond this cost no more."""
-    draw_in_points: Annotated[Count, BUDGET] = 128
+    coarse_points: Annotated[Count, BUDGET] = 128
     """Measured points that candidates are drawn in on."""
     fine_points: Annotated[Count, BUDGET] = 500
     """Measured points that the best are finished on."""

@@ -84,7 +84,7 @@ class FrameSearch:
         self._tuning, self._model, self._scene, self._fitter = tuning, model, scene, fitter
         self._image = scene.distances()
         self._centroid_m = scene.middle_m()
-        self._few = Points.equal(scene.downsampled(tuning.draw_in_points))
+        self._few = Points.equal(scene.downsampled(tuning.coarse_points))
         self._fine = Points.equal(scene.downsampled(tuning.fine_points))
 
     def search(self, attitudes: Float32Array, around: FloatArray | None) -> list[Pose]:
