@@ -27,7 +27,7 @@ def of_version_1() -> dict[str, Any]:
 
 
 def of_version_2() -> dict[str, Any]:
-    """The same configuration as version 2 logged it: with tuning, and renamed fields under their old names."""
+    """The same configuration as version 2 logged it: with tuning, renamed fields under their old names."""
     config = check_logged(EstimatorConfig, of_version_1(), source="run.mcap").config
     old_names = {new: old for old, new in RENAMED.items()}
 
