@@ -1,8 +1,8 @@
 """Physical limits of the values in messages, each with its reason (ICD section 1, Bounds).
 
-A value beyond its limits is a broken driver or a wrong unit, never a measurement; what is computed from it
-may be infinite, or may ask for more memory than there is. The limits are wide: they hold every sensor and
-every rendezvous that is known, with room beyond. A test compares ``BOUNDS`` with the table of the ICD.
+A value beyond its limits indicates a broken driver or a wrong unit, not a measurement. A result computed
+from it may be infinite, or may need more memory than the machine has. The limits are wide: they include
+every known sensor and rendezvous, with a margin. A test compares ``BOUNDS`` with the table of the ICD.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from rpod_schemas.arrays import FloatArray, Matrix6, VectorN
 _SYMMETRIC = 1e-3
 """Largest asymmetry, and largest correlation beyond 1, of a covariance that has been rounded."""
 _LARGEST = 1e300
-"""Integers of JSON may be larger than any float."""
+"""Largest number that is printed in full: integers of JSON may be larger than any float."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ BOUNDS: dict[str, Bound] = {
     "EstimatorStatus: number of hypotheses": HYPOTHESES,
     "EstimatorStatus: inlier_share, each weight, their sum": SHARE,
 }
-"""Limits by the fields for which they hold, named as in the ICD."""
+"""Limits by the fields to which they apply, named as in the ICD."""
 
 
 def bounded(bound: Bound) -> Any:

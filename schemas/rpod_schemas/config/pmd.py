@@ -187,8 +187,7 @@ class PmdConfig(EmulatedSensor):
 
     @property
     def unambiguous_range_m(self) -> float:
-        """Length modulo which distances are measured, m: c / 2f, or that at which two frequencies wrap at
-        once."""
+        """Length modulo which distances are measured, m: c / 2f, or that at which both frequencies wrap."""
         first_hz, *others_hz = self.frequencies_hz
         wraps = 1
         for other_hz in others_hz:

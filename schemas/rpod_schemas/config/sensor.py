@@ -72,7 +72,7 @@ class Registered:
     Args:
         model_of: returns the model of a kind; raises ``SchemaError`` for one that is not known.
         kinds: returns the kinds that are known.
-        default: the kind of a document that names none; where empty, it must name one.
+        default: kind for a document that names none; if empty, the document must name one.
     """
 
     model_of: Callable[[str], type[Kinded]]
