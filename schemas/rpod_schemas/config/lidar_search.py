@@ -86,7 +86,7 @@ class ProjectiveIcpTuning(Tuning):
     ] = 0.1
     """Distance above which a return is an outlier in the last step, m; it covers 4-sigma outliers."""
     steep_cosine: Annotated[float, Field(ge=0, le=1), BY_HAND] = 0.55
-    """Cosine of incidence on a face below which outliers are told by their distance from its plane, not by
+    """Cosine of incidence on a face below which outliers are found by their distance from its plane, not by
     that along the ray: otherwise a small error of its position would reject all returns of a steep face."""
     outline_m: Annotated[Positive, BY_HAND] = 0.05
     """Standard deviation of the distance of a return beyond the outline, m."""

@@ -103,7 +103,7 @@ def _leaves(
 
 
 def provenance_of(annotation: Any) -> Provenance | None:
-    """Return the provenance in a field's annotation, None where there is none."""
+    """Return the provenance in a field's annotation, None if there is none."""
     if get_origin(annotation) is not Annotated:
         return None
     return next((item for item in annotation.__metadata__ if isinstance(item, Provenance)), None)
