@@ -112,9 +112,9 @@ def test_two_packages_that_bring_one_name_are_an_error(entries):
         names(SENSORS)
 
 
-def test_an_environment_without_entry_points_is_told_to_install_anew(entries):
+def test_an_environment_without_entry_points_is_told_to_install_again(entries):
     entries()
-    with pytest.raises(UnknownNameError, match="install it anew"):
+    with pytest.raises(UnknownNameError, match="install it again"):
         sensor_kind("pmd")
 
 
