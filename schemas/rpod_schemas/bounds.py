@@ -1,8 +1,8 @@
 """Physical limits of the values in messages, each with its reason (ICD section 1, Bounds).
 
-A value beyond its limits is a broken driver or a wrong unit, never a measurement; what is computed from it
-may be infinite, or may ask for more memory than there is. The limits are wide: they hold every sensor and
-every rendezvous that is known, with room beyond. A test compares ``BOUNDS`` with the table of the ICD.
+A value beyond its limits indicates a broken driver or a wrong unit, not a measurement. A result computed
+from it may be infinite, or may need more memory than the machine has. The limits are wide: they include
+every known sensor and rendezvous, with a margin. A test compares ``BOUNDS`` with the table of the ICD.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from rpod_schemas.arrays import FloatArray, Matrix6, VectorN
 _SYMMETRIC = 1e-3
 """Largest asymmetry, and largest correlation beyond 1, of a covariance that has been rounded."""
 _LARGEST = 1e300
-"""Integers of JSON may be larger than any float."""
+"""Largest number that is printed in full: integers of JSON may be larger than any float."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,11 @@ DEPTH_M = Bound(
     1e5,
     "m",
     "no light comes back from farther",
-    "send metres, and NaN or infinity where there is no depth",
+    "send metres, and NaN or infinity for pixels without depth",
 )
-AMPLITUDE = Bound(-(2.0**32), 2.0**32, "", "converters have at most 32 bits", "send NaN where there is none")
+AMPLITUDE = Bound(-(2.0**32), 2.0**32, "", "converters have at most 32 bits", "send NaN for missing values")
 FOCAL_LENGTH_PX = Bound(0.01, 1e6, "px", "a pixel sees more than 1 microradian", "calibrate the camera")
-PRINCIPAL_POINT_PX = Bound(-16_384, 16_384, "px", "it lies on the sensor that the image is cut from")
+PRINCIPAL_POINT_PX = Bound(-16_384, 16_384, "px", "it is on the sensor of which the image is a part")
 DISTORTION = Bound(-1e4, 1e4, "", "fits of narrow lenses reach some hundreds", "calibrate the camera")
 MODULATION_FREQUENCY_HZ = Bound(1e5, 1e9, "Hz", "the unambiguous range c / 2f is 0.15 m to 1.5 km")
 FREQUENCIES = Bound(0, 8, "", "cameras have one to four modulation frequencies", "check the driver")
@@ -88,17 +88,17 @@ SCAN_DIRECTIONS = Bound(
 )
 AZIMUTH_RAD = Bound(-2.0 * np.pi, 2.0 * np.pi, "rad", "one turn either way")
 ELEVATION_RAD = Bound(-np.pi / 2.0, np.pi / 2.0, "rad", "from straight up to straight down")
-ANGLE_STEP_RAD = Bound(1e-6, 2.0 * np.pi, "rad", "no beam is narrower", "name each direction once")
-SCAN_TIME_S = Bound(0, 600, "s", "a target does not keep still for longer")
+ANGLE_STEP_RAD = Bound(1e-6, 2.0 * np.pi, "rad", "no beam is narrower", "list each direction once")
+SCAN_TIME_S = Bound(0, 600, "s", "a target moves too much in a longer scan")
 RETURN_TIME_S = Bound(-600, 600, "s", "a return belongs to its scan", "send seconds from the stamp")
 SIGMA_RANGE_M = Bound(0, 100, "m", "beyond it no pose is measured at the ranges of a rendezvous")
 POSITION_M = Bound(-1e9, 1e9, "m", "twice the way to the Moon")
 MOUNT_M = Bound(0, 200, "m", "no spacecraft is longer", "check the transform on tf_static")
 SPEED_M_S = Bound(-1e5, 1e5, "m/s", "three times a comet's speed at Earth")
-RATE_RAD_S = Bound(-1e4, 1e4, "rad/s", "the fastest rotors turn so")
+RATE_RAD_S = Bound(-1e4, 1e4, "rad/s", "about the rate of the fastest rotors")
 VARIANCE = Bound(0, 1e18, "", "the square of the farthest position")
 IRRADIANCE_W_M2 = Bound(0, 1e5, "W/m2", "seventy times the Sun at Earth")
-HYPOTHESES = Bound(0, 1_000, "", "more are no finding", "send the best")
+HYPOTHESES = Bound(0, 1_000, "", "more hypotheses are not a useful result", "send the best")
 SHARE = Bound(0, 1.000001, "", "a share of a whole")
 
 BOUNDS: dict[str, Bound] = {
@@ -133,7 +133,7 @@ BOUNDS: dict[str, Bound] = {
     "EstimatorStatus: number of hypotheses": HYPOTHESES,
     "EstimatorStatus: inlier_share, each weight, their sum": SHARE,
 }
-"""Limits by the fields for which they hold, named as in the ICD."""
+"""Limits by the fields to which they apply, named as in the ICD."""
 
 
 def bounded(bound: Bound) -> Any:

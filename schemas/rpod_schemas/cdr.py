@@ -1,4 +1,4 @@
-"""CDR on rosbags: bytes in, messages of views out, and back.
+"""CDR by rosbags: from bytes to messages with views of them, and back.
 
 Messages are rosbags' dataclasses for the ROS 2 types and the project's own. Decoding a
 ``memoryview`` leaves image and point data as read-only views of it.
@@ -61,7 +61,7 @@ def learn(type_name: str, text: str | bytes) -> None:
         found = get_types_from_msg(text if isinstance(text, str) else text.decode(), type_name)
         typestore().register({name: fields for name, fields in found.items() if not is_known(name)})
     except (UnicodeDecodeError, TypesysError):
-        return  # its messages are handed over as bytes, and refused where they are to be decoded
+        return  # its messages stay bytes; decoding them is an error
 
 
 @cache
@@ -80,8 +80,9 @@ def type_hash(type_name: str) -> str:
 def definition(type_name: str) -> str:
     """Return the ``ros2msg`` definition of a type with all that it needs, for logs.
 
-    A type of the project's own is as its file has it, each constant right before the field that it names a
-    value of: Foxglove finds the names of values by that, and a generated text has all constants first.
+    The definition of one of the project's own types is the text of its file. There each constant stands right
+    before the field whose value it names, and Foxglove finds the names of values by this order; a generated
+    text has all constants first.
     """
     text, _ = typestore().generate_msgdef(type_name, ros_version=2)
     generated, *needed = text.split(_SEPARATOR)
@@ -121,10 +122,10 @@ def _deserialised(payload: bytes | memoryview, type_name: str) -> Any:
 
 
 def peek_stamp(payload: bytes | bytearray | memoryview) -> int:
-    """Return the stamp, ns, of a message that begins with a std_msgs/Header, undecoded.
+    """Return the stamp, ns, of an encoded message that begins with a std_msgs/Header.
 
     Raises:
-        MessageRejectedError: the bytes are too few, or no stamp.
+        MessageRejectedError: the bytes are too few, or hold no valid stamp.
     """
     if len(payload) < 12 or payload[0] != 0 or payload[1] not in _STAMP:
         raise MessageRejectedError(Reason.MALFORMED, f"no CDR header with a stamp in {len(payload)} bytes")
@@ -133,10 +134,10 @@ def peek_stamp(payload: bytes | bytearray | memoryview) -> int:
 
 
 def restamped(payload: bytes | bytearray | memoryview, shift_ns: int) -> bytearray:
-    """Return a message that begins with a stamp, as with a std_msgs/Header, moved in time.
+    """Return a message that begins with a stamp, moved in time by ``shift_ns``.
 
     Raises:
-        MessageRejectedError: there is no stamp.
+        MessageRejectedError: the message has no valid stamp.
     """
     seconds, nanoseconds = divmod(peek_stamp(payload) + shift_ns, NANOSECONDS)
     moved = bytearray(payload)

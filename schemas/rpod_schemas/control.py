@@ -61,7 +61,7 @@ class StartRequest(Config):
 
 
 class ResetRequest(Config):
-    """Start the estimator anew, from nothing or from a given pose."""
+    """Restart the estimator, without a pose or from a given one."""
 
     pose: Pose | None = None
     """Pose T_frame_target."""

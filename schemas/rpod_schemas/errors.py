@@ -8,9 +8,9 @@ from typing import Any
 class RpodError(Exception):
     """Root of all errors of the project.
 
-    It passes from one process to another with its text and its fields. Python's own way calls the class with
-    ``args`` again, which are the text, while our classes take facts and compose the text of them: an error of
-    a worker could not be read by the process that waited for it.
+    It can be pickled with its text and its fields. By default, unpickling calls the class with ``args``,
+    which hold the text, but these classes take facts and compose the text from them. Without this method, the
+    error of a worker could not be read by the process that waits for it.
     """
 
     def __reduce__(self) -> tuple[Any, ...]:

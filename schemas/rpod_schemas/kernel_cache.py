@@ -1,12 +1,12 @@
-"""Compiled kernels are compiled anew when anything changes that is compiled into them.
+"""Kernels are compiled again when anything changes that is compiled into them.
 
-Numba keeps a compiled kernel beside its source, and knows it to be old by that one file. Whatever the kernel
-takes from other modules is compiled into it as well: the kernels that it calls, numbers, records. So a change
-in one of these went unnoticed. Here the stamp of a kernel's file also covers what the file has from others,
-and what these have from others in their turn; the places of the cache stay Numba's own (``NUMBA_CACHE_DIR``,
-``__pycache__``, the user's cache where an installation is read-only).
+Numba caches a compiled kernel and compares its age with that of its source file alone. The names that the
+kernel uses from other modules are compiled into it as well: called kernels, numbers, records. A change in one
+of these would stay unnoticed. Here the stamp of a kernel's file also covers the names that the file imports
+from other modules, and the names that these import. The locations of the cache are Numba's own
+(``NUMBA_CACHE_DIR``, ``__pycache__``, the user's cache if an installation is read-only).
 
-A package that has kernels calls ``watch_callees`` in its ``__init__``, before any of them is made.
+A package with kernels calls ``watch_callees`` in its ``__init__``, before any kernel is defined.
 Source: Numba, "Environment variables", NUMBA_CACHE_LOCATOR_CLASSES.
 """
 
@@ -27,7 +27,7 @@ _OWN = f"{__name__}."
 
 
 def watch_callees() -> None:
-    """Let Numba's cache know what kernels have from other modules; a choice of the user's own stays."""
+    """Let Numba's cache include other modules in a kernel's stamp; a locator that the user chose stays."""
     if not getattr(config, "CACHE_LOCATOR_CLASSES"):  # noqa: B009 - its stub lacks the name
         own = ("UserProvided", "InTree", "UserWide")
         others = ("IPythonCacheLocator", "ZipCacheLocator")
@@ -36,28 +36,28 @@ def watch_callees() -> None:
 
 
 class _Watching(caching._SourceFileBackedLocatorMixin):  # type: ignore[misc, unused-ignore]
-    """A locator whose stamp covers what the kernel's module has from others."""
+    """Base of the locators whose stamp covers the names that a kernel's module uses from others."""
 
     def __init__(self, py_func: Any, py_file: str) -> None:
         super().__init__(py_func, py_file)  # type: ignore[call-arg]
         self._globals = py_func.__globals__
 
     def get_source_stamp(self) -> bytes:
-        """Return a digest of the kernel's file and of what is compiled in from elsewhere."""
+        """Return a digest of the kernel's file and of all that is compiled into the kernel from elsewhere."""
         own = super().get_source_stamp()  # type: ignore[no-untyped-call]
         return hashlib.sha256(repr((own, sorted(_parts(self._globals, set())))).encode()).digest()
 
 
 class UserProvided(_Watching, caching.UserProvidedCacheLocator):
-    """In ``NUMBA_CACHE_DIR``, where it is set."""
+    """Locator of the cache in ``NUMBA_CACHE_DIR``, if it is set."""
 
 
 class InTree(_Watching, caching.InTreeCacheLocator):
-    """Beside the source, where that can be written."""
+    """Locator of the cache beside the source, if that folder is writable."""
 
 
 class UserWide(_Watching, caching.UserWideCacheLocator):
-    """In the user's cache."""
+    """Locator of the cache in the user's folder."""
 
 
 def _parts(names: Mapping[str, Any], seen: set[int]) -> Iterator[str]:

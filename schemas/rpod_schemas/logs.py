@@ -1,7 +1,7 @@
 """Metadata of a log: the names of its records and their contents (ICD section 5).
 
-Values of metadata records are JSON unless said otherwise. A record may stand in a file more than
-once, early for the case that the process dies and again at the close: the last one counts.
+Values of metadata records are JSON unless stated otherwise. A file may contain a record more than
+once: early, in case the process dies, and again at the close. The last one counts.
 """
 
 import json
@@ -16,9 +16,9 @@ PROFILE = "ros2"
 SCHEMA_ENCODING = "ros2msg"
 MESSAGE_ENCODING = "cdr"
 OPAQUE = "opaque"
-"""Schema name of what was recorded as it came, from keys that are not ROS topics."""
+"""Schema name of messages that were recorded as opaque bytes, from keys that are not ROS topics."""
 OPAQUE_ENCODING = "application/octet-stream"
-"""Its message encoding."""
+"""Encoding of such messages."""
 
 SOFTWARE = "software"
 """Record of plain text: ``name``, ``version``, and ``target_digest`` if a service reported it."""
@@ -35,16 +35,16 @@ REPLAY = "replay"
 RECOVERY = "recovery"
 """Record of a ``Recovery`` under ``recovery``; only in a file that was recovered from a damaged one."""
 COMPLETENESS = "completeness"
-"""Record of the fields of ``Completeness``: what a file says of itself; only in a file that was closed."""
+"""Record of the fields of ``Completeness``, the file's own statement; only in a file that was closed."""
 
 QOS_METADATA = "offered_qos_profiles"
 """Channel metadata: quality of service in rosbag2's YAML."""
 HASH_METADATA = "topic_type_hash"
 """Channel metadata: RIHS01 hash of the type, as rosbag2 names it."""
 KEY_METADATA = "key"
-"""Channel metadata of what is no known ROS topic: the key on which it was published."""
+"""Channel metadata of a key that is no known ROS topic: the key of publication."""
 ENCODING_METADATA = "encoding"
-"""Channel metadata of what is no known ROS topic: the encoding as the publisher named it."""
+"""Channel metadata of a key that is no known ROS topic: the encoding that the publisher stated."""
 
 Total = Annotated[int, Field(ge=0)]
 
@@ -69,21 +69,22 @@ class TopicCount(Config):
 
     @property
     def lost(self) -> int:
-        """Number of messages that arrived and are not in the file: the queue was full, or the disk failed."""
+        """Number of messages that arrived but are not in the file: the queue was full, or the disk failed."""
         return self.received - self.written
 
 
 class Numbers(Config):
-    """The sequence numbers of one publisher instance that a file holds, without the repeated messages.
+    """Range of sequence numbers of one publisher instance in a file, without the repeated messages.
 
-    Those of a topic's publishers together are its messages' sequence numbers, but for the missed ones: so
-    anyone can count them again, though a message does not name its publisher.
+    The ranges of all publishers of a topic together are the sequence numbers of its messages, except for
+    missed ones. They allow a reader to count the messages again, although a message does not name its
+    publisher.
     """
 
     key: str
-    """Key on which it published."""
+    """Key on which the instance published."""
     gid: str
-    """The instance, in hexadecimal digits: a publisher that was restarted is another."""
+    """Identifier of the instance, hexadecimal digits; a publisher that restarted is another instance."""
     first: Total
     last: Total
     messages: Total
@@ -96,30 +97,31 @@ class RecoveredTopic(Config):
     messages: Total = 0
     """Number of messages in the recovered log."""
     lost: Total = 0
-    """Estimated: by the summary where it is whole, else by indexes, sequence numbers and rate."""
+    """Estimated number of lost messages: by the summary if it is intact, else by indexes, sequence numbers
+    and rate."""
     last_ns: int | None = None
-    """Arrival of the last message; None where there is none."""
+    """Arrival of the last message, ns of UTC; None if there is none."""
 
 
 class Recovery(Config):
     """Result of the recovery of a damaged log."""
 
     source: str
-    """The damaged file; never touched."""
+    """Path of the damaged file, which is not changed."""
     out: str
-    """The new file."""
+    """Path of the new file."""
     size_bytes: Total
-    """Size of the damaged file."""
+    """Size of the damaged file, bytes."""
     unreadable_bytes: Total
-    """Bytes of the damaged file that belong to no complete record."""
+    """Number of bytes of the damaged file that belong to no complete record."""
     damaged_places: Total
-    """Number of contiguous stretches of such bytes."""
+    """Number of contiguous blocks of such bytes."""
     closed: bool
     """Whether the end of the file exists; if not, the data after the last record are unknown."""
     messages: Total
     """Number of messages in the new file."""
     without_definition: Total
-    """Messages left out because their channel's definition is lost."""
+    """Number of messages left out because their channel's definition is lost."""
     topics: dict[str, RecoveredTopic]
     """Topics by the channel's name."""
 
@@ -133,13 +135,13 @@ class Completeness(Config):
     """Completeness of a file: whether it contains all messages that were published while it was open."""
 
     complete: bool
-    """Nothing missed, lost or rejected, and the file was closed as it should be."""
+    """Whether nothing was missed, lost or rejected, and the file was closed properly."""
     reasons: tuple[str, ...] = ()
     """Reasons why the file is not complete."""
     continues: str | None = None
-    """Name of the file before, where that ends at the very message at which this one begins."""
+    """Name of the preceding file, if it ends at the message at which this one begins."""
     clock_jumps_s: tuple[float, ...] = ()
-    """Jumps of the logger's clock while the file was open; ``log_time`` includes them."""
+    """Jumps of the logger's clock while the file was open, s; ``log_time`` includes them."""
 
     def record(self) -> dict[str, str]:
         """Return the metadata record."""
@@ -147,7 +149,11 @@ class Completeness(Config):
 
     @classmethod
     def of_record(cls, record: Mapping[str, str]) -> Self:
-        """Read the metadata record of a file; one without it was not closed. Raises ``ValueError``."""
+        """Return the completeness in a file's metadata record; a file without one was not closed.
+
+        Raises:
+            ValueError: the record holds something else.
+        """
         if not record:
             return cls(complete=False, reasons=("the file was not closed",))
         return cls.model_validate({name: json.loads(text) for name, text in record.items()})
@@ -164,10 +170,8 @@ def shortfalls(counts: Mapping[str, TopicCount], messages: Mapping[str, int]) ->
     """Return the reasons why a file is not complete, a sentence each; empty for a complete file.
 
     Args:
-        counts: the file's account.
-        messages: how many messages there are in the file.
-
-    Both by the channel's topic.
+        counts: the counts in the file's metadata, by the channel's topic.
+        messages: number of messages in the file, by the channel's topic.
     """
     reasons = []
     for topic in sorted({*counts, *messages}):
@@ -190,9 +194,9 @@ def check_completeness(
     """Check a closed file's statement of completeness against its counts and its messages.
 
     Args:
-        statement: the record ``COMPLETENESS``, empty where there is none.
-        counts: the record ``COUNTS``, empty where there is none.
-        messages: how many messages there are in the file, by the channel's topic (MCAP's statistics).
+        statement: the record ``COMPLETENESS``, empty if there is none.
+        counts: the record ``COUNTS``, empty if there is none.
+        messages: number of messages in the file, by the channel's topic (MCAP's statistics).
 
     Returns:
         The statement; each inconsistency is added to its reasons and makes it incomplete.

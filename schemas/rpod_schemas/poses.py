@@ -30,12 +30,12 @@ def rotation_matrix(pose: RigidTransform) -> FloatArray:
 
 
 def rotation_of(pose: RigidTransform) -> Rotation:
-    """Return a pose's rotation; ``pose.rotation`` makes sure first that it is one, in six times the time."""
+    """Return a pose's rotation, unchecked; ``pose.rotation`` checks it, which takes six times as long."""
     return Rotation.from_matrix(rotation_matrix(pose), assume_valid=True)
 
 
 def chained(T_A_B: RigidTransform, T_B_C: RigidTransform) -> RigidTransform:
-    """Return T_A_C; the operator does the same and normalises the result, in five times the time."""
+    """Return T_A_C, not normalised; the operator normalises it, which takes five times as long."""
     return RigidTransform(T_A_B.as_matrix() @ T_B_C.as_matrix(), normalize=False)
 
 
@@ -70,7 +70,7 @@ def _checked_pose(value: Any) -> RigidTransform:
 
 
 def _numbers(value: Any) -> FloatArray:
-    """Return an array of finite numbers; an empty one where the value is none."""
+    """Return an array of finite numbers; an empty one if the value is not such an array."""
     try:
         array = np.asarray(value, float)
     except (TypeError, ValueError):
@@ -111,11 +111,11 @@ Pose = Annotated[
     PlainValidator(_checked_pose),
     PlainSerializer(_plain_pose, return_type=dict[str, list[float]]),
 ]
-"""A pose in a model: as a transform, or as ``{translation_m, quaternion_xyzw | euler_321_deg}``."""
+"""A pose in a model: a transform, or ``{translation_m, quaternion_xyzw | euler_321_deg}``."""
 
 Attitude = Annotated[
     Rotation,
     PlainValidator(_checked_attitude),
     PlainSerializer(_plain_attitude, return_type=dict[str, list[float]]),
 ]
-"""An attitude in a model: as a rotation, or as ``{quaternion_xyzw | euler_321_deg}``."""
+"""An attitude in a model: a rotation, or ``{quaternion_xyzw | euler_321_deg}``."""

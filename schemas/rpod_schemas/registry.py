@@ -1,8 +1,9 @@
 """Registry of the sensor kinds and methods of installed packages, found by their entry points.
 
 A package declares ``name = "module:attribute"`` under the group ``rpod.sensors`` or ``rpod.methods``. An
-entry is loaded when it is asked for by its name. What it describes is light: whatever is heavy (emulators,
-compiled methods) is named by a reference ``module:attribute``, which the process that needs it imports.
+entry is loaded when it is requested by its name. Its object imports little: modules that take long to import
+(emulators, compiled methods) are named by a reference ``module:attribute``, which the process that needs them
+imports.
 """
 
 from functools import cache
@@ -31,10 +32,10 @@ class UnknownNameError(SchemaError):
     """Raised for a name that no installed package provides."""
 
     def __init__(self, group: str, name: str, known: tuple[str, ...]) -> None:
-        listed = ", ".join(known) or "none (rpod itself brings some: install it anew, as make setup does)"
+        listed = ", ".join(known) or "none (rpod itself provides some: install it again, as make setup does)"
         super().__init__(
-            f"no installed package brings {name!r} to {group}, known are {listed}; "
-            "install the package that brings it into this environment"
+            f"no installed package provides {name!r} in {group}, known are {listed}; "
+            "install the package that provides it into this environment"
         )
 
 
@@ -78,7 +79,7 @@ def _sensor_of(name: str) -> str:
 
 
 def check_type(group: str, name: str, kind: type[Any]) -> Any:
-    """Return the object of a name, which must be of a type. Raises like ``load``."""
+    """Return the object of a name if it has a type. Raises like ``load``."""
     loaded = load(group, name)
     if not isinstance(loaded, kind):
         raise RegistryError(_entries(group)[name], f"is {type(loaded).__name__}, needs {kind.__name__}")

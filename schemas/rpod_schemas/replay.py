@@ -5,44 +5,44 @@ from rpod_schemas.summary import Consistency, Count, Durations, ErrorSize, Error
 
 
 class Side(Config):
-    """One of the two runs of an estimator over the same log."""
+    """Results of one of the two estimator runs over the same log."""
 
     frames: Count
-    """Frames that it answered with a status."""
+    """Number of frames that the estimator answered with a status."""
     estimates: Count
-    """Odometry messages."""
+    """Number of odometry messages."""
     accepted: Count
-    """Frames whose measurement was accepted."""
+    """Number of frames whose measurement was accepted."""
     lost_s: NonNegative
-    """Time in LOST or ACQUIRING after the first acquisition."""
+    """Time in LOST or ACQUIRING after the first acquisition, s."""
     modes: Tracking
-    """How well the target was held."""
+    """Shares of tracking."""
     error: ErrorSummary | None
-    """Over the tracked frames; null where there is no truth."""
+    """Errors over the tracked frames; null without truth."""
     consistency: Consistency | None
-    """Over the tracked frames with truth and a covariance."""
+    """Consistency over the tracked frames with truth and a covariance."""
 
 
 class Difference(Config):
-    """New poses against old ones at the same stamps."""
+    """Differences between new and old poses at the same stamps."""
 
     common: Count
-    """Stamps at which both have an estimate."""
+    """Number of stamps at which both have an estimate."""
     identical: Count
     """Number of these stamps with identical poses."""
     attitude_deg: ErrorSize
-    """Angle between the two."""
+    """Angle between the two poses, deg."""
     position_m: ErrorSize
-    """Distance between the two."""
+    """Distance between the two poses, m."""
 
 
 class ReplayReport(Config):
-    """``rpod replay --json``."""
+    """Object that ``rpod replay --json`` prints."""
 
     log: str
-    """The log that was replayed, the first file where there are several."""
+    """Path of the replayed log, the first file if there are several."""
     out: str
-    """The new log: truth, old estimates, and new ones under ``replay``."""
+    """Path of the new log with truth, old estimates, and new ones under ``replay``."""
     as_live: bool
     """Whether exactly the frames of the live run were used."""
     frames: Count
@@ -50,12 +50,12 @@ class ReplayReport(Config):
     missing: Count
     """Number of frames that the live run used and that the log does not contain."""
     refused: dict[str, int]
-    """Messages that could not be used, by topic."""
+    """Number of messages that could not be used, by topic."""
     processing_s: Durations | None
-    """Processing time of the frames given to the estimator, on this machine."""
+    """Processing time of the frames given to the estimator, s, on this machine."""
     old: Side | None
-    """Estimator of the log; null if there was none."""
+    """Results of the log's estimator; null if there was none."""
     new: Side | None
-    """Estimator of the replay; null if there was no frame."""
+    """Results of the replay's estimator; null if there was no frame."""
     difference: Difference | None
     """Difference of the two; null if there is no common stamp."""

@@ -1,4 +1,4 @@
-"""When frames are due: one rule for the emulator, for lockstep, and for whoever counts frames.
+"""Due times of frames: one rule for the emulator, for lockstep, and for the count of frames.
 
 A frame's number is ``round((stamp - epoch) * rate)`` (ICD section 4).
 """
@@ -21,7 +21,7 @@ class DueFrame:
     sensor: str
     number: int
     available_ns: int
-    """When the sensor hands it out: stamp, half the exposure or scan, read-out."""
+    """Time at which the sensor hands the frame out, ns: stamp, half the exposure or scan, read-out."""
 
 
 def frame_at(sensor: SensorConfig, number: int, *, epoch_ns: int) -> DueFrame:
@@ -31,7 +31,7 @@ def frame_at(sensor: SensorConfig, number: int, *, epoch_ns: int) -> DueFrame:
 
 
 def last_number(sensor: SensorConfig, until_ns: int, *, epoch_ns: int) -> int:
-    """Return the number of a sensor's last frame whose stamp is not beyond a time; 0 is the epoch's."""
+    """Return the number of a sensor's last frame with a stamp up to a time; 0 is the epoch's."""
     number = floor((until_ns - epoch_ns) * sensor.rate_hz / NANOSECONDS) + 1  # rounded, one too many at most
     while frame_at(sensor, number, epoch_ns=epoch_ns).stamp_ns > until_ns:
         number -= 1
@@ -51,7 +51,7 @@ def due_frames(sensors: Sequence[SensorConfig], *, epoch_ns: int, duration_s: fl
 
 @dataclass(frozen=True)
 class Step:
-    """One step of lockstep: at this time of the clock one frame is handed out, and no other."""
+    """One step of lockstep: the time of the clock at which one frame is handed out."""
 
     time_ns: int
     frame: DueFrame
@@ -62,14 +62,14 @@ def lockstep_steps(
 ) -> Iterator[Step]:
     """Yield the steps of lockstep in the order of time (ICD section 4).
 
-    A step's time is when its sensor hands the frame out; frames that several sensors hand out at the same
-    time follow each other in the order of the sensors' names, a nanosecond apart. So the clock alone tells
-    which frame is next, and motion and emulator need not agree on anything else.
+    The time of a step is the one at which its sensor hands the frame out. Frames that several sensors hand
+    out at the same time follow each other in the order of the sensors' names, a nanosecond apart. Therefore
+    the clock alone determines which frame is next, and motion and emulator need no other agreement.
 
     Args:
         sensors: all sensors that are emulated.
         epoch_ns: time from which frames are numbered.
-        duration_s: frames with stamps in (epoch, epoch + duration]; without end where None.
+        duration_s: duration, s; stamps are in (epoch, epoch + duration]. None for no end.
     """
     until_ns = None if duration_s is None else epoch_ns + round(duration_s * NANOSECONDS)
     going_on = {sensor.name for sensor in sensors}

@@ -1,7 +1,7 @@
 """``summary.json``: the results of a run in numbers (ICD section 6).
 
-A value is null where it is not known, and so is a block of which nothing is known: latency where the
-clock is not the wall's, errors where there is no truth.
+An unknown value is null, and so is a block without known values: latency if the clock is not the wall clock,
+errors without truth.
 """
 
 from typing import Annotated, Any
@@ -18,37 +18,37 @@ def _known(value: Any) -> Any:
 
 
 Known = Annotated[NonNegative | None, BeforeValidator(_known)]
-"""A number, or null where it is not known; NaN is not known."""
+"""A number, or null if it is unknown; NaN is unknown."""
 KnownShare = Annotated[Share | None, BeforeValidator(_known)]
-"""A share, or null where it is not known."""
+"""A share, or null if it is unknown."""
 
 
 class FrameCount(Config):
-    """The messages of one topic."""
+    """Numbers of messages of one topic."""
 
     published: Count
-    """By all its publishers while the log was open."""
+    """Number of messages from all publishers while the log was open."""
     logged: Count
-    """In the log."""
+    """Number of messages in the log."""
     missed: Count
-    """Published and not in the log."""
+    """Number of messages that were published but are not in the log."""
 
 
 class EstimateCount(Config):
-    """Counts of frames and estimates."""
+    """Numbers of frames and estimates."""
 
     count: Count
-    """Estimates in the log."""
+    """Number of estimates in the log."""
     accepted: Count
-    """Frames whose measurement was accepted."""
+    """Number of frames whose measurement was accepted."""
     rejected: Count
-    """Frames whose measurement was rejected, with a reason in their status."""
+    """Number of frames whose measurement was rejected, with a reason in their status."""
     dropped: Count
-    """Frames that the estimator passed over in favour of newer ones, complete or not."""
+    """Number of frames that the estimator passed over in favour of newer ones, complete or not."""
     unscored: Count
-    """Estimates without truth at their stamp."""
+    """Number of estimates without truth at their stamp."""
     lost_s: NonNegative
-    """Time in LOST or ACQUIRING after the first acquisition."""
+    """Time in LOST or ACQUIRING after the first acquisition, s."""
 
 
 class ErrorSize(Config):
@@ -59,46 +59,46 @@ class ErrorSize(Config):
     p95: NonNegative
     """95th percentile."""
     max: NonNegative
-    """Greatest value."""
+    """Largest value."""
 
 
 class ErrorSummary(Config):
-    """Estimate against truth in the tracked frames (ICD section 1, Errors)."""
+    """Errors of the estimates in the tracked frames (ICD section 1, Errors)."""
 
     attitude_deg: ErrorSize
-    """Angle of Log(R_truth^T R_estimate)."""
+    """Angle of Log(R_truth^T R_estimate), deg."""
     position_m: ErrorSize
-    """Length of the translation error."""
+    """Length of the position error, m."""
     roll_deg_rms: NonNegative
-    """About the target's x."""
+    """RMS attitude error about the target's x, deg."""
     pitch_deg_rms: NonNegative
-    """About the target's y."""
+    """RMS attitude error about the target's y, deg."""
     yaw_deg_rms: NonNegative
-    """About the target's z."""
+    """RMS attitude error about the target's z, deg."""
     x_m_rms: NonNegative
-    """Along the sensor's x, right."""
+    """RMS position error along the sensor's x, right, m."""
     y_m_rms: NonNegative
-    """Along the sensor's y, down."""
+    """RMS position error along the sensor's y, down, m."""
     z_m_rms: NonNegative
-    """Along the sensor's boresight."""
+    """RMS position error along the sensor's boresight, m."""
 
 
 class Durations(Config):
-    """Statistics of durations."""
+    """Statistics of durations, s."""
 
     p50: float
-    """The median."""
+    """Median, s."""
     p99: float
-    """99th percentile."""
+    """99th percentile, s."""
     max: float
-    """The longest."""
+    """Largest value, s."""
 
 
 class Consistency(Config):
     """Consistency of the covariance with the errors."""
 
     nees_mean: NonNegative
-    """Mean normalised estimation error squared; 6 where the covariance is right."""
+    """Mean normalised estimation error squared; 6 if the covariance is right."""
     nees_share_in_95: Share
     """Share at or below 12.59, the 95 % quantile of chi-squared with six degrees of freedom."""
 
@@ -107,7 +107,7 @@ class Innovation(Config):
     """Consistency of the innovations with their covariances."""
 
     nis_mean: NonNegative
-    """Mean normalised innovation squared; 6 where the covariances are right."""
+    """Mean normalised innovation squared; 6 if the covariances are right."""
     nis_share_in_95: Share
     """Share at or below 12.59, the 95 % quantile of chi-squared with six degrees of freedom."""
 
@@ -116,16 +116,17 @@ class LogCompleteness(Config):
     """Completeness of the log, checked against its contents."""
 
     complete: bool | None
-    """Whether all that was published while it was open is in it; null where it does not say."""
+    """Whether the log contains all messages that were published while it was open; null if it does not state
+    this."""
     reasons: tuple[str, ...]
     """Reasons why the log is not complete, a sentence each."""
 
 
 class Tracking(Config):
-    """How well the target was held."""
+    """Shares of the frames in TRACKING, and of the wrong ones among them."""
 
     first_tracking_s: Known
-    """From the first stamp of the run to the first frame in TRACKING."""
+    """Time from the first stamp of the run to the first frame in TRACKING, s."""
     tracking_share: KnownShare
     """Share of the frames in TRACKING, from the first such frame on."""
     worse_than_10deg_or_0_3m_share: KnownShare
@@ -133,51 +134,52 @@ class Tracking(Config):
 
 
 class Summary(Config):
-    """``summary.json``."""
+    """Contents of ``summary.json``."""
 
     scenario: str | None
     """Name of the scenario."""
     seed: Count | None
     """Seed of all noise."""
     duration_s: NonNegative
-    """From the first to the last stamp of truth and estimator."""
+    """Time from the first to the last stamp of truth and estimator, s."""
     log: str
-    """The log's file, the first one where there are several."""
+    """Path of the log, the first file if there are several."""
     logs: tuple[str, ...]
-    """All files of the log, in the order of time."""
+    """Paths of all files of the log, in the order of time."""
     report: str | None
-    """The report's file."""
+    """Path of the report."""
     frames: dict[str, FrameCount]
-    """Counts of messages by topic."""
+    """Numbers of messages by topic."""
     estimates: EstimateCount
-    """Counts of frames and estimates."""
+    """Numbers of frames and estimates."""
     modes: Tracking
-    """How well the target was held."""
+    """Shares of tracking."""
     error: ErrorSummary | None
-    """Over the tracked frames."""
+    """Errors over the tracked frames."""
     latency_s: Durations | None
-    """From stamp to publication of the estimates."""
+    """Times from stamp to publication of the estimates, s."""
     processing_s: Durations | None
-    """From the arrival of a frame's last part to publication."""
+    """Times from the arrival of a frame's last part to publication, s."""
     consistency: Consistency | None
-    """Over the tracked frames with a covariance."""
+    """Consistency over the tracked frames with a covariance."""
     innovation: Innovation | None = None
-    """Innovations of all frames whose measurement was compared with the prediction, also rejected ones."""
+    """Innovations of all frames whose measurement was compared with the prediction, including rejected
+    ones."""
     completeness: LogCompleteness | None = None
     """Completeness of the log."""
     unreadable: dict[str, dict[str, Count]] = Field(default_factory=dict)
-    """Messages in the log that cannot be read, by topic, then by reason."""
+    """Numbers of messages in the log that cannot be read, by topic, then by reason."""
 
     @property
     def missed(self) -> int:
-        """Messages of all topics that were published and are not in the log."""
+        """Number of messages of all topics that were published but are not in the log."""
         return sum(count.missed for count in self.frames.values())
 
 
 class Comparison(Config):
-    """``comparison.json``: several runs side by side."""
+    """Contents of ``comparison.json``: several runs side by side."""
 
     report: str
-    """The page that compares them."""
+    """Path of the page that compares them."""
     runs: tuple[Summary, ...]
-    """In the order in which they were given."""
+    """Summaries of the runs, in the given order."""

@@ -10,9 +10,9 @@ from functools import cache
 from rpod_schemas.cdr import is_known, type_hash
 
 SENSOR_CACHE = 90
-"""Images and point clouds that a publisher keeps for receivers that missed them: two seconds."""
+"""Number of images or point clouds that a publisher keeps for receivers that missed them: two seconds."""
 SMALL_CACHE = 500
-"""Small messages that a publisher keeps: two seconds of truth."""
+"""Number of small messages that a publisher keeps: two seconds of truth."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Topic:
     type: str
     """ROS 2 type, as ``sensor_msgs/msg/Image``."""
     latched: bool = False
-    """RELIABLE, TRANSIENT_LOCAL, KEEP_LAST 1."""
+    """Whether the quality of service is RELIABLE, TRANSIENT_LOCAL, KEEP_LAST 1."""
 
     def of(self, sensor: str) -> "Topic":
         """Return this topic for a sensor: ``<camera>/camera_info`` of ``pmd`` is ``pmd/camera_info``."""
@@ -36,7 +36,7 @@ class Topic:
         return Topic(f"{prefix}/{self.name.split('/', 1)[1]}", self.type, self.latched)
 
     def covers(self, other: "Topic") -> bool:
-        """Return whether a topic is this one, or fits it where this one has ``*`` for a part of its name."""
+        """Return whether a topic is this one, or matches it with ``*`` for any part of its name."""
         mine, theirs = self.name.split("/"), other.name.split("/")
         return (
             self.type == other.type
@@ -51,7 +51,7 @@ class Topic:
 
     @property
     def kept(self) -> int:
-        """Messages that a publisher keeps for receivers that missed them, or come late."""
+        """Number of messages that a publisher keeps for receivers that missed them, or start later."""
         if self.latched:
             return 1
         return SENSOR_CACHE if self.bulky else SMALL_CACHE
@@ -95,7 +95,7 @@ TOPICS: tuple[Topic, ...] = (
     TRUTH, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, CAMERA_INFO, PHASE, PMD_INFO,
     POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, STATUS, COMMAND, IMU, DIAGNOSTICS,
 )  # fmt: skip
-"""In the order of the ICD's table."""
+"""All topics, in the order of the ICD's table."""
 
 TRUTH_TOPICS: tuple[Topic, ...] = (TRUTH, REFERENCE, TF)
 """Topics that an estimator must never read: the facility's truth in any form."""
@@ -119,7 +119,7 @@ class Namespace:
 
     @property
     def root(self) -> str:
-        """``<domain>/<namespace>``, no trailing slash."""
+        """First part of all keys, ``<domain>/<namespace>``, without trailing slash."""
         return f"{self.domain}/{self.prefix}" if self.prefix else str(self.domain)
 
     def key(self, topic: Topic) -> str:
@@ -139,7 +139,7 @@ class Namespace:
         return key.removeprefix(f"{self.root}/").rsplit("/", 2)[0]
 
     def topic_at(self, key: str) -> Topic:
-        """Return the topic of any key; without a type where it is not of the data plane, or not known."""
+        """Return the topic of any key, without a type if the key or its type is unknown."""
         relative = key.removeprefix(f"{self.root}/")
         *name, wire_type, _ = relative.rsplit("/", 2) if relative.count("/") > 1 else ("", "")
         if name and "::msg::dds_::" in wire_type and is_known(type_of_wire(wire_type)):

@@ -1,7 +1,7 @@
-"""The domain types, with which services work after a message has been checked.
+"""The domain types that services work with after a message has been checked.
 
-Arrays are views of the received bytes wherever the layout allows it, so they may be read-only.
-Stamps are nanoseconds of UTC since the Unix epoch (ICD section 1).
+Arrays are views of the received bytes if the layout allows it, so that they may be read-only. Stamps are
+nanoseconds of UTC since the Unix epoch (ICD section 1).
 """
 
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ Image = Annotated[NDArray[Any], PlainValidator(_as_image)]
 
 
 class Model(BaseModel):
-    """Frozen, closed, and with numpy fields."""
+    """Base of the domain types: frozen, closed to unknown fields, with numpy fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
 
@@ -78,7 +78,7 @@ class Camera(Model):
     cx: Annotated[float, bounded(PRINCIPAL_POINT_PX)]
     cy: Annotated[float, bounded(PRINCIPAL_POINT_PX)]
     distortion: Annotated[VectorN, bounded(DISTORTION)] = Field(default_factory=lambda: np.zeros(5))
-    """k1, k2, p1, p2, k3."""
+    """Distortion coefficients k1, k2, p1, p2, k3, shape (5,)."""
 
     @model_validator(mode="after")
     def _fits_into_memory(self) -> Self:
@@ -98,7 +98,8 @@ class PmdInfo(Model):
     """Info of a PMD camera (PmdInfo.msg)."""
 
     modulation_frequency_hz: Annotated[VectorN, bounded(MODULATION_FREQUENCY_HZ)]
-    """In the order of the phase images; empty where the camera does not tell."""
+    """Modulation frequencies in the order of the phase images, Hz; empty if the camera does not state
+    them."""
     integration_time_s: Annotated[float, bounded(INTEGRATION_TIME_S)]
     electrons_per_count: Annotated[float, bounded(ELECTRONS_PER_COUNT)]
     saturation_count: Annotated[float, bounded(SATURATION_COUNT)]
@@ -115,22 +116,22 @@ class PmdInfo(Model):
 
 @dataclass(frozen=True, eq=False)
 class FrameImage:
-    """An image that a frame shows to people."""
+    """An image of a frame, for reports and views."""
 
     title: str
-    """As ``depth``."""
+    """Title, as ``depth``."""
     values: NDArray[Any]
-    """Shape (height, width); NaN where there is none."""
+    """Pixels, shape (height, width); NaN for pixels without a value."""
     scale: Literal["depth", "grey"]
-    """Metres along the boresight, or brightness in any unit."""
+    """Unit of the pixels: metres along the boresight, or brightness in any unit."""
 
 
 class SensorFrame(Stamped):
-    """One frame of a sensor of any kind; a kind adds its data, and tells what of it people are shown."""
+    """One frame of a sensor of any kind; a kind adds its data, and their images and points for display."""
 
     @property
     def lens(self) -> Camera | None:
-        """The camera that made it; None where it is no camera's."""
+        """Camera that made the frame; None if no camera did."""
         return None
 
     @property
@@ -140,7 +141,7 @@ class SensorFrame(Stamped):
 
     @property
     def returns_m(self) -> Float32Array:
-        """Points that they draw, sensor axes, shape (N, 3)."""
+        """Points for display, sensor axes, shape (N, 3), m."""
         return np.zeros((0, 3), np.float32)
 
 
@@ -148,21 +149,21 @@ class PmdFrame(SensorFrame):
     """One exposure of a PMD camera; ``frame_id`` is the optical frame."""
 
     depth_m: Floats
-    """z-depth, shape (height, width), NaN where there is none."""
+    """z-depth, m, shape (height, width); NaN for pixels without depth."""
     amplitude: Image | None
-    """Received amplitude, shape (height, width), uint8, uint16 or float32; None where not sent."""
+    """Received amplitude, shape (height, width), uint8, uint16 or float32; None if it was not sent."""
     camera: Camera
     info: PmdInfo | None = None
     """Info of the camera; None if it sends none."""
 
     @property
     def lens(self) -> Camera:
-        """The camera."""
+        """Camera that made the frame."""
         return self.camera
 
     @property
     def images(self) -> tuple[FrameImage, ...]:
-        """Depth, and amplitude where it was sent."""
+        """Images of depth, and of amplitude if it was sent."""
         depth = FrameImage("depth", self.depth_m, "depth")
         return (
             (depth,) if self.amplitude is None else (depth, FrameImage("amplitude", self.amplitude, "grey"))
@@ -182,11 +183,11 @@ class LidarScan(SensorFrame):
     """One scan of a LIDAR."""
 
     points_m: Floats
-    """Shape (rows, columns, 3) where organised, else (N, 3); NaN where no return."""
+    """Points, m, shape (rows, columns, 3) if organised, else (N, 3); NaN for rays without a return."""
     intensity: Floats | None = None
-    """Shape of ``points_m`` without its last axis."""
+    """Intensities, shape of ``points_m`` without its last axis."""
     time_s: Floats | None = None
-    """Seconds from the stamp, shape of ``points_m`` without its last axis."""
+    """Times from the stamp, s, shape of ``points_m`` without its last axis."""
 
     @model_validator(mode="after")
     def _shapes_agree(self) -> Self:
@@ -206,7 +207,7 @@ class LidarScan(SensorFrame):
 
     @property
     def returns_m(self) -> Float32Array:
-        """The points that are returns, shape (N, 3): finite, and not the origin, which many send for none."""
+        """Points that are returns, m, shape (N, 3): finite, and not the origin, which means no return."""
         points = self.points_m.reshape(-1, 3)
         return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
 
@@ -215,7 +216,7 @@ class LidarInfo(Model):
     """Info of a LIDAR (LidarInfo.msg)."""
 
     azimuth_rad: AzimuthsRad
-    """Azimuths of the scan pattern; directions are (sin az cos el, sin el, cos az cos el)."""
+    """Azimuths of the scan pattern, rad; directions are (sin az cos el, sin el, cos az cos el)."""
     elevation_rad: ElevationsRad
     scan_time_s: Annotated[float, bounded(SCAN_TIME_S)]
     rows_are_elevation: bool = True
@@ -237,9 +238,9 @@ class Odometry(Stamped):
     pose: Pose
     """T_frame_child."""
     linear_m_s: Vector3
-    """Velocity of the child's origin, R^T dp/dt, child axes."""
+    """Velocity of the child's origin, R^T dp/dt, child axes, m/s."""
     angular_rad_s: Vector3
-    """Rotation rate, vee(R^T dR/dt), child axes."""
+    """Rotation rate, vee(R^T dR/dt), child axes, rad/s."""
     pose_covariance: Matrix6 = Field(default_factory=lambda: ZERO_6X6)
     """Covariance of (dp, dtheta) in the fixed axes of ``frame_id``: m2, m rad, rad2."""
     twist_covariance: Matrix6 = Field(default_factory=lambda: ZERO_6X6)
@@ -264,7 +265,7 @@ class Source(IntEnum):
     PMD_AMPLITUDE = 3
     PMD_JOINT = 4
     OTHER = 255
-    """A method of another package; the status names the sensor."""
+    """Source of another package's method; the status names the sensor."""
 
 
 class BeliefLevel(IntEnum):
@@ -298,21 +299,21 @@ class EstimatorStatus(Stamped):
     sensor: Text = ""
     accepted: bool = False
     reason: Text = ""
-    """Why the measurement was rejected; empty if accepted."""
+    """Reason for which the measurement was rejected; empty if it was accepted."""
     cost_m2: float = float("nan")
-    """f_CONV, the mean squared residual, m2."""
+    """Mean squared residual f_CONV, m2."""
     nis: float = float("nan")
     inliers: Annotated[int, Field(ge=0)] = 0
     inlier_share: float = float("nan")
     processing_s: float = float("nan")
-    """From the arrival of the frame's last part to publication."""
+    """Time from the arrival of the frame's last part to publication, s."""
     ambiguous: bool = False
     hypotheses: tuple[Hypothesis, ...] = ()
-    """Best first; weights sum to 1."""
+    """Hypotheses, best first; their weights sum to 1."""
     belief: BeliefLevel = BeliefLevel.ACCEPTED
     """Belief of the method in its pose, which the filter's gate may still reject."""
     evidence: dict[str, float] = Field(default_factory=dict)
-    """The numbers that the belief follows from, by name; each name carries its unit or is a share."""
+    """Numbers from which the belief follows, by name; each name carries its unit or is a share."""
 
 
 class Health(IntEnum):
@@ -325,11 +326,11 @@ class Health(IntEnum):
 
 
 class Diagnostic(Model):
-    """Health of one service: also its heartbeat."""
+    """Health of one service; also its heartbeat."""
 
     stamp_ns: Stamp
     name: Text
-    """The service's instance."""
+    """Name of the service's instance."""
     level: Health
     message: Text
     values: dict[str, str]

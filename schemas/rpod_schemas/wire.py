@@ -29,7 +29,7 @@ class Attachment:
 
 
 UNNUMBERED = Attachment(0, 0, bytes(GID_BYTES))
-"""Attachment of a message that came without one, where none is needed."""
+"""Attachment that stands for a missing one if none is needed."""
 
 
 def unpack_attachment(data: bytes | None) -> Attachment:
@@ -89,7 +89,7 @@ def publisher_tokens(namespace: Namespace) -> str:
 
 
 def topic_of_token(token: str, namespace: Namespace) -> Topic | None:
-    """Return the topic that an endpoint's token names; None where it is not of this namespace."""
+    """Return the topic that an endpoint's token names; None if it is not of this namespace."""
     name, wire_type = token.split("/")[9:11]
     prefix = _mangled(f"/{namespace.prefix}/" if namespace.prefix else "/")
     if not name.startswith(prefix) or "::msg::dds_::" not in wire_type:

@@ -1,5 +1,5 @@
 """Monte-Carlo campaigns: many trials of the estimator's methods, beside the figures of the papers.
 
-One folder a campaign, with its options, its trial and its report; ``catalogue.py`` finds them by name. The
-engine knows no campaign, sensor or method.
+Each campaign has a folder with its options, its trial and its report; ``catalogue.py`` finds them by name.
+The engine knows no campaign, sensor or method.
 """

@@ -1,6 +1,6 @@
-"""All campaigns by name: those of this package, and those that other packages bring.
+"""All campaigns by name: those of this package, and those of other packages.
 
-A package brings a campaign by an entry point of the group ``rpod.campaigns`` whose object is a ``Campaign``::
+A package provides a campaign by an entry point of the group ``rpod.campaigns`` for a ``Campaign`` object::
 
     [project.entry-points."rpod.campaigns"]
     my-campaign = "my_package.my_campaign:CAMPAIGN"
@@ -29,7 +29,7 @@ BUILT_IN = (
     "pmd-acquisition",
     "pmd-verdict",
 )
-"""Each stands in the folder of its name, with underscores."""
+"""Names of this package's campaigns; the folder of each has the same name, with underscores."""
 
 
 def names() -> tuple[str, ...]:

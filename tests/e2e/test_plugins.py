@@ -77,5 +77,5 @@ def test_a_third_kind_is_played_logged_reported_and_replayed(kind: Path, tmp_pat
 
 def test_without_the_package_an_error_names_the_kind_and_the_remedy(tmp_path: Path):
     scenario = EXAMPLES / KIND / "mono-tumbling.yaml"
-    with pytest.raises(AssertionError, match=r"sensors\.0\.kind: no installed package brings 'mono'"):
+    with pytest.raises(AssertionError, match=r"sensors\.0\.kind: no installed package provides 'mono'"):
         played(tmp_path, scenario, tmp_path / "runs", duration_s=1.0)

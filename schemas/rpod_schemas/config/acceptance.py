@@ -1,4 +1,4 @@
-"""When a registration is accepted by its residuals, for methods without a model of their sensor."""
+"""Limits by which methods without a model of their sensor accept a registration by its residuals."""
 
 from typing import Annotated, Self
 
@@ -11,11 +11,12 @@ class AcceptanceConfig(Config):
     """Limits of cost, inliers and self-check."""
 
     max_cost_m2: Positive = 0.003
-    """f_MAX: a mean squared residual of the inliers above this is a failure (2015 paper, section 4.5)."""
+    """Largest mean squared residual of the inliers, f_MAX, m2 (2015 paper, section 4.5)."""
     min_explained_share: Share
     """Least share of rays or pixels on which model and measurement agree, for a track to begin."""
     min_tracked_share: Share | None = None
-    """The same for a running track, whose prediction supports the pose as well; left out, no less."""
+    """Least such share for a running track, whose prediction supports the pose as well;
+    ``min_explained_share`` if left out."""
     min_inlier_share: Share = 0.3
     """Least share of inliers among the points that could have matched."""
     min_inliers: Annotated[int, Field(ge=6)] = 12
@@ -30,7 +31,7 @@ class AcceptanceConfig(Config):
     def _tracking_asks_no_more(self) -> Self:
         if self.min_tracked_share is not None and self.min_tracked_share > self.min_explained_share:
             raise ValueError(
-                f"min_tracked_share is {self.min_tracked_share:g}, limit min_explained_share "
-                f"({self.min_explained_share:g}): a running track asks no more than an acquisition"
+                f"min_tracked_share is {self.min_tracked_share:g}, needs to be at most min_explained_share "
+                f"({self.min_explained_share:g}): a running track needs no more than an acquisition"
             )
         return self

@@ -1,4 +1,4 @@
-"""What every configuration shares: strict models, and files that name what is wrong in them."""
+"""Base of every configuration: strict models, and files whose errors name the wrong field."""
 
 import tomllib
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
 
 
 class Config(BaseModel):
-    """Frozen; an unknown field is an error; docstrings under fields are their descriptions."""
+    """Base of the models: frozen, closed to unknown fields, described by the docstrings under the fields."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", arbitrary_types_allowed=True, use_attribute_docstrings=True
@@ -63,13 +63,13 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
         reason = problem["msg"].removeprefix("Value error, ")
         if problem["type"] == "extra_forbidden" and _is_tuning(model, document, problem["loc"]):
             place = ".".join(str(part) for part in (*problem["loc"][:-1], "tuning", problem["loc"][-1]))
-            reason = f"is no part of the promise any more: write it as {place}"
+            reason = f"is a tuning field now: write it as {place}"
         more = error.error_count() - 1
         raise ConfigurationError(source, field, reason + (f" (and {more} more)" if more else "")) from error
 
 
 def _is_tuning(model: type[BaseModel], document: Any, location: Sequence[int | str]) -> bool:
-    """Return whether an unknown field would be known in the ``tuning`` beside it."""
+    """Return whether an unknown field is known in the ``tuning`` model beside it."""
     holder = copied = deepcopy(document)
     for part in location[:-1]:
         if not isinstance(holder, dict) or part in holder:

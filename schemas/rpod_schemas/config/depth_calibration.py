@@ -19,11 +19,11 @@ from rpod_schemas.config.base import Config, NonNegative, Positive, load
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 _STEEPEST = 0.5
-"""Most that the error may change over a distance, m/m: beyond 1 two distances would be measured alike."""
+"""Largest change of the error with the distance, m/m; above 1 two distances would be measured as one."""
 
 
 def unambiguous_range_m(modulation_frequency_hz: float) -> float:
-    """Return c / 2f: distances are measured modulo it."""
+    """Return the unambiguous range c / 2f, m; distances are measured modulo this length."""
     return constants.c / (2.0 * modulation_frequency_hz)
 
 
@@ -31,32 +31,32 @@ class Harmonic(Config):
     """A wave of the error, cos_m cos(k phi) + sin_m sin(k phi), where phi = 4 pi f d / c at a distance d."""
 
     modulation_frequency_hz: Positive
-    """f, the modulation frequency whose distances have this error."""
+    """Modulation frequency f whose distances have this error, Hz."""
     order: Annotated[int, Field(gt=0)]
-    """k, the number of waves in the unambiguous range."""
+    """Number k of waves in the unambiguous range."""
     cos_m: Finite
-    """Amplitude of the cosine, taken off every distance."""
+    """Amplitude of the cosine, m; the wave is subtracted from every distance."""
     sin_m: Finite
-    """Amplitude of the sine, taken off every distance."""
+    """Amplitude of the sine, m; the wave is subtracted from every distance."""
     sigma_m: NonNegative = 0.0
-    """Standard error of either amplitude; for information."""
+    """Standard error of each amplitude, m; for information."""
 
     @property
     def period_m(self) -> float:
-        """C / 2fk."""
+        """Period of the wave, c / 2fk, m."""
         return unambiguous_range_m(self.modulation_frequency_hz) / self.order
 
     @property
     def amplitude_m(self) -> float:
-        """Height of the wave."""
+        """Amplitude of the wave, m."""
         return math.hypot(self.cos_m, self.sin_m)
 
 
 class CalibrationEvidence(Config):
-    """What a calibration rests on; nothing of it is needed to apply it."""
+    """Data from which a calibration was derived; they are not needed to apply it."""
 
     logs: tuple[str, ...]
-    """Names of the logs it was found in."""
+    """Names of the logs from which the calibration was derived."""
     target: str
     """Name of the target whose surface was the reference."""
     frames: Annotated[int, Field(gt=0)]
@@ -64,33 +64,34 @@ class CalibrationEvidence(Config):
     pixels: Annotated[int, Field(gt=0)]
     """Number of pixels that were used."""
     range_m: tuple[Positive, Positive]
-    """Least and greatest true distance; it holds between them."""
+    """Least and greatest true distance, m; the calibration is valid between them."""
     rms_before_m: NonNegative
-    """RMS of the pixels' errors, noise included."""
+    """RMS of the pixels' errors before calibration, noise included, m."""
     rms_after_m: NonNegative
-    """RMS of the pixels' errors once calibrated."""
+    """RMS of the pixels' errors after calibration, noise included, m."""
     bias_before_m: NonNegative
-    """RMS of the median errors of ranges of 0.25 m: what is left once the noise is averaged away."""
+    """RMS of the median errors in range bins of 0.25 m before calibration, with the noise averaged out, m."""
     bias_after_m: NonNegative
-    """The same once calibrated; the joint tracker takes it for the sigma of the ranges' bias."""
+    """The same after calibration, m; the joint tracker takes it as the sigma of the ranges' bias."""
 
 
 class DepthCalibration(Config):
     """Error of a measured radial distance as a function of the true one: measured = true + error(true)."""
 
     modulation_frequency_hz: tuple[Positive, ...] = Field(min_length=1)
-    """Of the camera that was calibrated, in the order of ``<camera>/info``; another one is refused."""
+    """Modulation frequencies of the calibrated camera, Hz, in the order of ``<camera>/info``. A camera with
+    other frequencies is refused."""
     offset_m: Finite = 0.0
-    """Error that all distances share, taken off each."""
+    """Error that all distances share, m; it is subtracted from each."""
     offset_sigma_m: NonNegative = 0.0
-    """Standard error of the offset; for information."""
+    """Standard error of the offset, m; for information."""
     harmonics: tuple[Harmonic, ...] = ()
-    """The wiggling."""
+    """Periodic errors of the distances (wiggling), subtracted from each."""
     evidence: CalibrationEvidence | None = None
-    """Where it comes from."""
+    """Data from which the calibration was derived."""
 
     def error_m(self, true_m: FloatArray) -> FloatArray:
-        """Return measured minus true distance at true radial distances, m, any shape."""
+        """Return measured minus true distance, m, at true radial distances, m, any shape."""
         error = np.full_like(true_m, self.offset_m, dtype=np.float64)
         for wave in self.harmonics:
             angle = 2.0 * np.pi / wave.period_m * true_m
@@ -98,7 +99,7 @@ class DepthCalibration(Config):
         return error
 
     def write(self, path: Path) -> Path:
-        """Write the file that ``PmdInput.calibration`` takes, YAML, or JSON by its suffix."""
+        """Write the file for ``PmdInput.calibration``, as JSON or YAML by its suffix, and return its path."""
         if path.suffix == ".json":
             text = self.model_dump_json(indent=2) + "\n"
         else:
@@ -111,7 +112,7 @@ class DepthCalibration(Config):
         steepest = sum(2.0 * math.pi / wave.period_m * wave.amplitude_m for wave in self.harmonics)
         if steepest > _STEEPEST:
             raise ValueError(
-                f"harmonics change by up to {steepest:.2f} m per metre, {_STEEPEST:g} at most can be undone"
+                f"harmonics change by {steepest:.2f} m per metre, {_STEEPEST:g} at most can be corrected"
             )
         return self
 
@@ -121,4 +122,4 @@ def _read(value: Any) -> Any:
 
 
 CalibrationSource = Annotated[DepthCalibration, BeforeValidator(_read)]
-"""A calibration, written inline or as the path of its file; resolved, it is the calibration itself."""
+"""A calibration, written inline or as the path of its file; the resolved value is the calibration itself."""

@@ -1,4 +1,4 @@
-"""A sensor's driver: which sensor it is, where it is mounted, and when its silence is an error."""
+"""Configuration of a sensor's driver: the sensor, its mount, and limits of its silence."""
 
 from typing import Self
 
@@ -12,22 +12,22 @@ from rpod_schemas.sensors import sensor_kind
 
 
 class DriverConfig(ServiceConfig):
-    """One sensor on the bus."""
+    """Configuration of a driver, which publishes the frames of one sensor."""
 
     instance: Name = "driver"
-    """Name of the process on the bus; give each driver its own."""
+    """Name of the process on the bus; each driver needs its own."""
     kind: str
-    """What the sensor delivers: ``pmd``, ``lidar``, or a kind that another installed package brings."""
+    """Kind of the sensor: ``pmd``, ``lidar``, or one that another installed package brings."""
     name: Name
     """Name of the sensor: the first part of its topics."""
     T_chaser_sensor: Pose = Field(default_factory=make_pose)
     """Mount: pose of the sensor's (optical) frame in the chaser, from the hand-eye calibration."""
     silence_s: Positive = 3.0
-    """No frame for longer than this is an error, after which the sensor is connected anew."""
+    """Longest time without a frame, s; a longer one is an error, after which the sensor is reconnected."""
     retry_s: Positive = 1.0
-    """Wait after the first failure; it doubles with each further one."""
+    """Wait after the first failure to connect, s; it doubles with each further one."""
     max_retry_s: Positive = 30.0
-    """Longest wait between two attempts to connect."""
+    """Longest wait between two attempts to connect, s."""
 
     @field_validator("kind")
     @classmethod

@@ -18,70 +18,73 @@ WorldName = Literal[
     "documented", "lambertian", "noisy", "multipath", "faint",
     "specular", "stray-light", "exchanged", "keen", "outliers",
 ]  # fmt: skip
-"""Variants of the physics behind the sensors' messages; ``rpod_sim_sensor.worlds`` says what each is."""
+"""Name of a variant of the emulated physics; ``rpod_sim_sensor.worlds`` describes each."""
 
 
 class EmulatorConfig(ServiceConfig):
-    """Truth in, sensor messages out."""
+    """Configuration of the sensor emulator: it receives the truth and publishes sensor messages."""
 
     instance: Name = "emulator"
     """Name on the bus."""
     target: str
     """Name or file of the target."""
     sensors: tuple[SensorConfig, ...] = Field(min_length=1)
-    """What is emulated."""
+    """Sensors to emulate."""
     world: WorldName = "documented"
-    """Which physics the sensors have; they do not say it, and no estimator is told."""
+    """Variant of the sensors' physics; neither the sensors' messages nor the estimator's configuration state
+    it."""
     seed: int = Field(default=0, ge=0)
-    """Of all noise; with a frame's number it gives that frame's noise."""
+    """Seed of all noise; seed and frame number together determine the noise of a frame."""
     epoch_ns: int | None = Field(default=None, ge=0)
-    """From where frames are numbered; the first truth's stamp where left out."""
+    """Time from which frames are numbered, ns of UTC; the first truth's stamp if left out."""
     await_start: bool = False
-    """Begin only when the ``start`` query comes, which also says the epoch."""
+    """Whether to begin only on the ``start`` query, which also gives the epoch."""
     publish_samples: bool = False
-    """Publish the PMD camera's raw samples as well."""
+    """Whether to publish the PMD camera's raw samples as well."""
 
 
 class LockstepConfig(Config):
-    """For whom motion waits where it owns time (ICD section 4)."""
+    """Services for which the motion service waits in lockstep, when it owns time (ICD section 4)."""
 
     estimator: Name = "estimator"
-    """Whose status ends a frame."""
+    """Name of the estimator, whose status ends a frame."""
     answered: tuple[Name, ...] | None = None
-    """Sensors whose frames the estimator answers with a status; all where null."""
+    """Names of the sensors whose frames the estimator answers with a status; all if null."""
     emulator: Name = "emulator"
-    """Whose count of published frames is waited for where the estimator does not use a sensor."""
+    """Name of the emulator; for a sensor that the estimator does not use, its count of published frames is
+    awaited."""
     logger: Name | None = "logger"
-    """Whose count of received messages is waited for; nobody's where null."""
+    """Name of the logger, whose count of received messages is awaited; no logger if null."""
     timeout_s: Positive = 60.0
-    """After which the run ends, naming the service."""
+    """Longest wait for a service, s; after it the run ends with an error that names the service."""
 
 
 class MotionServiceConfig(ServiceConfig):
-    """The truth and its pace."""
+    """Configuration of the motion service, which publishes the truth."""
 
     instance: Name = "motion"
     """Name on the bus."""
     target: str
-    """Name or file of the target; its mass properties matter here."""
+    """Name or file of the target; only its mass properties are used."""
     motion: MotionConfig
-    """How chaser and target move."""
+    """Motion of chaser and target."""
     duration_s: Positive
-    """Of the scenario."""
+    """Duration of the scenario, s."""
     rate_hz: Positive = 250.0
-    """Of the truth."""
+    """Rate of the truth, Hz."""
     epoch_ns: int | None = Field(default=None, ge=0)
-    """Start of the scenario; the ``start`` query, or the moment of being ready, where left out."""
+    """Start of the scenario, ns of UTC. If left out, the ``start`` query gives it, or it is the time at which
+    the service is ready."""
     await_start: bool = False
-    """Begin only when the ``start`` query comes."""
+    """Whether to begin only on the ``start`` query."""
     speed: Literal["1", "max"] = "1"
-    """By the wall clock, or in lockstep with the other services."""
+    """Pace of time: 1 follows the wall clock, max is lockstep with the other services."""
     sensors: tuple[SensorConfig, ...] = ()
-    """Whose frames lockstep waits for."""
+    """Sensors for whose frames lockstep waits."""
     lockstep: LockstepConfig = LockstepConfig()
-    """Whom lockstep waits for."""
+    """Services for which lockstep waits."""
     preroll_s: NonNegative = 0.1
-    """Truth before the epoch, so that exposures around it are covered."""
+    """Time before the epoch from which truth is published, s; exposures around the epoch need it."""
     lead_s: NonNegative = 0.02
-    """By the wall clock, truth is published so long before its stamp: so emulated sensors are ready when real
-    ones would be. Not in lockstep."""
+    """Time before its stamp at which truth is published on the wall clock, s, so that emulated sensors are
+    ready when real ones would be. It has no effect in lockstep."""

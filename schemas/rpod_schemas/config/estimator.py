@@ -1,4 +1,4 @@
-"""The estimator's configuration: sensors, their methods, navigator, filter."""
+"""Configuration of the estimator: sensors, their methods, navigator, filter."""
 
 from typing import Annotated, Literal, Self
 
@@ -20,13 +20,13 @@ from rpod_schemas.sensors.fields import HEARD, chosen
 from rpod_schemas.types import Camera
 
 LidarAcquisition = Annotated[MethodConfig, chosen("lidar", "acquisition")]
-"""How a LIDAR's target is found; ``kind`` chooses among the installed methods."""
+"""Method that finds the target in LIDAR scans; ``kind`` chooses among the installed methods."""
 LidarTracking = Annotated[MethodConfig, chosen("lidar", "tracking")]
-"""How a LIDAR's target is tracked; ``kind`` chooses among the installed methods."""
+"""Method that tracks the target in LIDAR scans; ``kind`` chooses among the installed methods."""
 PmdAcquisition = Annotated[MethodConfig, chosen("pmd", "acquisition", default="view_search")]
-"""How a PMD camera's target is found; ``kind`` chooses among the installed methods."""
+"""Method that finds the target in PMD frames; ``kind`` chooses among the installed methods."""
 PmdTracking = Annotated[MethodConfig, chosen("pmd", "tracking")]
-"""How a PMD camera's target is tracked; ``kind`` chooses among the installed methods."""
+"""Method that tracks the target in PMD frames; ``kind`` chooses among the installed methods."""
 
 
 class LidarInput(SensorInput):
@@ -35,16 +35,15 @@ class LidarInput(SensorInput):
     kind: str = "lidar"
     """Selects a LIDAR's messages and methods."""
     name: Name = "lidar"
-    """Name of the sensor, the first part of its topics. Set it where the driver publishes under another
-    one."""
+    """Name of the sensor, the first part of its topics. Set it if the driver publishes under another name."""
     azimuth_rad: VectorN | None = None
-    """Azimuths of the scan's columns. Set them where the driver sends no ``<lidar>/info``; without either no
-    scan is used."""
+    """Azimuths of the scan's columns, rad, shape (columns,). Set them if the driver sends no
+    ``<lidar>/info``; without either no scan is used."""
     elevation_rad: VectorN | None = None
-    """Elevations of the scan's rows; they are set together with ``azimuth_rad``."""
+    """Elevations of the scan's rows, rad, shape (rows,). Set them together with ``azimuth_rad``."""
     sigma_range_m: NonNegative | None = None
-    """Standard deviation of a range. Set it where ``<lidar>/info`` does not tell it, else 0.05 m is
-    assumed: one that is too small makes right poses contradict their scans."""
+    """Standard deviation of a range, m. Set it if ``<lidar>/info`` does not state it; otherwise 0.05 m is
+    assumed. If it is too small, right poses are inconsistent with their scans."""
     acquisition: LidarAcquisition = Field(default_factory=GlobalSearchConfig)
     """Method that finds the target without a prior pose; change ``kind`` to compare methods."""
     tracking: LidarTracking = Field(default_factory=ProjectiveIcpConfig)
@@ -73,22 +72,22 @@ class PmdInput(SensorInput):
     kind: str = "pmd"
     """Selects a PMD camera's messages and methods."""
     name: Name = "pmd"
-    """Name of the sensor, the first part of its topics. Set it where the driver publishes under another
-    one."""
+    """Name of the sensor, the first part of its topics. Set it if the driver publishes under another name."""
     camera: Camera | None = None
-    """Size and intrinsics that the frames must have. Set it to refuse frames of another camera or lens; left
-    out, camera_info is believed whatever it says."""
+    """Size and intrinsics that the frames must have. Set it to refuse frames of another camera or lens. If
+    left out, the intrinsics of every camera_info are accepted."""
     modulation_frequency_hz: tuple[Positive, ...] = ()
-    """Modulation frequencies of the camera. Set them where ``<camera>/info`` does not tell, so that distances
-    beyond the unambiguous range are unwrapped; a camera with several unwraps by itself."""
+    """Modulation frequencies of the camera, Hz. Set them if ``<camera>/info`` does not state them, so that
+    distances beyond the unambiguous range are unwrapped. A camera with several frequencies unwraps by
+    itself."""
     calibration: CalibrationSource | None = None
-    """Error of the distances, which is taken off every frame. Set it to the file that ``rpod calibrate``
-    wrote, or write its content inline; with it the ranges' bias is trusted to millimetres instead of
-    centimetres."""
+    """Error of the distances, which is subtracted in every frame. Set it to the file that ``rpod calibrate``
+    wrote, or write its content inline. With it, the bias of the ranges is assumed to be millimetres, without
+    it centimetres."""
     unwrapping: Literal["predicted", "none"] = "predicted"
-    """Whether depth is moved by whole unambiguous ranges to where the target is predicted, where the camera
-    measures with one frequency and it is known; without a prediction every multiple up to 15 m is tried. Set
-    ``none`` where the camera's driver unwraps already."""
+    """Unwrapping of the depth of a camera that measures with one known frequency. ``predicted`` moves the
+    depth by whole unambiguous ranges to where the target is predicted; without a prediction every multiple up
+    to 15 m is tried. Set ``none`` if the camera's driver unwraps already."""
     acquisition: PmdAcquisition = Field(default_factory=PmdAcquisitionConfig)
     """Method that finds the target without a prior pose; change ``kind`` to compare methods."""
     tracking: PmdTracking = Field(default_factory=JointConfig)
@@ -103,44 +102,46 @@ class NavigatorTuning(Tuning):
     """Limits of the state machine."""
 
     vague_deg: Annotated[Positive, BY_HAND] = 3.0
-    """A prediction whose attitude has a larger sigma than this is searched around where it does not do."""
+    """Standard deviation of the predicted attitude, deg, above which a failed prediction is searched
+    around."""
     max_contradicted_share: Annotated[Share, BY_HAND] = 0.25
-    """Greatest share of a sensor's last 90 frames or so that may not support the tracked pose; beyond it the
-    track is LOST at once. A hypothesis becomes a track below half of this share."""
+    """Largest share of a sensor's recent frames, about 90, that may not support the tracked pose. Above it
+    the track is LOST at once. A hypothesis becomes a track below half of this share."""
 
 
 class NavigatorConfig(Config):
-    """The state machine."""
+    """Configuration of the navigator's state machine."""
 
     confirmations: Annotated[int, Field(ge=0)] = 1
-    """Frames after the acquisition's own that must verify it before TRACKING. Raise it where a wrong first
-    pose costs more than a later one; 0 tracks from the first pose that is believed."""
+    """Number of frames after that of the acquisition that must verify its pose before TRACKING. Raise it if a
+    wrong first pose costs more than a later one; 0 tracks from the first accepted pose."""
     rejection_timeout_s: Positive = 1.5
-    """How long measurements may be rejected before the track is LOST. Raise it for targets that are hidden or
-    blinded for seconds; the output is a prediction that long."""
+    """Longest time of rejected measurements before the track is LOST, s. Raise it for targets that are
+    hidden, or sensors that are blinded, for seconds; the output is a prediction for that time."""
     rejected_frames: Annotated[int, Field(ge=1)] = 3
-    """Rejections in a row that LOST needs besides. Raise it for a sensor that delivers less than one frame in
-    ``rejection_timeout_s`` / 3, so that one bad frame does not end a track."""
+    """Number of successive rejections that LOST needs as well. Raise it for a sensor that delivers less than
+    one frame in ``rejection_timeout_s`` / 3, so that one bad frame does not end a track."""
     silence_timeout_s: Positive = 2.5
-    """How long no measurement may come before the track is LOST. Set it above the longest regular gap of the
-    slowest sensor."""
+    """Longest time without a measurement before the track is LOST, s. Set it above the longest regular gap of
+    the slowest sensor."""
     near_search_s: NonNegative = 3.0
-    """How long after a loss the attitudes near the prediction are searched before all are. Lower it for
-    targets that tumble fast, whose prediction is worth little soon."""
+    """Time after a loss in which only attitudes near the prediction are searched, s; after it all are. Lower
+    it for targets that tumble fast, whose prediction is soon useless."""
     tuning: NavigatorTuning = NavigatorTuning()
-    """Limits and numbers that are no part of the promise; change them only to study the method."""
+    """Limits and numbers of the method that are outside the public interface; change them only to study
+    it."""
 
 
 class EstimatorSettings(Config):
-    """How poses are estimated; part of a scenario."""
+    """Sensors, navigator and filter of the estimator; part of a scenario."""
 
     sensors: tuple[HeardSensor, ...] = Field(min_length=1)
-    """What the estimator listens to; each by the ``kind`` and name under which it publishes."""
+    """Sensors that the estimator uses, each with the ``kind`` and the name under which it publishes."""
     initial_pose: Pose | None = None
-    """T_chaser_target at the first frame. Set it where the pose is known, as in the 2018 paper: the search is
-    left out; left out, the target is searched."""
+    """Pose T_chaser_target at the first frame. Set it if the pose is known, as in the 2018 paper; no search
+    is made then. If left out, the target is searched."""
     navigator: NavigatorConfig = NavigatorConfig()
-    """The state machine."""
+    """Configuration of the navigator's state machine."""
     filter: FilterConfig = Field(default_factory=FilterConfig)
     """The error-state Kalman filter."""
 
@@ -153,19 +154,19 @@ class EstimatorSettings(Config):
 
 
 class EstimatorConfig(ServiceConfig, EstimatorSettings):
-    """The estimator daemon."""
+    """Configuration of the estimator daemon."""
 
     instance: Name = "estimator"
     """Name on the bus."""
     zenoh_id: str = Field(default=ESTIMATOR_ID, pattern=r"^[0-9a-f]{1,32}$")
-    """Identity that the router keeps from the truth."""
+    """Zenoh identity of the estimator, from which the router withholds the truth."""
     target: str
     """Name of a shipped target, or the file of your own; all methods look for this body."""
     prefix: Name = "estimate"
     """First part of the topics of the estimates. Set it where two estimators run side by side."""
     max_age_s: Positive = 1.0
-    """Frames older than this on arrival are late and not used. Raise it for slow links or long exposures; the
-    estimates then lag as much."""
+    """Largest age of a frame on arrival, s; older frames are late and not used. Raise it for slow links or
+    long exposures; the estimates are then delayed as much."""
     max_future_s: NonNegative = 0.05
-    """Frames that are stamped further ahead than this are from the future and not used. Raise it where the
-    clocks of sensor and estimator differ by more."""
+    """Largest time by which a frame's stamp may be in the future, s; frames beyond it are not used. Raise it
+    if the clocks of sensor and estimator differ by more."""

@@ -1,7 +1,7 @@
 """The scanning time-of-flight LIDAR, as Opromolla et al., Sensors 15(3), 2015 describe it in section 3.2.
 
-Defaults are Table 1 of the paper. What it leaves open is marked as assumed, and what it prints in a
-way that can be read twice is an option with both readings by name.
+Defaults are Table 1 of the paper. Values that it does not give are marked as assumed. Where its text has two
+readings, an option offers both by name.
 """
 
 from math import radians
@@ -21,11 +21,12 @@ class ScanPatternConfig(Config):
     """A raster: even steps in azimuth and elevation, centred on the boresight, row by row (section 4.1)."""
 
     azimuth_span_deg: Annotated[float, Field(ge=0, lt=180)] = 40.0
-    """From the first column to the last."""
+    """Angle from the first column to the last, deg."""
     elevation_span_deg: Annotated[float, Field(ge=0, lt=180)] = 40.0
-    """From the first row to the last."""
+    """Angle from the first row to the last, deg."""
     step_deg: Positive = 1.0
-    """delta_LOS, between neighbours; both ends of a span are rays, so 40 deg are 41 of them."""
+    """Angle delta_LOS between neighbouring rays, deg. Both ends of a span are rays, so that 40 deg have 41 at
+    1 deg."""
 
     @model_validator(mode="after")
     def _spans_are_whole_steps(self) -> Self:
@@ -40,66 +41,66 @@ class LidarTransmitterConfig(Config):
     """The pulsed laser (Table 1)."""
 
     wavelength_m: Positive = 1540e-9
-    """lambda."""
+    """Wavelength lambda, m."""
     average_power_W: Positive = 1e-3
-    """Pw_TRAN; over PRF and pulse width it is a peak power of 100 W."""
+    """Mean power Pw_TRAN, W; over pulse rate and pulse width it is a peak power of 100 W."""
     pulse_width_s: Positive = 1e-9
-    """tau_W, also the time over which the detector integrates."""
+    """Pulse width tau_W, s; also the time over which the detector integrates."""
     pulse_rate_hz: Positive = 10e3
-    """PRF; one pulse a ray."""
+    """Pulse repetition frequency PRF, Hz; each ray is one pulse."""
     beam_divergence_rad: Positive = radians(0.02)
-    """d theta, full angle; taken as the receiver's field of view too (assumed)."""
+    """Beam divergence d theta, full angle, rad; also the receiver's field of view (assumed)."""
 
 
 class LidarReceiverConfig(Config):
     """Optics and InGaAs avalanche photodiode (Table 1)."""
 
     aperture_m: Positive = 0.025
-    """D, diameter."""
+    """Diameter D of the aperture, m."""
     filter_bandwidth_nm: Positive = 24.0
-    """Delta lambda of the band-pass filter."""
+    """Bandwidth Delta lambda of the band-pass filter, nm."""
     transmittance: Share = 0.3898
-    """tau_O of the filter."""
+    """Transmittance tau_O of the filter."""
     quantum_efficiency: Share = 0.7247
-    """eta, electrons per photon."""
+    """Quantum efficiency eta, electrons per photon."""
     gain: Annotated[float, Field(ge=1)] = 10.0
-    """G_APD of the avalanche photodiode."""
+    """Gain G_APD of the avalanche photodiode."""
     capacitance_F: Positive = 1.5e-12
-    """Ca of the detector's circuit."""
+    """Capacitance Ca of the detector's circuit, F."""
     temperature_K: Positive = 273.15
-    """Temp, of operation."""
+    """Operating temperature Temp, K."""
     dark_current_A: NonNegative = 150e-9
-    """i_D, mean."""
+    """Mean dark current i_D, A."""
     sun_irradiance_W_m2_nm: NonNegative = 0.27
-    """Of the sunlit target, at the wavelength (assumed: ASTM G-173, AM1.5)."""
+    """Spectral irradiance of the sunlit target at the wavelength, W/m2/nm (assumed: ASTM G-173, AM1.5)."""
 
 
 class LidarDetectionConfig(Config):
-    """Which reading of the paper's detection model is used."""
+    """Readings of the paper's detection model."""
 
     returned: Literal["detected", "all"] = "detected"
-    """all switches the model off: every ray that meets the target comes back."""
+    """Rays that return: detected applies the detection model; all returns every ray that meets the target."""
     false_alarm: Annotated[float, Field(gt=0, lt=1)] = 1e-4
-    """P_FA (section 3.2)."""
+    """Probability P_FA of a false alarm (section 3.2)."""
     threshold: Literal["usual", "printed"] = "usual"
-    """Eq. 4's threshold: printed is 0.5 ln(1/P_FA), usual is sqrt(ln(1/P_FA)). As printed a ray that meets
-    nothing is detected less often than P_FA says, which speaks for a misprint."""
+    """Threshold of Eq. 4: printed is 0.5 ln(1/P_FA), usual is sqrt(ln(1/P_FA)). With the printed one, a ray
+    that meets nothing is detected less often than P_FA, which indicates a misprint."""
     gain_on_variance: Literal["linear", "squared"] = "linear"
-    """What N_b is multiplied by in Eq. 9: linear is G, as the paper has it; squared is G^2 F, the variance of
-    an avalanche."""
+    """Factor on N_b in Eq. 9: linear is G, as in the paper; squared is G^2 F, the variance of an
+    avalanche."""
     excess_noise_factor: Annotated[float, Field(ge=1)] = 1.0
-    """F of the avalanche; counts where gain_on_variance is squared."""
+    """Excess noise factor F of the avalanche; it has an effect only if gain_on_variance is squared."""
     shot_noise: bool = False
-    """Add the signal's own shot noise, which Eq. 9 leaves out."""
+    """Whether to add the signal's own shot noise, which Eq. 9 leaves out."""
     reflectivity: Literal["material", "mean"] = "material"
-    """rho_T: of the material that a ray meets, or mean_reflectivity everywhere."""
+    """Reflectivity rho_T: that of the material which a ray meets, or mean_reflectivity everywhere."""
     mean_reflectivity: Share = 0.6
-    """The paper's mean for an aged satellite (section 3.1)."""
+    """Mean reflectivity of an aged satellite (section 3.1)."""
 
     @model_validator(mode="after")
     def _excess_noise_has_an_effect(self) -> Self:
         if self.excess_noise_factor != 1.0 and self.gain_on_variance != "squared":
-            raise ValueError("excess_noise_factor counts only with gain_on_variance: squared")
+            raise ValueError("excess_noise_factor has an effect only with gain_on_variance: squared")
         return self
 
 
@@ -107,17 +108,17 @@ class LidarNoiseConfig(Config):
     """Errors of the detected points (Table 1)."""
 
     sigma_range_m: NonNegative = 0.025
-    """sigma_RANGE, white."""
+    """Standard deviation sigma_RANGE of the white range error, m."""
     sigma_pointing_rad: NonNegative = radians(0.0007)
-    """sigma_LOS, of the angle between commanded and true ray."""
+    """Standard deviation sigma_LOS of the angle between commanded and true ray, rad."""
     outlier_share: Share = 0.06
-    """P_O, 5 to 7 % in Table 1: points with a larger sigma, which stand for multipath."""
+    """Share P_O of the points with a larger sigma, which stand for multipath; 5 to 7 % in Table 1."""
     outlier_factor: Annotated[float, Field(ge=1)] = 4.0
-    """Their sigma over sigma_RANGE."""
+    """Standard deviation of these points over sigma_RANGE."""
     gross_outlier_share: Share = 0.0
-    """Share of points with a range that says nothing; not in the paper."""
+    """Share of points whose range carries no information; not in the paper."""
     gross_outlier_m: Positive = 5.0
-    """Gross outliers are spread evenly up to this far before and behind the true range."""
+    """Largest error of a gross outlier, uniform before and behind the true range, m."""
 
 
 class LidarConfig(EmulatedSensor):
@@ -126,62 +127,62 @@ class LidarConfig(EmulatedSensor):
     kind: str = "lidar"
     """Selects this sensor."""
     name: Name = "lidar"
-    """Prefix of its topics, and its frame."""
+    """Name of the sensor: prefix of its topics, and its frame."""
     rate_hz: Positive = 1.0
-    """Scans per second (section 4.1)."""
+    """Number of scans per second (section 4.1)."""
     T_chaser_sensor: Pose = Field(default_factory=make_pose)
     """Mount: pose of the LIDAR in the chaser."""
     readout_s: NonNegative = 0.01
-    """From the last pulse to the scan's hand-over (assumed)."""
+    """Time from the last pulse to the hand-over of the scan, s (assumed)."""
     motion: Literal["instantaneous", "skewed"] = "instantaneous"
-    """instantaneous: the target stands still during a scan, as in the paper; skewed: each row sees it at the
-    row's own time."""
+    """Motion within a scan. instantaneous: the target stands still during a scan, as in the paper; skewed:
+    each row sees it at the row's own time."""
     pattern: ScanPatternConfig = ScanPatternConfig()
-    """Where it looks."""
+    """Directions of the rays."""
     transmitter: LidarTransmitterConfig = LidarTransmitterConfig()
     """The laser."""
     receiver: LidarReceiverConfig = LidarReceiverConfig()
     """Optics and detector."""
     detection: LidarDetectionConfig = LidarDetectionConfig()
-    """Which rays come back."""
+    """Detection of the returned rays."""
     noise: LidarNoiseConfig = LidarNoiseConfig()
-    """Errors of those that do."""
+    """Errors of the detected points."""
 
     @property
     def azimuth_rad(self) -> FloatArray:
-        """Of the columns, shape (columns,)."""
+        """Azimuths of the columns, rad, shape (columns,)."""
         return _steps_rad(self.pattern.azimuth_span_deg, self.pattern.step_deg)
 
     @property
     def elevation_rad(self) -> FloatArray:
-        """Of the rows, shape (rows,)."""
+        """Elevations of the rows, rad, shape (rows,)."""
         return _steps_rad(self.pattern.elevation_span_deg, self.pattern.step_deg)
 
     @property
     def scan_time_s(self) -> float:
-        """From the first pulse to the end of the last one's slot."""
+        """Time from the first pulse to the end of the last one's slot, s."""
         return self.azimuth_rad.size * self.elevation_rad.size / self.transmitter.pulse_rate_hz
 
     @property
     def latency_s(self) -> float:
-        """From the stamp, the middle of the scan, to its hand-over."""
+        """Time from the stamp, the middle of the scan, to its hand-over, s."""
         return self.scan_time_s / 2.0 + self.readout_s
 
     def ray_times_s(self) -> FloatArray:
-        """Return when each ray is shot, offsets from the stamp, shape (rows, columns)."""
+        """Return the times at which the rays are sent, offsets from the stamp, s, shape (rows, columns)."""
         shape = self.elevation_rad.size, self.azimuth_rad.size
         if self.motion == "instantaneous":
             return np.zeros(shape)
         return _centred(shape[0] * shape[1]).reshape(shape) / self.transmitter.pulse_rate_hz
 
     def pose_times_s(self) -> tuple[float, ...]:
-        """Return when the pose is needed, offsets from the stamp: once, or in the middle of each row."""
+        """Return the times of the needed poses, offsets from the stamp, s: one, or the middle of each row."""
         if self.motion == "instantaneous":
             return (0.0,)
         return tuple(self.ray_times_s().mean(axis=1).tolist())
 
     def info(self) -> LidarInfo:
-        """Return what the sensor says of itself on the bus."""
+        """Return the sensor's description of itself on the bus."""
         return LidarInfo(
             azimuth_rad=self.azimuth_rad,
             elevation_rad=self.elevation_rad,

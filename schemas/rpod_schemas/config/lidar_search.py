@@ -1,4 +1,4 @@
-"""Parameters of the global search in LIDAR scans, and of the tracker that casts the target."""
+"""Parameters of the global search in LIDAR scans, and of the tracker that ray-casts the target."""
 
 from typing import Annotated
 
@@ -12,111 +12,115 @@ Count = Annotated[int, Field(gt=0)]
 
 
 class ScanModelConfig(Tuning):
-    """What a method assumes of a scan's statistics beyond what sensor and scan tell."""
+    """Assumed statistics of a scan that neither the sensor nor the scan tells."""
 
     sigma_range_m: Annotated[
-        Positive | None, Provenance("physics", "the sensor's own message, where it tells")
+        Positive | None, Provenance("physics", "the sensor's own message, if it states one")
     ] = None
-    """Standard deviation of a range; None for what the sensor says of itself, 0.05 m where it does not."""
-    noise_scale: Annotated[
-        Positive, Provenance("physics", "the sensor's own message is believed as it is")
-    ] = 1.0
-    """Standard deviation over that."""
+    """Standard deviation of a range, m; None for the one that the sensor states, or 0.05 m if it states
+    none."""
+    noise_scale: Annotated[Positive, Provenance("physics", "the sensor's own message is taken as it is")] = (
+        1.0
+    )
+    """Ratio of the assumed standard deviation of a range to ``sigma_range_m``."""
     least_range_m: Annotated[
         Positive, Provenance("physics", "LIDARs for rendezvous state larger ranges in their data sheets")
     ] = 100.0
-    """Range at which a white surface at normal incidence gives a return for every other pulse, at least. No
-    sensor is assumed to be weaker."""
+    """Least range from which a white surface at normal incidence returns every other pulse, m. No sensor is
+    assumed to be weaker."""
     surest_detection: Annotated[
         Annotated[float, Field(gt=0, lt=1)],
         Provenance("hand, mock-up", "a prior: holes, edges and mirrors lose a few rays of any sensor"),
     ] = 0.95
-    """A ray that meets the target is never expected to come back with a larger probability: holes, edges and
-    mirrors lose what the brightness of a surface does not tell."""
+    """Largest expected probability that a ray which meets the target returns: holes, edges and mirrors lose
+    returns, and the brightness of a surface does not show that."""
     slack_m: Annotated[Positive, BY_HAND] = 0.008
-    """Standard deviation of the target's faces about their model."""
+    """Standard deviation of the target's faces about their model, m."""
     clutter_share: Annotated[float, Field(gt=0, lt=1), BY_HAND] = 0.02
-    """Share of rays whose return, or its lack, says nothing."""
+    """Share of rays whose return, or missing return, carries no information."""
     clutter_depth_m: Annotated[Positive, BY_HAND] = 20.0
-    """Depth over which such returns are spread."""
+    """Depth over which such returns are spread, m."""
 
 
 class ScanVerdictConfig(Tuning):
-    """When a pose explains a scan: by the likelihood, and by the share of rays that agree.
+    """Limits of likelihood and of agreeing rays within which a pose explains a scan.
 
-    Either the scan's model or the pessimistic one must be content: what is known of materials, noise and
-    target is never exact.
+    The limits must hold with the scan's model or with the pessimistic one, because materials, noise and
+    target are never known exactly.
     """
 
     max_deficit: Annotated[NonNegative, BY_HAND] = 1.0
-    """Expected minus actual log likelihood is at most this many of its standard deviations, and ..."""
+    """Largest deficit, expected minus actual log likelihood, in its standard deviations;
+    ``max_deficit_per_return`` is added."""
     max_deficit_per_return: Annotated[NonNegative, BY_HAND] = 0.05
-    """... this much a return on top."""
-    contrary_share: Annotated[Share, BY_HAND] = 0.055
-    """Share of rays that may contradict the pose, or be missing; two standard deviations of their number more
-    where returns are few."""
+    """Largest further deficit for each return."""
+    inconsistent_share: Annotated[Share, BY_HAND] = 0.055
+    """Share of rays that may be inconsistent with the pose or missing; two standard deviations of their
+    number are added, which matter if returns are few."""
     pessimistic: Annotated[
         ScanModelConfig,
         Provenance(
-            "hand, mock-up", "a sensor worse than it says, and a target not as drawn; how much is chosen"
+            "hand, mock-up",
+            "a sensor worse than it states, a target that differs from its file; how much is chosen",
         ),
     ] = ScanModelConfig(noise_scale=2.0, slack_m=0.03, clutter_share=0.05)
-    """A sensor that errs more than it says, and a target that was not built as drawn."""
+    """Model of a sensor with larger errors than it states, and of a target that differs from its file."""
 
 
 class ProjectiveIcpTuning(Tuning):
-    """Steps, scales and limits of the tracker that casts the target."""
+    """Steps, scales and limits of the tracker that ray-casts the target."""
 
     points: Annotated[Count, BUDGET] = 100
-    """Returns that the first steps work on."""
-    draw_in_steps: Annotated[int, Field(ge=0), BUDGET] = 5
-    """Steps in the distance field, on ``points`` returns."""
+    """Number of returns that the coarse steps use."""
+    coarse_steps: Annotated[int, Field(ge=0), BUDGET] = 5
+    """Number of coarse steps, which align ``points`` returns in the distance field."""
     near_share: Annotated[Share, BY_HAND] = 0.95
-    """A prediction that explains this share of a scan is not drawn in: those steps let the target slide along
-    what its faces leave open."""
-    settle_steps: Annotated[Count, BUDGET] = 3
-    """Steps to the faces, on all returns."""
+    """Share of a scan above which a prediction that explains it needs no coarse steps: they let the target
+    slide in directions that its faces leave undetermined."""
+    fine_steps: Annotated[Count, BUDGET] = 3
+    """Number of fine steps, which align all returns with the faces."""
     widest_m: Annotated[Positive, BY_HAND] = 1.0
-    """Scale beyond which a return is an outlier, of the first step."""
+    """Distance above which a return is an outlier in the first step, m."""
     narrowest_m: Annotated[
         Positive, Provenance("paper", "2015 paper, Table 1: outliers of four times sigma_RANGE, 25 mm")
     ] = 0.1
-    """The same of the last step; it covers 4-sigma outliers."""
+    """Distance above which a return is an outlier in the last step, m; it covers 4-sigma outliers."""
     steep_cosine: Annotated[float, Field(ge=0, le=1), BY_HAND] = 0.55
-    """Of the incidence on a face, below which the distance from its plane tells outliers, not that along the
-    ray: a steep face would else lose all its returns by the least error of its place."""
+    """Cosine of incidence on a face below which outliers are found by their distance from its plane, not by
+    that along the ray: otherwise a small error of its position would reject all returns of a steep face."""
     outline_m: Annotated[Positive, BY_HAND] = 0.05
-    """Standard deviation of the distance of a return that lies beyond the outline."""
+    """Standard deviation of the distance of a return beyond the outline, m."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
-    """Fewer returns, or fewer of them on faces, are no registration."""
+    """Least number of returns, and of returns on faces, of a registration."""
     unobserved_m: Annotated[Positive, WIDE_PRIOR] = 1.0
-    """Standard deviation of a position that no face determines."""
+    """Standard deviation of a position that no face determines, m."""
     unobserved_deg: Annotated[Positive, WIDE_PRIOR] = 20.0
-    """Standard deviation of a rotation that no face determines."""
+    """Standard deviation of a rotation that no face determines, deg."""
     model: ScanModelConfig = ScanModelConfig()
-    """Of the scans."""
+    """Statistics of the scans."""
     verdict: ScanVerdictConfig = ScanVerdictConfig()
-    """When a registration explains its scan."""
+    """Limits within which a registration explains its scan."""
 
 
 class ProjectiveIcpConfig(MethodConfig):
-    """Tracking by casting the target: each return against the face that its own ray meets."""
+    """Tracking by ray casting: each return is aligned with the face that its own ray meets."""
 
     kind: str = "projective_point_to_plane"
     """Selects this method."""
     tuning: ProjectiveIcpTuning = ProjectiveIcpTuning()
-    """Limits and numbers that are no part of the promise; change them only to study the method."""
+    """Limits and numbers of the method that are outside the public interface; change them only to study
+    it."""
 
 
 class SearchLevelConfig(Tuning):
     """One pass of the search."""
 
     attitudes: Count
-    """Spread over all of SO(3), each compared with some of the scan."""
+    """Number of attitudes, evenly spread over SO(3), that are compared with a few returns of the scan."""
     compared: Count
-    """Of them, the best ones that are compared with more of it."""
+    """Number of the best of these attitudes that are compared with more returns."""
     refined: Count
-    """Of those, the best ones that are drawn onto the scan."""
+    """Number of the best of these that are aligned with the scan."""
 
 
 class GlobalSearchTuning(Tuning):
@@ -133,52 +137,55 @@ class GlobalSearchTuning(Tuning):
         ),
         min_length=1,
     )
-    """The next one is entered where the one before found nothing that explains the scan; scans of less than
-    ``sure_returns`` begin with the second."""
+    """Passes of the search. The next one begins if the one before found nothing that explains the scan; scans
+    with fewer than ``sure_returns`` begin with the second."""
     model_points: Annotated[Count, BUDGET] = 240
-    """Surface points that stand for the target while attitudes are compared."""
+    """Number of surface points that represent the target while attitudes are compared."""
     truncation_m: Annotated[Positive, BY_HAND] = 1.5
-    """Distances beyond this cost no more."""
-    draw_in_points: Annotated[Count, BUDGET] = 128
-    """Returns that candidates are drawn in on."""
-    draw_in_steps: Annotated[Count, BUDGET] = 6
-    """Steps in the distance field, of each candidate."""
+    """Distance above which the cost is constant, m."""
+    coarse_points: Annotated[Count, BUDGET] = 128
+    """Number of returns with which candidates are coarsely aligned."""
+    coarse_steps: Annotated[Count, BUDGET] = 6
+    """Number of steps of this alignment, in the distance field, for each candidate."""
     most_returns: Annotated[Count, BUDGET] = 900
-    """Scans with more are thinned by rows and columns."""
+    """Number of returns above which a scan is thinned by rows and columns."""
     sure_returns: Annotated[Count, BY_HAND] = 60
-    """From so many returns on, the first candidate that explains them for sure ends the search: its actual
-    log likelihood exceeds what is expected by ..."""
+    """Number of returns from which on the first candidate that surely explains them ends the search: its
+    actual log likelihood exceeds the expected one by ``sure_surplus`` for each return."""
     sure_surplus: Annotated[NonNegative, BY_HAND] = 0.3
-    """... this much a return."""
-    sharpened_returns: Annotated[int, Field(ge=0), BY_HAND] = 70
-    """Of scans with fewer the outline is searched too, once the best poses are drawn in; of others only for
-    poses that explain them halfway, and where the best has a rival."""
+    """Excess of the actual over the expected log likelihood of a sure candidate, for each return."""
+    sufficient_returns: Annotated[int, Field(ge=0), BY_HAND] = 70
+    """Number of returns from which on the faces are taken to determine a pose. In scans with fewer, the best
+    poses are refined on the outline after the alignment. In others, this is done for poses that explain about
+    half of the scan, and if the best pose has a rival."""
     rival_log_likelihood: Annotated[Positive, BY_HAND] = 25.0
-    """Poses that are behind the best by no more are its rivals."""
+    """Largest difference of log likelihood between the best pose and a rival."""
     siblings: Annotated[Count, BY_HAND] = 2
-    """Best distinct poses that must have been turned; the best one alone where it is sure."""
+    """Number of best distinct poses whose turns must have been tried; 1 if the best pose is sure."""
     turned: Annotated[Count, BY_HAND] = 5
-    """Most poses that are turned on the way there."""
+    """Largest number of poses whose turns are tried."""
     turns: Annotated[Count, BY_HAND] = 6
-    """Best turns of each, by quarters about the axes and by near-symmetries, that are drawn onto the scan."""
+    """Number of best turns of each pose that are aligned with the scan: quarter turns about the axes, and
+    near-symmetries."""
     finished: Annotated[Count, BY_HAND] = 4
-    """Best distinct poses that are finished."""
+    """Number of best distinct poses that are refined to the end."""
     distinct_deg: Annotated[NonNegative, BY_HAND] = 5.0
-    """Poses whose attitudes differ by less are one."""
+    """Angle between two attitudes, deg, below which their poses are the same."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
-    """Scans with fewer returns are not searched."""
+    """Least number of returns of a scan that is searched."""
     ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
-    """Below this weight of the best hypothesis the result is ambiguous."""
+    """Weight of the best hypothesis below which the result is ambiguous."""
     near_deg: Annotated[Positive, BY_HAND] = 45.0
-    """How far attitudes may be from a pose that is known roughly, where only that is searched."""
+    """Largest angle of an attitude from a roughly known pose, deg, in a search near that pose."""
 
 
 class GlobalSearchConfig(MethodConfig):
-    """Search over all attitudes by predicted against measured scans."""
+    """Search over all attitudes that compares predicted scans with the measured one."""
 
     kind: str = "global"
     """Selects this method."""
     tracking: ProjectiveIcpConfig = ProjectiveIcpConfig()
     """Tracker that refines the result, and the statistics of the scans."""
     tuning: GlobalSearchTuning = GlobalSearchTuning()
-    """Limits and numbers that are no part of the promise; change them only to study the method."""
+    """Limits and numbers of the method that are outside the public interface; change them only to study
+    it."""

@@ -1,4 +1,4 @@
-"""Configurations as logs hold them: with a version, and how those of earlier versions are read today."""
+"""Configurations in logs: they carry a version, and those of earlier versions are read by today's models."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -10,9 +10,25 @@ from pydantic import BaseModel, ValidationError
 
 from rpod_schemas.config.base import check
 
-CONFIG_VERSION = 2
-"""Version of the configuration models. 1: all fields beside each other, and no version in the log.
-2: what is no part of the promise stands in ``tuning`` models."""
+CONFIG_VERSION = 3
+"""Version of the configuration models.
+
+1: all fields beside each other, and no version in the log. 2: fields outside the public interface are in
+``tuning`` models. 3: the fields in ``RENAMED`` have their present names.
+"""
+_FIRST_WITH_TUNING = 2
+"""First version whose logs have ``tuning`` models."""
+_FIRST_WITH_NEW_NAMES = 3
+"""First version whose logs have the present names of the fields in ``RENAMED``."""
+RENAMED = {
+    "contrary_share": "inconsistent_share",
+    "draw_in_points": "coarse_points",
+    "draw_in_steps": "coarse_steps",
+    "most_contrary_share": "most_inconsistent_share",
+    "settle_steps": "fine_steps",
+    "sharpened_returns": "sufficient_returns",
+}
+"""Present names of renamed fields by the name that versions 1 and 2 gave them."""
 VERSION_FIELD = "config_version"
 """Name of the version among the fields of a logged configuration."""
 
@@ -29,13 +45,19 @@ class Migrated(Generic[Model]):
     version: int
     """Version of the models with which it was logged."""
     tuned: tuple[str, ...] = ()
-    """Names of the fields that stand in a ``tuning`` model today; their values are kept."""
+    """Names of the fields that are in a ``tuning`` model today; their values are kept."""
+    renamed: tuple[str, ...] = ()
+    """Old names of the fields that are renamed today, each with its new name; their values are kept."""
     unknown: tuple[str, ...] = ()
     """Names of the fields that today's model does not have; they are left out."""
 
     def report(self, source: str) -> None:
-        """Log one line that names what has become tuning and what is left out, where there is any."""
-        parts = [("now tuning", self.tuned), ("unknown and left out", self.unknown)]
+        """Log one line that names the fields that are moved, renamed or left out, if there are any."""
+        parts = [
+            ("now tuning", self.tuned),
+            ("renamed", self.renamed),
+            ("unknown and left out", self.unknown),
+        ]
         text = "; ".join(f"{what}: {_grouped(names)}" for what, names in parts if names)
         if text:
             logging.getLogger(__name__).warning(
@@ -51,28 +73,42 @@ def logged(config: BaseModel) -> dict[str, Any]:
 def check_logged(model: type[Model], document: Mapping[str, Any], *, source: str) -> Migrated[Model]:
     """Validate a logged configuration against today's model.
 
-    Of a version before 2, a field that its model does not have is sought in the model's ``tuning``, and its
-    value is moved there. A field that is in neither is left out. Both are named.
+    A field that the model does not have is handled by the version of the log. Before version 3, a field in
+    ``RENAMED`` gets its present name. Before version 2, the field is moved into the ``tuning`` model beside
+    it. A field that still has no place is left out. The result names all these fields.
 
     Raises:
         ConfigurationError: a field that today's model has is wrong.
     """
     kept: dict[str, Any] = deepcopy(dict(document))
-    told = kept.pop(VERSION_FIELD, 1)
-    version = told if isinstance(told, int) else 1
-    tuned: dict[Place, str] = {}
-    unknown: list[str] = []
+    stated = kept.pop(VERSION_FIELD, 1)
+    version = stated if isinstance(stated, int) else 1
+    origins: dict[Place, Place] = {}
+    unknown: list[Place] = []
     while extra := _extra_fields(model, kept):
         for place in extra:
-            if version < CONFIG_VERSION and "tuning" not in place:
-                tuned[_move(kept, place)] = _name(place)
-                continue
-            _remove(kept, place)
-            gone = [moved for moved in tuned if moved[: len(place)] == place]
-            unknown += [tuned.pop(moved) for moved in gone] or [
-                _name(place, without_tuning=version < CONFIG_VERSION)
-            ]
-    return Migrated(check(model, kept, source=source), version, tuple(tuned.values()), tuple(unknown))
+            origin = origins.pop(place, place)
+            if version < _FIRST_WITH_NEW_NAMES and _can_be_renamed(kept, place):
+                origins[_rename(kept, place)] = origin
+            elif version < _FIRST_WITH_TUNING and "tuning" not in place:
+                origins[_move(kept, place)] = origin
+            else:
+                _remove(kept, place)
+                inner = [moved for moved in origins if moved[: len(place)] == place]
+                unknown += [origins.pop(moved) for moved in inner] or [origin]
+
+    def named(place: Place) -> str:
+        return _name(place, without_tuning=version < _FIRST_WITH_TUNING)
+
+    tuned = [old for place, old in origins.items() if "tuning" in place and "tuning" not in old]
+    renamed = [(old, place[-1]) for place, old in origins.items() if place[-1] != old[-1]]
+    return Migrated(
+        check(model, kept, source=source),
+        version,
+        tuned=tuple(map(named, tuned)),
+        renamed=tuple(f"{named(old)} -> {new}" for old, new in renamed),
+        unknown=tuple(map(named, unknown)),
+    )
 
 
 def _extra_fields(model: type[BaseModel], document: dict[str, Any]) -> list[Place]:
@@ -109,6 +145,18 @@ def _move(document: dict[str, Any], place: Place) -> Place:
     holder = _holder(document, place)
     holder.setdefault("tuning", {})[place[-1]] = holder.pop(place[-1])
     return (*place[:-1], "tuning", place[-1])
+
+
+def _can_be_renamed(document: dict[str, Any], place: Place) -> bool:
+    """Return whether a field has a new name that no field beside it has yet."""
+    return place[-1] in RENAMED and RENAMED[str(place[-1])] not in _holder(document, place)
+
+
+def _rename(document: dict[str, Any], place: Place) -> Place:
+    """Give a field its present name, and return its new place."""
+    holder, name = _holder(document, place), RENAMED[str(place[-1])]
+    holder[name] = holder.pop(place[-1])
+    return (*place[:-1], name)
 
 
 def _remove(document: dict[str, Any], place: Place) -> None:

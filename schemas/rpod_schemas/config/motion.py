@@ -1,7 +1,7 @@
-"""How chaser and target move: the trajectory, the target's attitude, and the sun.
+"""Motion of chaser and target: the trajectory, the target's attitude, and the sun.
 
 Chaser axes: z is the direction of approach and the sensors' boresight, x points right, y down.
-Everything that is given at the epoch is given in the chaser's axes of that moment.
+Quantities at the epoch are in the chaser's axes at the epoch.
 """
 
 from typing import Annotated, Literal, Self
@@ -24,10 +24,11 @@ def _with_direction(vector: FloatArray) -> FloatArray:
 
 
 Direction = Annotated[Vector3, AfterValidator(_with_direction)]
-"""Shape (3,), not zero; its length does not matter."""
+"""A direction, shape (3,), not zero; its length does not matter."""
 
 FACING = Rotation.from_quat([0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
-"""The target's x axis, out of the front of the mock-up, points at the chaser; its y axis points right."""
+"""Attitude R_chaser_target with the target's x axis, the front of the mock-up, towards the chaser and its y
+axis to the right."""
 
 
 class ApproachConfig(Config):
@@ -36,11 +37,12 @@ class ApproachConfig(Config):
     kind: Literal["approach"] = "approach"
     """Selects this trajectory."""
     start_m: Vector3 = Field(default_factory=lambda: np.array([0.0, 0.0, 7.0]))
-    """Target's origin at the epoch, chaser axes."""
+    """Position of the target's origin at the epoch, chaser axes, m."""
     end_m: Vector3 = Field(default_factory=lambda: np.array([0.0, 0.0, 2.0]))
-    """Target's origin at the end, chaser axes."""
+    """Position of the target's origin at the end, chaser axes, m."""
     ramp_share: Annotated[float, Field(ge=0, le=0.5)] = 0.1
-    """Share of the duration to gather speed in, and again to lose it; 0 is constant velocity."""
+    """Share of the duration in which the speed rises, and in which it falls at the end; 0 is constant
+    velocity."""
 
     @model_validator(mode="after")
     def _is_a_line_in_front(self) -> Self:
@@ -54,21 +56,22 @@ class ApproachConfig(Config):
 
 
 class StationKeepingConfig(Config):
-    """The chaser circles the target's centre of mass on a safety ellipse and keeps its z axis on it."""
+    """The chaser circles the target's centre of mass on a safety ellipse; its z axis points at it."""
 
     kind: Literal["station_keeping"] = "station_keeping"
     """Selects this trajectory."""
     least_range_m: Positive = 20.0
-    """Semi-minor axis of the ellipse, along the radius of the orbit."""
+    """Semi-minor axis of the ellipse, along the radius of the orbit, m."""
     greatest_range_m: Positive = 50.0
-    """Semi-major axis of the ellipse, along and across the track."""
+    """Semi-major axis of the ellipse, along and across the track, m."""
     phase_deg: Finite = 0.0
-    """At the epoch: 0 is straight below the target, at the least range; 90 ahead of it, at the greatest. The
-    target's argument of latitude is 90 deg more."""
+    """Phase at the epoch, deg: 0 is straight below the target, at the least range; 90 is ahead of it, at the
+    greatest. The target's argument of latitude is 90 deg more."""
     semi_major_axis_m: Annotated[float, Field(gt=6.4e6, allow_inf_nan=False)] = 7.144e6
-    """Of the target's mean orbit, a circle; the default is ENVISAT's, with a period of 100.3 min."""
+    """Semi-major axis of the target's mean orbit, a circle, m; the default is ENVISAT's, with a period of
+    100.3 min."""
     inclination_deg: Annotated[float, Field(ge=1, le=179)] = 98.5
-    """Of the target's mean orbit; the default is ENVISAT's."""
+    """Inclination of the target's mean orbit, deg; the default is ENVISAT's."""
 
     @model_validator(mode="after")
     def _clears_the_track(self) -> Self:
@@ -76,7 +79,7 @@ class StationKeepingConfig(Config):
             raise ValueError(
                 f"greatest_range_m is {self.greatest_range_m:g}, needs more than twice least_range_m "
                 f"({self.least_range_m:g}): a relative orbit is twice as long along the track as along the "
-                "radius, and what is beyond that keeps it clear of the track"
+                "radius, and only a longer one keeps clear of the track"
             )
         return self
 
@@ -87,7 +90,7 @@ class FixedAttitudeConfig(Config):
     kind: Literal["fixed"] = "fixed"
     """Selects this attitude motion."""
     R_chaser_target: Attitude = FACING
-    """Throughout."""
+    """Attitude during the whole scenario."""
 
 
 class SpinConfig(Config):
@@ -96,31 +99,31 @@ class SpinConfig(Config):
     kind: Literal["spin"] = "spin"
     """Selects this attitude motion."""
     R_chaser_target: Attitude = FACING
-    """At the epoch."""
+    """Attitude at the epoch."""
     axis: Direction = Field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
-    """Of the rotation, target axes."""
+    """Axis of the rotation, target axes, shape (3,)."""
     rate_deg_s: Finite = 5.0
-    """About the axis, relative to inertial space."""
+    """Rate about the axis relative to inertial space, deg/s."""
 
 
 class TumbleConfig(Config):
-    """The target is a rigid body free of torque, with the inertia of its target file."""
+    """The target is a rigid body without torque, with the inertia of its target file."""
 
     kind: Literal["tumble"] = "tumble"
     """Selects this attitude motion."""
     R_chaser_target: Attitude = FACING
-    """At the epoch."""
+    """Attitude at the epoch."""
     rate_deg_s: Vector3
-    """Rotation rate at the epoch relative to inertial space, target axes."""
+    """Rotation rate at the epoch relative to inertial space, target axes, deg/s, shape (3,)."""
 
 
 class SunConfig(Config):
-    """The sun stands still in inertial space."""
+    """The sun, at rest in inertial space."""
 
     direction: Direction
-    """To the sun, in the chaser's axes at the epoch."""
+    """Direction to the sun, chaser axes at the epoch."""
     irradiance_W_m2: NonNegative = 1361.0
-    """Over the whole spectrum; the default is that of space at one astronomical unit."""
+    """Irradiance over the whole spectrum, W/m2; the default is that of space at one astronomical unit."""
 
 
 TrajectoryConfig = Annotated[ApproachConfig | StationKeepingConfig, Field(discriminator="kind")]
@@ -128,11 +131,11 @@ AttitudeConfig = Annotated[FixedAttitudeConfig | SpinConfig | TumbleConfig, Fiel
 
 
 class MotionConfig(Config):
-    """What moves, and how."""
+    """Motion of chaser and target, and the sun."""
 
     trajectory: TrajectoryConfig = Field(default_factory=ApproachConfig)
-    """Of the target relative to the chaser."""
+    """Trajectory of the target relative to the chaser."""
     attitude: AttitudeConfig = Field(default_factory=FixedAttitudeConfig)
-    """Of the target."""
+    """Attitude motion of the target."""
     sun: SunConfig | None = None
-    """Left out: darkness."""
+    """The sun; darkness if left out."""

@@ -1,7 +1,7 @@
 """The PMD camera: DLR-Argos 3D-P320, as Klionovska et al., Robotics 7(1), 2018 describe it in section 2.2.
 
-Table 1 of the paper gives the image, the frequencies and the times. What no source gives is marked as
-assumed; a prototype with these values was plausible in its noise, its saturation and its lost pixels.
+Table 1 of the paper gives the image, the frequencies and the times. Values that no source gives are marked
+as assumed; a prototype with them had plausible noise, saturation and lost pixels.
 """
 
 import math
@@ -18,40 +18,40 @@ from rpod_schemas.poses import Pose, make_pose
 from rpod_schemas.types import Camera, PmdInfo
 
 MODULATION_FREQUENCIES_HZ = (5.004e6, 7.5e6, 10.007e6, 15e6, 20.013e6, 25.016e6, 30e6)
-"""The camera's seven (Table 1)."""
+"""The seven modulation frequencies of the camera, Hz (Table 1)."""
 MAX_RATE_HZ = 45.0
-"""Table 1."""
+"""Largest frame rate of the camera, Hz (Table 1)."""
 SAMPLES = 4
-"""Q1..Q4 (Eq. 1), one sub-exposure each, for each frequency."""
+"""Number of samples Q1..Q4 (Eq. 1) for each frequency, of one sub-exposure each."""
 SAMPLE_OFFSET = 32768
-"""What a sample of zero electrons reads (ICD section 2)."""
+"""Value of a sample of zero electrons, counts (ICD section 2)."""
 _SUB_EXPOSURE_S = {"fast": 0.004, "paper": 0.006, "dual": 0.003}
 _WHOLE_RATIO = 12
-"""The seven are multiples of 2.5 MHz within 0.1 %, the highest of them the twelfth."""
+"""Largest multiple: the seven are multiples of 2.5 MHz within 0.1 %, the highest of them the twelfth."""
 
 
 class LampConfig(Config):
     """The modulated light beside the lens."""
 
     wavelength_m: Positive = 850e-9
-    """Centre of the band (assumed)."""
+    """Centre wavelength of the band, m (assumed)."""
     optical_power_W: Positive = 4.0
-    """Mean emitted power (assumed; Table 1 has less than 25.5 W of electrical power)."""
+    """Mean emitted power, W (assumed; Table 1 has less than 25.5 W of electrical power)."""
     share_in_view: Share = 0.75
     """Share of the power that falls into the field of view, evenly (assumed)."""
     radius_m: Positive = 0.05
-    """Radius of the disc that the LEDs fill: it widens the glints of smooth surfaces (assumed)."""
+    """Radius of the disc that the LEDs fill, m; it widens the glints of smooth surfaces (assumed)."""
 
 
 class LensConfig(Config):
-    """From radiance to the light on a pixel."""
+    """The optics between the scene and the pixels."""
 
     f_number: Positive = 1.8
     """Focal length over aperture (assumed)."""
     transmission: Share = 0.8
-    """Of lens and filter in the band (assumed)."""
+    """Transmission of lens and filter in the band (assumed)."""
     stray_share: Share = 0.002
-    """Share of the image's mean light that every pixel receives as well (assumed: some 250 e-)."""
+    """Share of the image's mean light that every pixel receives in addition (assumed: about 250 e-)."""
     sun_share: Share = 47.5 / 1361.0
     """Share of the sun's irradiance within the filter's 50 nm: 47.5 W/m2 of AM0's 1361 W/m2."""
 
@@ -60,21 +60,22 @@ class PixelConfig(Config):
     """The photonic mixer: two taps that share the light in time with the modulation."""
 
     pitch_m: Positive = 17.5e-6
-    """Side of the square that is effectively sensitive (assumed)."""
+    """Side of the square that is effectively sensitive, m (assumed)."""
     quantum_efficiency: Share = 0.45
     """Electrons per photon (assumed)."""
     contrast: Share = 0.75
     """Demodulation contrast C_d: difference of the taps over their sum for light in phase (assumed)."""
     wiggling_share: Share = 0.03
-    """Third harmonic of the correlation, h3: uncalibrated 0.03, calibrated 0.003 to 0.01 (assumed)."""
+    """Third harmonic h3 of the correlation: uncalibrated 0.03, calibrated 0.003 to 0.01 (assumed)."""
     read_noise_e: NonNegative = 60.0
-    """Standard deviation of the difference of the taps as it is read (assumed)."""
+    """Standard deviation of the read-out noise of the taps' difference, e- (assumed)."""
     full_well_e: Positive = 150e3
-    """Capacity of a tap after suppression (assumed)."""
+    """Capacity of a tap after suppression, e- (assumed)."""
     suppression_e_s: NonNegative = 6e8
-    """Most charge that the background suppression takes off each tap, per second of exposure (assumed)."""
+    """Largest charge that the background suppression takes off each tap, e- per second of exposure
+    (assumed)."""
     electrons_per_count: Positive = 40.0
-    """Step of the analogue-to-digital converter (assumed)."""
+    """Step of the analogue-to-digital converter, e- (assumed)."""
 
     @property
     def saturation_count(self) -> int:
@@ -85,34 +86,38 @@ class PixelConfig(Config):
     def _full_well_fits_the_samples(self) -> Self:
         if self.full_well_e / self.electrons_per_count >= SAMPLE_OFFSET:
             raise ValueError(
-                f"full_well_e over electrons_per_count must be under {SAMPLE_OFFSET}: samples have 16 bits"
+                f"full_well_e over electrons_per_count is {self.full_well_e / self.electrons_per_count:g}, "
+                f"must be under {SAMPLE_OFFSET}: samples have 16 bits"
             )
         return self
 
 
 class ReconstructionConfig(Config):
-    """Which pixels keep their depth."""
+    """Limits within which a pixel keeps its depth."""
 
     least_amplitude_e: NonNegative = 1500.0
-    """Below it there is no depth; at 250 stray light makes ghosts of half the background (prototype)."""
+    """Least amplitude of a pixel with depth, e-; with 250, stray light gives half of the background a false
+    depth (prototype)."""
     asymmetry_limit: Positive = 0.3
-    """Most of |Q1 + Q2| and |Q3 + Q4| over twice the amplitude. It is zero but for motion and noise, which is
-    as large as the phase's in rad: 0.3 loses what is noisier than about 0.1 rad (assumed)."""
+    """Largest |Q1 + Q2| and |Q3 + Q4| over twice the amplitude. Without motion and noise it is zero; its
+    noise is as large as that of the phase in rad. A limit of 0.3 removes pixels that are noisier than about
+    0.1 rad (assumed)."""
     wrap_limit: Share = 0.7
-    """Most that two frequencies may disagree, over half the least difference between two ways to unwrap them:
-    1 takes the nearest way whatever it is, less loses what lies between two ways (assumed)."""
+    """Largest disagreement of two frequencies, over half the least difference between two ways to unwrap
+    them. With 1 the nearest way is always taken; a smaller limit removes pixels between two ways
+    (assumed)."""
 
 
 class AutomaticExposureConfig(Config):
-    """How the automatic exposure chooses, in half stops: each divides the time by the square root of two."""
+    """Choice of the automatic exposure in half stops; each divides the time by the square root of two."""
 
     full_well_share: Annotated[float, Field(gt=0, le=1)] = 0.95
-    """Share of a tap that a pixel may fill."""
+    """Largest share of a tap that a pixel may fill."""
     loss_share: Share = 0.05
-    """Of the lit pixels, how many more may be too dark or too bright than at the best time. The longest such
-    time is taken: a few glints do not make all other pixels noisy (assumed)."""
+    """Share of the lit pixels that may be too dark or too bright in addition to those at the best time. The
+    longest such time is taken, so that a few glints do not make all other pixels noisy (assumed)."""
     half_stops: Annotated[int, Field(ge=0, le=24)] = 14
-    """Most of them: 14 take the 4 ms of the profile fast down to 31 us (assumed)."""
+    """Largest number of half stops; 14 reduce the 4 ms of the profile fast to 31 us (assumed)."""
 
 
 class PmdConfig(EmulatedSensor):
@@ -121,65 +126,68 @@ class PmdConfig(EmulatedSensor):
     kind: str = "pmd"
     """Selects this sensor."""
     name: Name = "pmd"
-    """Prefix of its topics, and of its frame ``<name>_optical``."""
+    """Name of the sensor: prefix of its topics, and of its frame ``<name>_optical``."""
     rate_hz: Positive = 15.0
-    """Frames per second."""
+    """Number of frames per second."""
     T_chaser_sensor: Pose = Field(default_factory=make_pose)
     """Mount: pose of the optical frame in the chaser."""
     camera: Camera = Camera(width=352, height=287, fx=682.75, fy=691.42, cx=175.5, cy=143.0)
     """Intrinsics, plumb_bob distortion included: 28.91 x 23.45 deg on 352 x 287 pixels (Table 1)."""
     profile: Literal["fast", "paper", "dual"] = "fast"
-    """fast: 4 sub-exposures of 4 ms, up to 45 Hz; paper: of 6 ms, the 24 ms of Table 1, up to 40 Hz; dual:
-    two frequencies and 8 sub-exposures of 3 ms, for 30 Hz and up to 38."""
+    """Profile of the exposure. fast: 4 sub-exposures of 4 ms, up to 45 Hz; paper: 4 of 6 ms, the 24 ms of
+    Table 1, up to 40 Hz; dual: two frequencies and 8 sub-exposures of 3 ms, for 30 Hz and up to 38."""
     readout_s: NonNegative = 0.25e-3
-    """After each sub-exposure (assumed: what 24 ms leave at 40 Hz)."""
+    """Read-out time after each sub-exposure, s (assumed: the time left by 24 ms at 40 Hz)."""
     modulation_frequency_hz: Positive = 20.013e6
-    """One of the camera's seven; the range is unambiguous up to c/2f, 7.49 m at the default. Not for dual."""
+    """Modulation frequency, one of the camera's seven, Hz; not used in the profile dual. The range is
+    unambiguous up to c/2f, 7.49 m at the default."""
     dual_frequencies_hz: tuple[Positive, Positive] = (20.013e6, 30e6)
-    """Two of the seven, for the profile dual; unambiguous up to 14.98 m at the default."""
+    """Two of the seven modulation frequencies, Hz, for the profile dual. The range is unambiguous up to 14.98
+    m at the default."""
     exposure: Literal["fixed", "automatic"] = "automatic"
-    """fixed: the profile's times; automatic: shorter where the very frame's light would fill the taps."""
+    """Exposure time. fixed: that of the profile; automatic: shorter if the light of the frame itself would
+    fill the taps."""
     automatic_exposure: AutomaticExposureConfig = AutomaticExposureConfig()
-    """How short."""
+    """Limits of the automatic exposure."""
     subsamples: Annotated[int, Field(ge=1, le=8)] = 2
-    """Rays across a pixel, and down: what mixes at edges."""
+    """Number of rays across a pixel, and down; their mixture gives mixed pixels at edges."""
     lamp: LampConfig = LampConfig()
-    """The light."""
+    """The modulated light."""
     lens: LensConfig = LensConfig()
     """The optics."""
     pixel: PixelConfig = PixelConfig()
     """The sensor chip."""
     reconstruction: ReconstructionConfig = ReconstructionConfig()
-    """The masks."""
+    """Limits of the depth's reconstruction."""
 
     @property
     def frequencies_hz(self) -> tuple[float, ...]:
-        """Modulation frequencies in use, in the order of the phase images."""
+        """Modulation frequencies in use, Hz, in the order of the phase images."""
         return self.dual_frequencies_hz if self.profile == "dual" else (self.modulation_frequency_hz,)
 
     @property
     def sub_exposures(self) -> int:
-        """Of a frame: Q1..Q4 of the first frequency, then of the second."""
+        """Number of sub-exposures of a frame: Q1..Q4 of the first frequency, then of the second."""
         return SAMPLES * len(self.frequencies_hz)
 
     @property
     def sub_exposure_s(self) -> float:
-        """Integration time of one of Q1..Q4; the longest where the exposure is automatic."""
+        """Integration time of one of Q1..Q4, s; the longest one if the exposure is automatic."""
         return _SUB_EXPOSURE_S[self.profile]
 
     @property
     def integration_time_s(self) -> float:
-        """Of a frame: the sum of its sub-exposures; the longest where the exposure is automatic."""
+        """Sum of a frame's sub-exposures, s; the longest one if the exposure is automatic."""
         return self.sub_exposures * self.sub_exposure_s
 
     @property
     def latency_s(self) -> float:
-        """From the stamp, the middle of the exposure, to the end of the last read-out."""
+        """Time from the stamp, the middle of the exposure, to the end of the last read-out, s."""
         return (self.sub_exposures * (self.sub_exposure_s + self.readout_s) + self.readout_s) / 2.0
 
     @property
     def unambiguous_range_m(self) -> float:
-        """Distances are measured modulo this: c / 2f, or the length at which two frequencies wrap at once."""
+        """Length modulo which distances are measured, m: c / 2f, or that at which both frequencies wrap."""
         first_hz, *others_hz = self.frequencies_hz
         wraps = 1
         for other_hz in others_hz:
@@ -188,7 +196,7 @@ class PmdConfig(EmulatedSensor):
 
     @property
     def lamp_irradiance_W_m2(self) -> float:  # noqa: N802 - watts
-        """E1, what the lamp gives at a distance of 1 m in the field of view."""
+        """Irradiance E1 that the lamp gives at a distance of 1 m in the field of view, W/m2."""
         half_width = math.atan(self.camera.width / (2.0 * self.camera.fx))
         half_height = math.atan(self.camera.height / (2.0 * self.camera.fy))
         solid_angle_sr = 4.0 * math.asin(math.sin(half_width) * math.sin(half_height))
@@ -203,17 +211,17 @@ class PmdConfig(EmulatedSensor):
         return power_W * self.pixel.quantum_efficiency * self.sub_exposure_s / photon_J
 
     def pose_times_s(self) -> tuple[float, ...]:
-        """Return the middles of the sub-exposures, offsets from the stamp: Q1..Q4 of each frequency."""
+        """Return the middles of the sub-exposures, offsets from the stamp, s: Q1..Q4 of each frequency."""
         period_s = self.sub_exposure_s + self.readout_s
         return tuple(
             (index - (self.sub_exposures - 1) / 2.0) * period_s for index in range(self.sub_exposures)
         )
 
     def info(self, integration_time_s: float | None = None) -> PmdInfo:
-        """Return what the camera says of itself on ``<camera>/info``.
+        """Return the camera's description of itself on ``<camera>/info``.
 
         Args:
-            integration_time_s: of the frames from now on, where the exposure is automatic.
+            integration_time_s: integration time of the next frames, s, if the exposure is automatic.
         """
         return PmdInfo(
             modulation_frequency_hz=np.array(self.frequencies_hz),

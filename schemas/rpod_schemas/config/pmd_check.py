@@ -1,4 +1,4 @@
-"""When a pose explains a PMD frame: what of its pixels may contradict it."""
+"""Limits of the pixels of a PMD frame that may be inconsistent with a pose."""
 
 from typing import Annotated
 
@@ -9,37 +9,42 @@ from rpod_schemas.config.tuning import BY_HAND, Provenance, Tuning
 
 
 class PmdCheckConfig(Tuning):
-    """Limits that hold at any noise: what contradicts a pose is measured in each pixel's own."""
+    """Limits for pixels that are inconsistent with a pose, relative to each pixel's own noise."""
 
     tolerance_m: Annotated[Positive, BY_HAND] = 0.06
-    """A range is off by more than this where it contradicts, and by more than three times its noise."""
+    """Error above which a range is inconsistent with the pose, m, if it exceeds three times its noise as
+    well."""
     most_noise_m: Annotated[Positive, BY_HAND] = 0.1
-    """A range that is noisier, as its neighbours tell, says nothing: it is of the dark, not of a surface."""
+    """Largest noise of a range that is checked, m, estimated from its neighbours; a noisier range is of the
+    dark background, not of a surface."""
     reach_px: Annotated[Positive, BY_HAND] = 2.5
-    """How far off the model's outlines and edges may lie in the image: the pixels that a coarse one takes
-    together, mixed ones and the pose's own error."""
+    """Largest tolerated displacement of the model's outlines and edges in the image, px. It covers the width
+    of a coarse pixel, mixed pixels and the pose's own error."""
     place_m: Annotated[
         NonNegative,
         Provenance("hand, mock-up", "twice 3 mm, by which a target may differ from its file; a guess"),
     ] = 0.006
-    """The same on the target, which is not quite built as drawn: twice 3 mm."""
-    most_contrary_share: Annotated[
+    """Further tolerated displacement on the target, m: twice 3 mm, by which the target may differ from its
+    file."""
+    most_inconsistent_share: Annotated[
         Share,
         Provenance(
             "hand, mock-up", "right poses had up to 0.024 on emulated frames, the sun behind a camera 7 m off"
         ),
     ] = 0.04
-    """Of the pixels that say something. Right poses had up to 0.024, the sun behind a camera 7 m off."""
+    """Largest share of inconsistent pixels among the checked ones. Right poses had up to 0.024, with the sun
+    behind a camera at 7 m."""
     patch_px: Annotated[int, Field(gt=0), BY_HAND] = 5
-    """Side of a square patch of coarse pixels, about a tenth of a metre where no depth is lost: a detail
-    that is out of place is small."""
+    """Side of a square patch, coarse pixels; about a tenth of a metre if no depth is lost, because a
+    misplaced detail is small."""
     most_in_patch: Annotated[
         Annotated[int, Field(gt=0)], Provenance("hand, mock-up", "right poses had up to 6 on emulated frames")
     ] = 6
-    """Contrary pixels of the fullest patch. Right poses had up to 6. Of 25 pixels, each contrary in one case
-    of 50, more than six are in one of a million."""
+    """Largest number of inconsistent pixels in one patch. Right poses had up to 6. If one pixel in 50 is
+    inconsistent, more than six of 25 are so in one patch of a million."""
     most_lacking: Annotated[
         Annotated[int, Field(gt=0)],
         Provenance("hand, mock-up", "right poses had up to 3 on emulated frames, beside glints"),
     ] = 4
-    """The same of those that lack a surface. Right poses had up to 3, beside glints."""
+    """Largest number of pixels in one patch that lack a predicted surface. Right poses had up to 3, beside
+    glints."""

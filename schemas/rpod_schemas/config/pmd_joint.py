@@ -13,71 +13,73 @@ Count = Annotated[int, Field(gt=0)]
 
 
 class RangeErrorConfig(Tuning):
-    """Errors of the ranges that do not average out over a frame, standard deviations."""
+    """Standard deviations of the range errors that do not average out over a frame."""
 
     bias_m: Positive
-    """Of what all points share; each frame estimates it anew."""
+    """Standard deviation of the error that all points share, m; each frame estimates this error anew."""
     uneven_m: NonNegative
-    """Of what differs from it over the target, as one more error of the depth as a whole."""
+    """Standard deviation of the remaining error, which varies over the target, m; it counts as one more error
+    of the whole depth."""
 
 
 class JointDepthConfig(Tuning):
-    """Measured points in the target's distance field."""
+    """Residuals of measured points in the target's distance field, and their errors."""
 
     points: Annotated[Count, BUDGET] = 1500
-    """Measured points wanted, and most used; they lie as far apart in the image as that allows."""
+    """Largest and desired number of measured points; their spacing in the image follows from it."""
     scale_m: Annotated[Positive, BY_HAND] = 0.10
-    """Geman-McClure scale in the first iteration from afar."""
+    """Geman-McClure scale in the first step from a far prediction, m."""
     final_scale_m: Annotated[Positive, BY_HAND] = 0.03
-    """Geman-McClure scale in the last iteration."""
+    """Geman-McClure scale in the last step, m."""
     noise_m: Annotated[Positive, BY_HAND] = 0.006
-    """Least standard deviation of a residual; the inliers' own spread where that is larger."""
+    """Least standard deviation of a residual, m; the spread of the inliers if that is larger."""
     effective_points: Annotated[
         Count,
         Provenance("hand, mock-up", "neighbours share their errors; the number is chosen on emulated frames"),
     ] = 400
-    """Most residuals counted as independent: neighbours share their errors."""
+    """Largest number of residuals that count as independent: the errors of neighbours are correlated."""
     raw: Annotated[
         RangeErrorConfig,
         Provenance(
             "hand, mock-up", "of the order that Lindner et al. (CVIU 114, 2010) report for wiggling; chosen"
         ),
     ] = RangeErrorConfig(bias_m=0.04, uneven_m=0.005)
-    """What noise leaves, where the depth is not calibrated: the wiggling, which is of several centimetres
-    (M. Lindner et al., Computer Vision and Image Understanding 114, 2010)."""
+    """Errors of the ranges if the depth is not calibrated: the wiggling, which is several centimetres (M.
+    Lindner et al., Computer Vision and Image Understanding 114, 2010)."""
     calibrated: Annotated[
         RangeErrorConfig, Provenance("hand, mock-up", "several millimetres that a calibration leaves; chosen")
     ] = RangeErrorConfig(bias_m=0.007, uneven_m=0.001)
-    """The same where it is calibrated, of which mostly several millimetres are left; a calibration that tells
-    what it left (``evidence.bias_after_m``) is believed instead."""
+    """Errors of the ranges if the depth is calibrated, mostly several millimetres. A calibration that states
+    its remaining error (``evidence.bias_after_m``) replaces it."""
 
 
 class JointEdgeConfig(Tuning):
-    """The model's edges, searched along their normals in the amplitude image."""
+    """Search for the model's edges along their normals in the amplitude image, and their errors."""
 
     spacing_share: Annotated[Positive, BY_HAND] = 0.03
-    """Distance of two samples of an edge, as a share of the target's radius."""
+    """Distance between two samples of an edge, as a share of the target's radius."""
     blur_px: Annotated[Positive, BY_HAND] = 0.8
-    """Standard deviation of the smoothing before gradients are taken."""
+    """Standard deviation of the smoothing before gradients are taken, px."""
     clip: Annotated[Positive, BY_HAND] = 4.0
-    """The amplitude is clipped at so many times its median over the target: glints would outshine edges."""
+    """Amplitude above which pixels are clipped, over the median amplitude of the target: glints would
+    outshine edges."""
     search_px: Annotated[Positive, BY_HAND] = 12.0
-    """Reach of the search both ways in the first iteration from afar."""
+    """Reach of the search to both sides in the first step from a far prediction, px."""
     final_search_px: Annotated[Positive, BY_HAND] = 3.0
-    """Reach of the search in the last iteration."""
+    """Reach of the search in the last step, px."""
     least_contrast: Annotated[Positive, BY_HAND] = 0.06
-    """Of an edge's gradient over two pixels, as a share of the median amplitude."""
+    """Least change of the amplitude over two pixels at an edge, as a share of the median amplitude."""
     sigma_px: Annotated[Positive, BY_HAND] = 0.3
-    """Least standard deviation of an edge's place; the inliers' own spread where that is larger."""
+    """Least standard deviation of an edge's position, px; the spread of the inliers if that is larger."""
     effective_edges: Annotated[
         Count,
         Provenance("hand, mock-up", "neighbours share their errors; the number is chosen on emulated frames"),
     ] = 300
-    """Most samples counted as independent."""
+    """Largest number of samples that count as independent: the errors of neighbours are correlated."""
 
 
 class JointVerdictConfig(Tuning):
-    """When the tracker believes its own result: ``check``, and what the edges say."""
+    """Limits of the edges and of the scale for a pose to be accepted, besides the limits in ``check``."""
 
     min_edge_share: Annotated[
         Share,
@@ -86,69 +88,74 @@ class JointVerdictConfig(Tuning):
             "noise leaves half of a right pose's edges in their place on emulated frames, 7 m off",
         ),
     ] = 0.47
-    """Found in their place, of the edges to expect there by the noise of the frame, less one over the root of
-    their number. What is expected are places that show a change, where it is. Noise leaves half of
-    a right pose's there, 7 m off with the sun behind the camera."""
+    """Least share of edges found near their predicted place, over those expected to be detectable in the
+    noise of the frame. Expected are only places that show a change. One over the square root of their number
+    is added to the share, as an allowance for chance. Noise leaves half of the edges of a right pose, 7 m off
+    with the sun behind the camera."""
     weak_edge_share: Annotated[Share, BY_HAND] = 0.58
-    """Below this a frame is believed, but speaks against the pose: a stream of such frames is not."""
+    """Share below which an accepted pose is doubtful; a stream of doubtful frames ends the track."""
     min_changed_share: Annotated[Share, BY_HAND] = 0.5
-    """Of all places of edges those that should show a change at least; without depth, all."""
+    """Least share of all places of edges that are expected to show a change; without depth, all are."""
     bias_sigmas: Annotated[
         Positive,
         Provenance(
             "hand, mock-up", "right poses had up to 1.0 on emulated frames beside what scale_share allows"
         ),
     ] = 2.0
-    """Of what the depth's ``bias_m`` is, that ranges may be off from where the edges have the target. Right
-    poses had up to 1.0 beside what ``scale_share`` allows, a target 5 % larger or smaller mostly has more."""
+    """Largest bias of the ranges against the distance that the edges give, in standard deviations ``bias_m``
+    of the depth. Right poses had up to 1.0 in addition to ``scale_share``; a target 5 % larger or smaller
+    mostly has more."""
     scale_share: Annotated[NonNegative, BY_HAND] = 0.004
-    """Of the range, that they may be off besides: errors of the target's size and of the focal length."""
+    """Further tolerated bias of the ranges, as a share of the range: errors of the target's size and of the
+    focal length."""
     min_points: Annotated[int, Field(ge=6), BY_HAND] = 40
-    """Fewer matched points say nothing."""
+    """Least number of matched points that are conclusive."""
     min_edges: Annotated[int, Field(ge=6), BY_HAND] = 40
-    """Fewer matched samples of edges say nothing."""
+    """Least number of matched edge samples that are conclusive."""
 
 
 class JointTuning(Tuning):
     """Steps, scales and limits of the joint tracker."""
 
     far_iterations: Annotated[int, Field(ge=0), BUDGET] = 8
-    """Steps on depth alone before, from afar."""
+    """Number of first steps from a far prediction, on depth alone."""
     far_scale_m: Annotated[Positive, BY_HAND] = 0.6
-    """Geman-McClure scale of the first of them."""
+    """Geman-McClure scale of the first of these steps, m."""
     far_points: Annotated[Count, BUDGET] = 400
-    """Points that they take."""
+    """Number of points that these steps use."""
     iterations: Annotated[int, Field(ge=2), BUDGET] = 8
-    """Gauss-Newton steps from afar, over which scales and reaches narrow geometrically."""
+    """Number of Gauss-Newton steps from a far prediction, over which scales and reaches narrow
+    geometrically."""
     near_iterations: Annotated[int, Field(ge=2), BUDGET] = 5
-    """Of them, the last that are done where the prediction has the edges near; and how many follow with the
-    last scale and reach, the only ones where it is sharp."""
+    """Number of these steps, the last ones, that are done from a near prediction; and number of further steps
+    with the last scale and reach. From an accurate prediction only the further steps are done."""
     sharp_share: Annotated[Share, BY_HAND] = 0.55
-    """The prediction is sharp where this share of the edges expected in their places is there."""
+    """Share of the expected edges found in their places above which a prediction is accurate."""
     near_share: Annotated[Share, BY_HAND] = 0.4
-    """It has the edges near where this share is."""
+    """Share of the expected edges found in their places above which a prediction is near."""
     fair_share: Annotated[Share, BY_HAND] = 0.5
-    """Below this share it is drawn in from afar."""
+    """Share of agreeing pixels below which a prediction is far: the steps on depth alone are done first."""
     near_m: Annotated[Positive, BY_HAND] = 0.05
-    """Within which a prediction agrees with a pixel, or within twice its noise."""
+    """Largest difference between a predicted and a measured range that agree, m, or twice the pixel's
+    noise."""
     missing_weight: Annotated[Share, BY_HAND] = 0.1
-    """Weight of a pixel without depth where a prediction has surface, beside a measured one: glints, dark
-    parts and close, bright ones lose theirs."""
+    """Weight of a pixel without depth at a predicted surface, over that of a measured one: glints, dark parts
+    and close, bright parts lose their depth."""
     ghost_share: Annotated[Share, BY_HAND] = 0.08
-    """Depth is dropped where the amplitude is below this share of the image's mean, in which pixels without
-    depth count as dark: close to a bright target, stray light gives the background a depth."""
+    """Share of the image's mean amplitude below which depth is dropped; in the mean, pixels without depth
+    count as dark. Close to a bright target, stray light gives the background a false depth."""
     unobserved_m: Annotated[Positive, WIDE_PRIOR] = 1.0
-    """Standard deviation of a motion that nothing in the image determines."""
+    """Standard deviation of a translation that nothing in the image determines, m."""
     unobserved_deg: Annotated[Positive, WIDE_PRIOR] = 30.0
-    """The same of a turn."""
+    """Standard deviation of a rotation that nothing in the image determines, deg."""
     depth: JointDepthConfig = JointDepthConfig()
-    """Its residuals and their errors."""
+    """Residuals of the depth points and their errors."""
     edges: JointEdgeConfig = JointEdgeConfig()
-    """Their search and their errors."""
+    """Search for the edges and their errors."""
     check: PmdCheckConfig = PmdCheckConfig()
-    """The self-check by render and compare."""
+    """Limits of the self-check by render and compare."""
     verdict: JointVerdictConfig = JointVerdictConfig()
-    """That by the edges, and what is too little to say anything."""
+    """Limits of the self-check by the edges, and least numbers that are conclusive."""
 
     @model_validator(mode="after")
     def _narrows(self) -> Self:
@@ -158,20 +165,22 @@ class JointTuning(Tuning):
             raise ValueError("edges.final_search_px must not exceed edges.search_px: the search narrows")
         if self.verdict.min_edge_share > self.verdict.weak_edge_share:
             raise ValueError(
-                "verdict.min_edge_share must not exceed verdict.weak_edge_share: weak is believed"
+                "verdict.min_edge_share must not exceed verdict.weak_edge_share: "
+                "a pose between them is doubtful"
             )
         if self.near_iterations > self.iterations:
-            raise ValueError("near_iterations must not exceed iterations: they are the last of them")
+            raise ValueError("near_iterations must not exceed iterations, of which they are the last")
         return self
 
 
 class JointConfig(MethodConfig):
-    """Signed distance of depth points and places of edges in one least squares."""
+    """Joint tracker: depth points in the distance field and edge positions in one least squares."""
 
     kind: str = "joint"
     """Selects this method."""
     slack_m: NonNegative = 0.00015
-    """Standard deviation of the target model's own error, one for depth and edges as a whole. Raise it
-    where the body differs more from its file: the covariances grow, so that the filter trusts frames less."""
+    """Standard deviation of the target model's own error, m, one for depth and edges as a whole. Raise it if
+    the body differs more from its file: the covariances grow, and the filter trusts frames less."""
     tuning: JointTuning = JointTuning()
-    """Limits and numbers that are no part of the promise; change them only to study the method."""
+    """Limits and numbers of the method that are outside the public interface; change them only to study
+    it."""

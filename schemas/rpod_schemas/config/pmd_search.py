@@ -13,132 +13,136 @@ Count = Annotated[int, Field(gt=0)]
 
 
 class PmdSceneConfig(Tuning):
-    """What of a frame the search looks at."""
+    """Pixels of a frame that the search uses."""
 
     ghost_share: Annotated[Share, BY_HAND] = 0.08
-    """Depth is dropped where the amplitude is below this share of the image's mean: stray light."""
+    """Share of the image's mean amplitude below which depth is dropped, as stray light."""
     lit_share: Annotated[Share, BY_HAND] = 0.25
-    """A pixel without depth shows the target where its amplitude exceeds the sky's by far, or this share of
-    what the darkest pixels with depth have."""
+    """Share of the amplitude of the darkest pixels with depth above which a pixel without depth shows the
+    target; so does one whose amplitude exceeds the sky's by far."""
     pixels: Annotated[Count, BUDGET] = 1600
-    """About how many pixels of the target are looked at: the stride follows from it."""
+    """Approximate number of pixels of the target that are used; the stride follows from it."""
     most_stride_px: Annotated[Count, BUDGET] = 5
-    """Largest stride across and down."""
+    """Largest stride across and down, px."""
     min_points: Annotated[int, Field(ge=20), BY_HAND] = 40
-    """Fewer of those pixels with depth are no image of the target."""
+    """Least number of used pixels with depth in an image of the target."""
     most_off_centre: Annotated[Share, BY_HAND] = 0.1
-    """Share of the image's size by which the principal point may lie off its middle."""
+    """Largest distance of the principal point from the image's middle, as a share of the image's size."""
     most_oblong: Annotated[float, Field(ge=1), BY_HAND] = 1.1
-    """Most ratio of the focal lengths."""
+    """Largest ratio of the focal lengths."""
 
 
 class PmdModelConfig(Tuning):
-    """What is expected of the pixels of a frame under the right pose; it need not be exact."""
+    """Expected statistics of a frame's pixels at the right pose; they need not be exact."""
 
     sigma_m: Annotated[
         Positive, Provenance("hand, mock-up", "uncalibrated wiggling, as JointDepthConfig.raw")
     ] = 0.04
-    """Standard deviation of a depth but for its noise: uncalibrated wiggling, as ``JointDepthConfig.raw``."""
+    """Standard deviation of a depth without its noise, m: uncalibrated wiggling, as
+    ``JointDepthConfig.raw``."""
     most_noise_m: Annotated[Positive, BY_HAND] = 0.1
-    """Noise, as neighbouring pixels tell it, is never taken for more."""
+    """Largest assumed noise of a depth, which neighbouring pixels tell, m."""
     slack_m: Annotated[Positive, BY_HAND] = 0.015
-    """The same of the surface across its normal: on a steep face it counts for more along the ray."""
+    """Standard deviation of the surface along its normal, m; on a steep face it is larger along the ray."""
     outlier_loss: Annotated[Positive, BY_HAND] = 3.5
-    """Most loss of a depth: mixed pixels and multiple reflections are wrong altogether."""
+    """Largest loss of a depth: mixed pixels and multiple reflections are entirely wrong."""
     strange_log_amplitude: Annotated[
         Positive,
         Provenance(
             "hand, mock-up", "a factor of ten from the darkest paint to the brightest; the value is chosen"
         ),
     ] = 1.0
-    """Least standard deviation of the amplitude's logarithm where the materials may be others than the
-    file's: any paint may be any other, a factor of ten from the darkest to the brightest."""
+    """Least standard deviation of the amplitude's logarithm if the materials may differ from the file's: any
+    paint may be any other, a factor of ten from the darkest to the brightest."""
     amplitude_outlier_loss: Annotated[Positive, BY_HAND] = 2.3
-    """Most loss of an amplitude: of glints no class of brightness knows anything."""
+    """Largest loss of an amplitude: no class of brightness predicts glints."""
     lost_loss: Annotated[NonNegative, BY_HAND] = 0.3
-    """Loss of a lit pixel without depth where the pose predicts surface: glints and dark parts lose depth."""
+    """Loss of a lit pixel without depth at a predicted surface: glints and dark parts lose depth."""
     dark_loss: Annotated[NonNegative, BY_HAND] = 3.0
-    """Loss of a dark pixel where the pose predicts surface."""
+    """Loss of a dark pixel at a predicted surface."""
     beyond_loss: Annotated[NonNegative, BY_HAND] = 4.0
-    """Loss of a pixel with depth, or lit, where the pose predicts none."""
+    """Loss of a pixel with depth, or of a lit one, at which the pose predicts no surface."""
 
 
 class PmdLimitsConfig(Tuning):
-    """What a pose that explains a frame is granted."""
+    """Limits within which a pose explains a frame."""
 
     max_loss: Positive
-    """Most mean loss a pixel."""
+    """Largest mean loss of a pixel."""
     min_explained_share: Share
     """Least share of pixels on which pose and frame agree."""
     max_patch_loss: Positive
-    """Most mean loss a pixel of the worst patch: a detail that is missing or out of place is small."""
+    """Largest mean loss of a pixel in the worst patch: a missing or misplaced detail is small."""
     max_face_loss: Positive
-    """Most mean loss a pixel of the worst face-wide patch: another surface is a little wrong all over."""
+    """Largest mean loss of a pixel in the worst patch as wide as a face: another surface has small errors
+    everywhere."""
     facts: Positive
-    """How many independent errors a frame has: neighbours share those of camera and model. The fewer, the
-    more a rival has to be worse."""
+    """Number of independent errors in a frame; neighbours share those of camera and model. The lower it is,
+    the worse a pose must be not to be a rival."""
 
 
 class PmdVerdictConfig(Tuning):
-    """When a pose explains a frame."""
+    """Limits within which a pose explains a frame, with and without the materials."""
 
     patch_px: Annotated[Count, BY_HAND] = 5
-    """Side of a square patch of the pixels that are looked at, about a tenth of a metre wide."""
+    """Side of a square patch of used pixels, about a tenth of a metre wide."""
     face_px: Annotated[Count, BY_HAND] = 13
-    """Side of a larger patch, about as wide as a face: of one material."""
+    """Side of a larger patch of used pixels, about as wide as a face, which has one material."""
     as_filed: Annotated[PmdLimitsConfig, BY_HAND] = PmdLimitsConfig(
         max_loss=0.6, min_explained_share=0.87, max_patch_loss=2.0, max_face_loss=1.0, facts=100.0
     )
-    """Of depth, outline and amplitude, where the materials are those of the target's file."""
+    """Limits for depth, outline and amplitude, if the materials are those of the target's file."""
     shape: Annotated[PmdLimitsConfig, BY_HAND] = PmdLimitsConfig(
         max_loss=0.45, min_explained_share=0.96, max_patch_loss=1.4, max_face_loss=0.65, facts=45.0
     )
-    """Of depth and outline, which are asked whatever the materials are, and alone where these are others."""
+    """Limits for depth and outline. They hold for all materials, and are the only ones if the materials are
+    not those of the file."""
     ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
-    """Below this weight of the best hypothesis the result is ambiguous."""
+    """Weight of the best hypothesis below which the result is ambiguous."""
 
 
 class PmdAcquisitionTuning(Tuning):
     """Numbers of candidates and limits of the search."""
 
     compared: Annotated[Count, BY_HAND] = 300
-    """Of them, the best ones that are compared with more of it."""
+    """Number of the best attitudes that are compared with more of the frame."""
     refined: Annotated[Count, BY_HAND] = 24
-    """Of those, the best ones that are drawn onto the frame and rendered."""
+    """Number of the best of these that are aligned with the frame and rendered."""
     model_points: Annotated[Count, BUDGET] = 240
-    """Surface points that stand for the target while attitudes are compared."""
+    """Number of surface points that represent the target while attitudes are compared."""
     truncation_m: Annotated[Positive, BY_HAND] = 0.5
-    """Distances beyond this cost no more."""
-    draw_in_points: Annotated[Count, BUDGET] = 128
-    """Measured points that candidates are drawn in on."""
+    """Distance above which the cost is constant, m."""
+    coarse_points: Annotated[Count, BUDGET] = 128
+    """Number of measured points with which candidates are coarsely aligned."""
     fine_points: Annotated[Count, BUDGET] = 500
-    """Measured points that the best are finished on."""
+    """Number of measured points with which the best poses are refined."""
     turned: Annotated[Count, BY_HAND] = 3
-    """Most poses whose turns by near-symmetries and about the axes are tried."""
+    """Largest number of poses whose turns are tried, near-symmetries and turns about the axes."""
     turns: Annotated[Count, BY_HAND] = 8
-    """Best turns of each that are drawn onto the frame."""
+    """Number of best turns of each pose that are aligned with the frame."""
     finished: Annotated[Count, BY_HAND] = 4
-    """Best distinct poses that are finished."""
+    """Number of best distinct poses that are refined to the end."""
     rival_loss: Annotated[Positive, BY_HAND] = 200.0
-    """Of them, those that are behind the best by no more are sharpened on the outline too."""
+    """Largest difference of loss from the best pose with which one of these is refined on the outline too."""
     distinct_deg: Annotated[NonNegative, BY_HAND] = 8.0
-    """Poses whose attitudes differ by less are one."""
+    """Angle between two attitudes, deg, below which their poses are the same."""
     near_attitudes: Annotated[Count, BY_HAND] = 12000
-    """Spread over all of SO(3), of which those near a roughly known pose are compared."""
+    """Number of attitudes, evenly spread over SO(3), of which those near a roughly known pose are
+    compared."""
     near_refined: Annotated[Count, BY_HAND] = 12
-    """Of those near, the best ones that are drawn onto the frame and rendered."""
+    """Number of the best of these that are aligned with the frame and rendered."""
     near_deg: Annotated[Positive, BY_HAND] = 45.0
-    """How far attitudes may be from a pose that is known roughly, where only that is searched."""
+    """Largest angle of an attitude from a roughly known pose, deg, in a search near that pose."""
     scene: PmdSceneConfig = PmdSceneConfig()
-    """What of a frame is looked at."""
+    """Pixels of a frame that are used."""
     model: PmdModelConfig = PmdModelConfig()
-    """What is expected of it."""
+    """Expected statistics of these pixels."""
     verdict: PmdVerdictConfig = PmdVerdictConfig()
-    """When a pose explains it."""
+    """Limits within which a pose explains a frame."""
     scale_m: Annotated[Positive, BY_HAND] = 0.1
-    """Distance from the surface within which a measured point counts for the covariance."""
+    """Distance from the surface within which a measured point contributes to the covariance, m."""
     errors: Annotated[DepthErrorConfig, BY_HAND] = DepthErrorConfig()
-    """What the covariance assumes."""
+    """Errors that the covariance assumes."""
 
 
 class PmdAcquisitionConfig(MethodConfig):
@@ -147,7 +151,8 @@ class PmdAcquisitionConfig(MethodConfig):
     kind: str = "view_search"
     """Selects this method."""
     attitudes: Count = 3000
-    """Attitudes over all of SO(3) that are compared with the frame. Raise it where the search misses a target
-    with many alike views; the time of a search grows with it."""
+    """Number of attitudes, evenly spread over SO(3), that are compared with the frame. Raise it if the search
+    misses a target with many similar views; the time of a search grows with it."""
     tuning: PmdAcquisitionTuning = PmdAcquisitionTuning()
-    """Limits and numbers that are no part of the promise; change them only to study the method."""
+    """Limits and numbers of the method that are outside the public interface; change them only to study
+    it."""

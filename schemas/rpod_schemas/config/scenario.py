@@ -10,34 +10,34 @@ from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.motion import MotionConfig
 
 DEFAULT_EPOCH_NS = 1_767_225_600_000_000_000
-"""2026-01-01T00:00:00Z."""
+"""Default epoch, 2026-01-01T00:00:00Z, ns of UTC."""
 
 
 class Scenario(Config):
     """A rendezvous to play."""
 
     name: Name
-    """Under which ``rpod run`` finds it."""
+    """Name under which ``rpod run`` finds the scenario."""
     title: str = Field(min_length=8, max_length=120)
-    """One line for ``rpod scenarios``."""
+    """Title, one line for ``rpod scenarios``."""
     target: str
     """Name or file of the target."""
     duration_s: Positive
-    """Of the run."""
+    """Duration of the run, s."""
     seed: int = Field(default=1, ge=0)
-    """Of all noise."""
+    """Seed of all noise."""
     epoch_ns: int = Field(default=DEFAULT_EPOCH_NS, ge=0)
-    """Start of time in lockstep; live runs start at the wall clock's time."""
+    """Start of time in lockstep, ns of UTC; live runs start at the wall clock's time."""
     motion: MotionConfig
-    """How chaser and target move."""
+    """Motion of chaser and target, and the sun."""
     sensors: tuple[SensorConfig, ...] = Field(min_length=1)
-    """What is emulated."""
+    """Sensors to emulate."""
     world: WorldName = "documented"
-    """Which physics the emulated sensors have; the estimator is not told."""
+    """Variant of the emulated sensors' physics; the estimator is not told."""
     publish_samples: bool = False
-    """Publish the PMD cameras' raw samples as well: about 70 MB/s at 45 Hz."""
+    """Whether to publish the PMD cameras' raw samples as well, about 70 MB/s at 45 Hz."""
     estimator: EstimatorSettings
-    """How poses are estimated."""
+    """Sensors, navigator and filter of the estimator."""
 
     @model_validator(mode="after")
     def _estimator_hears_the_sensors(self) -> Self:

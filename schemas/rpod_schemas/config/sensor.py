@@ -1,4 +1,4 @@
-"""What every sensor's and method's configuration has, and how ``kind`` chooses among the installed ones."""
+"""Fields that every sensor's and every method's configuration has, and the choice of a model by ``kind``."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class Kinded(Config):
     """A configuration that is chosen by its ``kind``, whose default is the only value that it takes."""
 
     kind: str
-    """Under which the registry knows it."""
+    """Name of the sensor kind or method in the registry."""
 
     @field_validator("kind")
     @classmethod
@@ -32,32 +32,32 @@ class EmulatedSensor(Kinded):
     """A sensor to emulate: name, timing and mount; a kind adds its own fields."""
 
     name: Name
-    """Prefix of its topics."""
+    """Name of the sensor: prefix of its topics."""
     rate_hz: Positive
-    """Frames per second."""
+    """Number of frames per second."""
     T_chaser_sensor: Pose = Field(default_factory=make_pose)
     """Mount: pose of the sensor's (optical) frame in the chaser."""
 
     @property
     def latency_s(self) -> float:
-        """From the stamp, the middle of the exposure or scan, to the frame's hand-over."""
+        """Time from the stamp, the middle of exposure or scan, to the hand-over, s."""
         raise NotImplementedError
 
     def pose_times_s(self) -> tuple[float, ...]:
-        """Return when the target's pose is needed to make a frame, offsets from the stamp."""
+        """Return the times at which a frame needs the target's pose, offsets from the stamp, s."""
         return (0.0,)
 
 
 class SensorInput(Kinded):
-    """A sensor that the estimator listens to; a kind adds what its methods need."""
+    """A sensor that the estimator uses; a kind adds what its methods need."""
 
     name: Name
     """Name of the sensor: the first part of its topics."""
     T_chaser_sensor: Pose | None = None
-    """Mount, where tf_static does not tell."""
+    """Mount of the sensor, if tf_static does not give it."""
 
     def informed_by(self, emulated: EmulatedSensor) -> Self:  # noqa: ARG002 - what a kind may want to know
-        """Return this input with what the sensor will say of itself: methods are ready before it does."""
+        """Return this input with the data that the sensor will publish of itself."""
         return self
 
 
@@ -72,7 +72,7 @@ class Registered:
     Args:
         model_of: returns the model of a kind; raises ``SchemaError`` for one that is not known.
         kinds: returns the kinds that are known.
-        default: the kind of a document that names none; where empty, it must name one.
+        default: kind for a document that names none; if empty, the document must name one.
     """
 
     model_of: Callable[[str], type[Kinded]]
@@ -84,11 +84,11 @@ class Registered:
         return [self.model_of(kind) for kind in self.kinds()]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Validate with the registered model; dump as what it is."""
+        """Return a schema that validates with the registered model and dumps the value as it is."""
         return core_schema.no_info_plain_validator_function(self._validated)
 
     def __get_pydantic_json_schema__(self, _: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Describe all models that are installed."""
+        """Return the JSON schema of all installed models."""
         models = [handler(model.__pydantic_core_schema__) for model in self.models()]
         return {"oneOf": models, "discriminator": {"propertyName": "kind"}}
 

@@ -1,9 +1,9 @@
-"""Tuning: parameters of a method that are no part of the promise, each with its provenance beside it.
+"""Tuning: parameters of a method outside the public interface, each with its provenance.
 
-A public field of a configuration stays from version to version and says when to change it. A field of a
-``tuning`` model may change its name, its value or vanish with any version. ``Provenance`` says where its
-default comes from. Values of the source ``campaign`` are those that the command writes which derives limits
-from a population of targets and worlds; its note names the campaign, the seeds, the quantile and the margin.
+A public field of a configuration stays from version to version, and its description says when to change it.
+A field of a ``tuning`` model may change its name or its value, or vanish, in any version. ``Provenance``
+states the source of its default. Values of the source ``campaign`` are written by the command that derives
+limits from a population of targets and worlds; their note names campaign, seeds, quantile and margin.
 """
 
 from collections import Counter
@@ -17,18 +17,18 @@ from pydantic.fields import FieldInfo
 from rpod_schemas.config.base import Config
 
 Origin = Literal["paper", "physics", "campaign", "numerics", "hand, mock-up"]
-"""Where a value comes from.
+"""Source of a value.
 
 ``paper``: a publication states it. ``physics``: it follows from a law, a definition or the statistics of a
 distribution. ``campaign``: a campaign over many targets derived it. ``numerics``: it trades time against the
 convergence or the resolution of a computation. ``hand, mock-up``: somebody chose it on emulated frames,
-mostly of the mock-up; how well it holds for other targets is not known.
+mostly of the mock-up; its validity for other targets is not known.
 """
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where the default of a tuning field comes from.
+    """Source of the default of a tuning field.
 
     Args:
         source: the kind of origin.
@@ -41,19 +41,19 @@ class Provenance:
 
 
 BY_HAND = Provenance("hand, mock-up", "chosen on emulated frames; no derivation is recorded")
-"""Of values without a recorded derivation."""
+"""Provenance of values without a recorded derivation."""
 BUDGET = Provenance("numerics", "a budget of computation: the time grows with it")
-"""Of numbers of steps, points and samples."""
+"""Provenance of numbers of steps, points and samples."""
 WIDE_PRIOR = Provenance("hand, mock-up", "a wide prior; the value is chosen, not derived")
-"""Of standard deviations that stand where nothing is observed."""
+"""Provenance of standard deviations for unobserved motions."""
 UNKNOWNS = Provenance("physics", "a pose has six unknowns, so that fewer equations determine none")
-"""Of least numbers of points."""
+"""Provenance of least numbers of points."""
 
 
 class Tuning(Config):
-    """Parameters that are no part of the promise; each field has a ``Provenance`` in its annotation.
+    """Parameters outside the public interface; each field has a ``Provenance`` in its annotation.
 
-    The provenance of a field that is a model itself holds for the fields in it that have none of their own.
+    The provenance of a field that is itself a model applies to the fields in it that have none of their own.
     """
 
 
@@ -61,16 +61,16 @@ class TuningValue(NamedTuple):
     """A leaf of a tuning model."""
 
     path: str
-    """Names of the fields that lead to it, with dots between."""
+    """Names of the fields that lead to the value, separated by dots."""
     provenance: Provenance | None
-    """Where its default comes from; None where nothing says so."""
+    """Source of the default; None if no field on the path states one."""
 
 
 def public_fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
     """Return all leaves of a configuration model by name, those of ``Tuning`` models left out.
 
-    A leaf is a field whose type holds no model. The fields of a model in a tuple count once. Of a field that
-    takes one model of several, that of its default is looked into.
+    A leaf is a field whose type holds no model. The fields of a model in a tuple count once. For a field that
+    takes one of several models, the leaves of its default model count.
     """
     return {path: field for path, field, _ in _leaves(model, given=None, tuning=False)}
 
@@ -103,7 +103,7 @@ def _leaves(
 
 
 def provenance_of(annotation: Any) -> Provenance | None:
-    """Return the provenance in a field's annotation, None where there is none."""
+    """Return the provenance in a field's annotation, None if there is none."""
     if get_origin(annotation) is not Annotated:
         return None
     return next((item for item in annotation.__metadata__ if isinstance(item, Provenance)), None)

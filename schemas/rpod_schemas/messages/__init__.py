@@ -1,4 +1,4 @@
-"""From ROS messages to the domain types and back: the edge where everything is checked.
+"""Conversion of ROS messages to the domain types and back, where every field is checked.
 
 ``read_*`` take a decoded message and return a domain type, or raise ``MessageRejectedError`` with
 the reason under which the message is counted. ``write_*`` are their inverses. Arrays stay views.

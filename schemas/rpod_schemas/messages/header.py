@@ -31,7 +31,7 @@ def write_header(stamp_ns: int, frame_id: str) -> Any:
 
 
 def build(model: type[ModelT], **fields: Any) -> ModelT:
-    """Return a domain type; values that it does not accept reject the message."""
+    """Return a domain type, or reject the message if the type does not accept a value."""
     try:
         return model(**fields)
     except ValidationError as error:
@@ -43,12 +43,12 @@ def build(model: type[ModelT], **fields: Any) -> ModelT:
 
 
 def within(bound: Bound, field: str, value: CheckedT) -> CheckedT:
-    """Return a field's number or array; values beyond its limits reject the message."""
+    """Return a field's number or array, or reject the message if a value is beyond the limits."""
     return accepted(bound.check, field, value)
 
 
 def accepted(check: Callable[[CheckedT], CheckedT], field: str, value: CheckedT) -> CheckedT:
-    """Return the checked value of a field; an invalid value rejects the message."""
+    """Return the checked value of a field, or reject the message if it is invalid."""
     try:
         return check(value)
     except ValueError as error:
@@ -57,6 +57,6 @@ def accepted(check: Callable[[CheckedT], CheckedT], field: str, value: CheckedT)
 
 
 def read_text(field: str, text: str) -> str:
-    """Return a text of a message that is no longer than any text can be."""
+    """Return a text of a message, or reject the message if the text is too long."""
     within(TEXT, f"length of {field}", len(text))
     return text

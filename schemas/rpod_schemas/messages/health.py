@@ -47,7 +47,7 @@ def read_status(message: Any) -> EstimatorStatus:
 
 
 def _read_hypotheses(message: Any) -> tuple[Hypothesis, ...]:
-    """Return the hypotheses; a status of version 1 names none and gives no likelihoods."""
+    """Return the hypotheses; a status of version 1 has neither their names nor their likelihoods."""
     count = len(message.hypotheses)
     names = getattr(message, "hypothesis_names", [""] * count)
     logs = getattr(message, "hypothesis_log_likelihoods", [float("nan")] * count)
@@ -122,7 +122,7 @@ def read_diagnostics(message: Any) -> list[Diagnostic]:
 
 
 def write_diagnostics(diagnostics: Sequence[Diagnostic]) -> Any:
-    """Return a diagnostic_msgs/DiagnosticArray; all of one stamp."""
+    """Return a diagnostic_msgs/DiagnosticArray of diagnostics with the same stamp."""
     pair = message_class("diagnostic_msgs/msg/KeyValue")
     return message_class("diagnostic_msgs/msg/DiagnosticArray")(
         header=write_header(diagnostics[0].stamp_ns, ""),

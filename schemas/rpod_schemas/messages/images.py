@@ -1,4 +1,4 @@
-"""Images and the camera that made them."""
+"""Images, and intrinsics of the camera that made them."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ _ENCODINGS: dict[str, tuple[str, int]] = {
 
 
 def read_image(message: Any) -> NDArray[Any]:
-    """Return the pixels of a sensor_msgs/Image, (height, width) or (height, width, channels), a view."""
+    """Return the pixels of a sensor_msgs/Image as a view, (height, width) or (height, width, channels)."""
     if message.encoding not in _ENCODINGS:
         known = ", ".join(_ENCODINGS)
         raise MessageRejectedError(Reason.WRONG_TYPE, f"encoding {message.encoding!r}, known are {known}")
@@ -49,9 +49,9 @@ def read_image(message: Any) -> NDArray[Any]:
 
 
 def read_depth(message: Any) -> NDArray[np.float32]:
-    """Return z-depth, m, float32, NaN where there is none, of a ``32FC1`` or ``16UC1`` image.
+    """Return z-depth, m, float32, of a ``32FC1`` or ``16UC1`` image; NaN for pixels without depth.
 
-    An image without one finite pixel is rejected.
+    An image without any finite pixel is rejected.
     """
     image = read_image(message)
     if message.encoding == "16UC1":
@@ -77,7 +77,7 @@ def read_amplitude(message: Any) -> NDArray[Any]:
 
 
 def write_image(stamp_ns: int, frame_id: str, image: NDArray[Any], encoding: str) -> Any:
-    """Return a sensor_msgs/Image of an array, without a copy where it is C-contiguous."""
+    """Return a sensor_msgs/Image of an array, without a copy if it is C-contiguous."""
     return message_class("sensor_msgs/msg/Image")(
         header=write_header(stamp_ns, frame_id),
         height=image.shape[0],
@@ -90,7 +90,7 @@ def write_image(stamp_ns: int, frame_id: str, image: NDArray[Any], encoding: str
 
 
 def read_camera(message: Any) -> Camera:
-    """Read a sensor_msgs/CameraInfo with plumb_bob distortion, or none."""
+    """Return the camera of a sensor_msgs/CameraInfo with plumb_bob distortion, or with none."""
     if message.distortion_model not in ("", "plumb_bob"):
         raise MessageRejectedError(
             Reason.WRONG_TYPE, f"distortion model {message.distortion_model!r}, needs plumb_bob"

@@ -14,10 +14,10 @@ _FLOAT32 = 7
 
 
 def read_points(message: Any) -> dict[str, NDArray[np.float32]]:
-    """Return the fields of a PointCloud2, each (rows, columns) where organised, else (N,).
+    """Return the fields of a PointCloud2, each (rows, columns) if organised, else (N,).
 
-    ``x``, ``y`` and ``z`` are there; ``intensity`` and ``t`` where they were sent. Views, unless the bytes
-    are big-endian.
+    The fields are ``x``, ``y`` and ``z``, and ``intensity`` and ``t`` if they were sent. They are views,
+    unless the bytes are big-endian.
     """
     row = message.point_step * message.width
     if message.row_step < row or message.data.size < message.row_step * (message.height - 1) + row:

@@ -1,4 +1,4 @@
-"""The sensor kinds and methods that are installed: the project's own and those of other packages."""
+"""The installed sensor kinds and methods: the project's own and those of other packages."""
 
 from rpod_schemas.registry import METHODS, SENSORS, check_type, names
 from rpod_schemas.sensors.kind import Method, Part, Role, SensorKind
@@ -24,7 +24,7 @@ def method(sensor: str, name: str) -> Method:
 
 
 def methods(sensor: str, role: Role | None = None) -> tuple[Method, ...]:
-    """Return the methods of a sensor kind, of a role or all, in the order of their names."""
+    """Return the methods of a sensor kind in the order of their names, those of one role or all."""
     prefix = f"{sensor}."
     found = (method(sensor, name.removeprefix(prefix)) for name in names(METHODS) if name.startswith(prefix))
     return tuple(each for each in found if role in (None, each.role))

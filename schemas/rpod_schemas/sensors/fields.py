@@ -1,4 +1,4 @@
-"""Annotations of configuration fields whose models are looked up among what is installed."""
+"""Annotations of configuration fields whose models are looked up among the installed ones."""
 
 from rpod_schemas.config.sensor import MethodConfig, Registered
 from rpod_schemas.errors import SchemaError
@@ -7,16 +7,16 @@ from rpod_schemas.sensors import Role, method, methods, sensor_kind
 
 
 class WrongRoleError(SchemaError):
-    """Raised for a method of another role."""
+    """Raised for a method that has another role."""
 
     def __init__(self, name: str, role: Role, known: tuple[str, ...]) -> None:
         super().__init__(f"{name!r} is no method for {role}, known are {', '.join(known)}")
 
 
 EMULATED = Registered(lambda kind: sensor_kind(kind).emulated, lambda: names(SENSORS))
-"""A sensor to emulate."""
+"""Annotation of a sensor to emulate."""
 HEARD = Registered(lambda kind: sensor_kind(kind).heard, lambda: names(SENSORS))
-"""A sensor that the estimator listens to."""
+"""Annotation of a sensor that the estimator uses."""
 
 
 def chosen(sensor: str, role: Role, *, default: str = "") -> Registered:
@@ -24,8 +24,8 @@ def chosen(sensor: str, role: Role, *, default: str = "") -> Registered:
 
     Args:
         sensor: name of the kind.
-        role: what the method is for.
-        default: method of a document that names none; where empty, it must name one.
+        role: role of the method.
+        default: method for a document that names none; if empty, the document must name one.
     """
 
     def known() -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Sensor kinds and methods: names, topics, models, and references to modules that are heavy to import."""
+"""Sensor kinds and methods: names, topics, models, and references to modules that take long to import."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -17,43 +17,45 @@ class Part:
     """One message of a frame."""
 
     topic: Topic
-    """As ``<camera>/depth/image_raw``."""
+    """Topic of the message, as ``<camera>/depth/image_raw``."""
     required: bool = True
     """Whether a frame is incomplete without it."""
 
 
 @dataclass(frozen=True)
 class SensorKind:
-    """A kind of sensor: everything in which one kind differs from another, in one place.
+    """A kind of sensor, with everything in which one kind differs from another.
 
     The references ``module:attribute`` are imported by the process that needs them, so that a logger or a
-    camera's computer does without compiled methods and meshes.
+    camera's computer needs no compiled methods and no meshes.
     """
 
     name: str
     """Name of the kind in configurations, and of its entry point in ``rpod.sensors``."""
     title: str
-    """Title for people, as in "frames of a PMD camera"."""
+    """Title in texts, as in "frames of a PMD camera"."""
     parts: dict[str, Part]
-    """Messages of a frame by name; the first is the leading one, whose absence leaves nothing."""
+    """Messages of a frame by name; the first is the leading one, without which there is no frame."""
     emulated: type[EmulatedSensor]
     """Configuration of the emulated sensor."""
     heard: type[SensorInput]
-    """Configuration of the estimator's side: methods and what they need."""
+    """Configuration of the sensor in the estimator: its methods and their data."""
     reader: str
-    """``rpod_runtime.frames.SensorReader``: from the messages of a frame to what the methods work on."""
+    """Reference to an ``rpod_runtime.frames.SensorReader``: from the messages of a frame to the methods'
+    input."""
     publisher: str
-    """``rpod_runtime.sensors.SensorPublisher``: from frames to messages; drivers and the emulator use it."""
+    """Reference to an ``rpod_runtime.sensors.SensorPublisher``: from frames to messages, for drivers and the
+    emulator."""
     emulator: str
-    """``rpod_emulator.channels.Channel``: from truth to frames."""
+    """Reference to an ``rpod_emulator.channels.Channel``: from truth to frames."""
     methods: str
-    """``rpod_pose.ports.KindMethods``: how its methods are made and warmed up."""
+    """Reference to the ``rpod_pose.ports.KindMethods`` that build and warm up the methods."""
     info: Topic | None = None
     """Latched message in which the sensor describes itself."""
     extras: tuple[Topic, ...] = ()
-    """Topics that are recorded and belong to no frame."""
+    """Topics that are recorded but belong to no frame."""
     sources: tuple[Source, ...] = (Source.OTHER,)
-    """Sources that its methods may give in the estimator's status."""
+    """Sources that its methods may state in the estimator's status."""
 
     @property
     def leading(self) -> Topic:
@@ -67,7 +69,7 @@ class SensorKind:
 
     @property
     def optional(self) -> frozenset[str]:
-        """Names of the other parts."""
+        """Names of the parts that a frame may lack."""
         return frozenset(self.parts) - self.required
 
     @property
@@ -96,5 +98,5 @@ class Method:
         return str(self.config.model_fields["kind"].default)
 
     def built(self, config: MethodConfig, task: Any) -> Any:
-        """Return the method, importing what it needs."""
+        """Return the method, after importing its module."""
         return resolve(self.build)(config, task)

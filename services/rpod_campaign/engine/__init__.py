@@ -1,4 +1,4 @@
-"""The engine of the campaigns: it runs trials anywhere, keeps their rows, and knows no sensor.
+"""The engine of the campaigns: it runs trials on any machine, stores their rows, and knows no sensor.
 
 A campaign is named cells, each a frozen dataclass of parameters, times trials; a trial is a pure function of
 (cell, seed, trial number), so that any process may run it, in any order, and an interrupted campaign resumes.

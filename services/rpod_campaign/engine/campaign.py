@@ -1,4 +1,4 @@
-"""What a campaign is: its options, its cells, its trial, and how its rows become tables and figures."""
+"""A campaign: its options, its cells, its trial, and the summary of its rows in tables and figures."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from rpod_schemas.errors import ConfigurationError
 CellT = TypeVar("CellT")
 Row = Mapping[str, Any]
 CELL, TRIAL = "cell", "trial"
-"""Columns in front of every row: index of the cell, number of the trial."""
+"""Names of the first columns of every row: index of the cell, number of the trial."""
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class CellResult(Generic[CellT]):
 
     cell: CellT
     rows: pl.DataFrame
-    """One row a trial, in the order of the trials."""
+    """Rows of all trials, in the order of the trials."""
     summary: Row
-    """The cell's object in the output of ``--json``."""
+    """Object of the cell in the output of ``--json``."""
 
 
 @dataclass(frozen=True)
@@ -33,25 +33,25 @@ class Campaign(Generic[CellT]):
 
     name: str
     options: type[Options]
-    """The model of its options; its ``title`` is the campaign's."""
+    """Model of its options; its ``title`` is the campaign's."""
     cells: Callable[[Any], Sequence[CellT]]
-    """Returns the cells of options, frozen dataclasses of JSON values. Raises ConfigurationError, which names
-    the option."""
+    """Function from options to cells, frozen dataclasses of JSON values. It raises ConfigurationError, which
+    names the option."""
     trial: Callable[[CellT, int, int], Row | Sequence[Row]]
-    """Takes a cell, a seed and a trial's number; returns a row with exactly the columns of ``schema``, or
-    several. The same arguments give the same row, whoever calls."""
+    """Function from a cell, a seed and a trial's number to a row with exactly the columns of ``schema``, or
+    to several. The same arguments give the same row in any process."""
     schema: Mapping[str, Any]
     """Columns of a row and their polars types."""
     summarise: Callable[[CellT, pl.DataFrame], Row]
     sections: Callable[[Sequence[CellResult[CellT]]], Sequence[Section]]
     most_trials: int | None = field(default=None)
-    """A campaign over a fixed sequence has no more."""
+    """Largest number of trials, for a campaign over a fixed sequence; None for no limit."""
     keys: tuple[str, ...] = ()
-    """Columns that tell the rows of one trial apart, where it has several."""
+    """Columns that distinguish the rows of one trial, if it has several."""
 
     @property
     def title(self) -> str:
-        """What the campaign tries, in one line."""
+        """Title of the campaign, one line."""
         return self.options.title
 
     def require(self, options: Options) -> None:

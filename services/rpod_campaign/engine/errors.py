@@ -1,4 +1,4 @@
-"""What can go wrong with a campaign. Each message is one line that says what to do."""
+"""Errors of a campaign; each message is one line that names the remedy."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,14 +11,14 @@ class CampaignError(RpodError):
 
 
 class ForeignFolderError(CampaignError):
-    """The folder belongs to something else."""
+    """Raised for a folder that belongs to something else."""
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"{path}: {reason}; give another --out, or remove the folder")
 
 
 class TrialFailedError(CampaignError):
-    """A trial raised an exception, in whatever process it ran."""
+    """Raised for a trial that raised an exception, in whatever process it ran."""
 
     def __init__(self, place: str, kind: str, message: str, *, expected: bool, trace: str = "") -> None:
         """Compose the message.
@@ -26,7 +26,7 @@ class TrialFailedError(CampaignError):
         Args:
             place: campaign, cell, trial and seed.
             kind: class of the exception.
-            message: its text.
+            message: text of the exception.
             expected: whether it is an error that names its own remedy, such as a target's.
             trace: the worker's traceback.
         """
@@ -35,21 +35,21 @@ class TrialFailedError(CampaignError):
 
 
 class WorkerDiedError(CampaignError):
-    """A process of the trials ended before its trial did."""
+    """Raised for a process that ended before its trial did."""
 
     def __init__(self, how: str, trials: Sequence[str]) -> None:
         """Compose the message.
 
         Args:
-            how: signal or exit code, with what it usually means.
-            trials: the trials that were under way.
+            how: signal or exit code, with its usual cause.
+            trials: the trials that were running.
         """
         running = f" while it ran one of: {'; '.join(trials)}" if trials else ""
         super().__init__(f"a process of the trials {how}{running}")
 
 
 class NoWorkersError(CampaignError):
-    """The cluster has no worker that may run the trials."""
+    """Raised for a cluster without a worker that may run the trials."""
 
     def __init__(self, address: str, waited_s: float, refused: Sequence[str]) -> None:
         because = f"; refused: {'; '.join(refused)}" if refused else "; start workers, or use --jobs"
@@ -57,14 +57,14 @@ class NoWorkersError(CampaignError):
 
 
 class NoSchedulerError(CampaignError):
-    """The scheduler of the cluster does not answer."""
+    """Raised for a cluster whose scheduler does not answer."""
 
     def __init__(self, address: str, waited_s: float, reason: str) -> None:
         super().__init__(f"{address}: no scheduler answers after {waited_s:g} s ({reason}); is it running?")
 
 
 class CampaignUnknownError(CampaignError):
-    """No campaign of this name is installed."""
+    """Raised for a name that no installed campaign has."""
 
     def __init__(self, name: str, known: Sequence[str]) -> None:
         super().__init__(f"campaign {name!r} is unknown; known are {', '.join(known)}")

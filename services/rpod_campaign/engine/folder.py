@@ -1,7 +1,7 @@
-"""The folder of a campaign: what it was asked for, and every trial as soon as it is done.
+"""The folder of a campaign: its manifest, and the rows of every finished trial.
 
-The folder's name holds a digest of all that decides a trial: parameters of the cells, seed, software. The
-same campaign finds its folder again and goes on where it stopped; any change makes another folder.
+The folder's name contains a digest of all that determines a trial: parameters of the cells, seed, software.
+The same campaign finds its folder again and continues where it stopped; any change makes another folder.
 """
 
 import hashlib
@@ -20,40 +20,40 @@ from rpod_campaign.engine.errors import ForeignFolderError
 
 MANIFEST = "manifest.json"
 _MOST_PARTS = 256
-"""More files of rows than this are made one while the campaign runs."""
+"""Number of files of rows above which they are merged into one while the campaign runs."""
 _READS = 5
-"""Attempts to read while another run of the campaign may be making one file of several."""
+"""Number of attempts to read while another run of the campaign may be merging files."""
 
 
 @dataclass(frozen=True)
 class CampaignFolder:
-    """Where the trials of one campaign are kept."""
+    """Folder in which the trials of one campaign are stored."""
 
     path: Path
     schema: Mapping[str, Any]
-    """Columns of the rows, with cell and trial in front."""
+    """Columns of the rows, with cell and trial first."""
     keys: tuple[str, ...] = ()
-    """Columns that tell the rows of one trial apart."""
+    """Columns that distinguish the rows of one trial."""
 
     @classmethod
     def of(cls, campaign: AnyCampaign, path: Path) -> Self:
-        """Return the folder of a campaign that stands at a path; nothing is read or made."""
+        """Return the folder of a campaign at a path; nothing is read or made."""
         return cls(path, {CELL: pl.Int64, TRIAL: pl.Int64, **campaign.schema}, campaign.keys)
 
     @classmethod
     def open(
         cls, out: Path, manifest: Mapping[str, Any], schema: Mapping[str, Any], *, keys: tuple[str, ...] = ()
     ) -> Self:
-        """Return the folder of a campaign under ``out``, made where there is none.
+        """Return the folder of a campaign under ``out``, made if it does not exist.
 
         Args:
             out: the folder of all campaigns.
-            manifest: JSON of all that decides a trial; ``campaign`` is its name.
+            manifest: JSON of all that determines a trial; ``campaign`` is its name.
             schema: columns of a trial's row.
-            keys: those of them that tell the rows of one trial apart.
+            keys: columns that distinguish the rows of one trial.
 
         Raises:
-            ForeignFolderError: the folder is there, with another manifest.
+            ForeignFolderError: the folder exists with another manifest.
             OSError: it cannot be made.
         """
         text = json.dumps(manifest, indent=2, sort_keys=True) + "\n"
@@ -72,12 +72,12 @@ class CampaignFolder:
 
     @property
     def trials_file(self) -> Path:
-        """All trials, once the campaign is complete."""
+        """Path of the file of all trials, once the campaign is complete."""
         return self.path / "trials.parquet"
 
     @property
     def report(self) -> Path:
-        """The report."""
+        """Path of the report."""
         return self.path / "report.html"
 
     def manifest_digest(self) -> str:
@@ -88,7 +88,7 @@ class CampaignFolder:
             return ""
 
     def read(self) -> pl.DataFrame:
-        """Return all rows that are there, each trial once, in the order of cells and trials."""
+        """Return all stored rows, each trial once, in the order of cells and trials."""
         for _ in range(_READS - 1):
             try:
                 return self._read()
@@ -104,22 +104,22 @@ class CampaignFolder:
         return rows.unique(order, keep="last", maintain_order=True).sort(order)
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Keep a batch of rows; it appears whole or not at all."""
+        """Store a batch of rows, all of them or none."""
         if rows:
             name = f"{time.time_ns()}-{os.getpid()}"  # two runs at once do not meet
             self.write_part(name, pl.DataFrame(rows, schema=self.schema))
 
     def write_part(self, name: str, rows: pl.DataFrame) -> None:
-        """Keep rows as a part of a name; a part of the same name is replaced. Raises OSError."""
+        """Store rows as a part with a name; a part with the same name is replaced. Raises OSError."""
         self._write(self.path / f"part-{name}.parquet", rows)
 
     def compact(self) -> None:
-        """Make one file of the parts if they are many."""
+        """Merge the parts into one file if there are many."""
         if len(self._parts()) > _MOST_PARTS:
             self.close()
 
     def close(self) -> pl.DataFrame:
-        """Make one file of all batches and return its rows."""
+        """Merge all parts into one file and return its rows."""
         parts, rows = self._parts(), self.read()
         if parts:
             self._write(self.trials_file, rows)
@@ -128,7 +128,7 @@ class CampaignFolder:
         return rows
 
     def most_alike(self) -> tuple[Path, tuple[str, ...]] | None:
-        """Return the folder of the same campaign beside this one that differs least, and in what."""
+        """Return the same campaign's folder beside this one with the fewest differences, and their names."""
         mine = json.loads((self.path / MANIFEST).read_text("utf-8"))
         others = []
         for file in self.path.parent.glob(f"{mine['campaign']}-*/{MANIFEST}"):
@@ -149,7 +149,7 @@ class CampaignFolder:
 
 
 def cell_parameters(cell: Any) -> dict[str, Any]:
-    """Return the parameters of a cell as JSON has them."""
+    """Return the parameters of a cell as JSON values."""
     parameters: dict[str, Any] = json.loads(json.dumps(asdict(cell), default=str))
     return parameters
 

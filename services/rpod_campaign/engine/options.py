@@ -1,7 +1,7 @@
 """The options of a campaign: one frozen model, from which the command line and its help are made.
 
-A campaign's model is the only place where an option, its type, default, bounds and help sentence stand. The
-sentence is the docstring under the field, or the ``description`` of a type that several campaigns share.
+An option's type, default, bounds and help sentence are defined in the campaign's model alone. The sentence is
+the docstring under the field, or the ``description`` of a type that several campaigns share.
 """
 
 from typing import Annotated, Any, ClassVar, Literal, get_args
@@ -22,20 +22,20 @@ Worlds = Annotated[
     tuple[WorldName, ...],
     Field(
         min_length=1,
-        description="Physics of the emulated sensors, which no method is told (rpod_sim_sensor.worlds).",
+        description="Variants of the emulated sensors' physics (rpod_sim_sensor.worlds); no method is told.",
     ),
 ]
 
 
 class Provided:
-    """Marks a field that the program fills in; the command line has no option for it."""
+    """Mark of a field that the program fills in; the command line has no option for it."""
 
 
 class Options(Config):
-    """What the user chooses of every campaign."""
+    """Options of every campaign."""
 
     title: ClassVar[str] = ""
-    """What the campaign tries, in one line."""
+    """Title of the campaign, one line."""
 
     trials: Trials = 1
     seed: Annotated[int, Field(ge=0)] = 1
@@ -43,12 +43,12 @@ class Options(Config):
 
 
 def either(chosen: str, two: tuple[str, str]) -> tuple[str, ...]:
-    """Return the values that an option stands for: itself, or the two that ``both`` stands for."""
+    """Return the values that an option selects: itself, or the two values that ``both`` selects."""
     return two if chosen == "both" else (chosen,)
 
 
 def choices(annotation: Any) -> tuple[str, ...]:
-    """Return the values of a ``Literal``, also inside a tuple or beside None; nothing of other types."""
+    """Return the values of a ``Literal``, also inside a tuple or beside None; nothing for other types."""
     if getattr(annotation, "__origin__", None) is Literal:
         return get_args(annotation)
     inner = [choices(argument) for argument in get_args(annotation)]

@@ -1,4 +1,4 @@
-"""A campaign from its options to its results."""
+"""Run of a campaign, from its options to its results."""
 
 import math
 import time
@@ -18,10 +18,10 @@ from rpod_campaign.engine.software import software_digest
 from rpod_campaign.engine.trial.targets import cached_target
 
 _FLUSH_ROWS, _FLUSH_S = 500, 5.0
-"""A batch is kept when it has so many rows, or is so old."""
+"""Number of rows, and age in s, at which a batch is stored."""
 
 Told = Callable[[int], None]
-"""Called for each trial that is done, with the index of its cell."""
+"""Function that is called for each finished trial with the index of its cell."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,16 @@ class Prepared:
 
     work: Work
     done: tuple[tuple[int, int], ...]
-    """Cell and trial of those that the folder has already and that count."""
+    """Cell and trial of the stored trials that are part of this run."""
 
     @property
     def campaign(self) -> AnyCampaign:
-        """The campaign."""
+        """Campaign to run."""
         return self.work.campaign
 
     @property
     def cells(self) -> tuple[Any, ...]:
-        """The campaign's cells of these options."""
+        """Cells of the campaign with these options."""
         return self.work.cells
 
     @property
@@ -54,7 +54,7 @@ class Prepared:
 
     @property
     def folder(self) -> CampaignFolder:
-        """Where the trials are kept."""
+        """Folder in which the trials are stored."""
         return self.work.folder
 
     @property
@@ -63,7 +63,7 @@ class Prepared:
         return len(self.cells) * self.trials
 
     def tasks(self) -> Iterator[Task]:
-        """Return what is still to be run, cell by cell."""
+        """Yield the trials that remain to be run, cell by cell."""
         done = set(self.done)
         for index in range(len(self.cells)):
             for number in range(self.trials):
@@ -74,10 +74,10 @@ class Prepared:
 def prepare(campaign: AnyCampaign, options: Options, *, out: Path, version: str) -> Prepared:
     """Check the options, build the targets, and open the campaign's folder.
 
-    Trials are not part of what names the folder: more of them add to those that are there.
+    The number of trials does not change the folder's name: more trials are added to the stored ones.
 
     Raises:
-        ConfigurationError: names the option and the reason.
+        ConfigurationError: an option is wrong; the text names it and the reason.
         rpod_target.TargetError: a target cannot be built.
         CampaignError, OSError: the folder cannot be used.
     """
@@ -100,9 +100,9 @@ def prepare(campaign: AnyCampaign, options: Options, *, out: Path, version: str)
 def run_campaign(
     prepared: Prepared, executor: Executor, *, told: Told = lambda _: None
 ) -> list[CellResult[Any]]:
-    """Run what is still to be run and return the results of all cells.
+    """Run the remaining trials and return the results of all cells.
 
-    Whatever ends it early, the trials that are done are in the folder.
+    If the run ends early for any reason, the finished trials are in the folder.
     """
     folder, batch, kept_s = prepared.folder, list[Row](), -math.inf
     try:
@@ -132,7 +132,7 @@ def results(prepared: Prepared, rows: pl.DataFrame) -> list[CellResult[Any]]:
 
 
 def _targets(cells: tuple[Any, ...]) -> list[str]:
-    """Return the targets that the cells name in fields called target or ending so."""
+    """Return the names of the targets in the cells' fields ``target`` and ``*_target``."""
     names = {
         value
         for cell in cells

@@ -1,4 +1,4 @@
-"""Which software runs a trial: a digest of the code that decides its outcome, and versions of libraries."""
+"""Software of a trial: a digest of the code that determines its outcome, and versions of libraries."""
 
 import hashlib
 import platform
@@ -24,21 +24,21 @@ _DECISIVE = (
 )
 _OURS = "rpod_campaign"
 _REPORTS = ("report", "options.py")
-"""Folders and files that decide no row."""
+"""Folders and files that do not affect a row."""
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless")
-"""Packages whose version may change a row in its last bit."""
+"""Packages whose version may change the last bit of a row."""
 
 
 def software_digest(campaign: AnyCampaign) -> str:
-    """Return SHA-256 over the sources that a campaign's trial runs; tables and figures are not among them.
+    """Return SHA-256 of the sources that a campaign's trial runs, without those of tables and figures.
 
-    Of a campaign that another package brings, all of that package's sources count.
+    For a campaign of another package, all sources of that package count.
     """
     return _digest(campaign.trial.__module__)
 
 
 def identity(campaign: AnyCampaign) -> dict[str, str]:
-    """Return what has to be the same in all processes that run a campaign's trials, by name."""
+    """Return the versions and digests that must be equal in all processes that run a campaign's trials."""
     return {
         "rpod": _version("rpod"),
         "code": software_digest(campaign)[:12],
@@ -49,7 +49,7 @@ def identity(campaign: AnyCampaign) -> dict[str, str]:
 
 
 def differences(mine: dict[str, str], theirs: dict[str, str]) -> list[str]:
-    """Return in words where two identities differ."""
+    """Return the differences between two identities, as texts."""
     return [
         f"{name} is {theirs.get(name, 'unknown')}, not {value}"
         for name, value in mine.items()

@@ -1,1 +1,1 @@
-"""What the LIDAR campaigns share: scenes, methods under trial, columns of a row."""
+"""Shared parts of the LIDAR campaigns: scenes, methods under trial, columns of a row."""

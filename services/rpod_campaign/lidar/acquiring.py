@@ -22,7 +22,7 @@ SCHEMA: dict[str, Any] = {
 
 
 def acquired(acquiring: Acquiring, emulator: LidarEmulator, drawn: Drawn, *, trial: int) -> dict[str, Any]:
-    """Return the row of a method that is given the scan of a pose."""
+    """Return the row of a method for the scan of one pose."""
     scan = scan_of(emulator, drawn.T_sensor_target, trial=trial)
     timed = acquiring.acquire(scan)
     truth, target = drawn.T_sensor_target, acquiring.target

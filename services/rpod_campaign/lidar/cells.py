@@ -1,4 +1,4 @@
-"""What the LIDAR campaigns make of the options that they share."""
+"""Cells of the LIDAR campaigns from the options that they share."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ from rpod_target import TargetError
 
 
 def targets(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the targets, each of which can be loaded. Raises ConfigurationError."""
+    """Return the targets if all can be loaded. Raises ConfigurationError."""
     for name in names:
         try:
             cached_target(name)
@@ -21,7 +21,7 @@ def targets(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def methods(names: tuple[str, ...], known: tuple[str, ...] = METHODS) -> tuple[str, ...]:
-    """Return the methods. Raises ConfigurationError."""
+    """Return the methods if all are known. Raises ConfigurationError."""
     for name in names:
         if name not in known:
             raise ConfigurationError("--method", "", f"needs {', '.join(known)}, not {name!r}")
@@ -31,7 +31,7 @@ def methods(names: tuple[str, ...], known: tuple[str, ...] = METHODS) -> tuple[s
 def variants(
     method: str, *, steps: tuple[float, ...], centroid: str, matchers: tuple[str, ...]
 ) -> Iterator[tuple[float | None, str | None, str | None]]:
-    """Yield template step, centroid and matcher of template matching, None of other methods.
+    """Yield template step, deg, centroid and matcher of template matching; None for other methods.
 
     Raises:
         ConfigurationError: this version lacks a method or a matcher.
@@ -48,7 +48,7 @@ def variants(
 
 
 def steps_of(method: str, steps: tuple[float, ...]) -> tuple[float | None, ...]:
-    """Return the template steps of a method, one None where it has none. Raises ConfigurationError."""
+    """Return the template steps of a method, deg; one None if it has none. Raises ConfigurationError."""
     chosen: tuple[float | None, ...] = steps if method in TEMPLATE_MATCHING else (None,)
     for step_deg in chosen:
         lidar_input(method, step_deg=step_deg, centroid="offset", matcher="nearest-neighbour")

@@ -1,4 +1,4 @@
-"""Methods under trial, by the names of the command line, with a stopwatch on their steps."""
+"""Methods under trial, by the names of the command line, with the times of their steps."""
 
 import time
 from collections.abc import Mapping
@@ -25,14 +25,16 @@ TEMPLATE_MATCHING: dict[str, dict[str, Any]] = {
     "fast-template-matching": {"variant": "fast"},
     "cued-template-matching": {"variant": "cued"},
 }
-"""Methods of the 2015 paper, section 2, and the variant that its conclusions call for, with their fields."""
+"""Fields of the 2015 paper's methods (section 2), and of the variant that its conclusions propose, by
+name."""
 GLOBAL: dict[str, dict[str, Any]] = {
     "global": {},
     "starved-global": {
         "tuning": {"levels": ({"attitudes": 12, "compared": 4, "refined": 2},), "turned": 1, "turns": 1}
     },
 }
-"""The facility's own search, and the same left with so little to try that it mostly goes wrong."""
+"""Fields of the facility's own search, and of the same with so few attitudes that it mostly fails, by
+name."""
 METHODS = (*TEMPLATE_MATCHING, *GLOBAL)
 
 MATCHERS: dict[str, dict[str, Any]] = {
@@ -40,17 +42,18 @@ MATCHERS: dict[str, dict[str, Any]] = {
     "normal-shooting": {"metric": "point_to_point", "gate_m": 1e3, "matcher": "normal_shooting"},
     "nearest-neighbour-plane": {},
 }
-"""The ICP after template matching: the paper's two, point to point and without a gate for outliers, so that
-f_CONV is the mean over all points as in its Table 4; and the facility's own, point to plane with a gate."""
+"""Fields of the ICP after template matching, by name. The paper's two are point to point without a gate for
+outliers, so that f_CONV is the mean over all points as in its Table 4. The facility's own is point to plane
+with a gate."""
 
 TRACKERS: dict[str, dict[str, Any]] = {
     **{name: {"kind": "icp_nearest_neighbour", **fields} for name, fields in MATCHERS.items()},
     "projective": {"kind": "projective_point_to_plane"},
 }
-"""All trackers of scans by name."""
+"""Fields of all trackers of scans, by name."""
 
 PRINTED_SURE_RANGE_M = 150.0
-"""Value of ``ScanComparisonConfig.sure_range_m`` if Eq. 4 is read as printed."""
+"""Value of ``ScanComparisonConfig.sure_range_m`` if Eq. 4 is read as printed, m."""
 
 
 def lidar_config(
@@ -64,11 +67,11 @@ def lidar_config(
     """Return the LIDAR of the paper's Table 1 with one reading of Eq. 4.
 
     Args:
-        eq4: usual or printed.
-        step_deg: of the scan.
-        span_deg: of the scan, both ways; a multiple of the step.
-        detection: fields that differ from the paper.
-        noise: fields that differ from the paper.
+        eq4: reading of Eq. 4, usual or printed.
+        step_deg: step of the scan, deg.
+        span_deg: span of the scan in both directions, a multiple of the step, deg.
+        detection: fields of the detection model that differ from the paper.
+        noise: fields of the noise that differ from the paper.
     """
     pattern = {"step_deg": step_deg, "azimuth_span_deg": span_deg, "elevation_span_deg": span_deg}
     return LidarConfig.model_validate(
@@ -76,7 +79,7 @@ def lidar_config(
             "pattern": pattern,
             "detection": {"threshold": eq4, **(detection or {})},
             "noise": noise or {},
-            "rate_hz": 1e-3,  # of single scans, which may take long
+            "rate_hz": 1e-3,  # single scans may take long
         }
     )
 
@@ -89,7 +92,7 @@ def lidar_input(
     matcher: str | None = None,
     eq4: str = "usual",
 ) -> LidarInput:
-    """Return the configuration of a method; of template matching with Eq. 4 as the sensor reads it.
+    """Return the configuration of a method; template matching reads Eq. 4 as the sensor does.
 
     Raises:
         ConfigurationError: the method or the matcher is not known.
@@ -124,27 +127,27 @@ def tracking_input(tracker: str) -> LidarInput:
 
 @dataclass
 class TimedSearch:
-    """A search that remembers what it proposed, and how long that took."""
+    """A search that stores its last candidates and their processing time."""
 
     search_: Search[LidarScan]
     found: Candidates = field(default_factory=Candidates)
     took_s: float = float("nan")
 
     def search(self, measurement: LidarScan) -> Candidates:
-        """Return what the search proposes."""
+        """Return the candidates of the search."""
         begin_s = time.perf_counter()
         self.found = self.search_.search(measurement)
         self.took_s = time.perf_counter() - begin_s
         return self.found
 
     def near(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Candidates:
-        """Return what the search proposes around a pose."""
+        """Return the candidates of the search near a pose."""
         return self.search_.near(measurement, T_sensor_target)
 
 
 @dataclass
 class TimedTracker:
-    """A tracker that remembers how long its last call took."""
+    """A tracker that stores the processing time of its last call."""
 
     tracker: Tracker[LidarScan]
     took_s: float = float("nan")
@@ -159,19 +162,19 @@ class TimedTracker:
 
 @dataclass(frozen=True, eq=False)
 class TimedAcquisition:
-    """Result of one scan, with its times."""
+    """Acquisition from one scan, with its processing times."""
 
     acquisition: Acquisition
     acquire_s: float
-    """Time up to the method's answer; for template matching, of its search alone."""
+    """Time up to the method's answer, s; for template matching, of its search alone."""
     icp_s: float | None
-    """Time of the ICP after template matching; None if the method refines by itself."""
+    """Time of the ICP after template matching, s; None if the method refines by itself."""
     template: RigidTransform | None
-    """T_sensor_target of the best template before ICP; None of other methods."""
+    """T_sensor_target of the best template before ICP; None for other methods."""
 
 
 class Acquiring:
-    """A method of acquisition under the stopwatch; warmed up when it is made."""
+    """A timed method of acquisition, which is warmed up when it is made."""
 
     def __init__(self, sensor: LidarInput, target: Target, pattern: ScanPattern) -> None:
         self.target = target
@@ -185,7 +188,7 @@ class Acquiring:
         warm_up(sensor, methods, target, pattern)
 
     def acquire(self, scan: LidarScan) -> TimedAcquisition:
-        """Return what the method makes of a scan, and how long it took."""
+        """Return the acquisition from a scan, with its processing times."""
         begin_s = time.perf_counter()
         acquisition = self._acquirer.acquire(scan)
         took_s = time.perf_counter() - begin_s
@@ -199,12 +202,12 @@ class Acquiring:
 
 
 def template_search(sensor: LidarInput, target: Target, pattern: ScanPattern) -> Search[LidarScan]:
-    """Return template matching without what refines and judges its templates."""
+    """Return template matching without the refinement and the check of its templates."""
     if not isinstance(sensor.acquisition, TemplateMatchingConfig):
         raise TypeError(f"{type(sensor.acquisition).__name__} is no template matching")
     return OnlineTemplateMatching(sensor.acquisition, target, pattern)
 
 
 def pattern_of(config: LidarConfig) -> ScanPattern:
-    """Return where a LIDAR looks."""
+    """Return the scan pattern of a LIDAR."""
     return ScanPattern.of(config.info())

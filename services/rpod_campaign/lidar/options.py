@@ -8,7 +8,7 @@ from rpod_campaign.engine.options import Names, Options, Worlds
 
 Steps = Annotated[
     tuple[Annotated[float, Field(ge=5, le=90)], ...],
-    Field(min_length=1, description="Steps of the template grid, deg; of template matching alone."),
+    Field(min_length=1, description="Steps of the template grid, deg; for template matching only."),
 ]
 Methods = Annotated[
     Names,
@@ -20,8 +20,8 @@ Methods = Annotated[
 Matchers = Annotated[
     Names,
     Field(
-        description="How the ICP after template matching pairs points: nearest-neighbour, normal-shooting, "
-        "nearest-neighbour-plane."
+        description="Pairing of points in the ICP after template matching: nearest-neighbour, "
+        "normal-shooting, nearest-neighbour-plane."
     ),
 ]
 Eq4 = Annotated[
@@ -42,11 +42,11 @@ Centroid = Annotated[
 EQ4 = ("usual", "printed")
 SAMPLING = ("euler", "so3")
 CENTROID = ("plain", "offset")
-"""What ``both`` stands for."""
+"""Values that ``both`` selects."""
 
 
 class LidarOptions(Options):
-    """What every LIDAR campaign lets the user choose."""
+    """Options of every LIDAR campaign."""
 
     target: Names = ("envisat-bulky",)
     """Targets: names, or paths of parameter files."""

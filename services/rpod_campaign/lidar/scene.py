@@ -19,7 +19,7 @@ from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.worlds import world_of
 
 CLEARANCE_M = 2.0
-"""A pose with a part of the target nearer to the sensor than this is drawn anew."""
+"""Least distance of the target's surface from the sensor, m; a nearer random pose is discarded."""
 
 
 class Drawn(NamedTuple):
@@ -27,7 +27,7 @@ class Drawn(NamedTuple):
 
     T_sensor_target: RigidTransform
     discarded: int
-    """Poses drawn before it that were too near."""
+    """Number of random poses that were discarded before it because they were too near."""
 
 
 @lru_cache(maxsize=8)
@@ -39,7 +39,7 @@ def _surface(name: str) -> Surface:
 def random_attitude(sampling: str, generator: Generator) -> Rotation:
     """Return R_sensor_target: uniform on SO(3), or yaw, pitch and roll (321) each uniform in its range.
 
-    The latter is the 2015 paper's, section 4.3; it favours the poles of the pitch.
+    The latter is the 2015 paper's, section 4.3; it has more attitudes near the poles of the pitch.
     """
     if sampling == "so3":
         return Rotation.random(rng=generator)
@@ -48,7 +48,7 @@ def random_attitude(sampling: str, generator: Generator) -> Rotation:
 
 
 def random_pose(target: str, *, range_m: float, sampling: str, seed: int, trial: int) -> Drawn:
-    """Return a random attitude at (0, 0, range) with no part of the target nearer than the clearance."""
+    """Return a random attitude at (0, 0, range) whose surface is not nearer than the clearance."""
     generator, discarded = stream(seed, trial), 0
     while True:
         pose = make_pose(rotation=random_attitude(sampling, generator), translation_m=(0.0, 0.0, range_m))
@@ -58,7 +58,7 @@ def random_pose(target: str, *, range_m: float, sampling: str, seed: int, trial:
 
 
 def clearance_m(target: str, T_sensor_target: RigidTransform) -> float:
-    """Return the distance from the sensor to the target's surface."""
+    """Return the distance from the sensor to the target's surface, m."""
     surface = _surface(target)
     sensor_m = T_sensor_target.inv().translation[None]
     every = np.ones(len(surface.triangles_m), np.bool_)
@@ -69,7 +69,7 @@ def clearance_m(target: str, T_sensor_target: RigidTransform) -> float:
 def emulator_of(
     target: str, config: LidarConfig, seed: int, *, world: WorldName = "documented", scale: float = 1.0
 ) -> LidarEmulator:
-    """Return the emulated LIDAR of a world that looks at a target, larger than its model by a scale."""
+    """Return the emulated LIDAR of a world, with a target larger than its model by a scale."""
     looked_at = cached_target(target)
     if scale != 1.0:
         looked_at = replace(looked_at, triangles_m=scale * looked_at.triangles_m)
@@ -79,7 +79,7 @@ def emulator_of(
 def scan_of(
     emulator: LidarEmulator, T_sensor_target: RigidTransform, *, trial: int, stamp_ns: int = 0
 ) -> LidarScan:
-    """Return the scan of a target that stands still; the number of trial or frame gives its noise."""
+    """Return the scan of a motionless target; the number of trial or frame determines its noise."""
     returns = emulator.scan([T_sensor_target], frame=trial)
     return LidarScan(
         stamp_ns=stamp_ns, frame_id="lidar", points_m=returns.points_m, intensity=returns.intensity

@@ -1,4 +1,4 @@
-"""Truth against estimate, in columns."""
+"""Errors of an estimate against the truth, as columns."""
 
 from typing import Any
 
@@ -10,9 +10,9 @@ from rpod_pose.ports import Acquisition
 from rpod_target import Target
 
 SUCCESS_DEG = 3.0
-"""An attitude nearer than this is a success (2015 paper, section 4.2)."""
+"""Attitude error below which a pose is a success, deg (2015 paper, section 4.2)."""
 RIGHT_M = 0.3
-"""An accepted pose farther off than this is wrong, whatever its attitude."""
+"""Position error from which on an accepted pose is wrong, whatever its attitude, m."""
 ACQUISITION_SCHEMA: dict[str, Any] = {
     "truth": POSE,
     "found": POSE,
@@ -42,7 +42,7 @@ def is_wrong(attitude_deg: float | None, position_m: float | None) -> bool:
 def acquisition_row(
     truth: RigidTransform, acquisition: Acquisition, returns: int, target: Target
 ) -> dict[str, Any]:
-    """Return the columns of ``ACQUISITION_SCHEMA``; ambiguous by an exact symmetry alone is accepted."""
+    """Return the columns of ``ACQUISITION_SCHEMA``; ambiguity by an exact symmetry is accepted."""
     registration = acquisition.registration
     attitude_deg, position_m = errors(truth, acquisition.pose, target)
     return {

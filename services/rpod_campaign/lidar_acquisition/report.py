@@ -24,13 +24,13 @@ def success(rows: pl.DataFrame) -> Rate:
 
 
 def wrong(rows: pl.DataFrame) -> pl.Series:
-    """Return which rows must not be accepted: 3 deg or 0.3 m off or more, or without a pose."""
+    """Return which rows must not be accepted: errors of 3 deg or 0.3 m or more, or no pose."""
     off = (pl.col("attitude_error_deg") >= SUCCESS_DEG) | (pl.col("position_error_m") >= RIGHT_M)
     return rows.select(off.fill_null(value=True).alias("wrong")).to_series()
 
 
 def summarise(cell: AcquisitionCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a cell; ``wrong_accepted`` and ``right_rejected`` are numbers of trials."""
+    """Return the summary of a cell; ``wrong_accepted`` and ``right_rejected`` are numbers of trials."""
     share, discarded = success(rows), int(rows["discarded"].sum())
     return {
         **asdict(cell),
@@ -49,20 +49,20 @@ def summarise(cell: AcquisitionCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report: success over range and step, then what each cell cost."""
+    """Return the sections of the report: success over range and step, then times and answers."""
     note = (
-        f"Success: attitude within {SUCCESS_DEG:g} deg after refinement, share with its 95 % Wilson bounds. "
-        "Poses with a part of the target nearer than 2 m to the sensor are drawn anew; discarded says how "
-        f"many. The paper's column holds what {paper.CITATION} prints; where it prints nothing it is blank. "
-        "Its target's sizes are not stated, so rates compare in their trends."
+        f"Success: attitude within {SUCCESS_DEG:g} deg after refinement, with its 95 % Wilson interval. "
+        "Random poses with a part of the target nearer than 2 m to the sensor are replaced; discarded is "
+        f"their share. The paper's column has the values that {paper.CITATION} prints; it is blank if there "
+        "is none. The paper does not state its target's sizes, so that only trends are comparable."
     )
     return [
         Section("Success", note, (_success_table(results), *_loss_tables(results)), _figures(results)),
         Section(
             "Answers and time",
-            "Time of the acquisition up to its answer, one thread; of template matching the search alone, "
-            "its ICP apart. Wrong accepted: accepted though 3 deg or 0.3 m off, of those so far off; right "
-            "rejected: of the successes.",
+            "Time of the acquisition up to its answer, one thread; for template matching, of the search, "
+            "with its ICP in another column. Wrong accepted: accepted with an error of 3 deg or 0.3 m or "
+            "more, out of all with such an error. Right rejected: out of the successes.",
             (_answer_table(results),),
         ),
     ]
@@ -136,7 +136,7 @@ def _answer_table(results: Results) -> Table:
 
 
 def _loss_tables(results: Results) -> tuple[Table, ...]:
-    """Return what the fast variant loses against template matching in the same cells."""
+    """Return the success that the fast variant loses against template matching in the same cells."""
     rates = {result.cell: success(result.rows) for result in results}
     rows = []
     for cell, share in rates.items():
@@ -170,7 +170,7 @@ def _loss_tables(results: Results) -> tuple[Table, ...]:
 
 
 def _figures(results: Results) -> tuple[Any, ...]:
-    """Return success over range, and over the step at each range where there are several."""
+    """Return success over range, and over the step at each range if there are several."""
     by_range: dict[str, dict[float, Rate]] = {}
     by_step: dict[str, dict[float, Rate]] = {}
     marks: dict[str, dict[float, float]] = {}

@@ -16,7 +16,7 @@ __all__ = ["SCHEMA", "AcquisitionCell", "run"]
 
 @dataclass(frozen=True)
 class AcquisitionCell:
-    """A target that is scanned, and the method that looks for it."""
+    """A target that is scanned, and the method that searches for it."""
 
     target: str
     method: str
@@ -30,7 +30,7 @@ class AcquisitionCell:
     """ICP after template matching; None for other methods."""
     range_m: float
     step_deg: float | None
-    """Step of the template grid; None for other methods."""
+    """Step of the template grid, deg; None for other methods."""
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
 

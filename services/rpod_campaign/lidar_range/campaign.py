@@ -34,7 +34,7 @@ def cells(options: Options) -> list[RangeCell]:
 def _scan_steps(options: Options) -> tuple[float, ...]:
     for step_deg in options.scan_steps:
         if abs(2.0 / step_deg - round(2.0 / step_deg)) > 1e-6:
-            raise ConfigurationError("--scan-steps", "", f"needs parts of 2 deg, not {step_deg:g}")
+            raise ConfigurationError("--scan-steps", "", f"needs steps that divide 2 deg, not {step_deg:g}")
     return options.scan_steps
 
 

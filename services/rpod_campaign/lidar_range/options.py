@@ -17,6 +17,6 @@ class Options(LidarOptions):
     trials: Trials = 200
     ranges: Ranges = (20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0)
     scan_steps: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0, 0.5, 0.2, 0.1)
-    """Steps of the scan, deg; each a whole part of 2 deg."""
+    """Steps of the scan, deg; each must divide 2 deg."""
     method: Methods = ("global",)
     steps: Steps = (30.0,)

@@ -1,4 +1,4 @@
-"""``lidar-range``: how far acquisition reaches at which scan step, beside OBB-TM's published figures."""
+"""``lidar-range``: success of acquisition over range and scan step, beside OBB-TM's published figures."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -24,11 +24,11 @@ OBB_TM_1_DEG = {
     120.0: "0.43",
 }
 """Success of OBB-TM at a scan step of 1 deg, by range in m, with a detailed CAD model and no detection model.
-Taken from a report on it; the publication itself was not at hand."""
+The values are from a report on it, not from the publication itself."""
 
 
 CRITERION_DEG, CRITERION_M = 5.0, 0.2
-"""Its criterion of success."""
+"""OBB-TM's criterion of success: attitude error, deg, and position error, m."""
 
 
 def close(rows: pl.DataFrame) -> Rate:
@@ -38,7 +38,7 @@ def close(rows: pl.DataFrame) -> Rate:
 
 
 def summarise(cell: RangeCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a cell."""
+    """Return the summary of a cell."""
     share, lidar = close(rows), lidar_of(cell)
     return {
         **asdict(cell),
@@ -56,7 +56,7 @@ def summarise(cell: RangeCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report."""
+    """Return the sections of the report."""
     lines: dict[str, dict[float, Rate]] = {}
     for result in results:
         cell = result.cell
@@ -65,8 +65,8 @@ def sections(results: Results) -> list[Section]:
         lines.setdefault(name, {})[cell.range_m] = close(result.rows)
     note = (
         f"Success: within {CRITERION_DEG:g} deg and {CRITERION_M:g} m, OBB-TM's criterion, with 95 % Wilson "
-        "bounds. Detection off: every ray that meets the target comes back, as there. The window holds the "
-        "target's bounding sphere, 40 deg at most; the scan time is that of the window at 10 kHz."
+        "intervals. Detection off: every ray that meets the target returns, as for OBB-TM. The window has "
+        "the target's bounding sphere, 40 deg at most; the scan time is that of the window at 10 kHz."
     )
     figure = rate_figure(lines, x_title="range [m]", y_title="success rate")
     return [Section("Range and scan step", note, (_table(results),), (figure,))]

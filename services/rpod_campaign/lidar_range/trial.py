@@ -20,22 +20,22 @@ _WIDEST_DEG, _WHOLE_DEG = 40.0, 2.0
 
 @dataclass(frozen=True)
 class RangeCell:
-    """A method that looks for a target in scans of a step."""
+    """A method that searches for a target in scans with one step."""
 
     target: str
     method: str
     detection: str
-    """on: the model of the 2015 paper; off: every ray that meets the target comes back."""
+    """Detection model. on: that of the 2015 paper; off: every ray that meets the target returns."""
     scan_step_deg: float
     step_deg: float | None
-    """Step of the template grid; None for other methods."""
+    """Step of the template grid, deg; None for other methods."""
     range_m: float
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
 
 
 def window_deg(target: str, range_m: float) -> float:
-    """Return the scan window, both ways: the target's bounding sphere in whole 2 deg, 40 deg at most."""
+    """Return the scan window of both axes, deg: the target's bounding sphere in whole 2 deg, 40 at most."""
     radius_m = cached_target(target).radius_m
     if radius_m >= range_m:
         return _WIDEST_DEG

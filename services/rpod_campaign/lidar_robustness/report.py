@@ -1,4 +1,4 @@
-"""``lidar-robustness``: acquisition where the world is not as the method assumes."""
+"""``lidar-robustness``: acquisition in worlds that differ from the method's assumptions."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -16,7 +16,7 @@ Results = Sequence[CellResult[RobustnessCell]]
 
 
 def summarise(cell: RobustnessCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a cell; rejected are right poses that were not accepted."""
+    """Return the summary of a cell; ``right_rejected`` counts the right poses that were not accepted."""
     share = success(rows)
     return {
         **asdict(cell),
@@ -29,7 +29,7 @@ def summarise(cell: RobustnessCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report."""
+    """Return the sections of the report."""
     nominal = {r.cell: success(r.rows).value for r in results if r.cell.disturbance == NOMINAL}
     rows = []
     for result in results:
@@ -51,8 +51,8 @@ def sections(results: Results) -> list[Section]:
     columns = ("target", "method", "step, deg", "range, m", "world", "trials", "success")
     table = Table("Success", (*columns, "fall, points", "right rejected"), tuple(rows)).condensed(4)
     note = (
-        "The method always assumes the nominal world; the same attitudes in each. Success: attitude within "
-        "3 deg, with 95 % Wilson bounds; fall: against nominal in this run, percentage points; rejected: of "
-        "the successes."
+        "The method always assumes the nominal world; all worlds have the same attitudes. Success: attitude "
+        "within 3 deg, with 95 % Wilson intervals. Fall: loss of success against nominal in this run, "
+        "percentage points. Right rejected: out of the successes."
     )
     return [Section("Robustness", note, (table,))]

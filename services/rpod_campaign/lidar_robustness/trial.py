@@ -1,4 +1,4 @@
-"""A trial of acquisition where the world is not as the method assumes."""
+"""A trial of acquisition in a world that differs from the method's assumptions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -39,18 +39,18 @@ DISTURBANCES = {
     ),
     "P_D: Eq. 4 as printed": Disturbance(detection={"threshold": "printed"}),
 }
-"""By the names in the tables; the method always assumes the nominal world."""
+"""Disturbances by their names in the tables; the method always assumes the nominal world."""
 
 
 @dataclass(frozen=True)
 class RobustnessCell:
-    """A method that looks for a target in scans of a disturbed world."""
+    """A method that searches for a target in scans of a disturbed world."""
 
     target: str
     method: str
     disturbance: str
     step_deg: float | None
-    """Step of the template grid; None for other methods."""
+    """Step of the template grid, deg; None for other methods."""
     range_m: float
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""

@@ -1,4 +1,4 @@
-"""``lidar-tracking``: single scans from 5 deg and 0.3 m off, and a tumbling target once a second."""
+"""``lidar-tracking``: single scans with a start error of 5 deg and 0.3 m, and tumbling targets at 1 Hz."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -18,13 +18,13 @@ Results = Sequence[CellResult[TrackingCell]]
 
 
 def _consistent(rows: pl.DataFrame) -> tuple[float | None, Rate]:
-    """Return the mean NEES of the accepted registrations, and the share inside the bound of 95 %."""
+    """Return the mean NEES of the accepted registrations, and the share within the 95 % bound."""
     known = rows.filter((pl.col("reason") == "") & pl.col("nees").is_finite())["nees"]
     return mean(known), rate(int((known <= NEES_95).sum()), known.len())
 
 
 def summarise(cell: TrackingCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a cell; single scans have no frames, sequences no NEES."""
+    """Return the summary of a cell; single scans have no frames, sequences no NEES."""
     if cell.range_m is None:
         frames = int(rows["frames"].sum())
         return {
@@ -53,22 +53,23 @@ def summarise(cell: TrackingCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report."""
+    """Return the sections of the report."""
     single = [result for result in results if result.cell.range_m is not None]
     sequences = [result for result in results if result.cell.range_m is None]
     return [
         Section(
             "Single scans",
-            f"Each scan is tracked from {OFF_DEG:g} deg and {OFF_M:g} m off its truth, attitudes "
-            "Euler-uniform. NEES over the independent trials that the self-check accepts: 6 is right, and "
-            "95 % should be inside.",
+            f"Each scan is tracked from a pose with an error of {OFF_DEG:g} deg and {OFF_M:g} m; attitudes "
+            "have uniform Euler angles. NEES of the independent trials that the self-check accepts: the "
+            "expected mean is 6, and the expected share inside the bound is 95 %.",
             (_single_table(single),),
             _figures(single),
         ),
         Section(
             "Tumbling, once a second",
-            f"Sequences of {FRAMES} s on the safety ellipse of 25 to 53 m, from the true pose without a "
-            "twist, through the navigator and its filter. Lost: not tracking, or 3 deg off or more.",
+            f"Sequences of {FRAMES} s on the safety ellipse of 25 to 53 m, through the navigator and its "
+            "filter, which start at the true pose without a twist. Lost: not tracking, or an attitude error "
+            "of 3 deg or more.",
             (_sequence_table(sequences),),
         ),
     ]

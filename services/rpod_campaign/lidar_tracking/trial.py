@@ -1,4 +1,4 @@
-"""Trials of tracking: single scans from 5 deg and 0.3 m off, and sequences of a tumbling target."""
+"""Trials of tracking: single scans with a start error, and sequences of a tumbling target."""
 
 import time
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ from rpod_schemas.types import Mode
 from rpod_sim_sensor.lidar import LidarEmulator
 
 OFF_DEG, OFF_M = 5.0, 0.3
-"""Distance of a single scan's start from its truth."""
+"""Error of a single scan's start: angle, deg, and distance, m."""
 FRAMES, SENSOR = 60, "lidar"
 """Number of scans of a sequence, at 1 Hz, and name of the sensor."""
 _START, _TUMBLE = 1, 2
@@ -41,14 +41,14 @@ _START, _TUMBLE = 1, 2
 
 @dataclass(frozen=True)
 class TrackingCell:
-    """A tracker on single scans at a range, or on sequences at a rate of tumbling."""
+    """A tracker on single scans at a range, or on sequences at a tumbling rate."""
 
     target: str
     tracker: str
     range_m: float | None
-    """Range of single scans; None for sequences, which follow the safety ellipse of 25 to 53 m."""
+    """Range of single scans, m; None for sequences, which follow the safety ellipse of 25 to 53 m."""
     rate_deg_s: float | None
-    """Rate of tumbling of sequences; None for single scans."""
+    """Tumbling rate of sequences, deg/s; None for single scans."""
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
 
@@ -109,7 +109,7 @@ def nees(truth: RigidTransform, found: RigidTransform, covariance: FloatArray) -
 
 
 def _sequence(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
-    """Return what the navigator made of a tumbling target, frame by frame."""
+    """Return the columns of a sequence in which the navigator tracks a tumbling target."""
     frames = list(_frames(cell, seed, trial))
     angles_deg = [angle_deg for angle_deg, _, _ in frames]
     return {
@@ -122,7 +122,7 @@ def _sequence(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
 
 
 def _frames(cell: TrackingCell, seed: int, trial: int) -> Iterator[tuple[float, bool, Mode]]:
-    """Yield attitude error, deg, whether the measurement was accepted, and mode, after each frame."""
+    """Yield attitude error, deg, acceptance of the measurement, and mode, for each frame."""
     emulator, _, navigator = _bench(cell, seed)
     motion = tumbling(cell.target, cell.rate_deg_s or 0.0, stream(seed, trial, _TUMBLE))
     state = navigator.start(motion.state(0.0).T_chaser_target)
@@ -154,7 +154,7 @@ def tumbling(target: str, rate_deg_s: float, generator: Generator) -> Motion:
 
 
 def _off(truth: RigidTransform, generator: Generator) -> RigidTransform:
-    """Return a pose off the truth by 5 deg and 0.3 m in random directions."""
+    """Return a pose with an error of 5 deg and 0.3 m in random directions."""
     turn, shift = Rotation.random(2, rng=generator).apply((1.0, 0.0, 0.0))
     return make_pose(
         rotation=Rotation.from_rotvec(np.deg2rad(OFF_DEG) * turn) * truth.rotation,

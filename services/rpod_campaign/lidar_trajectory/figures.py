@@ -1,4 +1,4 @@
-"""The 2015 paper's figures over the trajectory, drawn again."""
+"""The 2015 paper's figures over the trajectory, with results of this project."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ from rpod_campaign.papers import paper_2015 as paper
 Results = Sequence[CellResult[TrajectoryCell]]
 
 _PRINTED_STEP_DEG = 30.0
-"""Fig. 9 is of this step."""
+"""Template step of Fig. 9, deg."""
 
 
 def figures_over_time(results: Results) -> tuple[go.Figure, ...]:

@@ -26,7 +26,7 @@ _TUMBLE = ", ".join(f"{rate:g}" for rate in trial.TUMBLE_DEG_S)
 
 
 def summarise(cell: TrajectoryCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a cell."""
+    """Return the summary of a cell."""
     summary: dict[str, Any] = {
         **asdict(cell),
         "trials": rows.height,
@@ -47,21 +47,21 @@ def summarise(cell: TrajectoryCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report."""
+    """Return the sections of the report."""
     return [
         Section(
             "Along the trajectory (Fig. 5)",
             f"{POSITIONS} positions {INTERVAL_S:g} s apart on a safety ellipse of 25 to 53 m about the "
-            "target's centre of mass, with the secular effects of J2. Declared, since the paper does not "
-            f"state it: the target tumbles free of torque, at first with {_TUMBLE} deg/s about its axes, and "
-            "the sensor points at its centre of mass, to which the range is taken.",
+            "target's centre of mass, with the secular effects of J2. Assumed, because the paper does not "
+            f"state it: the target tumbles without torque, with {_TUMBLE} deg/s about its axes at first; the "
+            "sensor points at its centre of mass, and the range is measured to this point.",
             figures=figures_over_time(results),
         ),
         Section(
             "Template matching over the step (Fig. 6)",
-            "Success: attitude within 3 deg after ICP, with the two ways to pair points; 95 % Wilson bounds. "
-            "The paper's times are of MATLAB on a 3.4 GHz i7; at 30 deg it gives success three times: in "
-            "sections 4.4 and 4.5 and in its conclusions.",
+            "Success: attitude within 3 deg after ICP, with the two ways to pair points; 95 % Wilson "
+            "intervals. The paper's times are from MATLAB on a 3.4 GHz i7. It states the success at 30 deg "
+            "three times: in sections 4.4 and 4.5 and in its conclusions.",
             (success_table(results),),
             figures_over_steps(results),
         ),
@@ -72,10 +72,10 @@ def sections(results: Results) -> list[Section]:
         ),
         Section(
             "Attitude of the template (Table 2)",
-            "Averages over the successes (nearest neighbour). The paper does not say how its differences of "
-            "Euler angles are taken: raw is the absolute difference as it is, wrapped the shorter way round, "
-            "geodesic the angle of the turn between both attitudes. At a pitch of 90 deg, where roll and "
-            "yaw are one turn, the roll is taken as zero.",
+            "Averages over the successes (nearest neighbour). The paper does not define its differences of "
+            "Euler angles. Raw is the absolute difference, wrapped the same modulo 360 deg, geodesic the "
+            "angle of the rotation between the two attitudes. At a pitch of 90 deg, where roll and yaw are "
+            "the same rotation, the roll is set to zero.",
             (attitude_table(results),),
         ),
         Section(
@@ -87,7 +87,7 @@ def sections(results: Results) -> list[Section]:
         Section(
             "f_CONV (Fig. 9, Table 4)",
             "Mean squared distance of all points from the surface after ICP (nearest neighbour), in m2. In "
-            f"prose the paper says: {paper.COSTS_IN_PROSE}.",
+            f"prose the paper states: {paper.COSTS_IN_PROSE}.",
             (cost_table(results),),
         ),
     ]

@@ -1,4 +1,4 @@
-"""The 2015 paper's tables over the trajectory, filled again, its own numbers beside them."""
+"""The 2015 paper's tables over the trajectory, with results of this project beside the printed values."""
 
 from collections.abc import Iterator, Sequence
 
@@ -49,7 +49,7 @@ def success_table(results: Results) -> Table:
 
 
 def fast_table(results: Results) -> Table:
-    """Return what the fast variant loses and saves (Fig. 7)."""
+    """Return success lost and time saved by the fast variant (Fig. 7)."""
     rows = []
     for basic, fast in _pairs(results):
         step_deg = basic.cell.step_deg
@@ -152,7 +152,7 @@ def _pairs(results: Results) -> Iterator[tuple[Result, Result]]:
 
 
 def _columns(rows: pl.DataFrame, name: str) -> list[float]:
-    """Return the means of the components of a column of lists; NaN of no rows."""
+    """Return the means of the components of a column of lists; NaN without rows."""
     values = [value for value in rows[name].to_list() if value is not None]
     return np.mean(values, axis=0).tolist() if values else [float("nan")] * 3
 

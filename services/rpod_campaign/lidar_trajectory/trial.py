@@ -1,6 +1,6 @@
 """A trial along the trajectory: one of 241 positions on a safety ellipse (2015 paper, section 4.3; Fig. 5).
 
-Both ICPs start from the same template, so that a search, by far the dearest part, serves both.
+Both ICPs start from the same template, so that one search, by far the slowest part, serves both.
 """
 
 from dataclasses import dataclass
@@ -28,21 +28,22 @@ from rpod_target import Target
 
 POSITIONS, INTERVAL_S = 241, 50.0
 TUMBLE_DEG_S = (0.1, 0.2, 2.67)
-"""Rates of the target about its own axes at the epoch."""
+"""Rates of the target about its own axes at the epoch, deg/s."""
 MATCHERS = {"nn": "nearest-neighbour", "ns": "normal-shooting"}
-"""Columns of the ICPs and their names."""
+"""Names of the ICPs' matchers by the prefix of their columns."""
 
 MOTION = MotionConfig(
     trajectory=StationKeepingConfig(least_range_m=25.0, greatest_range_m=53.0),
     attitude=TumbleConfig(rate_deg_s=np.array(TUMBLE_DEG_S)),
 )
-"""Declared, since the paper states neither the ellipse's phase nor how the target turns: from straight below,
-a tumble near the axis of the greatest inertia, at the rate observed of ENVISAT (a turn in 135 s)."""
+"""Assumed motion, because the paper states neither the phase on the ellipse nor the rotation of the target:
+it starts straight below, with a tumble near the axis of the greatest inertia at the rate observed for ENVISAT
+(one turn in 135 s)."""
 
 
 @dataclass(frozen=True)
 class TrajectoryCell:
-    """Which target is scanned, and how it is looked for."""
+    """A target that is scanned, and the method that searches for it."""
 
     target: str
     method: str
@@ -120,10 +121,10 @@ def _refined(truth: RigidTransform, registration: Registration | None, target: T
 
 
 def _raw_errors(truth: RigidTransform, template: RigidTransform | None) -> dict[str, Any]:
-    """Return the template's errors as Tables 2 and 3 may have them.
+    """Return the template's errors by the possible definitions of Tables 2 and 3.
 
-    Of the Euler angles roll, pitch, yaw: the absolute differences as they are, and the same the shorter way
-    round; of the position: the absolute differences along the sensor's axes.
+    They are the absolute differences of roll, pitch and yaw, raw and wrapped to 180 deg at most, and those of
+    the position along the sensor's axes.
     """
     if template is None:
         return {"euler_raw_deg": None, "euler_wrapped_deg": None, "centroid_error_m": None}
@@ -136,14 +137,14 @@ def _raw_errors(truth: RigidTransform, template: RigidTransform | None) -> dict[
 
 
 def _euler_deg(pose: RigidTransform) -> FloatArray:
-    """Return roll, pitch, yaw (321); at a pitch of 90 deg, where they are one turn, roll is zero."""
+    """Return roll, pitch, yaw (321), deg; at a pitch of 90 deg, where roll and yaw are equal, roll is 0."""
     angles_deg: FloatArray = pose.rotation.as_euler("ZYX", degrees=True, suppress_warnings=True)
     return angles_deg[::-1]
 
 
 @lru_cache(maxsize=4)
 def motion_of(target: str) -> Motion:
-    """Return the declared motion of a target over the positions."""
+    """Return the assumed motion of a target over the positions."""
     loaded = cached_target(target)
     return build_motion(
         MOTION,

@@ -13,7 +13,7 @@ class Options(LidarOptions):
 
     trials: Trials = 200
     target: Names = ("envisat-slim", "envisat-bulky", "envisat-mesh", "mockup", "rocket-stage")
-    """Targets that are looked for: names, or paths of parameter files."""
+    """Targets that are searched: names, or paths of parameter files."""
     ranges: Ranges = (20.0, 50.0)
     method: Methods = ("template-matching", "global", "starved-global")
     steps: Steps = (30.0,)

@@ -1,4 +1,4 @@
-"""``lidar-verdict``: wrong poses that are accepted, right ones that are not, and f_MAX on other targets."""
+"""``lidar-verdict``: accepted wrong poses, rejected right ones, and f_MAX on other targets."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -19,23 +19,23 @@ from rpod_schemas.arrays import FloatArray
 
 Results = Sequence[CellResult[VerdictCell]]
 Group = tuple[str, float]
-"""Model, range in m."""
+"""Name of the model, and range in m."""
 
 
 MOST_WRONG_ACCEPTED, MOST_RIGHT_REJECTED = 0.02, 0.015
-"""Aims of the verdict, as shares of the wrong and of the right poses."""
+"""Aims of the verdict: largest shares of accepted wrong poses and of rejected right ones."""
 F_MAX_M2 = 0.003
-"""Limit that the 2015 paper's Table 4 suggests: above all successes but one, below all failures."""
+"""Limit f_MAX that the 2015 paper's Table 4 suggests, m2: above all successes but one, below all failures."""
 SCORES = {
     "f_CONV": ("f_conv_m2", False),
     "deficit": ("deficit_per_return", False),
     "explained share": ("explained_share", True),
 }
-"""Scores by column, and whether larger ones speak for a pose."""
+"""Column of each score, and whether larger values indicate a better pose."""
 
 
 def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a cell: numbers of trials."""
+    """Return the summary of a cell: numbers of trials."""
     judged = rows.filter(pl.col("found").is_not_null())
     wrong, accepted = judged["wrong"], judged["accepted"]
     ambiguous = judged["verdict"] == Outcome.AMBIGUOUS.value
@@ -53,17 +53,18 @@ def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report."""
+    """Return the sections of the report."""
     groups = _grouped(results)
     return [
         Section(
             "Verdicts",
-            "All poses are judged by the facility's own verdict, whoever found them. Wrong: 3 deg or 0.3 m "
-            "off, or of a scan of something else; trials without a pose count for neither. Rejected: failed "
-            "or ambiguous, but for an exact symmetry. Aims: at most "
+            "The facility's own verdict checks all poses, whatever method found them. Wrong: error of 3 deg "
+            "or 0.3 m or more, or a scan of another object; trials without a pose do not count. Rejected: "
+            "failed, or ambiguous other than by an exact symmetry. Aims: at most "
             f"{100.0 * MOST_WRONG_ACCEPTED:g} % of the wrong accepted, {100.0 * MOST_RIGHT_REJECTED:g} % of "
-            "the right rejected. Attitudes are uniform on SO(3). Ranges are for the bulky ENVISAT; others "
-            "stand nearer by their size, the square root of the surface. Shares with 95 % Wilson bounds.",
+            "the right rejected. Attitudes are uniform on SO(3). Ranges are for the bulky ENVISAT; those of "
+            "other targets are in proportion to their size, the square root of the surface. Shares with "
+            "95 % Wilson intervals.",
             (
                 _sum_table(results, "Verdicts in all", ("poses of",), _source),
                 _sum_table(results, "Verdicts by target and range", ("model", "range, m"), _model),
@@ -72,10 +73,10 @@ def sections(results: Results) -> list[Section]:
         ),
         Section(
             "f_CONV alone and the likelihood",
-            "Shares of right and of wrong poses that are accepted as the limit of one score moves; crosses "
-            "are the verdicts. f_CONV is the paper's: mean squared distance of all points after its ICP "
-            "from the judged pose. Deficit: expected minus actual log likelihood a return. Explained share: "
-            "of the rays where scan or model have a return.",
+            "Shares of accepted right and wrong poses over the limit of one score; crosses are the verdicts. "
+            "f_CONV is the paper's: mean squared distance of all points after its ICP from the checked "
+            "pose. Deficit: expected minus actual log likelihood for each return. Explained share: share of "
+            "agreeing rays, among those for which scan or model have a return.",
             (_score_table(groups),),
             tuple(_figure(groups, target) for target in dict.fromkeys(group[0] for group in groups)),
         ),
@@ -93,7 +94,7 @@ def _model(cell: VerdictCell) -> tuple[str, ...]:
 
 
 def _figure(groups: dict[Group, pl.DataFrame], target: str) -> go.Figure:
-    """Return the curves of a model's scores, and where its verdicts stand."""
+    """Return the curves of a model's scores, with its verdicts as points."""
     curves, verdicts = {}, {}
     for (model, range_m), rows in groups.items():
         wrong = rows["wrong"].to_numpy()
@@ -115,8 +116,8 @@ def roc(scores: FloatArray, wrong: Any) -> tuple[list[float], list[float]]:
     """Return the shares of wrong and right poses accepted, as the limit of a score falls.
 
     Args:
-        scores: larger ones speak for a pose, -inf where there is none; shape (N,).
-        wrong: shape (N,), both kinds present.
+        scores: scores of the poses, larger for better ones, -inf for none; shape (N,).
+        wrong: whether a pose is wrong, shape (N,), with both values.
     """
     limits = np.unique(scores[np.isfinite(scores)])[::-1]
     bad, good = np.sort(scores[wrong]), np.sort(scores[~wrong])
@@ -138,7 +139,7 @@ def _area(curve: tuple[list[float], list[float]]) -> float:
 
 
 def _grouped(results: Results) -> dict[Group, pl.DataFrame]:
-    """Return all poses that were judged by each model and range, wherever they are from."""
+    """Return all checked poses by model and range."""
     found: dict[Group, list[pl.DataFrame]] = {}
     for result in results:
         rows = result.rows.filter(pl.col("found").is_not_null())

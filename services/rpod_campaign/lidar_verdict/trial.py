@@ -1,7 +1,7 @@
-"""A trial of the verdict: is a right pose accepted, and a wrong one refused?
+"""A trial of the verdict: is a right pose accepted, and a wrong one rejected?
 
-Wrong poses come from methods that go wrong on their own target, and from scans of something else, where no
-pose is right. All are judged by the facility's own verdict, whoever found them.
+Wrong poses come from methods that fail on their own target, and from scans of another object, for which no
+pose is right. The facility's own verdict checks all of them, whatever method found them.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
 
 REFERENCE = "envisat-bulky"
-"""Ranges are given for a target of this size; others are scanned from nearer or farther by their size."""
+"""Target for whose size ranges are given; others are scanned from ranges in proportion to their size."""
 
 SCHEMA: dict[str, Any] = {
     **ACQUISITION_SCHEMA,
@@ -36,22 +36,22 @@ SCHEMA: dict[str, Any] = {
     "scanned_range_m": pl.Float64,
     "deficit_per_return": pl.Float64,
 }
-"""f_conv_m2 is that of the 2015 paper, by its ICP from the judged pose."""
+"""Columns of a row; f_conv_m2 is that of the 2015 paper, by its ICP from the checked pose."""
 
 
 @dataclass(frozen=True)
 class VerdictCell:
-    """A method that looks for a target, and what is really there."""
+    """A method that searches for a target, and the object that is scanned."""
 
     target: str
-    """The model."""
+    """Name of the target that is searched."""
     scanned_target: str
     """Name of the target that is scanned."""
     method: str
     step_deg: float | None
-    """Step of the template grid; None for other methods."""
+    """Step of the template grid, deg; None for other methods."""
     range_m: float
-    """For the reference; scaled by the size of what is scanned."""
+    """Range for the reference, m; scaled by the size of the scanned object."""
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
 
@@ -70,7 +70,7 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
 
 
 class Judge:
-    """A method under the facility's own verdict, and single scores of the poses that it judges."""
+    """A method, the facility's own verdict on its poses, and single scores of these poses."""
 
     def __init__(self, cell: VerdictCell, pattern: ScanPattern) -> None:
         target = cached_target(cell.target)
@@ -86,14 +86,14 @@ class Judge:
         self._paper = NearestNeighbourIcp(paper, target, pattern)
 
     def judged(self, scan: LidarScan) -> Acquisition:
-        """Return what the method finds, with the facility's verdict on it."""
+        """Return the method's acquisition, with the facility's verdict on it."""
         found = self._acquirer.acquire(scan)
         if self._judges_itself or found.pose is None:
             return found
         return self._verdict.verify(scan, found.pose)
 
     def scores(self, scan: LidarScan, judged: Acquisition) -> dict[str, float | None]:
-        """Return f_CONV and the likelihood's deficit a return at the judged pose; None without one."""
+        """Return f_CONV, m2, and the deficit for each return at the checked pose; None without one."""
         pose = judged.pose
         if pose is None:
             return {"f_conv_m2": None, "deficit_per_return": None}
@@ -107,7 +107,7 @@ class Judge:
 
 @lru_cache(maxsize=8)
 def size_m(target: str) -> float:
-    """Return the square root of a target's surface area."""
+    """Return the square root of a target's surface area, m."""
     a, b, c = np.moveaxis(cached_target(target).triangles_m, 1, 0)
     areas_m2 = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
     return float(np.sqrt(areas_m2.sum()))

@@ -1,8 +1,8 @@
-"""What the 2015 paper prints: every value of its prose and tables that a campaign can be laid beside.
+"""Values that the 2015 paper prints in its prose and tables and that a campaign can be compared with.
 
 Source: R. Opromolla, G. Fasano, G. Rufino, M. Grassi, A Model-Based 3D Template Matching Technique for Pose
-Acquisition of an Uncooperative Space Object, Sensors 15(3), 2015, 6360-6382. Its figures are not in the text
-that this was taken from: a value that stands in a figure alone is not here, and its column stays blank.
+Acquisition of an Uncooperative Space Object, Sensors 15(3), 2015, 6360-6382. The values are from its text
+without the figures: a value that only a figure shows is missing here, and its column stays blank.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class Printed:
     """One number as it is printed."""
 
     text: str
-    """With the words that qualify it."""
+    """Text of the number, with the words that qualify it."""
     section: str
 
     def __str__(self) -> str:
@@ -47,7 +47,7 @@ RANDOM_SUCCESS = {
     RangeKey(TM, 20.0, 30.0): Printed("0.88", "4.4, Fig. 8"),
     RangeKey(TM, 50.0, 30.0): Printed("0.68", "4.4, Fig. 8"),
 }
-"""SR_TM at random attitudes, 500 sets of Euler angles at each range."""
+"""Success rate SR_TM at random attitudes, with 500 sets of Euler angles at each range."""
 
 RANDOM_LOSS = {
     (20.0, 60.0): Printed("0.099", "4.4, Fig. 8"),
@@ -58,10 +58,10 @@ RANDOM_LOSS = {
     (30.0, 60.0): Printed("0.23", "4.4, Fig. 8"),
     (30.0, 10.0): Printed("0.039", "4.4, Fig. 8"),
 }
-"""SR_TM - SR_fast-TM at random attitudes, by range in m and step in deg."""
+"""Difference SR_TM - SR_fast-TM at random attitudes, by range in m and step in deg."""
 
 RETURNS = {20.0: Printed("about 490", "4.4"), 50.0: Printed("about 120", "4.4")}
-"""Points of a cloud on average, by range in m."""
+"""Mean number of points of a cloud, by range in m."""
 
 TRAJECTORY_SUCCESS = {
     10.0: Printed("about 0.76", "4.4, Fig. 6"),
@@ -69,13 +69,13 @@ TRAJECTORY_SUCCESS = {
     30.0: Printed("above 0.70; 0.72; about 0.78", "4.4, Fig. 6; 4.5; Conclusions"),
     60.0: Printed("0.59", "4.4, Fig. 6"),
 }
-"""SR_TM over the trajectory, nearest neighbour, by step in deg."""
+"""Success rate SR_TM over the trajectory, nearest neighbour, by step in deg."""
 
 TRAJECTORY_SUCCESSES = {10.0: 184, 20.0: 177, 30.0: 173, 40.0: 163, 60.0: 142}
-"""Successful poses out of 241 (Table 2), by step in deg."""
+"""Number of successful poses out of 241 (Table 2), by step in deg."""
 
 TRAJECTORY_POSITIONS = 241
-"""Section 4.3."""
+"""Number of positions on the trajectory (section 4.3)."""
 
 TRAJECTORY_LOSS = {
     10.0: Printed("about 0.01", "4.4, Fig. 7"),
@@ -84,7 +84,7 @@ TRAJECTORY_LOSS = {
     40.0: Printed("0.10", "4.4, Fig. 7"),
     60.0: Printed("0.22", "4.4, Fig. 7"),
 }
-"""SR_TM - SR_fast-TM over the trajectory, by step in deg."""
+"""Difference SR_TM - SR_fast-TM over the trajectory, by step in deg."""
 
 EXCLUDED = Printed("about 0.66", "4.4, Fig. 7; Conclusions")
 """Share of the templates that the fast variant leaves out, at any step."""
@@ -105,7 +105,7 @@ TIME_S = {
     30.0: Printed("7", "4.4, Fig. 6; 4.5"),
     60.0: Printed("1", "4.4, Fig. 6"),
 }
-"""Time of a search in MATLAB on an i7 at 3.4 GHz, by step in deg."""
+"""Time of a search in MATLAB on an i7 at 3.4 GHz, s, by step in deg."""
 
 RANGES_M = Printed("about 25 to 53", "4.3, Fig. 5")
 
@@ -125,7 +125,7 @@ EULER_ERRORS = {
     40.0: EulerErrors(39.83, 14.50, 47.62),
     60.0: EulerErrors(56.88, 18.97, 78.45),
 }
-"""Table 2: average errors of the template's Euler angles over the successes, on-line TM, by step in deg."""
+"""Average errors of the template's Euler angles over the successes, on-line TM, by step in deg (Table 2)."""
 
 POSITION_ERRORS = {
     (True, 10.0): (2.809, 1.324, 1.924),
@@ -139,7 +139,7 @@ POSITION_ERRORS = {
     (False, 40.0): (3.773, 1.478, 4.192),
     (False, 60.0): (3.443, 1.412, 3.601),
 }
-"""Table 3: average errors of the centroid along x, y, z of the sensor, m, by success and step in deg."""
+"""Average errors of the centroid along x, y, z of the sensor, m, by success and step in deg (Table 3)."""
 
 
 class Costs(NamedTuple):
@@ -163,10 +163,10 @@ COSTS = {
     StepKey(FAST_TM, 40.0): Costs(0.1539, 1.4273, 0.0027, 0.0013),
     StepKey(FAST_TM, 60.0): Costs(0.1254, 1.7980, 0.0026, 0.0012),
 }
-"""Table 4: f_CONV over the trajectory."""
+"""Costs f_CONV over the trajectory, m2 (Table 4)."""
 
 COSTS_IN_PROSE = Printed(
     "successes a few square millimetres, failures from 10 square centimetres (Fig. 9); Table 4 contradicts "
-    "both and stands",
+    "both and is used here",
     "4.5",
 )

@@ -1,30 +1,31 @@
-"""What the 2018 paper prints: every value of its tables, and what its prose says of them.
+"""Values that the 2018 paper prints: all values of its tables, and statements of its prose on them.
 
 Source: K. Klionovska, J. Ventura, H. Benninghoff, F. Huber, Close Range Tracking of an Uncooperative Target
-in a Sequence of Photonic Mixer Device (PMD) Images, Robotics 7(1), 2018, 5. Its figures are not in the text
-that this was taken from: a value that stands in a figure alone is not here, and its place stays blank.
+in a Sequence of Photonic Mixer Device (PMD) Images, Robotics 7(1), 2018, 5. The values are from its text
+without the figures: a value that only a figure shows is missing here, and its place stays blank.
 """
 
 from typing import NamedTuple
 
 CITATION = "Klionovska et al., Robotics 7(1), 2018"
 OBLIQUE, TUMBLING = "oblique", "tumbling"
-"""The scenarios of section 4: stabilised, approached at an angle; turning 5 deg/s, approached frontally."""
+"""Scenarios of section 4: a stabilised target, approached at an angle; one turning at 5 deg/s, approached
+frontally."""
 ICP, EPNP = "icp-reverse-calibration", "epnp"
 IMAGES = 20
-"""Of each set (section 4)."""
+"""Number of images of each set (section 4)."""
 RADII_PX = (10, 15, 20, 25, 30, 35, 40, 45, 50)
-"""Of the neighbour search (Table 2)."""
+"""Radii of the neighbour search, px (Table 2)."""
 RADIUS_PX = 25
-"""Of Figs. 10 to 12 and Tables 3 and 4."""
+"""Radius of Figs. 10 to 12 and Tables 3 and 4, px."""
 EPNP_S = "about 1"
 """CPU time of one amplitude image, s (section 4.2)."""
 SEVENTH = 7
-"""Number of the image that Figs. 13 and 14 show, counted from one."""
+"""Number of the image in Figs. 13 and 14, counted from one."""
 
 
 class Rms(NamedTuple):
-    """A column of Table 2. The axes are not stated: t^B suggests the target's, the sizes the camera's."""
+    """A column of Table 2. The axes are not stated: t^B suggests the target's, the values the camera's."""
 
     roll_deg: float
     pitch_deg: float
@@ -33,7 +34,7 @@ class Rms(NamedTuple):
     y_m: float
     z_m: float
     cpu_s: float
-    """Average time for one image."""
+    """Average time for one image, s."""
 
 
 RMS = {
@@ -56,7 +57,7 @@ RMS = {
     (TUMBLING, 45): Rms(7.20, 4.59, 1.81, 0.150, 0.116, 0.044, 5.8),
     (TUMBLING, 50): Rms(4.83, 6.64, 1.24, 0.126, 0.166, 0.039, 6.0),
 }
-"""Table 2: errors and CPU time of ICP with reverse calibration, by scenario and radius in pixels."""
+"""RMS errors and CPU time of ICP with reverse calibration, by scenario and radius in px (Table 2)."""
 
 
 class Norms(NamedTuple):
@@ -72,7 +73,7 @@ NORMS = {
     (TUMBLING, ICP): {4: Norms(15.73, 0.39), 7: Norms(25.91, 0.6), 9: Norms(23.27, 0.49)},
     (TUMBLING, EPNP): {4: Norms(4.72, 0.10), 7: Norms(4.35, 0.277), 9: Norms(2.7, 0.15)},
 }
-"""Tables 3 and 4: by scenario and technique, then by image, counted from one."""
+"""Error norms by scenario and technique, then by image, counted from one (Tables 3 and 4)."""
 
 PEAKS = {OBLIQUE: (15, 17, 19), TUMBLING: (4, 7, 9)}
-"""Images with spikes of the error in Fig. 10 (section 4.1)."""
+"""Numbers of the images with spikes of the error in Fig. 10 (section 4.1)."""

@@ -1,1 +1,1 @@
-"""What the campaigns of the PMD camera share: scenes, worlds, methods under trial, sequences, tables."""
+"""Shared parts of the PMD camera's campaigns: scenes, worlds, methods under trial, sequences, tables."""

@@ -1,4 +1,4 @@
-"""What the camera's campaigns make of the options that they share."""
+"""Cells of the camera's campaigns from the options that they share."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -12,14 +12,14 @@ from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
 
 CALIBRATED_WIGGLING = 0.005
-"""Share of the depth's third harmonic that a calibration leaves."""
+"""Share of the third harmonic h3 that remains after a calibration."""
 _FAMILY = "mockup-"
 
 
 def scenarios(options: PmdOptions) -> Iterator[tuple[str, Scenario]]:
     """Yield the scenarios with a camera in each world, and their labels.
 
-    ``mockup-`` need not be said; a label names a world that is not the documented one.
+    ``mockup-`` may be left out of a name; a label names any world but the documented one.
 
     Raises:
         ConfigurationError: a scenario is unknown.
@@ -41,12 +41,12 @@ def scenarios(options: PmdOptions) -> Iterator[tuple[str, Scenario]]:
 def methods(
     names: tuple[str, ...], chosen_px: tuple[int, ...] | None = None, *, radii_px: tuple[int, ...] = (25,)
 ) -> Iterator[tuple[str, int | None]]:
-    """Yield methods, each with its radii of the neighbour search where it has one.
+    """Yield methods, each with its radii of the neighbour search, px, if it has one.
 
     Args:
-        names: of the methods.
-        chosen_px: radii that the user chose.
-        radii_px: radii if the user chose none.
+        names: names of the methods.
+        chosen_px: radii that the user chose, px.
+        radii_px: radii if the user chose none, px.
 
     Raises:
         ConfigurationError: a method is unknown, or this version lacks it.
@@ -60,7 +60,7 @@ def methods(
 
 
 def calibrated(scenario: Scenario) -> Scenario:
-    """Return a scenario whose cameras have the error that a calibration leaves, which the estimator knows."""
+    """Return a scenario with calibrated cameras: with the remaining error, known to the estimator."""
     document: dict[str, Any] = scenario.model_dump(mode="json")
     hertz = {}
     for camera, sensor in zip(scenario.sensors, document["sensors"], strict=True):

@@ -17,9 +17,10 @@ _VARIANTS: dict[str, dict[str, Any]] = {
     },
     "icp-reverse-calibration-plane": {"kind": "icp_reverse_calibration"},
 }
-"""The 2018 paper's, point to point with equal weights, in many small steps; and ours, point to plane."""
+"""Fields of the 2018 paper's ICP, point to point with equal weights in many small steps, and of ours, point
+to plane."""
 DEFAULT = "default"
-"""Whatever the facility's configuration has."""
+"""Name of the method in the facility's default configuration."""
 
 
 def has_radius(method: str) -> bool:
@@ -28,7 +29,7 @@ def has_radius(method: str) -> bool:
 
 
 def method_names() -> tuple[str, ...]:
-    """Return the methods that ``--method`` takes: variants above, and all that installed packages bring."""
+    """Return the methods that ``--method`` accepts: the variants above, and all of installed packages."""
     brought = (each.name.replace("_", "-") for each in methods("pmd", "tracking"))
     return tuple(dict.fromkeys((*_VARIANTS, *brought)))
 

@@ -32,14 +32,14 @@ Through = Annotated[
 FRAMES = ("keyframes", "full")
 THROUGH = ("tracker", "navigator")
 DEPTH = ("raw", "calibrated")
-"""What ``both`` stands for."""
+"""Values that ``both`` selects."""
 
 
 class PmdOptions(Options):
-    """What every campaign of the camera lets the user choose."""
+    """Options of every campaign of the camera."""
 
     scenario: Names = ("tumbling",)
     """Scenarios with the camera, by name; 'mockup-' may be left out."""
     world: Worlds = ("documented",)
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)
-    """The scenarios that are installed, by name."""
+    """Installed scenarios, by name."""

@@ -1,4 +1,4 @@
-"""Random poses in front of a camera, and which estimate of one counts as right."""
+"""Random poses in front of a camera, and the limits of a right estimate."""
 
 import numpy as np
 from numpy.random import Generator
@@ -8,11 +8,11 @@ from rpod_schemas.poses import make_pose
 from rpod_target import Target
 
 SUCCESS_DEG, SUCCESS_M = 4.0, 0.08
-"""A pose nearer than both is a success."""
+"""Largest errors of a success: attitude, deg, and position, m."""
 FRONT_DEG = 45.0
-"""Half angle of the cone about the target's x axis from which its front is seen."""
+"""Half angle of the cone about the target's x axis from which its front is seen, deg."""
 _ASIDE_M = 0.1
-"""The middle of the target is drawn up to so far from the boresight, right or left, up or down."""
+"""Largest random offset of the target's middle from the boresight, along each image axis, m."""
 
 
 def drawn(target: Target, view: str, range_m: tuple[float, float], generator: Generator) -> RigidTransform:
@@ -26,7 +26,7 @@ def drawn(target: Target, view: str, range_m: tuple[float, float], generator: Ge
 
 
 def _front(generator: Generator) -> Rotation:
-    """Return an attitude of any roll, its x axis to the camera within FRONT_DEG, evenly over that cap."""
+    """Return an attitude of any roll with the x axis to the camera within FRONT_DEG, uniform on that cap."""
     z = generator.uniform(np.cos(np.deg2rad(FRONT_DEG)), 1.0)
     azimuth, roll = generator.uniform(0.0, 2.0 * np.pi, 2)
     tilt = Rotation.from_rotvec(np.arccos(z) * np.array((np.cos(azimuth), np.sin(azimuth), 0.0)))

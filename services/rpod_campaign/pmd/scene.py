@@ -26,7 +26,7 @@ from rpod_sim_sensor.worlds import world_of
 _CAD, _LOSS = 11, 12
 """Streams of random numbers."""
 _NOISE_SEEDS = 1_000_003
-"""Trials of one seed never share another's noise as long as there are fewer."""
+"""Number of trials of one seed below which no two seeds share the noise of a trial."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Shot:
     """A frame with its truth."""
 
     time_s: float
-    """From the epoch, middle of the exposure."""
+    """Time from the epoch to the middle of the exposure, s."""
     T_sensor_target: RigidTransform
     frame: PmdFrame
     seen: NDArray[np.bool_]
@@ -42,12 +42,12 @@ class Shot:
 
     @property
     def depth_share(self) -> float:
-        """Share of the target's pixels that have a depth; NaN where it is out of the image."""
+        """Share of the target's pixels that have a depth; NaN if it is outside the image."""
         return float(np.isfinite(self.frame.depth_m[self.seen]).mean()) if self.seen.any() else float("nan")
 
 
 class Stage:
-    """A scenario's camera, target and motion, in one trial of one world."""
+    """Camera, target and motion of a scenario, in one trial of one world."""
 
     def __init__(self, scenario: Scenario, world: World, *, seed: int, trial: int) -> None:
         self.camera = camera_of(scenario)
@@ -70,11 +70,11 @@ class Stage:
         self._hits = Hits.of(self._rays)
 
     def truth(self, time_s: float) -> RigidTransform:
-        """Return T_sensor_target."""
+        """Return T_sensor_target at a time."""
         return self.camera.T_chaser_sensor.inv() * self._motion.state(time_s).T_chaser_target
 
     def take(self, time_s: float) -> Shot:
-        """Return the frame exposed around a time; its noise is that of its number at the fastest rate."""
+        """Return the frame exposed around a time; its noise is that of its number at the largest rate."""
         return self.expose(
             [self.truth(time_s + offset_s) for offset_s in self.camera.pose_times_s()],
             self.truth(time_s),
@@ -108,12 +108,12 @@ class Stage:
 
 
 def still(stage: Stage, T_sensor_target: RigidTransform, *, number: int) -> Shot:
-    """Return the frame of a target that stands still."""
+    """Return the frame of a motionless target."""
     return stage.expose([T_sensor_target] * stage.camera.sub_exposures, T_sensor_target, number=number)
 
 
 def camera_of(scenario: Scenario) -> PmdConfig:
-    """Return the scenario's camera."""
+    """Return the camera of a scenario."""
     return next(sensor for sensor in scenario.sensors if isinstance(sensor, PmdConfig))
 
 
@@ -124,19 +124,19 @@ def scenario_of(document: str) -> Scenario:
 
 
 def times_s(scenario: Scenario, frames: str) -> list[float]:
-    """Return the times of keyframes, one a second, or of the full rate of the scenario's camera."""
+    """Return the times of frames, s: keyframes, one a second, or the full rate of the scenario's camera."""
     rate_hz = 1.0 if frames == "keyframes" else fastest_hz(camera_of(scenario))
     return [number / rate_hz for number in range(int(scenario.duration_s * rate_hz))]
 
 
 def fastest_hz(camera: PmdConfig) -> float:
-    """Return how many frames a second a camera takes at most."""
+    """Return the largest frame rate of a camera, Hz."""
     exposure_s = 2.0 * camera.latency_s - camera.readout_s
     return float(min(MAX_RATE_HZ, np.floor(1.0 / exposure_s)))
 
 
 def off(pose: RigidTransform, generator: Generator, *, angle_deg: float, distance_m: float) -> RigidTransform:
-    """Return a pose that is off by an angle and a distance in random directions."""
+    """Return a pose with an error of an angle and a distance in random directions."""
     axis, way = (vector / np.linalg.norm(vector) for vector in generator.standard_normal((2, 3)))
     return make_pose(
         rotation=Rotation.from_rotvec(np.deg2rad(angle_deg) * axis) * pose.rotation,
@@ -145,7 +145,7 @@ def off(pose: RigidTransform, generator: Generator, *, angle_deg: float, distanc
 
 
 def turned(covariance: FloatArray, R: Rotation) -> FloatArray:
-    """Return the covariance of (dp, dtheta), shape (6, 6), in axes that R turns the old ones into."""
+    """Return the covariance of (dp, dtheta), shape (6, 6), in axes rotated by R."""
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = matrix[3:, 3:] = R.as_matrix()
     return matrix @ covariance @ matrix.T

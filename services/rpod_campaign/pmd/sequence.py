@@ -1,4 +1,4 @@
-"""A trial of tracking a camera's target frame to frame: a scenario from its first frame to its last."""
+"""A trial of frame-to-frame tracking with a camera: a scenario from its first frame to its last."""
 
 import time
 from collections.abc import Iterator
@@ -27,12 +27,12 @@ from rpod_schemas.poses import pose_error
 from rpod_schemas.types import PmdFrame
 
 START_DEG, START_M = 2.0, 0.03
-"""Distance of the first frame's guess from the truth, in random directions; the paper takes the first pose as
-known (section 3)."""
+"""Error of the first frame's guess in random directions: angle, deg, and distance, m. The paper takes the
+first pose as known (section 3)."""
 _START = 13
-"""Stream of random numbers."""
+"""Stream of random numbers for the first guess."""
 FRAME = "frame"
-"""The column that tells the rows of a sequence apart."""
+"""Column that distinguishes the rows of a sequence."""
 
 
 @dataclass(frozen=True)
@@ -42,18 +42,18 @@ class SequenceCell:
     scenario: str
     method: str
     radius_px: int | None
-    """First radius of the neighbour search; None for methods without one."""
+    """First radius of the neighbour search, px; None for methods without one."""
     frames: str
-    """keyframes or full."""
+    """Frames of the sequence: keyframes or full."""
     through: str
-    """tracker: the last estimate is the next guess; truth: the last image's true pose is, so that one failure
-    does not make the next; navigator: its filter predicts, and gates."""
+    """Source of the next guess. tracker: the last estimate; truth: the true pose of the last image, so that
+    one failure does not cause the next; navigator: the prediction of its filter, which also gates."""
     document: str = field(repr=False)
-    """The scenario, as JSON."""
+    """JSON of the scenario."""
     target: str
-    """The scenario's."""
+    """Name of the scenario's target."""
     case: str = ""
-    """The campaign's name for this world, or for this light."""
+    """Name of the world, or of the light, in the campaign."""
     world: World = NOMINAL
 
 
@@ -87,7 +87,7 @@ class Answer(NamedTuple):
     """Result of one frame."""
 
     T_sensor_target: RigidTransform
-    """The estimate; where nothing was measured, what is gone on with."""
+    """The estimate; without a measurement, the pose that tracking continues with."""
     measured: bool
     covariance: FloatArray
     """Covariance of (dp, dtheta) in the sensor's axes, shape (6, 6); NaN if unknown."""
@@ -113,7 +113,7 @@ def run(cell: SequenceCell, seed: int, trial: int) -> list[dict[str, Any]]:
 
 
 def followed(cell: SequenceCell, seed: int, trial: int) -> Iterator[tuple[Shot, Answer, float]]:
-    """Yield each frame, what the method made of it, and the processor time that it took."""
+    """Yield each frame, the method's answer, and its processor time, s."""
     scenario = scenario_of(cell.document)
     stage = Stage(scenario, cell.world, seed=seed, trial=trial)
     first = off(stage.truth(0.0), stream(seed, trial, _START), angle_deg=START_DEG, distance_m=START_M)
@@ -126,7 +126,7 @@ def followed(cell: SequenceCell, seed: int, trial: int) -> Iterator[tuple[Shot, 
 
 
 class _ByTracker:
-    """The last estimate is the next guess (2018 paper, Fig. 2); without a pose the last one stays."""
+    """The last estimate is the next guess (2018 paper, Fig. 2); without a pose the last one is kept."""
 
     def __init__(self, tracker: Tracker[PmdFrame], first: RigidTransform) -> None:
         self._tracker, self._last = tracker, first
@@ -141,7 +141,7 @@ class _ByTracker:
 
 
 class _FromTruth(_ByTracker):
-    """The last image's true pose is the next guess: what a tracker does with a guess as far off as that."""
+    """The true pose of the last image is the next guess, so that the error of a guess is the motion."""
 
     def follow(self, shot: Shot) -> Answer:
         answer = super().follow(shot)
@@ -150,7 +150,7 @@ class _FromTruth(_ByTracker):
 
 
 class _ByNavigator:
-    """The navigator predicts, believes or rejects, and filters."""
+    """The navigator predicts, accepts or rejects, and filters."""
 
     def __init__(self, cell: SequenceCell, stage: Stage, first: RigidTransform) -> None:
         settings = scenario_of(cell.document).estimator
@@ -229,7 +229,7 @@ def _components(names: tuple[str, ...], vector: FloatArray) -> dict[str, float]:
 
 
 def _worst_sigma(covariance: FloatArray) -> float:
-    """Return the standard deviation in the worst direction; NaN where it is unknown."""
+    """Return the standard deviation in the worst direction; NaN if it is unknown."""
     if not np.isfinite(covariance).all():
         return float("nan")
     return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1].clip(0.0)))

@@ -1,4 +1,4 @@
-"""Differences between the world that the camera looks at and the estimator's model of it."""
+"""Differences between the imaged world and the estimator's model of it."""
 
 from dataclasses import dataclass, replace
 
@@ -12,35 +12,35 @@ from rpod_target import Target
 from rpod_target.topology import unit_normals
 
 _PATCHES = 12
-"""Along each side of the image: depth is lost in areas, not in single pixels."""
+"""Number of patches along each side of the image: depth is lost in areas, not in single pixels."""
 _GLINT_PX = (6, 30)
-"""Least and greatest radius of a glint."""
+"""Least and greatest radius of a glint, px."""
 _MOST_GLINTS = 400
 
 
 @dataclass(frozen=True)
 class World:
-    """Differences; the default has none."""
+    """Differences between world and model; the default has none."""
 
     cad_error_m: float = 0.0
-    """Standard deviation of the parts' places and of their sizes along each axis."""
+    """Standard deviation of the parts' places and of their sizes along each axis, m."""
     coat: str | None = None
-    """Material that everything is covered with; None for the target file's own."""
+    """Material that covers everything; None for the target file's own."""
     scale: float = 1.0
-    """Size over what is drawn."""
+    """Size of the target over that of its model."""
     depth_lost_share: float = 0.0
-    """Share of the image without depth, in patches; the amplitude stays."""
+    """Share of the image without depth, in patches; the amplitude is kept."""
     glint_share: float = 0.0
-    """Share of the target's pixels where glints leave neither depth nor amplitude."""
+    """Share of the target's pixels whose depth and amplitude glints remove."""
 
 
 NOMINAL = World()
 
 
 def built(target: Target, world: World, generator: Generator) -> Target:
-    """Return the target as it was built, which is not quite as it was drawn.
+    """Return the target as built, which differs from its model.
 
-    The first part carries the target's axes: its size is off, not its place.
+    The first part defines the target's axes, so that only its size differs, not its place.
     """
     if world.coat is not None:
         target = _coated(target, world.coat)
@@ -57,7 +57,7 @@ def built(target: Target, world: World, generator: Generator) -> Target:
 
 
 def _misbuilt(triangles_m: FloatArray, shift_m: FloatArray, growth_m: FloatArray) -> FloatArray:
-    """Return a part moved, and larger along each axis about the centre of its bounding box."""
+    """Return a part displaced, and larger along each axis about the centre of its bounding box."""
     low, high = triangles_m.min(axis=(0, 1)), triangles_m.max(axis=(0, 1))
     centre, size = (low + high) / 2.0, high - low
     grown: FloatArray = centre + shift_m + (triangles_m - centre) * (1.0 + growth_m / size)
@@ -70,13 +70,13 @@ def _coated(target: Target, material: str) -> Target:
 
 
 def disturbed(frame: PmdFrame, world: World, generator: Generator, *, seen: NDArray[np.bool_]) -> PmdFrame:
-    """Return a frame as the world leaves it; in a glint both taps are full, and their difference is nothing.
+    """Return a frame with the world's disturbances; in a glint both taps are full and their difference is 0.
 
     Args:
-        frame: as the camera took it.
-        world: what disturbs it.
-        generator: of the frame's own.
-        seen: where the target is, shape (H, W).
+        frame: frame of the camera.
+        world: disturbances.
+        generator: random numbers of this frame.
+        seen: pixels that see the target, shape (H, W).
     """
     depth_m, amplitude = frame.depth_m, frame.amplitude
     if world.depth_lost_share:
@@ -91,7 +91,7 @@ def disturbed(frame: PmdFrame, world: World, generator: Generator, *, seen: NDAr
 
 
 def glints(seen: NDArray[np.bool_], share: float, generator: Generator) -> NDArray[np.bool_]:
-    """Return discs about random pixels of the target, as many as cover a share of it; shape (H, W)."""
+    """Return random discs on the target, as many as cover a share of it; shape (H, W)."""
     rows, columns = np.nonzero(seen)
     wiped = np.zeros_like(seen)
     row, column = np.ogrid[: seen.shape[0], : seen.shape[1]]

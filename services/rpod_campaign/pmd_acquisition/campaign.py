@@ -13,7 +13,7 @@ CASES = {
     "front-wide": ("front", "wide"),
     "all-wide": ("all", "wide"),
 }
-"""View and start by the names of the command line."""
+"""View and start by the case's name on the command line."""
 
 
 def cells(options: Options) -> list[AcquisitionCell]:

@@ -16,11 +16,11 @@ class Options(PmdOptions):
     trials: Trials = 500
     ranges: Ranges = (3.0, 6.0)
     method: Names = ("default",)
-    """Methods of tracking behind the search; default is the facility's."""
+    """Methods of tracking that refine the search's pose; default is the facility's."""
     case: Annotated[tuple[Literal["front", "all", "front-wide", "all-wide"], ...], Field(min_length=1)] = (
         "front",
         "all",
         "front-wide",
         "all-wide",
     )
-    """Views of the target, and whether the search starts from a wide guess or from none."""
+    """Views of the target, and whether the search starts from a wrong guess (wide) or without one."""

@@ -1,4 +1,4 @@
-"""``pmd-acquisition``: the mock-up in one frame at 3 to 6 m, from no guess and from a wide start."""
+"""``pmd-acquisition``: the mock-up in one frame at 3 to 6 m, without a guess and near a wrong one."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -19,7 +19,7 @@ Results = Sequence[CellResult[AcquisitionCell]]
 
 
 def summarise(cell: AcquisitionCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a cell; ``wrong_accepted`` and ``right_refused`` are numbers of trials."""
+    """Return the summary of a cell; ``wrong_accepted`` and ``right_refused`` are numbers of trials."""
     share, good = rate(int(rows["success"].sum()), rows.height), rows.filter("success")
     parameters = asdict(cell)
     del parameters["document"]
@@ -42,12 +42,13 @@ def summarise(cell: AcquisitionCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report."""
+    """Return the sections of the report."""
     note = (
-        f"One frame each, the scenario's camera and sun. Success: within {SUCCESS_DEG:g} deg and "
-        f"{1e2 * SUCCESS_M:g} cm, whether accepted or not, with 95 % Wilson bounds. front: within "
-        f"{FRONT_DEG:g} deg of the front, any roll; all: attitudes uniform on SO(3). wide: a start "
-        f"{WIDE_DEG:g} deg and {WIDE_M:g} m off in random directions. Times are of the processor, one thread."
+        f"One frame for each trial, the scenario's camera and sun. Success: within {SUCCESS_DEG:g} deg and "
+        f"{1e2 * SUCCESS_M:g} cm, accepted or not, with 95 % Wilson intervals. front: within "
+        f"{FRONT_DEG:g} deg of the front, any roll; all: attitudes uniform on SO(3). wide: a search near a "
+        f"guess with an error of {WIDE_DEG:g} deg and {WIDE_M:g} m in random directions. Times are processor "
+        "times of one thread."
     )
     return [Section("Acquisition", note, (_table(results), *_refusals(results)), _figures(results))]
 
@@ -77,7 +78,7 @@ def _table(results: Results) -> Table:
 
 
 def _refusals(results: Results) -> tuple[Table, ...]:
-    """Return the reasons of refusals, if any, numbers in them left out so that alike ones count together."""
+    """Return the table of the reasons for rejection, if any, counted without the numbers in them."""
     rows: list[tuple[str, ...]] = []
     for result in results:
         words = result.rows.filter(pl.col("reason") != "").select(

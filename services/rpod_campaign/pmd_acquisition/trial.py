@@ -1,4 +1,4 @@
-"""A trial of acquisition in one frame of a camera: from no guess, or from a wide start."""
+"""A trial of acquisition in one frame of a camera, without a guess or near a wrong one."""
 
 import time
 from dataclasses import dataclass, field
@@ -19,9 +19,9 @@ from rpod_pose.ports import Methods
 from rpod_schemas.config.emulator import WorldName
 
 WIDE_DEG, WIDE_M = 25.0, 0.5
-"""Distance of a wide start from the truth."""
+"""Error of a wide start: angle, deg, and distance, m."""
 _START = 1
-"""Stream of random numbers beside that of the pose."""
+"""Stream of random numbers for the start, beside that of the pose."""
 
 
 @dataclass(frozen=True)
@@ -29,17 +29,17 @@ class AcquisitionCell:
     """A target, a method, and the view and start of the trials."""
 
     view: str
-    """front: within FRONT_DEG of the target's front; all: attitudes uniform on SO(3)."""
+    """View of the target. front: within FRONT_DEG of its front; all: attitudes uniform on SO(3)."""
     start: str
-    """none; or wide: from WIDE_DEG and WIDE_M off."""
+    """Start of the search: none, or wide, with an error of WIDE_DEG and WIDE_M."""
     method: str
-    """Name of the tracking method behind the search."""
+    """Name of the tracking method that refines the search's pose."""
     range_m: tuple[float, float]
-    """Least and greatest range of the target's middle; uniform between them."""
+    """Least and greatest range of the target's middle, m; uniform between them."""
     document: str = field(repr=False)
-    """The scenario with camera and sun, as JSON."""
+    """JSON of the scenario with camera and sun."""
     target: str
-    """The scenario's."""
+    """Name of the scenario's target."""
     world: WorldName = "documented"
     """The scenario's physics of the camera; the method is not told."""
 

@@ -39,7 +39,7 @@ def cells(options: Options) -> list[SequenceCell]:
 
 
 def approaching(scenario: Scenario, range_m: tuple[float, float]) -> Scenario:
-    """Return a scenario that goes straight from one range to another."""
+    """Return a scenario with a straight approach from one range to another, m."""
     document: dict[str, Any] = scenario.model_dump(mode="json")
     start_m, end_m = range_m
     document["motion"]["trajectory"] |= {"start_m": [0.0, 0.0, start_m], "end_m": [0.0, 0.0, end_m]}

@@ -22,4 +22,4 @@ class Options(PmdOptions):
         tuple[Literal["nominal", "cad-1mm", "cad-3mm", "depth-lost", "glints", "close"], ...],
         Field(min_length=1),
     ] = ("nominal", "cad-1mm", "cad-3mm", "depth-lost", "glints", "close")
-    """Differences between world and model, and the way through them."""
+    """Differences between world and model, and range of the approach."""

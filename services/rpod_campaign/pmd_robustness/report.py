@@ -1,4 +1,4 @@
-"""``pmd-robustness``: a mock-up that is not as drawn, depth that is lost, glints, and the last metre."""
+"""``pmd-robustness``: a mock-up that differs from its model, lost depth, glints, and the last metre."""
 
 import polars as pl
 
@@ -14,13 +14,13 @@ from rpod_campaign.pmd_robustness.trial import CASES, END_M, LEAVES_M, START_M
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report."""
+    """Return the sections of the report."""
     close = [result for result in results if result.cell.case == "close"]
     far = [result for result in results if result.cell.case != "close"]
     told = {result.cell.case for result in results}
     about = "; ".join(f"{name}: {case.about}" for name, case in CASES.items() if name in told)
     note = (
-        f"{START_M:g} to {LEAVES_M:g} m in the sun, what is left of the wiggling {CALIBRATED_WIGGLING:g}, "
+        f"Range {START_M:g} to {LEAVES_M:g} m in the sun, remaining wiggling {CALIBRATED_WIGGLING:g}; "
         f"close: {LEAVES_M:g} to {END_M:g} m. {about}. {LOST}"
     )
     return [
@@ -55,7 +55,7 @@ def _rises(result: CellResult[SequenceCell], pair: CellResult[SequenceCell]) -> 
 
 
 def _close_section(results: Results) -> Section:
-    """Return error and covariance over the last metre, in bins of a decimetre."""
+    """Return error and covariance over the last metre, in bins of 0.1 m."""
     rows = []
     for result in results:
         decimetre = (10.0 * pl.col("range_m")).floor().cast(pl.Int64)
@@ -75,5 +75,5 @@ def _close_section(results: Results) -> Section:
         *("method", "from, m", "median, deg", "greatest, deg", "median sigma, deg"),
         *("median, mm", "greatest, mm", "median sigma, mm"),
     )
-    note = "Sigma is the covariance's in its worst direction: it has to grow where the view does not tell."
+    note = "Sigma is that of the covariance in its worst direction; it must grow if the view is ambiguous."
     return Section("The last metre", note, (Table("By decimetre", columns, tuple(rows)),))

@@ -1,4 +1,4 @@
-"""The worlds and the ways through them in which a target is tracked."""
+"""The worlds, and the approaches in them, in which a target is tracked."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,19 +9,19 @@ from rpod_campaign.pmd.world import World
 __all__ = ["CASES", "END_M", "LEAVES_M", "SCHEMA", "START_M", "Case", "run"]
 
 START_M, LEAVES_M, END_M = 7.0, 2.1, 1.0
-"""Range of the start, where the target begins to leave the image, and of the end."""
+"""Range at the start, at which the target begins to leave the image, and at the end, m."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A world, and the way through it."""
+    """A world, and an approach in it."""
 
     about: str
     world: World
     range_m: tuple[float, float] = (START_M, LEAVES_M)
-    """At the start and at the end."""
+    """Range at the start and at the end, m."""
     pair: str | None = field(default=None)
-    """The case with the same frames, undisturbed."""
+    """Name of the case with the same frames without the disturbance."""
 
 
 _1_MM = 1e-3
@@ -41,4 +41,4 @@ CASES: Mapping[str, Case] = {
     ),
     "close": Case("1 mm, the target leaves the image", World(cad_error_m=_1_MM), (LEAVES_M, END_M)),
 }
-"""By the names of the command line."""
+"""Cases by their name on the command line."""

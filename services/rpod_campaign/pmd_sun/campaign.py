@@ -43,12 +43,12 @@ def cells(options: Options) -> list[SunCell]:
         for method, radius_px in methods(options.method, options.radius)
         for coat in options.case
         for angle_deg, azimuth_deg in product(_ANGLES_DEG, _AZIMUTHS_DEG)
-        if azimuth_deg == 0.0 or 0.0 < angle_deg < 180.0  # where the azimuth says nothing, once
+        if azimuth_deg == 0.0 or 0.0 < angle_deg < 180.0  # once if all azimuths are the same
     ]
 
 
 def lit(scenario: Scenario, angle_deg: float, azimuth_deg: float) -> Scenario:
-    """Return a scenario with the sun elsewhere, as seen at the epoch."""
+    """Return a scenario with another direction of the sun, as seen at the epoch."""
     angle, azimuth = np.deg2rad((angle_deg, azimuth_deg))
     across = np.sin(angle)
     direction = [across * np.cos(azimuth), across * np.sin(azimuth), np.cos(angle)]

@@ -20,4 +20,4 @@ class Options(PmdOptions):
     case: Annotated[
         tuple[Literal["as-built", "panel", "gold-mli", "silver-mli"], ...], Field(min_length=1)
     ] = ("as-built", "panel", "gold-mli", "silver-mli")
-    """Materials that cover the mock-up; as-built leaves it as its file has it."""
+    """Materials that cover the mock-up; as-built keeps those of its file."""

@@ -1,4 +1,4 @@
-"""``pmd-sun``: suns from all sides on a mock-up of all materials (the 2018 paper's future work)."""
+"""``pmd-sun``: sun from all directions on a mock-up of several materials (the 2018 paper's future work)."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,7 +17,7 @@ Results = Sequence[CellResult[SunCell]]
 
 
 def summarise(cell: SunCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a cell."""
+    """Return the summary of a cell."""
     return summarise_sequence(cell, rows) | {
         "sun_angle_deg": cell.angle_deg,
         "sun_azimuth_deg": cell.azimuth_deg,
@@ -25,11 +25,11 @@ def summarise(cell: SunCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report: each sun, then the mean over azimuths."""
+    """Return the sections of the report: each sun, then the mean over azimuths."""
     note = (
-        "The angle is between the direction to the sun and the boresight: at 0 deg the camera looks into the "
-        "sun and the mock-up shows its dark side, at 180 deg the sun stands behind the camera; the camera's "
-        f"own lens flare is not modelled. The azimuth goes from right (0 deg) to down (90 deg). {LOST}"
+        "The angle is between the direction to the sun and the boresight. At 0 deg the camera looks into the "
+        "sun and sees the mock-up's dark side; at 180 deg the sun is behind the camera. Lens flare is not "
+        f"modelled. The azimuth goes from right (0 deg) to down (90 deg). {LOST}"
     )
     return [
         Section("Over the sun's angle", "Means over the azimuths.", (_by_angle(results),), _figures(results)),

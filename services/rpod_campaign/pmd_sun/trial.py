@@ -9,9 +9,9 @@ __all__ = ["SCHEMA", "SunCell", "run"]
 
 @dataclass(frozen=True)
 class SunCell(SequenceCell):
-    """A sequence under a sun; ``case`` is what covers the mock-up."""
+    """A sequence under a sun; ``case`` is the material that covers the mock-up."""
 
     angle_deg: float = 0.0
-    """Between the directions to the sun and of the boresight: at 0 the camera looks into the sun."""
+    """Angle between the direction to the sun and the boresight, deg; at 0 the camera looks into the sun."""
     azimuth_deg: float = 0.0
-    """About the boresight, from x (right) to y (down)."""
+    """Azimuth about the boresight, from x (right) to y (down), deg."""

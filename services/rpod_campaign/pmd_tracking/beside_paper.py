@@ -1,4 +1,4 @@
-"""The 2018 paper's tables and figures, filled again, its own numbers beside them."""
+"""The 2018 paper's tables and figures, with results of this project beside the printed values."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -20,7 +20,7 @@ _FORMS = (".2f", ".2f", ".2f", ".3f", ".3f", ".3f")
 _PAPER_SCENARIOS = (paper.OBLIQUE, paper.TUMBLING)
 _GUESS = {"tracker": "estimate", "truth": "true pose"}
 _SHOWN = (paper.ICP, paper.EPNP, "hybrid", "joint")
-"""Methods in the figures of single images, where they were run."""
+"""Methods in the figures of single images, if they were run."""
 
 
 def table_2(results: Results) -> tuple[Table, ...]:
@@ -56,7 +56,7 @@ def _over_radius(results: Results, title: str, axes: tuple[str, ...]) -> Table:
 
 
 def spikes_table(results: Results) -> tuple[Table, ...]:
-    """Return the error norms of the images that the paper singles out (Tables 3 and 4)."""
+    """Return the error norms of the images that the paper lists (Tables 3 and 4)."""
     tables = []
     for scenario, title in ((paper.OBLIQUE, "Table 3"), (paper.TUMBLING, "Table 4")):
         images = tuple(paper.NORMS[scenario, paper.ICP])
@@ -125,10 +125,10 @@ def pictures(results: Results) -> tuple[go.Figure, ...]:
 
 
 def seventh_note() -> str:
-    """Return what the pictures show."""
+    """Return the caption of the pictures."""
     return (
-        "Depth where there is any, and amplitude, with the target's wireframe, hidden lines left out, at the "
-        "estimates and at the truth."
+        "Depth and amplitude, with the target's wireframe at the estimates and at the truth. Hidden lines "
+        "are left out."
     )
 
 
@@ -137,17 +137,17 @@ def _of(results: Results, scenario: str, through: str) -> list[CellResult[Sequen
 
 
 def _one_radius(results: Results, scenario: str) -> list[CellResult[SequenceCell]]:
-    """Return what followed a scenario, with one radius; the paper's ICP from both guesses."""
+    """Return the results of a scenario with one radius; the paper's ICP from both guesses."""
     mine = [r for r in results if r.cell.scenario == scenario and r.cell.through in _GUESS]
     return [r for r in mine if r.cell.radius_px in (None, paper.RADIUS_PX)]
 
 
 def _technique(cell: SequenceCell) -> str:
-    """Return a method's name, with where its guess came from if that is no estimate."""
+    """Return a method's name, with the source of its guess if that is not an estimate."""
     return cell.method if cell.through == "tracker" else f"{cell.method} from the true pose"
 
 
 def _beside(ours: float | None, printed: float | None, form: str) -> str:
-    """Return our value with the printed one, where there is one."""
+    """Return our value with the printed one, if there is one."""
     said = number(ours, form)
     return said if printed is None else f"{said} / {printed:g}"

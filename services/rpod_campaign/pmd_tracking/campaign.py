@@ -38,20 +38,20 @@ def cells(options: Options) -> list[SequenceCell]:
 
 
 def _is_asked(scenario: str, *, frames: str, method: str, radius_px: int | None) -> bool:
-    """Return whether a radius belongs to Table 2, or is that of all other comparisons."""
+    """Return whether a radius belongs to Table 2, or is the one of all other comparisons."""
     in_table_2 = _is_papers(scenario, frames=frames, method=method)
     return radius_px in (None, paper.RADIUS_PX) or in_table_2
 
 
 def _guesses(options: Options, scenario: str, *, frames: str, method: str) -> tuple[str, ...]:
-    """Return where first guesses come from; Table 2 is filled from the last image's true pose as well."""
+    """Return the sources of first guesses; Table 2 also uses the true pose of the last image."""
     if options.through is None and _is_papers(scenario, frames=frames, method=method):
         return "tracker", "truth"
     return either(options.through or "tracker", THROUGH)
 
 
 def _is_papers(scenario: str, *, frames: str, method: str) -> bool:
-    """Return whether cells are the paper's: in the documented world alone."""
+    """Return whether cells are the paper's, which only the documented world has."""
     return method == PAPER_ICP and frames == "keyframes" and scenario in (paper.OBLIQUE, paper.TUMBLING)
 
 

@@ -25,7 +25,7 @@ class Options(PmdOptions):
     radius: Radii = None
     frames: Frames = "keyframes"
     through: Through | None = None
-    """First guess of an image: the last estimate, the last true pose, or the navigator's prediction; both is
-    tracker and navigator. If not given: tracker, and for the 2018 paper's Table 2 truth as well."""
+    """First guess of an image: the last estimate, the last true pose, or the navigator's prediction; both
+    selects tracker and navigator. By default tracker, and for the 2018 paper's Table 2 truth as well."""
     depth: Literal["raw", "calibrated", "both"] = "raw"
-    """Depth with all of the camera's wiggling error, or with what a calibration leaves of it."""
+    """Depth with all of the camera's wiggling error, or with the error that remains after a calibration."""

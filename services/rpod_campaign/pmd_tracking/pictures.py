@@ -26,8 +26,8 @@ def picture(results: Sequence[CellResult[SequenceCell]], *, number: int) -> go.F
     """Return a frame of the first trial, with the wireframes at all the results' estimates.
 
     Args:
-        results: of one scenario and world, at least one.
-        number: of the frame, from zero.
+        results: results of one scenario and world, at least one.
+        number: number of the frame, from zero.
     """
     shot, rows = _shot(results[0], number), [_row(result, number) for result in results]
     target = cached_target(scenario_of(results[0].cell.document).target)
@@ -68,7 +68,7 @@ def _pose(numbers: list[float]) -> RigidTransform:
 
 
 def _draw(figure: go.Figure, shown: Picture, *, column: int) -> None:
-    """Lay an image under a subplot whose axes are its pixels, cut to the picture's window."""
+    """Add an image to a subplot whose axes are its pixels, cropped to the picture's window."""
     left, top, width, height = shown.view
     across, down = shown.size
     figure.add_layout_image(

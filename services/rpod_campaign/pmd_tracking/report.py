@@ -16,7 +16,7 @@ from rpod_campaign.pmd_tracking.beside_paper import (
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report: what the paper shows in its order, then what it does not."""
+    """Return the sections of the report: those of the paper in its order, then the others."""
     keyframes = [r for r in results if r.cell.frames == "keyframes" and r.cell.case == results[0].cell.case]
     full = [result for result in results if result.cell.frames == "full"]
     usual = [result for result in results if result.cell.radius_px in (None, paper.RADIUS_PX)]
@@ -24,29 +24,30 @@ def sections(results: Results) -> list[Section]:
         Section(
             "RMS and time of ICP with reverse calibration (Table 2)",
             "Ours / printed. Attitude is Log(R_truth^T R_estimate) in target axes, position in camera axes; "
-            "the paper does not state its own, so the other choice stands below. Frame to frame, one failure "
-            "makes the next, so the technique is tried from the last image's true pose as well. The paper's "
-            "times are of C++ on a processor that it does not name.",
+            "the paper does not state its own, so that the other choice follows below. Frame to frame, one "
+            "failure causes the next; therefore the technique also starts from the last image's true pose. "
+            "The paper's times are from C++ on a processor that it does not name.",
             table_2(keyframes),
         ),
         Section(
             "Error of every image (Figs. 10 to 12)",
-            f"ICP's radius is {paper.RADIUS_PX} px. Diamonds are what Tables 3 and 4 print; the paper's "
+            f"ICP's radius is {paper.RADIUS_PX} px. Diamonds are the values of Tables 3 and 4; the paper's "
             "curves are not in its text.",
             figures=error_figures(keyframes),
         ),
         Section(
-            "The images where the paper's EPnP beats its ICP (Tables 3 and 4)",
-            "Norms of the errors of single images, ours / printed: another target's pictures in another "
-            "light, so that what compares is whether the techniques fail on different images.",
+            "The images on which the paper's EPnP is better than its ICP (Tables 3 and 4)",
+            "Norms of the errors of single images, ours / printed. The paper's images show another target in "
+            "another light, so that only one thing is comparable: whether the techniques fail on different "
+            "images.",
             spikes_table(keyframes),
         ),
         Section("The seventh images (Figs. 13 and 14)", seventh_note(), figures=pictures(keyframes)),
         Section(
             "All methods",
             f"Raw depth has all of the camera's wiggling, calibrated depth {CALIBRATED_WIGGLING:g} of it. "
-            f"The first frame's guess is {START_DEG:g} deg and {1e2 * START_M:g} cm off in a random "
-            f"direction. {LOST}",
+            f"The first frame's guess has an error of {START_DEG:g} deg and {1e2 * START_M:g} cm in random "
+            f"directions. {LOST}",
             (*overview(usual), other_axes(usual)),
         ),
         *(

@@ -1,1 +1,1 @@
-"""Verdicts on frames of the target and of something else."""
+"""Verdicts on frames of the target and of other objects."""

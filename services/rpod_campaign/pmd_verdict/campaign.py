@@ -19,11 +19,11 @@ _AS_BUILT = World(cad_error_m=1e-3)
 
 @dataclass(frozen=True)
 class Case:
-    """Content of a frame, and how it differs from the target as it is."""
+    """Content of a frame, and its differences from the target as it is."""
 
     world: World = _AS_BUILT
     target: str | None = None
-    """None for the one that is looked for."""
+    """Name of the target in the frame; None for the one that is searched."""
     sun: str = "anywhere"
     profile: str = "fast"
     flip: str = ""
@@ -43,7 +43,7 @@ CASES: Mapping[str, Case] = {
     **{f"size-{scale:g}": Case(World(scale=scale)) for scale in (0.9, 1.1)},
     **{target: Case(World(), target) for target in ("hexagonal-body", "rocket-stage", "envisat-slim")},
 }
-"""By the names of the command line; the mock-up is 1 mm off where nothing else is said."""
+"""Cases by their name on the command line; the parts of the mock-up have an error of 1 mm unless stated."""
 
 
 def cells(options: Options) -> list[VerdictCell]:
@@ -66,7 +66,7 @@ def cells(options: Options) -> list[VerdictCell]:
 
 
 def _taken(scenario: Scenario, profile: str) -> Scenario:
-    """Return a scenario whose camera has an exposure profile, at a rate that all of them allow."""
+    """Return a scenario whose camera has an exposure profile, at a rate that all profiles allow."""
     document: dict[str, Any] = scenario.model_dump(mode="json")
     for sensor in document["sensors"]:
         if sensor["kind"] == "pmd":

@@ -38,4 +38,4 @@ class Options(PmdOptions):
     trials: Trials = 100
     ranges: Ranges = (2.1, 7.0)
     case: Annotated[tuple[CaseName, ...], Field(min_length=1)] = get_args(CaseName)
-    """Contents of the frame, or how it is altered."""
+    """Contents of the frame, or changes to it."""

@@ -1,4 +1,4 @@
-"""``pmd-verdict``: right poses that are refused, and frames of something else that are believed."""
+"""``pmd-verdict``: right poses that are rejected, and frames of other objects that are accepted."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -16,7 +16,7 @@ _JUDGES = ("acquisition", "tracker")
 
 
 def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a cell: numbers of trials."""
+    """Return the summary of a cell: numbers of trials."""
     parameters = asdict(cell)
     del parameters["document"]
     counts: dict[str, Any] = {}
@@ -35,17 +35,17 @@ def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report."""
+    """Return the sections of the report."""
     note = (
-        "One frame each, any attitude, the sun anywhere, depth not calibrated. The acquisition has no guess, "
-        f"the tracker starts {OFF_DEG:g} deg and {1e2 * OFF_M:g} cm beside the truth, whatever is there. "
+        "Each trial is one frame with any attitude, any sun, and uncalibrated depth. The acquisition has no "
+        f"guess; the tracker starts with an error of {OFF_DEG:g} deg and {1e2 * OFF_M:g} cm. "
     )
     right = [result for result in results if not result.cell.spoiled]
     spoiled = [result for result in results if result.cell.spoiled]
-    told = "Right: within 4 deg and 8 cm. What is ambiguous is not accepted. 95 % Wilson bounds."
+    told = "Right: within 4 deg and 8 cm. Ambiguous results are not accepted. 95 % Wilson intervals."
     alike = (
-        "No pose is right. Alike: at the pose found the target gives the same ranges and outline, but for "
-        "3 cm, as what is really there, so that only materials and motion can tell them apart."
+        "No pose is right. Alike: at the found pose the target has the same ranges and outline as the actual "
+        "object, within 3 cm, so that only materials and motion can distinguish the two."
     )
     return [
         *([Section("Right frames", note + told, (_right_table(right),))] if right else []),

@@ -1,7 +1,7 @@
-"""A trial of the camera's verdicts: are right poses believed, and frames of something else refused?
+"""A trial of the camera's verdicts: are right poses accepted, and frames of other objects rejected?
 
-One frame is drawn, spoiled or not, and both are asked: the acquisition without a guess, and the tracker from
-a degree and a centimetre beside where the target really is.
+One random frame, changed or not, is given to both: the acquisition without a guess, and the tracker with an
+error of a degree and a centimetre from the true pose.
 """
 
 from collections.abc import Callable, Mapping
@@ -35,13 +35,13 @@ from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import Target
 
 OFF_DEG, OFF_M = 1.0, 0.01
-"""Distance of the tracker's start from the truth."""
+"""Error of the tracker's start: angle, deg, and distance, m."""
 _DRAW, _START, _SUN = 0, 1, 2
 """Streams of random numbers."""
 _EXACT = PmdCheckConfig(tolerance_m=0.03)
 """Tolerance within which two images without noise count as the same."""
 _EVERY = 3
-"""Pixels that they are compared on, as the tracker does at 5 m: what is left of the pose's error is less."""
+"""Stride of the compared pixels, that of the tracker at 5 m: the remaining error of the pose is smaller."""
 
 Flip = Callable[[NDArray[Any]], NDArray[Any]]
 FLIPS: Mapping[str, Flip] = {"": np.asarray, "left-right": np.fliplr, "upside-down": np.flipud}
@@ -50,25 +50,25 @@ FLIPS: Mapping[str, Flip] = {"": np.asarray, "left-right": np.fliplr, "upside-do
 
 @dataclass(frozen=True)
 class VerdictCell:
-    """Content of the frames, and the target that is looked for."""
+    """Content of the frames, and the target that is searched."""
 
     case: str
     document: str = field(repr=False)
-    """The scenario with the camera, as JSON; its target is looked for."""
+    """JSON of the scenario with the camera; its target is searched."""
     target: str
-    """Name of the target that is really there."""
+    """Name of the target in the frames."""
     range_m: tuple[float, float]
-    """From and to; of the target's middle, uniform."""
+    """Least and greatest range of the target's middle, m; uniform between them."""
     world: World
     flip: str = ""
     focal_share: float = 1.0
-    """Focal lengths of the camera that is told, over those of the true one."""
+    """Focal lengths that the estimator is given, over the true ones."""
     sun: str = "anywhere"
-    """Or behind: the camera."""
+    """Direction of the sun: anywhere, or behind the camera."""
 
     @property
     def spoiled(self) -> bool:
-        """Whether the frame shows something else than the target as the camera sees it."""
+        """Whether the frame shows anything but the target as the camera sees it."""
         looked_for = scenario_of(self.document).target
         altered = self.target != looked_for or self.world.scale != 1.0
         return altered or bool(self.flip) or self.focal_share != 1.0
@@ -92,13 +92,16 @@ SCHEMA: dict[str, Any] = {
     },
     "tracked_after": pl.Boolean,
 }
-"""alike: the target at the pose found, refined by the tracker, gives the same ranges and outline, but for
-3 cm, as what is really there: by its shape it cannot be told from it. Null where no pose was found.
-tracked_after: the acquisition's pose is accepted, and then the tracker's from there in the same frame."""
+"""Columns of a row.
+
+alike: the target at the found pose, refined by the tracker, has the same ranges and outline as the object in
+the frame, within 3 cm; their shapes cannot be distinguished. Null if no pose was found. tracked_after: the
+acquisition's pose is accepted, and then the tracker's pose from there in the same frame.
+"""
 
 
 def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
-    """Return the row of one frame: any attitude, the sun anywhere."""
+    """Return the row of one frame with any attitude and any direction of the sun."""
     scenario, methods = scenario_of(cell.document), _methods(cell)
     shown = _lit(scenario, cell.sun, stream(seed, trial, _SUN)).model_copy(update={"target": cell.target})
     stage = Stage(shown, cell.world, seed=seed, trial=trial)
@@ -131,7 +134,7 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
 
 
 def _judged(name: str, accepted: bool, reason: str, off: tuple[float | None, float | None]) -> dict[str, Any]:
-    """Return a judge's columns."""
+    """Return the columns of the acquisition or of the tracker."""
     attitude_deg, position_m = off
     near = attitude_deg is not None and attitude_deg < SUCCESS_DEG
     return {
@@ -160,7 +163,7 @@ def _spoiled(frame: PmdFrame, cell: VerdictCell) -> PmdFrame:
 
 
 def _alike(seen_m: FloatArray, camera: Camera, target: Target, pose: RigidTransform) -> bool:
-    """Return whether what is seen, inf for the sky, is what is expected: ranges, and both outlines."""
+    """Return whether the measured ranges, inf for the sky, and outline agree with the expected ones."""
     grid = RayGrid(np.ascontiguousarray(RayGrid.pinhole(camera).components[:, ::_EVERY, ::_EVERY]))
     hits, matrix = cast(grid, target.triangles_m, pose, cull_back_faces=True), pose.as_matrix()
     R, t = matrix[:3, :3].copy(), matrix[:3, 3].copy()

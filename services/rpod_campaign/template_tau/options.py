@@ -18,4 +18,4 @@ class Options(LidarOptions):
     ranges: Ranges = (20.0, 50.0)
     steps: Steps = (30.0,)
     taus: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
-    """Limits of the relative difference of spreads (tau of the 2015 paper's Eq. 3) that are compared."""
+    """Compared limits of the relative difference of spreads, tau in Eq. 3 of the 2015 paper."""

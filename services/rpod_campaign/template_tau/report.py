@@ -1,4 +1,4 @@
-"""Tables and figures of ``template-tau``: success and templates left out, over tau."""
+"""``template-tau``: success and excluded templates over tau."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -18,12 +18,12 @@ from rpod_pose.lidar.paper_2015.tau_sweep import TauSweep
 Results = Sequence[CellResult[TauCell]]
 
 LOSSES = (0.0, 0.01, 0.05)
-"""Shares of the scans whose success a tau may cost."""
+"""Largest losses of success that a tau may cause, as shares of the scans."""
 _PAPER_TAU = 0.1
 
 
 def summarise(cell: TauCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return what is said of a cell; the smallest tau is infinite if none of those compared will do."""
+    """Return the summary of a cell; the smallest tau is infinite if no compared value is sufficient."""
     swept = _swept(cell, rows)
     return {
         **asdict(cell),
@@ -36,12 +36,12 @@ def summarise(cell: TauCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the report."""
+    """Return the sections of the report."""
     note = (
         "A template is left out if its spread about the boresight differs from the scan's by more than tau, "
         f"relative to the latter (2015 paper, Eq. 3; the paper takes {_PAPER_TAU:g}). Success: attitude "
-        "within 3 deg after ICP, with 95 % Wilson bounds; plain: without leaving any out. The smallest tau "
-        "is the least one of those compared from which on at most a share of the scans is lost."
+        "within 3 deg after ICP, with 95 % Wilson intervals; plain: with all templates. The smallest tau is "
+        "the least compared value from which on the loss of success is at most a given share of the scans."
     )
     return [Section("Choice of tau", note, (_choice(results), _over_tau(results)), _figures(results))]
 

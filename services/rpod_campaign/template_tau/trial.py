@@ -1,7 +1,7 @@
-"""A trial of ``template-tau``: what the fast variant makes of one scan for several values of tau.
+"""A trial of ``template-tau``: the fast variant on one scan for several values of tau.
 
-All templates are correlated once. For each tau those are left out that the fast variant would leave out
-(2015 paper, section 2.2, Eq. 3), and the best of the others is refined by the paper's ICP.
+All templates are correlated once. For each tau, the templates that the fast variant would leave out are left
+out (2015 paper, section 2.2, Eq. 3), and the best of the others is refined by the paper's ICP.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
 
 TAU = "tau"
-"""The column that tells the rows of one scan apart."""
+"""Column that distinguishes the rows of one scan."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class TauCell:
 
     target: str
     step_deg: float
-    """Step of the template grid."""
+    """Step of the template grid, deg."""
     range_m: float
     taus: tuple[float, ...]
-    """Ascending."""
+    """Compared values of tau, ascending."""
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
 
@@ -55,7 +55,7 @@ SCHEMA: dict[str, Any] = {
 
 
 def run(cell: TauCell, seed: int, trial: int) -> list[dict[str, Any]]:
-    """Return a row for each tau; attitudes Euler-uniform."""
+    """Return a row for each tau; attitudes have uniform Euler angles."""
     emulator, matching, tracker, attitudes = _bench(cell, seed)
     target = cached_target(cell.target)
     drawn = random_pose(cell.target, range_m=cell.range_m, sampling="euler", seed=seed, trial=trial)

@@ -55,8 +55,8 @@ class ProjectiveIcp:
             1.0 / tuning.outline_m,
         )
         middle_m = np.sqrt(tuning.widest_m * tuning.narrowest_m)
-        self._far = np.geomspace(tuning.widest_m, middle_m, tuning.draw_in_steps)
-        self._near = np.geomspace(middle_m, tuning.narrowest_m, tuning.settle_steps)
+        self._far = np.geomspace(tuning.widest_m, middle_m, tuning.coarse_steps)
+        self._near = np.geomspace(middle_m, tuning.narrowest_m, tuning.fine_steps)
 
     def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the scan gives none."""

@@ -148,7 +148,7 @@ class ScanModel:
     def _explains(self, fit: ScanFit, returns: int) -> bool:
         verdict = self._verdict
         most = verdict.max_deficit * max(fit.deviation, LEAST_DEVIATION)
-        most_inconsistent = verdict.contrary_share + 2.0 * sqrt(verdict.contrary_share / returns)
+        most_inconsistent = verdict.inconsistent_share + 2.0 * sqrt(verdict.inconsistent_share / returns)
         return (
             fit.deficit <= most + verdict.max_deficit_per_return * returns
             and fit.agreement.share >= 1.0 - most_inconsistent

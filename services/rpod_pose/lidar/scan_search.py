@@ -93,8 +93,8 @@ class ScanSearch:
             self._tuning.truncation_m,
             truncated=seen.cut_off,
         )
-        self._few = Points.equal(seen.downsampled(self._tuning.draw_in_points))
-        self._far_m = np.geomspace(*FIELD_SCALES_M, self._tuning.draw_in_steps)
+        self._few = Points.equal(seen.downsampled(self._tuning.coarse_points))
+        self._far_m = np.geomspace(*FIELD_SCALES_M, self._tuning.coarse_steps)
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
         """Return distinct poses, likeliest first; empty if the sensor sees the target at no attitude.
@@ -132,7 +132,7 @@ class ScanSearch:
             return finished
         least = finished[0].fit.log_likelihood - tuning.rival_log_likelihood
         rivals = [pose for pose in finished if pose.fit.log_likelihood >= least]
-        if len(rivals) == 1 and self.seen.returns >= tuning.sharpened_returns:
+        if len(rivals) == 1 and self.seen.returns >= tuning.sufficient_returns:
             return finished
         return self._distinct([*map(self._outline_refined, rivals), *finished[len(rivals) :]])
 
@@ -141,7 +141,7 @@ class ScanSearch:
         pose = self._improved(pose, FINE_SCALES_M)
         halfway = 0.0 < pose.fit.deficit < HALFWAY * self.seen.returns
         few = (
-            self.seen.returns < self._tuning.sharpened_returns
+            self.seen.returns < self._tuning.sufficient_returns
         )  # few returns: the pose is refined on the outline at the end
         return self._outline_refined(pose) if halfway and not few else pose
 

@@ -75,7 +75,7 @@ class Contradictions:
 
     def reason(self, limits: PmdCheckConfig) -> str:
         """Return why the pose does not explain the frame; empty if it does."""
-        most = limits.most_contrary_share
+        most = limits.most_inconsistent_share
         if self.inconsistent > max(most * self.pixels, NEGLIGIBLE):
             share = self.inconsistent / self.pixels
             return f"{share:.1%} of {self.pixels} pixels contradict the pose, {most:.0%} at most"

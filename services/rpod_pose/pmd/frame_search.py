@@ -81,7 +81,7 @@ class FrameSearch:
         self._comparison = Comparison(
             model.views, scene, scene.middle_m(), scene.distances(), ANY_ECHO, tuning.truncation_m
         )
-        self._few = Points.equal(scene.downsampled(tuning.draw_in_points))
+        self._few = Points.equal(scene.downsampled(tuning.coarse_points))
         self._fine = Points.equal(scene.downsampled(tuning.fine_points))
 
     def search(self, attitudes: Float32Array, around: FloatArray | None) -> list[Pose]:

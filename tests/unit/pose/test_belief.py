@@ -74,7 +74,7 @@ def test_a_running_track_may_use_what_is_too_little_to_begin_with():
 
 
 def test_a_running_track_is_never_asked_for_more():
-    with pytest.raises(ValidationError, match="a running track asks no more than an acquisition"):
+    with pytest.raises(ValidationError, match="a running track needs no more than an acquisition"):
         AcceptanceConfig(min_explained_share=0.7, min_tracked_share=0.8)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from rpod_schemas.config.estimator import EstimatorConfig
-from rpod_schemas.config.migration import CONFIG_VERSION, VERSION_FIELD, check_logged, logged
+from rpod_schemas.config.migration import CONFIG_VERSION, RENAMED, VERSION_FIELD, check_logged, logged
 from rpod_schemas.errors import ConfigurationError
 
 OF_AN_EARLIER_VERSION = {
@@ -26,6 +26,20 @@ def of_version_1() -> dict[str, Any]:
     return document
 
 
+def of_version_2() -> dict[str, Any]:
+    """The same configuration as version 2 logged it: with tuning, renamed fields under their old names."""
+    config = check_logged(EstimatorConfig, of_version_1(), source="run.mcap").config
+    old_names = {new: old for old, new in RENAMED.items()}
+
+    def older(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {old_names.get(key, key): older(item) for key, item in value.items()}
+        return [older(item) for item in value] if isinstance(value, list) else value
+
+    document: dict[str, Any] = older(logged(config))
+    return {**document, VERSION_FIELD: 2}
+
+
 def leaves(document: Any, place: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
     """All values of a document by their place, without the parts of it that are called tuning."""
     if isinstance(document, dict):
@@ -38,6 +52,10 @@ def leaves(document: Any, place: tuple[str, ...] = ()) -> dict[tuple[str, ...], 
     for key, value in pairs:
         found |= leaves(value, place if key == "tuning" else (*place, key))
     return found
+
+
+def renamed(place: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(RENAMED.get(name, name) for name in place)
 
 
 def test_fields_that_are_gone_are_left_out_and_named_with_their_place() -> None:
@@ -67,7 +85,8 @@ def test_every_value_of_a_logged_configuration_is_kept_or_named_as_unknown() -> 
     document = of_version_1()
     migrated = check_logged(EstimatorConfig, document, source="run.mcap")
     today = leaves(migrated.config.model_dump(mode="json"))
-    lost = {place for place, value in leaves(document).items() if today.get(place, "missing") != value}
+    logged_values = {place: (renamed(place), value) for place, value in leaves(document).items()}
+    lost = {place for place, (now, value) in logged_values.items() if today.get(now, "missing") != value}
     gone = [tuple(name.split(".")) for name in migrated.unknown]
     assert all(any(place[: len(name)] == name for name in gone) for place in lost), lost
 
@@ -90,6 +109,66 @@ def test_values_that_are_now_tuning_stay_what_the_log_says() -> None:
     assert {"sensors.0.tracking.far_iterations", "navigator.vague_deg"} < set(migrated.tuned)
     assert "sensors.0.tracking.slack_m" not in migrated.tuned
     assert "sensors.0.acquisition.model.foil_share" in migrated.unknown
+
+
+def test_renamed_fields_of_version_1_keep_their_values_and_are_named() -> None:
+    document = of_version_1()
+    pmd, lidar = document["sensors"]
+    pmd["tracking"]["check"]["most_contrary_share"] = 0.03
+    lidar["acquisition"] |= {"draw_in_points": 99, "draw_in_steps": 7, "sharpened_returns": 71}
+    lidar["tracking"] |= {"draw_in_steps": 4, "settle_steps": 2}
+    lidar["tracking"]["verdict"]["contrary_share"] = 0.05
+    migrated = check_logged(EstimatorConfig, document, source="run.mcap")
+    camera, scanner = migrated.config.model_dump()["sensors"]
+    assert camera["tracking"]["tuning"]["check"]["most_inconsistent_share"] == 0.03
+    search, tracking = scanner["acquisition"]["tuning"], scanner["tracking"]["tuning"]
+    assert [search[name] for name in ("coarse_points", "coarse_steps", "sufficient_returns")] == [99, 7, 71]
+    assert (tracking["coarse_steps"], tracking["fine_steps"]) == (4, 2)
+    assert tracking["verdict"]["inconsistent_share"] == 0.05
+    assert {
+        "sensors.0.tracking.check.most_contrary_share -> most_inconsistent_share",
+        "sensors.1.acquisition.draw_in_steps -> coarse_steps",
+        "sensors.1.tracking.verdict.contrary_share -> inconsistent_share",
+    } < set(migrated.renamed)
+    assert "sensors.1.acquisition.draw_in_steps" in migrated.tuned
+
+
+def test_a_log_of_version_2_is_read_with_its_values_and_the_renamed_fields_are_named(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    document = of_version_2()
+    document["sensors"][1]["tracking"]["tuning"]["settle_steps"] = 2
+    migrated = check_logged(EstimatorConfig, document, source="run.mcap")
+    migrated.report("run.mcap")
+    assert (migrated.version, migrated.tuned, migrated.unknown) == (2, (), ())
+    assert {name.rpartition(".")[2].split(" -> ")[0] for name in migrated.renamed} == set(RENAMED)
+    assert migrated.config.model_dump()["sensors"][1]["tracking"]["tuning"]["fine_steps"] == 2
+    (line,) = caplog.messages
+    assert "is of version 2" in line
+    assert "settle_steps -> fine_steps" in line
+
+
+def test_of_a_field_that_has_both_names_the_old_one_is_unknown() -> None:
+    document = of_version_2()
+    document["sensors"][1]["tracking"]["tuning"]["fine_steps"] = 9
+    migrated = check_logged(EstimatorConfig, document, source="run.mcap")
+    assert migrated.unknown == ("sensors.1.tracking.tuning.settle_steps",)
+    assert migrated.config.model_dump()["sensors"][1]["tracking"]["tuning"]["fine_steps"] == 9
+
+
+def test_of_todays_version_an_old_name_is_unknown() -> None:
+    migrated = check_logged(
+        EstimatorConfig, {**of_version_2(), VERSION_FIELD: CONFIG_VERSION}, source="run.mcap"
+    )
+    assert migrated.renamed == ()
+    assert "sensors.1.tracking.tuning.settle_steps" in migrated.unknown
+
+
+def test_a_renamed_field_that_no_model_has_is_named_as_the_log_has_it() -> None:
+    document = {**OF_AN_EARLIER_VERSION, "filter": {"settle_steps": 3}}
+    migrated = check_logged(EstimatorConfig, document, source="run.mcap")
+    assert "filter.settle_steps" in migrated.unknown
+    assert (migrated.tuned, migrated.renamed) == ((), ())
 
 
 def test_one_line_names_what_is_now_tuning_and_what_is_unknown(caplog: pytest.LogCaptureFixture) -> None:

@@ -56,12 +56,15 @@ def test_a_document_is_read_and_written_as_the_model_of_its_kind():
 @pytest.mark.parametrize(
     ("sensor", "text"),
     [
-        ({"kind": "mono"}, r"sensors\.0\.kind: no installed package brings 'mono' .* known are lidar, pmd;"),
+        (
+            {"kind": "mono"},
+            r"sensors\.0\.kind: no installed package provides 'mono' .* known are lidar, pmd;",
+        ),
         ({}, r"sensors\.0\.kind: is missing, known are lidar, pmd"),
         (3, r"sensors\.0: needs named fields"),
         (
             {"kind": "pmd", "tracking": {"kind": "x"}},
-            r"tracking\.kind: no installed package brings .*pmd\.joint",
+            r"tracking\.kind: no installed package provides .*pmd\.joint",
         ),
         ({"kind": "pmd", "tracking": {"kind": "view_search"}}, r"'view_search' is no method for tracking"),
         ({"kind": "pmd", "tracking": {"kind": "joint", "far_points": 0}}, r"tracking\.far_points: "),
@@ -78,7 +81,7 @@ def test_a_model_does_not_take_another_kind():
 
 
 def test_a_driver_is_of_a_known_kind():
-    with pytest.raises(ConfigurationError, match="kind: no installed package brings 'sonar'"):
+    with pytest.raises(ConfigurationError, match="kind: no installed package provides 'sonar'"):
         check(DriverConfig, {"kind": "sonar", "name": "s"}, source="file")
 
 
@@ -109,9 +112,9 @@ def test_two_packages_that_bring_one_name_are_an_error(entries):
         names(SENSORS)
 
 
-def test_an_environment_without_entry_points_is_told_to_install_anew(entries):
+def test_an_environment_without_entry_points_is_told_to_install_again(entries):
     entries()
-    with pytest.raises(UnknownNameError, match="install it anew"):
+    with pytest.raises(UnknownNameError, match="install it again"):
         sensor_kind("pmd")
 
 

@@ -1,4 +1,4 @@
-"""Where trials run: on this machine's cores, or on the workers of a cluster, behind one port."""
+"""Executors of trials: this machine's cores, or the workers of a cluster, behind one port."""
 
 from rpod_campaign.engine.executor.port import Executor, Finished, Task, Work
 

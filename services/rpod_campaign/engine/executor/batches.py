@@ -1,4 +1,4 @@
-"""The trials that are still to be run, as batches of about a second for the workers of a cluster."""
+"""Batches of the remaining trials, of about a second each, for the workers of a cluster."""
 
 from collections import Counter, deque
 from collections.abc import Iterable
@@ -6,26 +6,27 @@ from collections.abc import Iterable
 from rpod_campaign.engine.executor.port import Task
 
 _BATCH_S = 1.0
-"""A batch takes about so long: much more than its way to the worker, little enough to run again."""
+"""Approximate duration of a batch, s: much more than its transfer takes, and little to run again."""
 _MOST = 500
-"""Trials in a batch."""
+"""Largest number of trials in a batch."""
 _SHARES = 4
-"""A batch has at most this part of what is left for each worker, so that all end together."""
+"""Least number of batches for each worker's share of the remaining trials, so that all workers end
+together."""
 
 Batch = tuple[Task, ...]
 """Trials of one cell."""
 
 
 class Batches:
-    """Hands out batches and counts the workers that ended while they ran a trial."""
+    """The remaining trials as batches, and a count of the workers that ended while they ran a trial."""
 
     def __init__(self, tasks: Iterable[Task]) -> None:
         self._waiting = deque(tasks)
         self._alone: deque[Task] = deque()
-        """Trials whose worker ended: they run one by one, so that the one to blame is known."""
+        """Trials whose worker ended; they run one by one, so that the cause is known."""
         self._unfinished = set(self._waiting)
         self._trial_s: dict[int, float] = {}
-        """Time of a trial, by cell."""
+        """Time of a trial, s, by cell."""
         self._ended: Counter[Task] = Counter()
 
     @property
@@ -34,10 +35,10 @@ class Batches:
         return len(self._unfinished)
 
     def take(self, workers: int) -> Batch:
-        """Return the next batch, empty if all trials are under way.
+        """Return the next batch, empty if all trials are running.
 
         Args:
-            workers: number of workers that share what is left.
+            workers: number of workers that share the remaining trials.
         """
         while self._alone:
             task = self._alone.popleft()
@@ -53,11 +54,11 @@ class Batches:
         return tuple(taken)
 
     def give_back(self, batch: Batch) -> None:
-        """Put a batch back that was not run."""
+        """Put back a batch that was not run."""
         self._waiting.extendleft(reversed(batch))
 
     def worker_ended(self, batch: Batch) -> tuple[Task, int]:
-        """Put a batch back whose worker ended; return the trial that saw most workers end, and how many."""
+        """Put back a batch whose worker ended; return its trial with most ended workers, and their count."""
         self._alone.extend(batch)
         self._ended.update(batch)
         return max(((task, self._ended[task]) for task in batch), key=lambda pair: pair[1])
@@ -66,9 +67,9 @@ class Batches:
         """Return the numbers of the trials that are finished for the first time.
 
         Args:
-            batch: that came back.
-            done: numbers of its trials that finished.
-            took_s: time of the whole batch.
+            batch: the batch that came back.
+            done: numbers of its finished trials.
+            took_s: time of the whole batch, s.
         """
         finished = [Task(batch[0].cell, number) for number in done]
         new = tuple(task.trial for task in finished if task in self._unfinished)

@@ -1,8 +1,8 @@
-"""Trials on the workers of a Dask cluster (distributed), for who has outgrown one machine.
+"""Trials on the workers of a Dask cluster (distributed), for campaigns that need more than one machine.
 
-The client gives each worker that it has accepted up to two batches of its own. A worker that ends, a
-scheduler that is started again and a client that is lost cost what was under way and nothing that was
-finished: rows are in the folder before a batch counts as finished, and a trial counts once.
+The client gives each accepted worker up to two batches. If a worker ends, a scheduler restarts or a client is
+lost, only the running trials are lost and no finished ones: rows are in the folder before a batch counts as
+finished, and a trial counts once.
 """
 
 import io
@@ -29,12 +29,12 @@ from rpod_schemas.errors import ConfigurationError
 _LOCAL = re.compile(r"local:([1-9]\d{0,3})")
 _REMOTE = re.compile(r"(tcp|tls|ws|wss)://\S+:\d+")
 PATIENCE_S = 60.0
-"""How long to wait for a scheduler, or for a worker."""
+"""Longest wait for a scheduler, or for a worker, s."""
 _CONNECT_S = 5.0
 
 
 def check_address(address: str) -> None:
-    """Raise ConfigurationError for an address that cannot be one."""
+    """Raise ConfigurationError for an invalid address."""
     if not _LOCAL.fullmatch(address) and not _REMOTE.fullmatch(address):
         raise ConfigurationError(
             "--cluster", "", f"needs tcp://HOST:PORT of a Dask scheduler, or local:N, not {address!r}"
@@ -51,14 +51,14 @@ class Cluster:
 
         Args:
             address: tcp://host:port of a scheduler, or ``local:N`` for N workers on this machine.
-            note: is told of workers that are refused or lost.
-            patience_s: how long to wait for a scheduler that does not answer, and for a worker.
+            note: function that receives messages on refused or lost workers.
+            patience_s: longest wait for the scheduler, and for a worker, s.
         """
         check_address(address)
         self._address, self._note, self._patience_s = address, note, patience_s
 
     def described(self) -> Mapping[str, str]:
-        """Return where trials run."""
+        """Return the address of the cluster, for the report."""
         return {"cluster": self._address}
 
     def run(self, work: Work, tasks: Iterable[Task]) -> Generator[Finished]:
@@ -67,7 +67,7 @@ class Cluster:
         Raises:
             TrialFailedError: a trial raised an exception.
             WorkerDiedError: several workers ended while they ran the same trial.
-            NoSchedulerError, NoWorkersError: nobody answered for too long.
+            NoSchedulerError, NoWorkersError: no scheduler, or no worker, answered in time.
         """
         batches = Batches(tasks)
         if not batches.left:
@@ -118,7 +118,7 @@ def _keep(work: Work, arrived: Arrived) -> None:
 
 @contextmanager
 def _scheduler(address: str) -> Iterator[str]:
-    """Give the address of the scheduler, started here for ``local:N``."""
+    """Yield the address of the scheduler, which is started here for ``local:N``."""
     local = _LOCAL.fullmatch(address)
     if local is None:
         yield address
@@ -140,7 +140,7 @@ def _scheduler(address: str) -> Iterator[str]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask's log from the terminal: what matters of it is told by notes and errors."""
+    """Keep Dask's log from the terminal: notes and errors report what is relevant."""
     logger = logging.getLogger("distributed")
     before = logger.level
     logger.setLevel(logging.CRITICAL)

@@ -1,8 +1,8 @@
-"""What a worker of a cluster does: it says whether it may run a campaign's trials, and runs them.
+"""Worker of a cluster: it answers whether it may run a campaign's trials, and runs them.
 
-A batch comes as (campaign, options, numbers of trials). The worker finds the campaign in its own catalogue,
-makes the same cells of the same options, and writes the rows into the campaign's folder if it can see it;
-otherwise the rows go back with the answer.
+A batch arrives as (campaign, options, numbers of trials). The worker finds the campaign in its own catalogue,
+makes the same cells from the same options, and writes the rows into the campaign's folder if it can access
+it; otherwise the rows return with the answer.
 """
 
 import hashlib
@@ -28,29 +28,30 @@ from rpod_campaign.engine.trial.targets import missing_targets, provide_targets
 from rpod_target import Target
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""With several threads, sums of floating-point numbers depend on the machine."""
+"""Environment variables that must be 1: with several threads, sums of floating-point numbers depend on the
+machine."""
 _LOCK = Lock()
-"""Methods keep buffers: one trial at a time, however many threads the worker has."""
+"""Lock for one trial at a time, whatever number of threads the worker has: methods keep buffers."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A campaign as it travels."""
+    """A campaign in a form that is sent to workers."""
 
     campaign: str
-    """Its name in the catalogue."""
+    """Name of the campaign in the catalogue."""
     options: str
-    """JSON of its options."""
+    """JSON of the campaign's options."""
     cells: str
     """Digest of the cells that the options make."""
     software: Mapping[str, str]
-    """Versions and digests that have to be the same on both sides."""
+    """Versions and digests that must be equal on both sides."""
     targets: Mapping[str, str]
-    """Digests by name."""
+    """Digests of the targets, by name."""
     folder: str
     """Path of the campaign's folder, as the client sees it."""
     manifest: str
-    """Digest of the folder's manifest, by which a worker knows the folder again."""
+    """Digest of the folder's manifest, by which a worker recognises the folder."""
 
     def __hash__(self) -> int:
         return hash((self.campaign, self.options, self.cells, self.folder))
@@ -60,7 +61,7 @@ class Answer(NamedTuple):
     """Whether a worker may run a job's trials."""
 
     refusal: str
-    """Reason why it may not; empty if it may."""
+    """Reason for a refusal; empty if there is none."""
     missing: tuple[str, ...]
     """Names of the targets that have to be sent to it first."""
 
@@ -69,19 +70,19 @@ class Delivery(NamedTuple):
     """Result of a batch."""
 
     trials: tuple[int, ...]
-    """Numbers of the trials that finished."""
+    """Numbers of the finished trials."""
     rows: bytes | None
     """Their rows as Parquet; None if they are in the folder, or if there are none."""
     took_s: float
-    """Wall clock time of the batch."""
+    """Wall clock time of the batch, s."""
     failure: Failure | None
 
 
 def hello(job: Job) -> Answer:
-    """Say whether this worker may run a job's trials; whatever keeps it from that is a refusal."""
+    """Return whether this worker may run a job's trials; any error is a refusal."""
     try:
         return _answer(job)
-    except Exception as error:  # noqa: BLE001 - an exception may not travel, an answer does
+    except Exception as error:  # noqa: BLE001 - an exception may not be picklable, an answer is
         return Answer(f"{type(error).__name__}: {error}", ())
 
 
@@ -104,17 +105,17 @@ def _answer(job: Job) -> Answer:
 
 
 def take_targets(job: Job, targets: Mapping[str, Target]) -> Answer:
-    """Take the targets whose files are not on this machine, and answer like ``hello``."""
+    """Store the targets whose files are not on this machine, and answer like ``hello``."""
     with _LOCK:
         provide_targets(targets)
     return hello(job)
 
 
 def run(job: Job, cell: int, numbers: Sequence[int]) -> Delivery:
-    """Run trials of one cell, up to the first that raises."""
+    """Run trials of one cell, up to the first that raises an exception."""
     try:
         return _delivery(job, cell, numbers)
-    except Exception as error:  # noqa: BLE001 - such as a full disk; an exception may not travel
+    except Exception as error:  # noqa: BLE001 - such as a full disk; an exception may not be picklable
         return Delivery((), None, 0.0, failure_of(numbers[0], error))
 
 
@@ -127,7 +128,7 @@ def _delivery(job: Job, cell: int, numbers: Sequence[int]) -> Delivery:
 
 
 def part_name(cell: int, numbers: Sequence[int]) -> str:
-    """Return the name of the part of these trials: the same trials replace themselves."""
+    """Return the name of the part of these trials; the same trials have the same name."""
     digest = hashlib.sha256(repr(tuple(numbers)).encode()).hexdigest()[:8]
     return f"{cell:05}-{numbers[0]:07}-{len(numbers)}-{digest}"
 
@@ -153,7 +154,7 @@ def _cells_differ(job: Job) -> str:
 def _kept(
     job: Job, campaign: AnyCampaign, cell: int, numbers: tuple[int, ...], rows: Sequence[Any]
 ) -> bytes | None:
-    """Write rows into the folder, or return them as Parquet if this worker does not see it."""
+    """Write rows into the folder, or return them as Parquet if this worker cannot access it."""
     if not rows:
         return None
     folder = CampaignFolder.of(campaign, Path(job.folder))

@@ -1,4 +1,4 @@
-"""Batches to the workers of a cluster and back, over one connection to the scheduler."""
+"""Transfer of batches to the workers of a cluster and back, over one connection to the scheduler."""
 
 import time
 from collections.abc import Callable, Generator, Iterator
@@ -18,17 +18,17 @@ from rpod_campaign.engine.executor.port import Work
 from rpod_campaign.engine.trial.targets import cached_target
 
 _WAITING = 2
-"""Batches of a worker: one that it runs, and the next."""
+"""Number of batches of a worker: the running one, and the next."""
 _LOOK_S = 0.5
-"""How often to look which workers there are."""
+"""Interval at which the list of workers is updated, s."""
 _RESULT_S = 10.0
-"""How long an answer may take that the scheduler says is there."""
+"""Longest time for the transfer of an available answer, s."""
 _MOST_ENDED = 3
-"""Workers that may end while they run a trial before the trial is to blame."""
+"""Number of workers that end while they run a trial after which the trial is taken as the cause."""
 
 
 class SchedulerLostError(CampaignError):
-    """The connection to the scheduler is gone, and with it all that was under way."""
+    """Raised if the connection to the scheduler is lost, and with it all running trials."""
 
 
 class Arrived(NamedTuple):
@@ -46,7 +46,7 @@ class Arrived(NamedTuple):
 
 class _Stage(Enum):
     ASKED = "asked"
-    """Whether it may run the trials."""
+    """The worker was asked whether it may run the trials."""
     READY = "ready"
     REFUSED = "refused"
 
@@ -63,7 +63,7 @@ class _Worker:
 
 
 class Dispatch:
-    """Feeds the workers until all trials are finished, or the scheduler is lost."""
+    """Supplies the workers until all trials are finished, or the scheduler is lost."""
 
     def __init__(
         self, client: Client, work: Work, job: Job, batches: Batches, *, note: Callable[[str], None]
@@ -78,11 +78,11 @@ class Dispatch:
         """Yield batches as they come back.
 
         Args:
-            address: of the scheduler, for messages.
-            patience_s: how long there may be no worker that may run the trials.
+            address: address of the scheduler, for messages.
+            patience_s: longest time without a worker that may run the trials, s.
 
         Raises:
-            SchedulerLostError: the connection is gone; what was under way is put back.
+            SchedulerLostError: the connection is lost; the running batches are put back.
             WorkerDiedError, NoWorkersError, CampaignError: the trials cannot be run any further.
         """
         try:
@@ -99,7 +99,7 @@ class Dispatch:
             self._give_all_back()
 
     def _look(self) -> None:
-        """Find the workers that came and went."""
+        """Update the list of workers."""
         self._looked_s = time.monotonic()
         try:
             info = self._client.scheduler_info(n_workers=-1)["workers"]
@@ -159,13 +159,13 @@ class Dispatch:
                     yield self._arrived(batch, delivery)
 
     def _hear(self, worker: _Worker) -> None:
-        """Take a worker's answer whether it may run the trials."""
+        """Process a worker's answer whether it may run the trials."""
         try:
             answer: Answer = worker.question.result(timeout=_RESULT_S)
         except TimeoutError:
             worker.question = self._submit(worker.address, cluster_worker.hello, self._job)
             return
-        except Exception as error:  # noqa: BLE001 - whatever keeps a worker from answering
+        except Exception as error:  # noqa: BLE001 - whatever prevents an answer
             if worker.question.status == "cancelled":
                 self._require_connection()
             answer = Answer(f"it cannot answer: {type(error).__name__}: {error}", ())
@@ -182,7 +182,7 @@ class Dispatch:
             worker.stage = _Stage.READY
 
     def _delivery(self, worker: _Worker, future: Future[Delivery], batch: Batch) -> Delivery | None:
-        """Return what came back; None if it was lost on its way, and the batch is put back."""
+        """Return the result of a batch; None if it was lost in transfer, and the batch is put back."""
         if future.status == "finished":
             try:
                 delivery: Delivery = future.result(timeout=_RESULT_S)
@@ -203,7 +203,7 @@ class Dispatch:
         return Arrived(batch, new, part, delivery.rows, delivery.failure)
 
     def _ended(self, worker: _Worker) -> None:
-        """Put back what a worker had that ended."""
+        """Put back the batches of a worker that ended."""
         for index, (future, batch) in enumerate(worker.running):
             future.cancel()  # type: ignore[no-untyped-call]
             if index:
@@ -211,7 +211,7 @@ class Dispatch:
                 continue
             task, times = self._batches.worker_ended(batch)
             if times >= _MOST_ENDED:
-                how = f"ended {times} times in a row, for want of memory or by a fault in compiled code,"
+                how = f"ended {times} times in a row, by lack of memory or a fault in compiled code,"
                 raise WorkerDiedError(how, [self._work.place(*task)])
         if worker.running:
             self._note(f"worker {worker.name} at {worker.address} ended; its trials go to others")

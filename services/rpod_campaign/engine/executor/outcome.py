@@ -1,4 +1,4 @@
-"""A batch of trials in a worker's process, and how an exception travels from there."""
+"""A batch of trials in a worker's process, and the transfer of an exception from there."""
 
 import pickle
 import time
@@ -14,7 +14,7 @@ from rpod_schemas.errors import RpodError
 
 Trial = Callable[[Any, int, int], Row | Sequence[Row]]
 _EXPECTED = (RpodError, OSError, MemoryError)
-"""Errors whose message says enough; others are faults of the software, and their traceback is told too."""
+"""Errors whose message is sufficient; others are faults of the software, reported with their traceback."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Failure:
     """The exception itself; None if it cannot be pickled and read again."""
 
     def raised(self, work: Work, cell: int) -> TrialFailedError:
-        """Return the error to raise; the trial's own exception is its cause where it could travel."""
+        """Return the error to raise; its cause is the trial's own exception if that could be pickled."""
         error = TrialFailedError(
             work.place(cell, self.trial), self.kind, self.message, expected=self.expected, trace=self.trace
         )
@@ -40,27 +40,27 @@ class Failure:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a batch: the rows of the trials that finished, and the exception that ended it."""
+    """Result of a batch: the rows of the finished trials, and the exception that ended it."""
 
     cell: int
     trials: tuple[int, ...]
-    """Numbers of the trials that finished."""
+    """Numbers of the finished trials."""
     rows: tuple[Row, ...]
-    """Rows of these, with cell and trial in front."""
+    """Rows of these trials, with cell and trial first."""
     took_s: float
-    """Wall clock time of the batch."""
+    """Wall clock time of the batch, s."""
     failure: Failure | None = None
 
 
 def run_batch(trial: Trial, cell: Any, index: int, seed: int, numbers: Sequence[int]) -> Outcome:
-    """Run trials of one cell in order, up to the first that raises.
+    """Run trials of one cell in order, up to the first that raises an exception.
 
     Args:
-        trial: the campaign's.
-        cell: its parameters.
-        index: of the cell.
-        seed: of all random numbers.
-        numbers: of the trials.
+        trial: the campaign's trial.
+        cell: parameters of the cell.
+        index: index of the cell.
+        seed: seed of all random numbers.
+        numbers: numbers of the trials.
     """
     rows: list[Row] = []
     done: list[int] = []
@@ -68,7 +68,7 @@ def run_batch(trial: Trial, cell: Any, index: int, seed: int, numbers: Sequence[
     for number in numbers:
         try:
             made = trial(cell, seed, number)
-        except Exception as error:  # noqa: BLE001 - told to whoever started the campaign, whatever it is
+        except Exception as error:  # noqa: BLE001 - whatever it is, the process that waits reports it
             return _outcome(index, done, rows, begin_s, failure_of(number, error))
         several = [made] if isinstance(made, Mapping) else made
         rows += [{CELL: index, TRIAL: number, **row} for row in several]
@@ -90,7 +90,7 @@ def failure_of(number: int, error: Exception) -> Failure:
 
 
 def _pickled(error: Exception) -> bytes | None:
-    """Return the exception's bytes if they can be read again: many classes' cannot."""
+    """Return the exception's bytes, or None if they cannot be unpickled, as for many classes."""
     try:
         pickled = pickle.dumps(error)
         pickle.loads(pickled)  # noqa: S301 - our own bytes

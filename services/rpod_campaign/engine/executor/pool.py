@@ -1,4 +1,4 @@
-"""Trials on this machine's cores: processes that are started afresh, each with one thread of its own."""
+"""Trials on this machine's cores, in new processes with one thread each."""
 
 import multiprocessing
 import os
@@ -23,19 +23,19 @@ ONE_THREAD = (
     "POLARS_MAX_THREADS",
 )
 _WAITING = 2
-"""Trials in the queue for each process: enough to keep it busy, few to give up."""
+"""Number of trials in the queue for each process: enough to keep it busy, few to lose."""
 _EXIT_S = 5.0
-"""How long to wait for the exit code of a process that ended."""
+"""Longest wait for the exit code of a process that ended, s."""
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass
 class _Processes:
-    """A pool and its processes, which keep their exit codes when the pool has forgotten them."""
+    """A pool and its processes, whose exit codes remain available after the pool has dropped them."""
 
     executor: ProcessPoolExecutor
     foreign: frozenset[BaseProcess]
@@ -51,7 +51,7 @@ class _Processes:
         return future
 
     def why_ended(self) -> str:
-        """Return how the first process ended that did not end by itself."""
+        """Return how the first process ended that did not end normally."""
         for process in self.started:
             process.join(_EXIT_S)
         codes = [process.exitcode for process in self.started if process.exitcode]
@@ -64,10 +64,10 @@ class ProcessPool:
     """Executor on the cores of this machine."""
 
     jobs: int
-    """Number of processes; 1 is one process beside this one, too."""
+    """Number of processes; with 1 the trials run in one process beside this one."""
 
     def described(self) -> Mapping[str, str]:
-        """Return where trials run."""
+        """Return the number of processes and cores, for the report."""
         return {"processes": f"{self.jobs} on {cores()} cores"}
 
     def run(self, work: Work, tasks: Iterable[Task]) -> Generator[Finished]:
@@ -81,7 +81,7 @@ class ProcessPool:
             try:
                 while pending:
                     done, _ = wait(pending, return_when=FIRST_COMPLETED)
-                    for future in sorted(done, key=_broken):  # what is done is told before what failed
+                    for future in sorted(done, key=_broken):  # finished trials before failed ones
                         yield from _finished(work, future.result())
                         del pending[future]
                     for task in islice(remaining, len(done)):
@@ -103,7 +103,7 @@ def _broken(future: Future[Outcome]) -> bool:
 
 
 def how_ended(exit_code: int | None) -> str:
-    """Return an exit code in words, and what it usually means."""
+    """Return the meaning of an exit code and its usual cause, in words."""
     if exit_code is None:
         return "ended, and its exit code is not known"
     if exit_code >= 0:

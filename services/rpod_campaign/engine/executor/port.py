@@ -1,4 +1,4 @@
-"""The port of the executors: trials go in, rows come out, in any order."""
+"""The port of the executors: they receive trials and return rows, in any order."""
 
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from rpod_campaign.engine.options import Options
 
 
 class Task(NamedTuple):
-    """One trial that is to be run."""
+    """One trial to run."""
 
     cell: int
     """Index of the cell."""
@@ -19,45 +19,45 @@ class Task(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """Trials of one cell that are done."""
+    """Finished trials of one cell."""
 
     cell: int
     """Index of the cell."""
     trials: tuple[int, ...]
     """Numbers of the trials."""
     rows: Sequence[Row] | None
-    """With cell and trial in front; None if they are in the campaign's folder already."""
+    """Rows with cell and trial first; None if they are in the campaign's folder already."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """A campaign as an executor needs it."""
+    """Data of a campaign for an executor."""
 
     campaign: AnyCampaign
     options: Options
     cells: tuple[Any, ...]
-    """The campaign's cells of these options."""
+    """Cells of the campaign with these options."""
     targets: Mapping[str, str]
     """Digests of the cells' targets, by name."""
     folder: CampaignFolder
 
     def place(self, cell: int, trial: int) -> str:
-        """Return a trial in words, with what runs it again."""
+        """Return the description of a trial, with all that is needed to run it again."""
         return (
             f"{self.campaign.name}, cell {cell} ({self.cells[cell]}), trial {trial}, seed {self.options.seed}"
         )
 
 
 class Executor(Protocol):
-    """Runs trials. An adapter keeps no rows: whoever iterates does, unless ``Finished.rows`` is None."""
+    """Runs trials. It does not store rows, which its caller does, unless ``Finished.rows`` is None."""
 
     def run(self, work: Work, tasks: Iterable[Task]) -> Generator[Finished]:
         """Yield trials as they finish, each exactly once, until all are done.
 
-        Closing the generator stops what is under way.
+        Closing the generator stops the running trials.
 
         Raises:
-            TrialFailedError: a trial raised an exception; those that finished before it were yielded.
+            TrialFailedError: a trial raised an exception; the trials that finished before were yielded.
             CampaignError: the trials cannot be run any further.
         """
         ...

@@ -1,1 +1,1 @@
-"""What a report is made of: sections, tables, figures, statistics, and the page."""
+"""The parts of a report: sections, tables, figures, statistics, and the page."""

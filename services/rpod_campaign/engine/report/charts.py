@@ -18,7 +18,7 @@ def rate_figure(
     y_title: str,
     printed: Mapping[str, Mapping[float, float]] | None = None,
 ) -> go.Figure:
-    """Shares over a parameter with their Wilson intervals; what the paper prints as open diamonds."""
+    """Return a figure of shares over a parameter, with Wilson intervals; open diamonds are the paper's."""
     figure = go.Figure()
     for index, (name, points) in enumerate(lines.items()):
         colour = COLOURS[index % len(COLOURS)]
@@ -66,7 +66,7 @@ def curve_figure(
     log_y: bool = False,
     points: Mapping[str, tuple[float, float]] | None = None,
 ) -> go.Figure:
-    """Named curves, or clouds of points; single points beside them as crosses."""
+    """Return a figure of named curves or point clouds, with single points as crosses."""
     figure = go.Figure()
     for index, (name, (x, y)) in enumerate(curves.items()):
         figure.add_trace(
@@ -92,6 +92,6 @@ def _scale(logarithmic: bool) -> dict[str, Any]:
 
 
 def with_legend(figure: go.Figure, *, height: int) -> go.Figure:
-    """Style a figure and lay its legend above it."""
+    """Return the styled figure with its legend above it."""
     figure.update_layout(legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0})
     return styled(figure, height=height, top=64, legend=True)

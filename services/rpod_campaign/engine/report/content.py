@@ -15,10 +15,10 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
     def condensed(self, names: int) -> "Table":
-        """Return the table with what is the same in all rows in its title.
+        """Return the table with columns of equal values moved into its title.
 
         Args:
-            names: how many of the first columns may go there.
+            names: number of first columns that may move there.
         """
         shared = [k for k in range(names) if self.rows and len({row[k] for row in self.rows}) == 1]
         kept = [k for k in range(len(self.columns)) if k not in shared]
@@ -31,14 +31,14 @@ class Table:
 
 
 def _said(column: str, value: str) -> str:
-    """Return a value with its column's name, and the unit where it belongs."""
+    """Return a value with its column's name and unit."""
     name, _, unit = column.partition(", ")
     return f"{name} {value} {unit}".rstrip()
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report."""
+    """A section of the report."""
 
     title: str
     note: str = ""

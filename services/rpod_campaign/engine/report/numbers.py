@@ -1,4 +1,4 @@
-"""Numbers as tables show them; a dash where there is none."""
+"""Numbers as tables show them; a dash for a missing one."""
 
 import math
 from collections.abc import Mapping
@@ -32,10 +32,10 @@ def word(value: Any) -> str:
 
 
 def printed(values: Mapping[Any, Any], key: Any) -> str:
-    """Return what a paper prints; blank where it prints nothing."""
+    """Return the value that a paper prints; blank if it prints none."""
     return str(values[key]) if key in values else ""
 
 
 def in_world(name: str, world: str) -> str:
-    """Return a name; a world other than the documented one is said after it."""
+    """Return a name, followed by its world unless that is the documented one."""
     return name if world == "documented" else f"{name}, {world}"

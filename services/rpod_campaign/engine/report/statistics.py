@@ -1,4 +1,4 @@
-"""The few numbers that every campaign states."""
+"""Statistics that every campaign uses."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from scipy.stats import binomtest
 
 @dataclass(frozen=True)
 class Rate:
-    """A share of trials with its Wilson interval of 95 %."""
+    """A share of trials with its 95 % Wilson interval."""
 
     count: int
     of: int
@@ -18,7 +18,7 @@ class Rate:
 
     @property
     def value(self) -> float:
-        """The point estimate; NaN of nothing."""
+        """Point estimate of the share; NaN for no trials."""
         return self.count / self.of if self.of else float("nan")
 
     def __str__(self) -> str:
@@ -36,14 +36,14 @@ def rate(count: int, of: int) -> Rate:
 
 
 def quantile(values: pl.Series, share: float) -> float | None:
-    """Return a quantile of the finite values; None of none."""
+    """Return a quantile of the finite values; None if there are none."""
     finite = values.drop_nulls().to_numpy().astype(np.float64)
     finite = finite[np.isfinite(finite)]
     return float(np.quantile(finite, share)) if finite.size else None
 
 
 def mean(values: pl.Series) -> float | None:
-    """Return the mean of the finite values; None of none."""
+    """Return the mean of the finite values; None if there are none."""
     finite = values.drop_nulls().to_numpy().astype(np.float64)
     finite = finite[np.isfinite(finite)]
     return float(finite.mean()) if finite.size else None

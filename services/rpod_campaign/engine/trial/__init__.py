@@ -1,1 +1,1 @@
-"""What every trial may use: targets, streams of random numbers, poses as columns of a row."""
+"""Parts that every trial may use: targets, random numbers, poses as columns of a row."""

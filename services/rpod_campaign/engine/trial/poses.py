@@ -1,4 +1,4 @@
-"""Poses as columns of a row, and the errors between two."""
+"""Poses as columns of a row, and errors between two poses."""
 
 import numpy as np
 import polars as pl
@@ -8,11 +8,11 @@ from rpod_schemas.poses import pose_error
 from rpod_target import Target
 
 POSE = pl.List(pl.Float64)
-"""x, y, z in m and the quaternion x, y, z, w of T_sensor_target."""
+"""Column type of a pose T_sensor_target: x, y, z in m and the quaternion x, y, z, w."""
 
 
 def numbers(pose: RigidTransform | None) -> list[float] | None:
-    """Return a pose as its column holds it."""
+    """Return a pose as the values of its column."""
     if pose is None:
         return None
     return [*pose.translation.tolist(), *pose.rotation.as_quat().tolist()]
@@ -23,7 +23,7 @@ def errors(
 ) -> tuple[float | None, float | None]:
     """Return the attitude error, deg, and the position error, m; None without a pose.
 
-    Of a target with an exact symmetry the nearest of the poses that cannot be told from the truth counts.
+    For a target with an exact symmetry, the errors are those against the nearest equivalent pose.
     """
     if found is None:
         return None, None

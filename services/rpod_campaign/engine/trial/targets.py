@@ -1,4 +1,4 @@
-"""The targets of the trials: loaded once a process, by name, or provided by whoever started the campaign."""
+"""The targets of the trials, loaded once per process by name, or provided by the client."""
 
 from collections.abc import Mapping
 
@@ -8,14 +8,14 @@ _TARGETS: dict[str, Target] = {}
 
 
 def cached_target(name: str) -> Target:
-    """Return a target, loaded once a process. Raises TargetError."""
+    """Return a target, which is loaded once per process. Raises TargetError."""
     if name not in _TARGETS:
         _TARGETS[name] = load_target(name)
     return _TARGETS[name]
 
 
 def provide_targets(targets: Mapping[str, Target]) -> None:
-    """Let trials find targets, by name, whose files are on another machine."""
+    """Store targets, by name, whose files are on another machine."""
     _TARGETS.update(targets)
 
 
@@ -23,7 +23,7 @@ def missing_targets(digests: Mapping[str, str]) -> tuple[tuple[str, ...], tuple[
     """Return the targets that this process cannot load, and those that it used in another form, by name.
 
     Args:
-        digests: of the targets that are needed, by name.
+        digests: digests of the needed targets, by name.
     """
     unknown, other = [], []
     for name, digest in digests.items():

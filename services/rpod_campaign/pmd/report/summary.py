@@ -1,4 +1,4 @@
-"""The summary of a sequence of images."""
+"""Summary of a sequence of images."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,11 +17,11 @@ AXES = ("roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m")
 OTHER_AXES = (
     "sensor_roll_deg", "sensor_pitch_deg", "sensor_yaw_deg", "target_x_m", "target_y_m", "target_z_m",
 )  # fmt: skip
-"""The same errors the other way round: attitude in the sensor's axes, position in the target's."""
+"""Columns of the same errors in the other axes: attitude in the sensor's, position in the target's."""
 
 
 def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return the summary of a sequence; RMS over all frames, also those that kept the last pose."""
+    """Return the summary of a sequence; RMS errors include frames that kept the last pose."""
     known = rows.filter(pl.col("nees").is_finite())["nees"]
     return {
         "scenario": cell.scenario,
@@ -46,7 +46,7 @@ def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 
 def rms(rows: pl.DataFrame, axes: tuple[str, ...] = AXES) -> dict[str, float | None]:
-    """Return the RMS error along axes, None of no rows."""
+    """Return the RMS errors along axes; None without rows."""
     names = (name.removeprefix("sensor_").removeprefix("target_") for name in axes)
     return {name: _rms(rows[axis]) for name, axis in zip(names, axes, strict=True)}
 

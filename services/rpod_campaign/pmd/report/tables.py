@@ -14,14 +14,14 @@ from rpod_campaign.pmd.sequence import SequenceCell
 _NAMES = ("scenario", "case", "frames", "through", "method", "radius, px")
 _UNITS = ("roll, deg", "pitch, deg", "yaw, deg", "x, mm", "y, mm", "z, mm")
 LOST = (
-    "A frame is lost where the tracker gives no pose, so that the last one stays and is the next guess, or "
-    "where the estimate is more than 10 deg or 0.3 m off. RMS and greatest error are over all frames, lost "
-    "ones included; times are of the processor, one thread."
+    "A frame is lost if the tracker gives no pose, so that the last one is kept as the next guess, or if the "
+    "error of the estimate exceeds 10 deg or 0.3 m. RMS and greatest error include lost frames. Times are "
+    "processor times of one thread."
 )
 
 
 def name_of(cell: SequenceCell) -> tuple[str, ...]:
-    """Return the cells of text that tell a sequence from others."""
+    """Return the texts that identify a sequence in a table."""
     return (
         *(cell.scenario, cell.case or "-", cell.frames, cell.through, cell.method),
         word(cell.radius_px),
@@ -29,7 +29,7 @@ def name_of(cell: SequenceCell) -> tuple[str, ...]:
 
 
 def label(cell: SequenceCell, among: Results) -> str:
-    """Return what tells a cell from the others, in a line."""
+    """Return the text that distinguishes a cell from the others, one line."""
     names = [name_of(result.cell) for result in among]
     parts = [
         f"{value} px" if column == _NAMES[-1] else value
@@ -40,7 +40,7 @@ def label(cell: SequenceCell, among: Results) -> str:
 
 
 def overview(results: Results) -> tuple[Table, Table]:
-    """Return the errors of each cell, and what it lost, took and believed of itself."""
+    """Return the tables of errors, and of lost frames, time and consistency."""
     return _errors(results), _conduct(results)
 
 
@@ -95,7 +95,7 @@ def other_axes(results: Results) -> Table:
 
 
 def by_range(results: Results) -> Table:
-    """Return the RMS norms in bins of one metre."""
+    """Return the RMS norms in range bins of one metre."""
     bins = sorted({int(range_m) for result in results for range_m in result.rows["range_m"].to_list()})
     rows = []
     for result in results:
@@ -108,7 +108,7 @@ def by_range(results: Results) -> Table:
 
 
 def errors_over_range(results: Results) -> tuple[go.Figure, ...]:
-    """Return the error norms over the range, a median over trials."""
+    """Return the error norms over the range, as medians over trials."""
     figures = []
     for column, title, scale in (
         ("attitude_deg", "attitude error [deg]", 1.0),
@@ -146,7 +146,7 @@ def millimetres(value_m: float | None) -> float | None:
 
 
 def first(results: Results, **wanted: object) -> CellResult[SequenceCell] | None:
-    """Return the first result whose cell has these fields; None of none."""
+    """Return the first result whose cell has these fields; None if there is none."""
     return next(
         (r for r in results if all(getattr(r.cell, name) == value for name, value in wanted.items())), None
     )

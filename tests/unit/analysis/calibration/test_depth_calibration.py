@@ -238,7 +238,7 @@ def test_a_wrong_file_is_named_with_its_field(tmp_path):
 
 
 def test_an_error_that_cannot_be_undone_is_refused():
-    with pytest.raises(ValueError, match="can be undone"):
+    with pytest.raises(ValueError, match="can be corrected"):
         DepthCalibration(modulation_frequency_hz=(HERTZ,), harmonics=(wave(8, 0.2, 0.0),))
 
 

@@ -183,11 +183,11 @@ def test_organised_or_not_a_scan_is_registered_bit_for_bit_the_same(seed):
 
 
 def test_a_tracker_may_do_without_the_steps_from_afar():
-    T, config = random_pose(2), ProjectiveIcpConfig(tuning=ProjectiveIcpTuning(draw_in_steps=0))
+    T, config = random_pose(2), ProjectiveIcpConfig(tuning=ProjectiveIcpTuning(coarse_steps=0))
     near = ProjectiveIcp(config, load(BULKY), ScanPattern.of(LIDAR.info()))
     registration = near.track(scan_at(T), off(T, 1.0, 0.05, 2))
     assert errors(T, registration.T_sensor_target)[0] < 0.3
-    assert registration.iterations == config.tuning.settle_steps
+    assert registration.iterations == config.tuning.fine_steps
 
 
 @pytest.mark.parametrize("scan", STRANGE)
