@@ -42,7 +42,7 @@ class PmdCheckConfig(Tuning):
     ] = 6
     """Largest number of inconsistent pixels in one patch. Right poses had up to 6. If one pixel in 50 is
     inconsistent, more than six of 25 are so in one patch of a million."""
-    most_lacking: Annotated[
+    most_missing: Annotated[
         Annotated[int, Field(gt=0)],
         Provenance("hand, mock-up", "right poses had up to 3 on emulated frames, beside glints"),
     ] = 4

@@ -76,7 +76,7 @@ class PmdLimitsConfig(Tuning):
     max_face_loss: Positive
     """Largest mean loss of a pixel in the worst patch as wide as a face: another surface has small errors
     everywhere."""
-    facts: Positive
+    independent_pixels: Positive
     """Number of independent errors in a frame; neighbours share those of camera and model. The lower it is,
     the worse a pose must be not to be a rival."""
 
@@ -88,12 +88,20 @@ class PmdVerdictConfig(Tuning):
     """Side of a square patch of used pixels, about a tenth of a metre wide."""
     face_px: Annotated[Count, BY_HAND] = 13
     """Side of a larger patch of used pixels, about as wide as a face, which has one material."""
-    as_filed: Annotated[PmdLimitsConfig, BY_HAND] = PmdLimitsConfig(
-        max_loss=0.6, min_explained_share=0.87, max_patch_loss=2.0, max_face_loss=1.0, facts=100.0
+    with_materials: Annotated[PmdLimitsConfig, BY_HAND] = PmdLimitsConfig(
+        max_loss=0.6,
+        min_explained_share=0.87,
+        max_patch_loss=2.0,
+        max_face_loss=1.0,
+        independent_pixels=100.0,
     )
     """Limits for depth, outline and amplitude, if the materials are those of the target's file."""
     shape: Annotated[PmdLimitsConfig, BY_HAND] = PmdLimitsConfig(
-        max_loss=0.45, min_explained_share=0.96, max_patch_loss=1.4, max_face_loss=0.65, facts=45.0
+        max_loss=0.45,
+        min_explained_share=0.96,
+        max_patch_loss=1.4,
+        max_face_loss=0.65,
+        independent_pixels=45.0,
     )
     """Limits for depth and outline. They hold for all materials, and are the only ones if the materials are
     not those of the file."""

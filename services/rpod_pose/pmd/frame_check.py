@@ -85,10 +85,10 @@ class Contradictions:
                 f"a detail contradicts the pose: {self.most_in_patch} of {area} pixels there, "
                 f"{limits.most_in_patch} at most"
             )
-        if self.most_missing > limits.most_lacking:
+        if self.most_missing > limits.most_missing:
             return (
                 f"a detail is missing: {self.most_missing} of {area} pixels there are dark, "
-                f"{limits.most_lacking} at most"
+                f"{limits.most_missing} at most"
             )
         return ""
 

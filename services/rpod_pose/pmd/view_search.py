@@ -100,7 +100,7 @@ class ViewSearch:
             PmdFitter(tuning.model, self._model.target, scene, known_materials=False),
             tuning.verdict.shape,
         )
-        with_materials = PmdFitter(tuning.model, self._model.target, scene), tuning.verdict.as_filed
+        with_materials = PmdFitter(tuning.model, self._model.target, scene), tuning.verdict.with_materials
         found = self._verified(task, (with_materials, shape))
         if found.outcome is not Outcome.FAILED:
             return found
@@ -116,7 +116,7 @@ class ViewSearch:
             return task.failed(Registration.none(Source.NONE, reason))
         belief = self._belief(poses[0], criteria)
         registration = self._registration(task.scene, poses[0], belief)
-        logs = np.array([-pose.fit.loss * limits.facts / poses[0].fit.pixels for pose in poses])
+        logs = np.array([-pose.fit.loss * limits.independent_pixels / poses[0].fit.pixels for pose in poses])
         sure = softmax(logs)[0] >= self._tuning.verdict.ambiguous_weight
         if sure and registration.T_sensor_target is not None:
             registration = self._tracker.track(task.frame, registration.T_sensor_target)

@@ -157,9 +157,10 @@ def test_of_a_field_that_has_both_names_the_old_one_is_unknown() -> None:
 
 
 def test_of_todays_version_an_old_name_is_unknown() -> None:
-    migrated = check_logged(
-        EstimatorConfig, {**of_version_2(), VERSION_FIELD: CONFIG_VERSION}, source="run.mcap"
-    )
+    config = check_logged(EstimatorConfig, of_version_2(), source="run.mcap").config
+    document = logged(config)
+    document["sensors"][1]["tracking"]["tuning"]["settle_steps"] = 2
+    migrated = check_logged(EstimatorConfig, document, source="run.mcap")
     assert migrated.renamed == ()
     assert "sensors.1.tracking.tuning.settle_steps" in migrated.unknown
 
