@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def _refuse(error: ConfigurationError) -> NoReturn:
-    """Print in one line which field is wrong, and why; exit."""
+    """Print one line with the wrong field and the reason; exit."""
     print(f"rpod: {error}", file=sys.stderr)
     raise typer.Exit(EXIT_USAGE)
 
@@ -78,14 +78,14 @@ def _serve(
     changes: dict[str, Any] | None = None,
     **bus: Any,
 ) -> NoReturn:
-    """Load a service's configuration, change it by the command line, and run the service."""
+    """Load a service's configuration, apply the options of the command line, and run the service."""
     from rpod_target import TargetError
 
     source = config or f"rpod {verb}"
     try:
         document = (read_document(config) if config else {}) | (changes or {})
         configured = document.get("bus") or {}
-        if isinstance(configured, dict):  # else the check below says what is wrong with it
+        if isinstance(configured, dict):  # otherwise the check below reports the error
             document["bus"] = configured | {key: value for key, value in bus.items() if value}
         checked = check(model, document, source=source)
     except ConfigurationError as error:
@@ -198,7 +198,7 @@ def view(
 
 @app.command()
 def scenarios() -> None:
-    """List the scenarios that can be run."""
+    """List the scenarios for 'rpod run'."""
     from rpod.scenarios import find, shipped
 
     for name in shipped():

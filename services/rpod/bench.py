@@ -1,4 +1,4 @@
-"""``rpod bench``: how fast the parts are on this machine, one thread each, medians with spread."""
+"""``rpod bench``: speed of the parts on this machine with one thread each, as medians with spread."""
 
 import json
 import os
@@ -47,13 +47,13 @@ _OBLIQUE = Rotation.from_euler("ZYX", (30.0, 40.0, 20.0), degrees=True)
 """A typical attitude of the LIDAR's target: no face is perpendicular to the line of sight."""
 _BUS_HZ = 45.0
 _WIDTH = 120
-"""Width of the table if it is not printed on a terminal."""
+"""Width of the table, in characters, if it is not printed on a terminal."""
 _BUS_FRAMES = 135
 
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: median, quartiles, and the share of a core that it takes: at its rate, or while it runs."""
+    """One figure: median, quartiles, and the share of a core that is used, at its rate or while it runs."""
 
     name: str
     unit: str
@@ -117,7 +117,7 @@ def _timed(name: str, call: Callable[[], object], *, runs: int, rate_hz: float |
 
 
 def _per_second(row: Row, *, items: int, unit: str) -> Row:
-    """Turn ms a run into millions of items a second."""
+    """Convert ms per run to millions of items per second."""
     scale = items * 1e3 / 1e6
     return Row(
         row.name, unit, scale / row.median, scale / row.high, scale / row.low, row.runs, row.core_share
@@ -217,7 +217,7 @@ def _turn_deg(angle_deg: float) -> RigidTransform:
 
 
 def _bus() -> Iterator[Row]:
-    """One image, 0.4 MB, through a router on loopback: from before encoding to arrival."""
+    """Measure the latency of one image of 0.4 MB through a router on loopback, from encoding to arrival."""
     image = np.full((287, 352), 2.5, np.float32)
     topic = DEPTH.of("bench")
     inbox = Inbox()
@@ -246,7 +246,7 @@ def _bus() -> Iterator[Row]:
 
 
 def _log() -> Iterator[Row]:
-    """Two images a frame into MCAP, lz4; the images hold noise as a camera's do."""
+    """Measure the writing of two images a frame to MCAP with lz4; the images are noisy like a camera's."""
     generator = np.random.default_rng(1)
     image = (2.5 + 0.01 * generator.standard_normal((287, 352))).astype(np.float32)
     image[:, :150] = np.nan

@@ -17,11 +17,12 @@ from rpod_campaign.engine.run import Prepared
 
 _PLAIN_PERIOD_S = 10.0
 _SPEED_PERIOD_S = 600.0
-"""Over which the time left is estimated: trials of one cell may take a hundred times those of another."""
+"""Time over which the speed is measured that gives the time left. It is long because a trial of one cell may
+take a hundred times as long as one of another cell."""
 
 
 class CampaignProgress:
-    """Shows a bar on a terminal, a line every ten seconds elsewhere, and nothing if it shall be quiet."""
+    """Shows a bar on a terminal, a line every ten seconds elsewhere, and nothing if it is quiet."""
 
     def __init__(self, prepared: Prepared, *, quiet: bool) -> None:
         self._prepared, self._done = prepared, len(prepared.done)
@@ -75,10 +76,10 @@ class CampaignProgress:
 
 
 def _beginning(prepared: Prepared) -> str:
-    """Return whether the campaign begins or goes on, and if it begins, why it does not go on."""
+    """Return the first line: the campaign resumes, or it starts, with the reason why it does not resume."""
     path = prepared.folder.path
     if prepared.done:
-        return f"resuming {path}: {len(prepared.done)} of {prepared.total} trials are there"
+        return f"resuming {path}: {len(prepared.done)} of {prepared.total} trials are done"
     other = prepared.folder.most_alike()
-    because = f"; {other[0].name} beside it differs in {', '.join(other[1])}" if other else ""
-    return f"beginning {path}{because}"
+    because = f"; the campaign in {other[0].name} differs in {', '.join(other[1])}" if other else ""
+    return f"starting {path}{because}"

@@ -1,4 +1,4 @@
-"""``rpod campaign NAME``: one verb a campaign, made from the campaign's model of options."""
+"""``rpod campaign NAME``: one verb for each campaign, generated from the campaign's model of options."""
 
 import inspect
 from collections.abc import Callable
@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from rpod_campaign.engine.options import Options
 
 _EVERYWHERE = {
-    "out": Annotated[Path, typer.Option("--out", help="Folder in which the campaign's own folder is made.")],
+    "out": Annotated[
+        Path, typer.Option("--out", help="Folder in which the campaign's own folder is created.")
+    ],
     "jobs": Annotated[
         int | None,
         typer.Option("--jobs", help="Number of processes on this machine; one for each core if not given."),
@@ -59,7 +61,7 @@ campaign_verbs = typer.Typer(
 
 @campaign_verbs.callback()
 def campaign() -> None:
-    """Monte-Carlo trials of the methods, beside the figures of the papers."""
+    """Run Monte-Carlo trials of the methods, and compare them with the figures of the papers."""
 
 
 def _verb(name: str, model: "type[Options]") -> Any:
@@ -98,7 +100,7 @@ def _option(name: str, field: Any) -> Any:
 
 
 def _metavar(annotation: Any) -> str:
-    """Return what stands for an option's value in the help."""
+    """Return the placeholder of an option's value in the help."""
     from rpod_campaign.engine.options import choices
 
     named = choices(annotation)
@@ -120,14 +122,14 @@ def _is_list(annotation: Any) -> bool:
 
 
 def _shown(default: Any) -> str:
-    """Return a default as the command line takes it."""
+    """Return a default value in the form of the command line."""
     if isinstance(default, tuple):
         return ",".join(map(_shown, default))
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
 def _declare(function: Callable[..., None], parameters: dict[str, tuple[Any, Any]]) -> None:
-    """Give a function the parameters that typer reads."""
+    """Set the parameters of a function, which typer reads."""
     function.__annotations__ = {name: annotation for name, (annotation, _) in parameters.items()}
     signature = inspect.Signature(
         [

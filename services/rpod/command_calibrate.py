@@ -23,7 +23,7 @@ from rpod_schemas.errors import ConfigurationError
 def calibrate_command(
     logs: Sequence[Path], *, camera: str, check: Path | None, out: Path | None, as_json: bool
 ) -> int:
-    """Fit a calibration to logs, or check one on them; return the exit code."""
+    """Fit a calibration to logs, or check an existing one on them; return the exit code."""
     try:
         given = load(DepthCalibration, check) if check else None
         with ExitStack() as stack:

@@ -43,11 +43,11 @@ def campaign_command(
     as_json: bool,
     cluster: str | None = None,
 ) -> int:
-    """Run a campaign, or what is left of it, and write its report; return the exit code.
+    """Run a campaign, or its remaining trials, and write its report; return the exit code.
 
     Args:
-        name: of the campaign.
-        options: what the command line says, by name; None where it says nothing.
+        name: name of the campaign.
+        options: values of the command line, by name of the option; None for an option that is not given.
         jobs: number of processes; one for each core if None.
         out: folder of all campaigns.
         as_json: print the cells as one JSON object only.
@@ -68,7 +68,10 @@ def campaign_command(
         machine = {**executor(progress.note).described(), "machine": platform.machine()}
         report = write_page(prepared, sections, version=__version__, machine=machine)
     except KeyboardInterrupt:
-        return _fail(f"interrupted; what is done is kept in {prepared.folder.path}", EXIT_INTERRUPTED)
+        return _fail(
+            f"interrupted; the finished trials are kept in {prepared.folder.path}, the same command goes on",
+            EXIT_INTERRUPTED,
+        )
     except TrialFailedError as error:
         if not error.expected:
             print(error.trace, end="", file=sys.stderr)
@@ -86,7 +89,7 @@ def campaign_command(
 
 @contextmanager
 def _every_signal_interrupts() -> Iterator[None]:
-    """Let the signals that end a process end it as an interrupt does, so that no trial's process is left."""
+    """Let SIGTERM and SIGHUP end the process as an interrupt does, so that no process of a trial is left."""
     before = {number: signal.signal(number, signal.default_int_handler) for number in (SIGTERM, SIGHUP)}
     try:
         yield
@@ -96,14 +99,14 @@ def _every_signal_interrupts() -> Iterator[None]:
 
 
 def _options(name: str, model: type[Options], given: Mapping[str, Any]) -> Options:
-    """Return what the command line says; lists are separated by commas. Raises ConfigurationError."""
+    """Return the options of the command line; lists are separated by commas. Raises ConfigurationError."""
     fields = model.model_fields
     document: dict[str, Any] = {}
     for option, value in given.items():
         if value is None:
             continue
         if option not in fields:
-            raise ConfigurationError(_flag(option), "", f"has no meaning for {name}")
+            raise ConfigurationError(_flag(option), "", f"has no meaning for {name}; leave it out")
         default = fields[option].get_default(call_default_factory=True)
         is_list = isinstance(default, tuple) or "tuple" in str(fields[option].annotation)
         document[option] = tuple(part.strip() for part in value.split(",")) if is_list else value
@@ -121,9 +124,9 @@ def _flag(option: str) -> str:
 
 
 def _executor(jobs: int | None, cluster: str | None) -> Callable[[Callable[[str], None]], Executor]:
-    """Return what makes the executor, given where its notes go. Raises ConfigurationError."""
+    """Return the function that creates the executor; its argument prints notes. Raises ConfigurationError."""
     if jobs is not None and jobs < 1:
-        raise ConfigurationError("--jobs", "", f"is {jobs}, at least 1 is needed")
+        raise ConfigurationError("--jobs", "", f"is {jobs}; it must be at least 1")
     if cluster is None:
         return lambda _: ProcessPool(jobs or cores())
     if jobs is not None:
@@ -153,7 +156,7 @@ def _tell(sections: Sequence[Section], report: Path, trials: Path) -> None:
 
 
 def _plain(summary: Any) -> dict[str, Any]:
-    """Return a summary as JSON has it: what is no number is null."""
+    """Return a summary for JSON, in which NaN and infinity are null."""
     return {
         key: None if isinstance(value, float) and not math.isfinite(value) else value
         for key, value in summary.items()

@@ -14,7 +14,7 @@ from rpod_schemas.logs import Recovery
 
 
 def recover_command(log: Path, *, out: Path | None, as_json: bool) -> int:
-    """Recover a log and tell what it cost; return the exit code."""
+    """Recover a log and print what was lost; return the exit code."""
     try:
         recovery = recover(log, out)
     except AnalysisError as error:
@@ -44,13 +44,13 @@ def _tell(recovery: Recovery) -> None:
 
 def _remarks(recovery: Recovery) -> list[str]:
     if recovery.whole:
-        return ["Nothing was lost: the log was whole."]
+        return ["Nothing was lost: the log was undamaged."]
     remarks = [
         f"{recovery.unreadable_bytes} of {recovery.size_bytes} bytes in {recovery.damaged_places} places "
         "could not be read."
     ]
     if not recovery.closed:
-        remarks.append("The end of the file is missing: what came after it is not known.")
+        remarks.append("The end of the file is missing: it is not known how many messages followed.")
     if recovery.without_definition:
         remarks.append(f"{recovery.without_definition} messages are left out: their channel is not defined.")
     return remarks

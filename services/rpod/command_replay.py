@@ -34,7 +34,7 @@ _INSTANCE = "replay"
 
 @dataclass(frozen=True)
 class BusOptions:
-    """How a log goes onto the bus."""
+    """Options for playing a log onto the bus."""
 
     connect: str | None
     wait: bool
@@ -102,7 +102,7 @@ def _tell_played(played: Played, *, as_json: bool) -> None:
     for name, count in sorted(played.messages.items()):
         print(f"{name:30} {count}")
     for name in played.left_out:
-        print(f"{name:30} left out: its type is not known")
+        print(f"{name:30} left out: its message type is not known")
     print(f"at most {played.behind_s:.3f} s behind", file=sys.stderr)
 
 
@@ -209,7 +209,7 @@ def _tell_report(report: ReplayReport) -> None:
     console.print(table)
     if between := report.difference:
         console.print(
-            f"{between.identical} of {between.common} common poses identical; apart by at most "
+            f"{between.identical} of {between.common} common poses are identical; the largest difference is "
             f"{between.attitude_deg.max:.3g} deg and {1e3 * between.position_m.max:.3g} mm",
             highlight=False,
         )

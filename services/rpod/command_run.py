@@ -35,10 +35,10 @@ def run_command(
     view: bool,
     as_json: bool,
 ) -> int:
-    """Play, score, and say where everything is; return the exit code."""
+    """Play and score a scenario, and print the paths of log and report; return the exit code."""
     configure_logging("supervisor")
     if view and find_spec("rerun") is None:
-        print("rpod run: no view, it needs rerun-sdk: pip install 'rpod[view]'", file=sys.stderr)
+        print("rpod run: no view, because it needs rerun-sdk: pip install 'rpod[view]'", file=sys.stderr)
         view = False
     try:
         scenario, pace = _scenario(name, duration_s=duration_s, seed=seed), _speed(speed)
@@ -66,7 +66,7 @@ def run_command(
 
 
 def _scenario(name: str, *, duration_s: float | None, seed: int | None) -> Scenario:
-    """Return the scenario with what the command line says on top."""
+    """Return the scenario with the changes of the command line."""
     scenario = find(name)
     changes = {"duration_s": duration_s, "seed": seed}
     document = dict(scenario) | {key: value for key, value in changes.items() if value is not None}
@@ -78,7 +78,7 @@ def _speed(speed: str) -> Speed:
         return "1"
     if speed == "max":
         return "max"
-    raise ConfigurationError("--speed", "", f"needs 1 or max, not {speed!r}")
+    raise ConfigurationError("--speed", "", f"is {speed!r}; it must be 1 or max")
 
 
 def _tell(summary: Summary, paths: ReportPaths) -> None:

@@ -60,7 +60,7 @@ def view_log(
 def _show(opened: Log, config: ViewConfig, part: Part, stop: Event) -> None:
     target = _target(opened, config.target)
     with open_viewer(config, stop) as viewer:
-        log.info("to be seen in %s", viewer.where)
+        log.info("shown in %s", viewer.where)
         refused: Counter[str] = Counter()
         view = View(
             viewer.recording,
@@ -95,7 +95,7 @@ def _await_taken(viewer: Viewer, stop: Event) -> bool:
 
 
 def _target(opened: Log, name: str | None) -> Target | None:
-    """Return the target of the command line, or the one that the log's services had."""
+    """Return the target of the command line, or the one in the configurations in the log."""
     names = [service["target"] for service in opened.configuration.values() if service.get("target")]
     chosen = name or next(iter(names), None)
     if chosen is None:
@@ -105,5 +105,5 @@ def _target(opened: Log, name: str | None) -> Target | None:
     except TargetError as error:
         if name:
             raise ConfigurationError("rpod view", "--target", str(error)) from error
-        log.warning("no mesh: %s", error)
+        log.warning("the target's mesh is not shown: %s", error)
         return None

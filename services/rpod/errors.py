@@ -16,11 +16,11 @@ class ServiceDiedError(RunError):
         self.name = name
         how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
         lines = "".join(f"\n    {line}" for line in tail)
-        super().__init__(f"service {name} {how}; its last lines ({log}):{lines or ' none'}")
+        super().__init__(f"service {name} {how}; its last log lines (all are in {log}):{lines or ' none'}")
 
 
 class NotReadyError(RunError):
-    """A service did not get ready in time."""
+    """A service was not ready in time."""
 
     def __init__(self, name: str, waited_s: float, log: Path) -> None:
         super().__init__(f"service {name} is not ready after {waited_s:.0f} s; see {log}")

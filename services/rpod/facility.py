@@ -22,7 +22,7 @@ _ROUTER_POLL_S = 0.5
 
 @dataclass(frozen=True)
 class Facility:
-    """One configuration a service; the supervisor's own for its client."""
+    """Configurations of all services, and that of the supervisor's own client."""
 
     router: RouterConfig
     services: dict[str, BaseModel]
@@ -78,7 +78,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
 
 
 def _settings(scenario: Scenario) -> EstimatorSettings:
-    """Return the estimator's settings with what the sensors will say, so that it is warm before they do."""
+    """Return the estimator's settings with the sensors' infos, so that it warms up before they are sent."""
     emulated = {sensor.name: sensor for sensor in scenario.sensors}
     sensors = tuple(sensor.informed_by(emulated[sensor.name]) for sensor in scenario.estimator.sensors)
     return scenario.estimator.model_copy(update={"sensors": sensors})

@@ -22,7 +22,7 @@ def report(
         typer.Option("--json", help="Print the summary, or that of several runs, as one JSON object only."),
     ] = False,
 ) -> None:
-    """Score a log, or several side by side: HTML and summary.json beside it."""
+    """Score a log, or several in comparison; write an HTML report and summary.json beside it."""
     from rpod.command_report import report_command
 
     raise typer.Exit(report_command(logs, out=out, as_json=as_json))
@@ -53,7 +53,9 @@ def replay(
     speed: Annotated[
         float, typer.Option("--speed", help="Speed relative to the recording, with --bus.")
     ] = 1.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, with --bus.")] = False,
+    loop: Annotated[
+        bool, typer.Option("--loop", help="Start again at the end of the log, with --bus.")
+    ] = False,
     topics: Annotated[
         str | None, typer.Option("--topics", help="Topics to play, such as 'pmd/*,tf_static', with --bus.")
     ] = None,

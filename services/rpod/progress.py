@@ -1,6 +1,7 @@
 """Progress of a run for the operator: scenario time, frame rates, state, current error.
 
-Listens to ``tf`` at 25 Hz, the statuses and the diagnostics; it costs the facility next to nothing.
+It subscribes to ``tf`` at 25 Hz, the statuses and the diagnostics, which takes very little of the processor's
+time.
 """
 
 import time
@@ -45,7 +46,7 @@ class _Seen:
 
 
 class Progress:
-    """The progress of a run: a line that is redrawn on a terminal, elsewhere a line now and then."""
+    """The progress of a run: a line that is redrawn on a terminal, elsewhere a new line every few seconds."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._console = Console(stderr=True, quiet=quiet)
@@ -54,7 +55,7 @@ class Progress:
         self._inbox = Inbox()
         self._scenario: Scenario | None = None
         self._said = ""
-        self._told: set[str] = set()
+        self._printed: set[str] = set()
         self._plain_s = 0.0
 
     def __enter__(self) -> "Progress":
@@ -78,7 +79,7 @@ class Progress:
             self._console.print(f"{text} ...", style="dim")
 
     def watch(self, node: Node, scenario: Scenario) -> None:
-        """Listen from now on."""
+        """Subscribe to the messages of a run."""
         self._scenario = scenario
         for topic in (TF, STATUS, DIAGNOSTICS):
             node.subscribe(topic, self._inbox.put)
@@ -109,13 +110,13 @@ class Progress:
         else:
             for diagnostic in read_diagnostics(message):
                 if diagnostic.name == _VIEW:
-                    self._tell_view(diagnostic.message)
+                    self._print_view(diagnostic.message)
                 self._take_counters(diagnostic.stamp_ns, diagnostic.values)
 
-    def _tell_view(self, message: str) -> None:
-        """Say, on a line that stays, what the view says of itself: where it is to be seen."""
-        if message not in self._told:
-            self._told.add(message)
+    def _print_view(self, message: str) -> None:
+        """Print the view's message, such as the address of its page, on a line that stays."""
+        if message not in self._printed:
+            self._printed.add(message)
             self._console.print(f"view: {message}", soft_wrap=True, highlight=False)
 
     def _take_transform(self, stamp_ns: int, child: str, pose: RigidTransform) -> None:

@@ -24,9 +24,10 @@ from rpod_schemas.messages import NANOSECONDS
 log = logging.getLogger(__name__)
 
 _READY_TIMEOUT_S = 240.0
-"""The first start on a machine compiles kernels and builds the target."""
+"""Longest time until all services are ready; the first start on a machine compiles kernels and builds the
+target."""
 _LEAD_S = 0.5
-"""From telling the services to start to the epoch."""
+"""Time from the start query to the epoch."""
 _POLL_S = 0.1
 _VIEW = "view"
 
@@ -41,12 +42,12 @@ class RunFolder:
 
     @property
     def logs(self) -> list[Path]:
-        """All files of the log that are there, in the order of time; the first one where there is none."""
+        """All existing files of the log in the order of time; the path of the first one if there is none."""
         return sorted(self.directory.glob("*.mcap")) or [self.log]
 
     @classmethod
     def make(cls, out: Path, scenario: Scenario) -> Self:
-        """Make a new folder, and keep the scenario in it as it will be played. Raises ``OSError``."""
+        """Create a new folder with the scenario, as it will be played, in it. Raises ``OSError``."""
         directory = _new_directory(out, scenario.name)
         document = json.loads(scenario.model_dump_json())
         (directory / "scenario.json").write_text(json.dumps(document, indent=2) + "\n", "utf-8")
@@ -68,12 +69,12 @@ def _new_directory(out: Path, name: str) -> Path:
 def play(
     scenario: Scenario, folder: RunFolder, *, speed: Speed, progress: Progress, view: bool = False
 ) -> None:
-    """Play a scenario to its end and close the log, with a live view if one is wanted.
+    """Play a scenario to its end and close the log; ``view`` adds a live view.
 
     Raises:
-        ServiceDiedError: a service ended; the log is closed all the same.
+        ServiceDiedError: a service ended too early; the log is closed nevertheless.
         NotReadyError: a service did not start.
-        InterruptedRunError: the operator ended the run; the log is closed all the same.
+        InterruptedRunError: the operator ended the run; the log is closed nevertheless.
     """
     facility = configure(scenario, directory=folder.directory, speed=speed)
     with _interruptible() as interrupted, Supervisor(folder.directory, progress.say) as services:
@@ -122,7 +123,7 @@ def _await_ready(
                 waiting.discard(verb)
             elif time.monotonic() > deadline_s:
                 raise NotReadyError(verb, _READY_TIMEOUT_S, services.log_of(verb))
-        time.sleep(_POLL_S)  # a query that nobody answers yet comes back at once
+        time.sleep(_POLL_S)  # a query returns at once while no service answers it
 
 
 def _state(node: Node, verb: str) -> str:
@@ -133,7 +134,7 @@ def _state(node: Node, verb: str) -> str:
 
 
 def _start(node: Node, scenario: Scenario, speed: Speed) -> None:
-    """Tell emulator and motion the epoch and the duration, in this order."""
+    """Send epoch and duration to the emulator, then to the motion service."""
     lead_ns = round(_LEAD_S * NANOSECONDS)
     epoch_ns = scenario.epoch_ns if speed == "max" else time.time_ns() + lead_ns
     for verb in ("emulator", "motion"):
@@ -145,7 +146,7 @@ def _await_end(node: Node, services: Supervisor, interrupted: Event, progress: P
     while _state(node, "motion") != "finished":
         _check(services, interrupted)
         progress.update()
-        time.sleep(_POLL_S)  # not the event's own wait: the handler that sets it would find its lock taken
+        time.sleep(_POLL_S)  # not Event.wait: the signal handler that sets the event would wait for its lock
 
 
 def _check(services: Supervisor, interrupted: Event) -> None:

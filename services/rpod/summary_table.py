@@ -52,7 +52,7 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
 
 def _error_rows(error: ErrorSummary | None) -> list[tuple[str, str]]:
     if error is None:
-        return [("error", "not known: no tracked frame with truth")]
+        return [("error", "unknown: no frame was tracked while the truth was known")]
     attitude, position = error.attitude_deg, error.position_m
     return [
         ("attitude", f"{attitude.rms:.2f} deg RMS, {attitude.p95:.2f} p95, {attitude.max:.2f} max"),

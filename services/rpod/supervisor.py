@@ -1,7 +1,7 @@
 """Starts services as processes, watches them, and stops them in order.
 
-Each service gets a configuration file and a log file in the run's folder, a session of its own (so
-that Ctrl-C reaches the supervisor alone) and a pipe that closes when the supervisor is gone.
+Each service gets a configuration file and a log file in the run's folder, a session of its own (so that only
+the supervisor receives Ctrl-C) and a pipe that closes when the supervisor ends.
 """
 
 import logging
@@ -42,9 +42,9 @@ class _Service:
 
 
 class Supervisor:
-    """Processes of one run; on leaving, whatever still runs is stopped, the last started first.
+    """Processes of one run; at the end those that still run are stopped, the last started first.
 
-    On leaving by ``KeyboardInterrupt`` nobody is waited for.
+    After a ``KeyboardInterrupt`` the supervisor does not wait for them.
     """
 
     def __init__(self, directory: Path, say: Callable[[str], None]) -> None:
@@ -54,7 +54,7 @@ class Supervisor:
         self._services: dict[str, _Service] = {}
 
     def start(self, verb: str, config: BaseModel, *, optional: bool = False) -> None:
-        """Start ``rpod <verb>`` with a configuration; an optional one may end as it likes."""
+        """Start ``rpod <verb>`` with a configuration; an optional service may end at any time."""
         self._configurations.mkdir(exist_ok=True)
         self._logs.mkdir(exist_ok=True)
         file = self._configurations / f"{verb}.json"
@@ -76,10 +76,10 @@ class Supervisor:
         return self._services[verb].log
 
     def check(self) -> None:
-        """Check that all services run. An optional one that has ended is reported and forgotten.
+        """Check that all services run. An optional one that has ended is reported once.
 
         Raises:
-            ServiceDiedError: names the first that does not, with its last lines.
+            ServiceDiedError: a service does not run; the error names the first one, with its last log lines.
         """
         for name, service in list(self._services.items()):
             code = service.process.poll()
@@ -95,9 +95,9 @@ class Supervisor:
         """Ask a service to finish, wait, and kill it if it does not.
 
         Raises:
-            ServiceDiedError: it ended with an error. A service that is asked while it still starts
-                knows no signals yet and ends by this one: that is no error. Nor is any end of an
-                optional one, nor that it has ended before.
+            ServiceDiedError: the service ended with an error. It is no error if a service that is still
+                starting, and does not handle signals yet, ends by this signal, or if an optional service has
+                ended.
         """
         service = self._services.pop(verb, None)
         if service is None:
@@ -108,7 +108,7 @@ class Supervisor:
         try:
             code = process.wait(_STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
-            log.error("%s does not stop within %g s; ended by force", verb, _STOP_TIMEOUT_S)
+            log.error("%s did not stop within %g s; it was killed", verb, _STOP_TIMEOUT_S)
             process.kill()
             code = process.wait()
         finally:
@@ -123,7 +123,7 @@ class Supervisor:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if kind is KeyboardInterrupt:
-            return  # asked again: ends at once, and the services follow as their pipes close
+            return  # a second interrupt: end at once; the services end when their pipes close
         for name in reversed(list(self._services)):
             try:
                 self.stop(name)

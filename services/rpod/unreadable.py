@@ -1,4 +1,4 @@
-"""Tells on the terminal which messages of a log were left out."""
+"""Prints which messages of a log were left out."""
 
 import sys
 

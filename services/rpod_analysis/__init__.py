@@ -1,4 +1,4 @@
-"""Analysis of runs: reads logs, scores estimates against truth, writes reports."""
+"""Analysis of runs: reads logs, compares estimates with the truth, writes reports."""
 
 from rpod_analysis.errors import AnalysisError
 from rpod_analysis.log import Log, Logged, TopicInfo, open_log

@@ -1,4 +1,4 @@
-"""Errors of this package. Each text is one line and says what to do."""
+"""Errors of this package. Each text is one line and contains the remedy where there is one."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,31 +11,33 @@ class AnalysisError(RpodError):
 
 
 class NoLogError(AnalysisError):
-    """There is no such file, or it cannot be read."""
+    """The file does not exist, or it cannot be read."""
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"{path}: {reason}")
 
 
 class NotMcapError(AnalysisError):
-    """The file is something else."""
+    """The file is not an MCAP log."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(f"{path}: is no MCAP log")
+        super().__init__(f"{path}: is not an MCAP log")
 
 
 class TruncatedLogError(AnalysisError):
     """The log was not closed, so that it has no index."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(f"{path}: the log is truncated; 'rpod recover {path}' makes a readable one of it")
+        super().__init__(f"{path}: the log is truncated; 'rpod recover {path}' writes a readable one")
 
 
 class DamagedLogError(AnalysisError):
-    """The log cannot be read where it should be readable."""
+    """The log has damaged bytes."""
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"{path}: the log is damaged ({reason}); 'rpod recover {path}' saves what is whole")
+        super().__init__(
+            f"{path}: the log is damaged ({reason}); 'rpod recover {path}' saves its undamaged records"
+        )
 
 
 class CannotWriteError(AnalysisError):
@@ -46,33 +48,38 @@ class CannotWriteError(AnalysisError):
 
 
 class NoEstimatesError(AnalysisError):
-    """No estimator spoke while the log was open."""
+    """The log contains no estimates."""
 
     def __init__(self, path: Path, prefix: str) -> None:
-        super().__init__(f"{path}: no estimates in the log ({prefix}/odometry, {prefix}/status)")
+        super().__init__(
+            f"{path}: no estimates in the log ({prefix}/odometry, {prefix}/status); "
+            "'rpod replay' computes them from its sensor data"
+        )
 
 
 class NoEstimatorError(AnalysisError):
-    """A log does not say how its estimator was configured."""
+    """A log does not contain the configuration of an estimator."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(f"{path}: the log holds no estimator's configuration; give one with --config")
+        super().__init__(f"{path}: no configuration of an estimator in the log; give one with --config")
 
 
 class NothingToPlayError(AnalysisError):
-    """No topic of a log fits what is to be played."""
+    """No topic of a log matches the topics to play."""
 
     def __init__(self, path: Path, patterns: Sequence[str]) -> None:
-        asked = f" that fits {', '.join(patterns)}" if patterns else ""
-        super().__init__(f"{path}: no topic of a known type in the log{asked}")
+        matching = f" matches {', '.join(patterns)}; choose others with --topics" if patterns else ""
+        super().__init__(f"{path}: no topic of a known type in the log{matching}")
 
 
 class FramesDifferError(AnalysisError):
-    """Truth and estimate are not of the same frame."""
+    """Truth and estimate are given in different frames of reference."""
 
     def __init__(self, path: Path, truth: str, estimate: str) -> None:
-        super().__init__(f"{path}: the truth is in frame {truth!r}, the estimate in {estimate!r}")
+        super().__init__(
+            f"{path}: the truth is in frame {truth!r}, the estimate in {estimate!r}; both must be the same"
+        )
 
 
 class CalibrationError(AnalysisError):
-    """The logs do not tell a camera's distance errors."""
+    """The distance errors of a camera cannot be determined from the logs."""

@@ -8,14 +8,16 @@ class DriverError(RpodError):
 
 
 class SilentSensorError(DriverError):
-    """Raised if the sensor delivers no frame."""
+    """The sensor delivers no frame."""
 
     def __init__(self, silence_s: float) -> None:
-        super().__init__(f"no frame for {silence_s:.1f} s")
+        super().__init__(f"no frame for {silence_s:.1f} s; check the sensor's power and connection")
 
 
 class WrongKindError(DriverError):
-    """Raised if the driver delivers frames of another kind than configured."""
+    """The driver delivers frames, or an info, of another kind than configured."""
 
     def __init__(self, kind: str, delivered: object) -> None:
-        super().__init__(f"kind is {kind!r}, but the driver delivers {type(delivered).__name__}")
+        super().__init__(
+            f"kind is {kind!r}, but the driver delivers {type(delivered).__name__}; correct kind"
+        )

@@ -65,7 +65,7 @@ class Host:
         self.finished = False
 
     def serve_connection(self) -> None:
-        """Connect and publish until the source ends, the sensor fails or a stop; wait after a failure."""
+        """Connect and publish until the source ends, the sensor fails, or a stop; wait after a failure."""
         try:
             info = self._driver.connect()
             try:
@@ -106,16 +106,16 @@ class Host:
         else:
             self._node.health.count(f"frames/{self._config.name}")
             if self._trouble:
-                self._overcome()
+                self._resume()
 
     def _check(self, given: object, expected: type[Any] | None) -> None:
         if expected is None or not isinstance(given, expected):
             raise WrongKindError(self._config.kind, given)
 
-    def _overcome(self) -> None:
-        log.info("frames come again")
+    def _resume(self) -> None:
+        log.info("the sensor delivers frames again")
         self._trouble, self._retry_s = "", self._config.retry_s
-        self._node.health.report(Health.OK, "frames come again")
+        self._node.health.report(Health.OK, "the sensor delivers frames again")
 
     def _recover(self, error: Exception) -> None:
         self._trouble = str(error) or type(error).__name__

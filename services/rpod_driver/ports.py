@@ -12,7 +12,7 @@ class Driver(Protocol):
     def connect(self) -> Any:
         """Open the device; return its info, or None if that is unknown.
 
-        It either succeeds or leaves nothing open. An error is reported, and the call is repeated later.
+        It either succeeds or leaves nothing open. The host reports an error and repeats the call later.
         """
         ...
 

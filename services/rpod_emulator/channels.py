@@ -20,11 +20,11 @@ from rpod_target import Target
 
 
 class Channel(Protocol):
-    """An emulated sensor that publishes on the bus, made as ``(node, config, sensor, target)``."""
+    """An emulated sensor that publishes on the bus, created as ``(node, config, sensor, target)``."""
 
     @property
     def sensor(self) -> SensorConfig:
-        """Its configuration."""
+        """Configuration of the sensor."""
         ...
 
     def emulate(

@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 _WAIT_S = 0.05
 _DARKNESS = 0, np.zeros(3)
 _SUN_PERIOD_NS = NANOSECONDS
-"""Time between two messages of the sun (ICD section 2)."""
+"""Time between two messages of the sun, ns (ICD section 2)."""
 
 
 def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
@@ -130,7 +130,7 @@ class Emulator:
                 return
             self._begin(request.epoch_ns, request.duration_s)
             if not self._by_wall:
-                self._suns.append(_DARKNESS)  # until this run's own sun has come
+                self._suns.append(_DARKNESS)  # until the first sun message of this run
 
     def _take(self, received: Received) -> None:
         if received.topic == SUN:
@@ -147,10 +147,11 @@ class Emulator:
     def due(self) -> list[tuple[Channel, DueFrame]]:
         """Return the frames to make now.
 
-        By the wall clock these are those whose exposure the truth covers, in order of stamp and sensor's
-        name, only the newest of a sensor; those that it passes over are counted. In lockstep these are the
-        frames of the steps up to the time of the clock, as far as truth and sun have come: the same frames
-        come out in the same order whichever message is handed over first, and none beyond the clock.
+        By the wall clock these are the frames whose exposure the truth covers, in the order of stamp and
+        sensor name. Of each sensor only the newest frame is made; the others are counted as skipped. In
+        lockstep these are the frames of the steps up to the time of the clock for which truth and sun have
+        arrived. So the same frames are made in the same order, whichever message arrives first, and none
+        later than the clock.
         """
         if self._epoch_ns is None:
             return []
@@ -203,7 +204,9 @@ class Emulator:
             ]
         except TruthGapError as error:
             self._node.health.count(f"truth_gap/{frame.sensor}")
-            self._node.health.report(Health.WARN, "frames are left out where the truth has gaps")
+            self._node.health.report(
+                Health.WARN, "frames are left out where the truth has gaps; is rpod_motion too slow?"
+            )
             if not self._in_gap:
                 log.warning("no frame %d of %s: %s", frame.number, frame.sensor, error)
             self._in_gap = True

@@ -15,7 +15,7 @@ _PATCHES = 12
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault and the time for which it lasts."""
+    """One fault with its start and its end."""
 
     kind: Kind
     start_ns: int
@@ -33,7 +33,7 @@ class Faults:
         self._faults.append(fault)
 
     def at(self, stamp_ns: int) -> Kind | None:
-        """Return the fault at a stamp, the last one that was requested; None where there is none."""
+        """Return the fault at a stamp, the last requested one if there are several; None if there is none."""
         for fault in reversed(self._faults):
             if fault.start_ns <= stamp_ns < fault.end_ns:
                 return fault.kind

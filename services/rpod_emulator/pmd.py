@@ -50,7 +50,7 @@ class PmdChannel:
         return partial(self._publish, exposure, frame.stamp_ns)
 
     def _publish(self, exposure: PmdExposure, stamp_ns: int) -> None:
-        """Publish the info if the exposure time has changed, then the frame; the arrays are used again."""
+        """Publish the info if the exposure time has changed, then the frame; its arrays are used again."""
         if exposure.integration_time_s != self._announced_s:
             self._announced_s = exposure.integration_time_s
             self._publisher.announce(self.sensor.info(exposure.integration_time_s))

@@ -21,7 +21,7 @@ _MAX_AHEAD_NS = NANOSECONDS
 
 @dataclass
 class TruthBuffer:
-    """Truth in the order of its stamps. Messages are decoded on arrival, which saves time later."""
+    """Truth in the order of its stamps; messages are decoded on arrival, which saves time later."""
 
     keep_s: float = 3.0
     _stamps_ns: deque[int] = field(default_factory=deque)
@@ -41,15 +41,18 @@ class TruthBuffer:
         """Add a message.
 
         Raises:
-            MessageRejectedError: its stamp is not newer than the last one's, or beyond the latest by more
-                than a second: such a stamp would make all that follow it old. Or it cannot be decoded.
+            MessageRejectedError: its stamp is not newer than that of the message before, or more than a
+                second after ``latest_ns``, which would make all later messages look old; or it cannot be
+                decoded.
         """
         stamp_ns = peek_stamp(received.payload)
         if stamp_ns <= self.last_ns:
-            raise MessageRejectedError(Reason.LATE, f"truth of {stamp_ns} ns after that of {self.last_ns} ns")
+            raise MessageRejectedError(
+                Reason.LATE, f"truth of {stamp_ns} ns, not newer than {self.last_ns} ns"
+            )
         if latest_ns is not None and stamp_ns > latest_ns + _MAX_AHEAD_NS:
             ahead_s = (stamp_ns - latest_ns) / NANOSECONDS
-            raise MessageRejectedError(Reason.FUTURE, f"truth {ahead_s:.3f} s ahead of its arrival")
+            raise MessageRejectedError(Reason.FUTURE, f"truth is {ahead_s:.3f} s ahead of its arrival")
         self._poses.append(read_pose(received.decode().pose.pose))
         self._stamps_ns.append(stamp_ns)
         while stamp_ns - self._stamps_ns[0] > self.keep_s * NANOSECONDS:

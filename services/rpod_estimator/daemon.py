@@ -23,7 +23,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
         node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
         while not stop.is_set():
             arrived = subscriptions.newest(TICK_S)
-            estimator.learn(subscriptions.said)
+            estimator.learn(subscriptions.infos)
             if arrived is not None:
                 if config.time_source == "clock":
                     for output in estimator.let_time_pass(arrived.stamp_ns):
@@ -32,5 +32,5 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
             outputs.publish(estimator.tick(node.clock.settled_ns()))
             level = Health.WARN if estimator.mode == Mode.LOST else Health.OK
             node.health.report(level, estimator.mode.name.lower())
-        for arrived in subscriptions.rest():  # no frame goes without an answer or a count
+        for arrived in subscriptions.rest():  # each frame gets a status or is counted
             outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)

@@ -55,19 +55,19 @@ class Estimator:
         """State of the navigator."""
         return self._state.mode
 
-    def learn(self, said: Mapping[str, Any]) -> None:
-        """Make a sensor's methods once it is known what they need, and anew where it says something else.
+    def learn(self, infos: Mapping[str, Any]) -> None:
+        """Create a sensor's methods when what they need is known, and again when its info changes.
 
-        Their compiled code is loaded.
+        This also loads the compiled code of the methods.
 
         Args:
-            said: what the sensors say of themselves, by name.
+            infos: the info that each sensor has published of itself, by sensor name.
         """
         for name, sensor in self._sensors.items():
-            setup = kind_methods(sensor).setup(sensor, said.get(name))
+            setup = kind_methods(sensor).setup(sensor, infos.get(name))
             if setup is None or setup == self._setups.get(name):
                 continue
-            if said.get(name) is not None:
+            if infos.get(name) is not None:
                 log.info("%s: %s", name, setup)
             self._setups[name] = setup
             self._methods[name] = ready_methods(sensor, self._target, setup)
@@ -76,7 +76,7 @@ class Estimator:
         """Start again with the next frame, without a pose or from a given pose."""
         if request.pose is not None and request.frame_id != CHASER:
             raise ConfigurationError(
-                "reset", "frame_id", f"{request.frame_id!r}: poses are taken in {CHASER!r}"
+                "reset", "frame_id", f"{request.frame_id!r}, but poses are taken in {CHASER!r}: transform it"
             )
         self._resets.put(request)
         return Accepted()
@@ -87,11 +87,14 @@ class Estimator:
                 request = self._resets.get_nowait()
             except Empty:
                 return
-            log.info("reset %s", "to a given pose" if request.pose is not None else "to nothing")
-            begun = self._navigator.start(
+            log.info(
+                "reset: the estimator starts again %s",
+                "from the given pose" if request.pose is not None else "without a pose",
+            )
+            started = self._navigator.start(
                 request.pose, covariance=request.covariance, stamp_ns=request.stamp_ns
             )
-            self._state = replace(begun, shown_ns=self._state.shown_ns)
+            self._state = replace(started, shown_ns=self._state.shown_ns)
 
     def process(self, arrived: Arrived) -> Output:
         """Process a frame and return the result."""
@@ -121,7 +124,7 @@ class Estimator:
         Lockstep and replay call this, so that their results do not depend on the machine's load.
         """
         if self._passed_ns is not None:
-            last_ns = min(until_ns, self._passed_ns + self._silence_ns)  # later ticks say nothing new
+            last_ns = min(until_ns, self._passed_ns + self._silence_ns)  # later ticks change nothing
             for now_ns in range(self._passed_ns + _TICK_NS, last_ns, _TICK_NS):
                 if output := self.tick(now_ns):
                     yield output

@@ -40,15 +40,16 @@ class FrameReader:
 
     def __init__(self, sensors: Sequence[SensorInput]) -> None:
         self.latched: tuple[Topic, ...] = (TF_STATIC,)
-        """Topics for ``learn``."""
+        """Latched topics, whose messages go to ``learn``."""
         self.streams: tuple[Topic, ...] = ()
-        """Topics of the parts of frames, for the ``assemblers``."""
+        """Topics of the parts of frames, whose messages go to the ``assemblers``."""
         self.parts: dict[str, tuple[str, str]] = {}
         """Sensor and part, by the name of the stream topic."""
         self.assemblers: dict[str, Assembler[Received]] = {}
-        """By sensor."""
+        """Assembler of each sensor, by sensor name."""
         self.leading: dict[str, str] = {}
-        """The part, by sensor, in whose place a frame is refused that never gets complete."""
+        """Leading part of the frames, by sensor name; a frame is reported as refused when this part is
+        refused."""
         self._readers: dict[str, SensorReader] = {}
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
         self._cameras = CameraCheck()
@@ -68,8 +69,8 @@ class FrameReader:
             self.parts[topic.name] = sensor.name, name
 
     @property
-    def said(self) -> Mapping[str, Any]:
-        """What the sensors say of themselves, by name; None where one says nothing."""
+    def infos(self) -> Mapping[str, Any]:
+        """Info that each sensor has published of itself, by sensor name; None where there is none."""
         return {sensor: reader.said for sensor, reader in self._readers.items()}
 
     def learn(self, received: Received) -> None:

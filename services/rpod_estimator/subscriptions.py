@@ -35,13 +35,14 @@ class Subscriptions:
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
         for topic in self._reader.streams:
-            # Live, what is missed is old by the time it could be had; in lockstep everybody waits for it.
+            # A live message that was missed would be too old when it is recovered; in lockstep all services
+            # wait.
             node.subscribe(topic, self._waiting.put, recover=self._in_lockstep)
 
     @property
-    def said(self) -> Mapping[str, Any]:
-        """What the sensors say of themselves, by name; None where one says nothing."""
-        return self._reader.said
+    def infos(self) -> Mapping[str, Any]:
+        """Info that each sensor has published of itself, by sensor name; None where there is none."""
+        return self._reader.infos
 
     def newest(self, timeout_s: float) -> Arrived | None:
         """Return the newest complete frame with the oldest stamp over all sensors; None after the timeout.
@@ -52,7 +53,7 @@ class Subscriptions:
         return self._next()
 
     def rest(self) -> Iterator[Arrived]:
-        """Yield the frames that wait now: refused ones first, then the newest complete one of each sensor."""
+        """Yield the waiting frames: the refused ones first, then the newest complete frame of each sensor."""
         self._take_in(0.0)
         while (arrived := self._next()) is not None:
             yield arrived
@@ -88,7 +89,7 @@ class Subscriptions:
         try:
             self._check_freshness(received, stamp_ns)
             if stamp_ns == assembler.done_ns and part in assembler.required:
-                raise MessageRejectedError(Reason.DUPLICATE, "a frame of this stamp is complete already")
+                raise MessageRejectedError(Reason.DUPLICATE, "the frame of this stamp is already complete")
         except MessageRejectedError as error:
             if part == self._reader.leading[sensor]:
                 self._refused.append(Arrived(sensor, stamp_ns, received.arrival_s, None, str(error)))
@@ -111,12 +112,13 @@ class Subscriptions:
         if age_s > self._config.max_age_s:
             raise MessageRejectedError(
                 Reason.LATE,
-                f"{age_s:.3f} s old, limit {self._config.max_age_s:g} s; check the sensor's clock",
+                f"{age_s:.3f} s old, max_age_s is {self._config.max_age_s:g}; check the sensor's clock",
             )
         if age_s < -self._config.max_future_s:
             raise MessageRejectedError(
                 Reason.FUTURE,
-                f"{-age_s:.3f} s ahead of {self._config.time_source} time; check the sensor's clock",
+                f"{-age_s:.3f} s ahead of {self._config.time_source} time, max_future_s is "
+                f"{self._config.max_future_s:g}; check the sensor's clock",
             )
 
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:

@@ -1,4 +1,4 @@
-"""The logger: everything on the bus into MCAP files, as it came."""
+"""The logger: writes all messages of the bus to MCAP files, with unchanged bytes."""
 
 from rpod_logger.errors import LoggerError
 from rpod_logger.recorder import Recorder

@@ -1,7 +1,7 @@
-"""The queue between the bus and the disk: bounded in bytes, and what does not fit is counted.
+"""The queue between the bus and the disk, bounded in bytes; messages that do not fit are counted.
 
-The bus's threads put and never wait. The writer's thread takes. Commands stand in the same queue, so
-that a file ends exactly between two messages, with the counts of that moment.
+The bus's threads put messages into it and never wait. The writer's thread takes them out. Commands are in the
+same queue, so that a file ends exactly between two messages, with the counts of that moment.
 """
 
 from collections import Counter, deque
@@ -12,19 +12,19 @@ from threading import Condition
 from rpod_runtime import Received
 
 _OVERHEAD_BYTES = 512
-"""Memory of a queued message beside its payload."""
+"""Memory of a queued message in addition to its payload."""
 _BATCH_BYTES = 4 << 20
-"""For so much the writer is woken, and so much it takes at once; for less it comes by itself, so that not
-each message costs a wake-up."""
+"""Size of the queue at which the writer is woken, and the most that it takes at once. For less it wakes by
+its own timeout, so that not each message wakes it."""
 
 
 Action = Callable[[Counter[str]], None]
-"""Gets the messages received until it was asked for, by topic."""
+"""Function of a command; its argument is the number of messages by topic, received before the command."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """Something for the writer's thread to do when everything before it is done."""
+    """Work for the writer's thread, done after everything that was queued before it."""
 
     action: Action
     received: Counter[str]
@@ -36,7 +36,7 @@ class Backlog:
     def __init__(self, capacity_bytes: int) -> None:
         self.capacity_bytes = capacity_bytes
         self.bytes = 0
-        """Queued, and in the writer's hands."""
+        """Size of the messages in the queue and of those that the writer has taken and not finished."""
         self.high_water_bytes = 0
         self._taken_bytes = 0
         self._received: Counter[str] = Counter()
@@ -45,7 +45,7 @@ class Backlog:
         self._closed = False
 
     def put(self, received: Received) -> bool:
-        """Enqueue a message; return False where there was no room. After the close nothing is taken."""
+        """Enqueue a message; return False if there was no room. After ``close`` messages are ignored."""
         size = len(received.payload) + _OVERHEAD_BYTES
         with self._changed:
             if self._closed:
@@ -61,7 +61,7 @@ class Backlog:
         return True
 
     def command(self, action: Action) -> bool:
-        """Enqueue a command, for which there is always room; return False after the close."""
+        """Enqueue a command, for which there is always room; return False after ``close``."""
         with self._changed:
             if self._closed:
                 return False
@@ -70,7 +70,7 @@ class Backlog:
         return True
 
     def close(self, last: Action) -> None:
-        """Take nothing more after a last command; what is queued stays."""
+        """Enqueue a last command and accept nothing after it; what is queued stays in the queue."""
         with self._changed:
             if not self._closed:
                 self._items.append(Command(last, self._received.copy()))
@@ -78,9 +78,9 @@ class Backlog:
                 self._changed.notify_all()
 
     def take(self, timeout_s: float) -> list[Received | Command]:
-        """Return the oldest items; where there is none wait, and look again at the timeout or at a command.
+        """Return the oldest items; if there are none, wait until the timeout, a command or a large queue.
 
-        Who comes again is done with what it took before: until then that takes room.
+        The call also reports that the items of the call before are finished: until then they take room.
         """
         with self._changed:
             self.bytes -= self._taken_bytes
@@ -96,7 +96,7 @@ class Backlog:
             return taken
 
     def received(self) -> Counter[str]:
-        """Return the messages received until now, by topic, those too for which there was no room."""
+        """Return the number of received messages by topic, including those for which there was no room."""
         with self._changed:
             return self._received.copy()
 

@@ -1,4 +1,4 @@
-"""The logger daemon: subscriptions in, files out; all work is the recorder's."""
+"""The logger daemon: subscribes to the bus and passes all messages and commands to the recorder."""
 
 import os
 from functools import partial
@@ -15,7 +15,8 @@ from rpod_schemas.topics import DIAGNOSTICS
 
 _TICK_S = 0.25
 _ZENOH_THREADS = ("ZENOH_RUNTIME", "(rx:(worker_threads:1))")
-"""Zenoh's own setting, for a process: one thread reads. By default two wake each other for every message."""
+"""Environment variable of Zenoh: one thread receives. By default two threads wake each other for every
+message."""
 
 
 def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
@@ -41,7 +42,7 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
 
 
 def _begin(recorder: Recorder) -> str:
-    """Start a log; where the disk refuses live on, count what is lost, and let it be started by query."""
+    """Start a log, return a text; if the disk refuses, messages count as lost until a ``start`` query."""
     try:
         return f"recording to {recorder.start().path}"
     except CannotWriteError:  # logged, and in the diagnostics
@@ -49,9 +50,9 @@ def _begin(recorder: Recorder) -> str:
 
 
 class Services:
-    """Asks the services for their configuration: each soon after its first heartbeat, all before a close.
+    """Asks the services for their configuration, after their first heartbeat and before a log is closed.
 
-    So the log knows a service that dies before the log is closed.
+    So the log also has the configuration of a service that dies before the log is closed.
     """
 
     def __init__(self, node: Node, recorder: Recorder) -> None:
@@ -66,13 +67,13 @@ class Services:
             self._new.set()
 
     def ask_new(self) -> None:
-        """Ask where there is a new one."""
+        """Ask the services if there is a new one."""
         if self._new.is_set():
             self._new.clear()
             self.ask()
 
     def ask(self) -> None:
-        """Ask all."""
+        """Ask all services."""
         self._recorder.know(self._node.ask_all("status", StatusReply))
 
 

@@ -1,7 +1,7 @@
-"""The file under a log: every write goes through to the disk or leaves no trace.
+"""The file of a log on the disk: a write is either complete or has no effect.
 
-Room for the end of the file is kept in a second, nameless file, which the system takes away with the
-process. When the disk is full it is given up: so the log can still be closed.
+Disk space for the end of the file is reserved in a second file without a name, which the system deletes when
+the process ends. When the disk is full, this space is released, so that the log can still be closed.
 """
 
 import errno
@@ -15,10 +15,10 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class DiskFile:
-    """A new file that grows at its end. Never overwrites one.
+    """A new file to which data are appended. It never overwrites an existing file.
 
     Raises:
-        OSError: the file cannot be made, or the disk has no room for it and its reserve.
+        OSError: the file cannot be created, or the disk has no room for it and its reserve.
     """
 
     def __init__(self, path: Path, *, reserve_bytes: int) -> None:
@@ -35,7 +35,7 @@ class DiskFile:
         _sync_directory(path.parent)
 
     def write(self, data: bytes) -> int:
-        """Append everything; what was appended in part is cut off again before ``OSError`` is raised."""
+        """Append all data. If that fails, remove the part already appended and raise ``OSError``."""
         rest = memoryview(data)
         try:
             while rest:
@@ -59,14 +59,14 @@ class DiskFile:
         return self._stream.write(data)
 
     def tell(self) -> int:
-        """Return the size."""
+        """Return the size of the file, bytes."""
         return self._size
 
     def flush(self) -> None:
         """Do nothing: there is no buffer."""
 
     def sync(self) -> None:
-        """Bring it to the disk."""
+        """Write buffered data of the system to the disk."""
         os.fsync(self._stream.fileno())
 
     @property
@@ -79,7 +79,7 @@ class DiskFile:
         return not os.path.samestat(found, os.fstat(self._stream.fileno()))
 
     def close(self) -> None:
-        """Close it, and give up the reserve."""
+        """Close the file and release the reserve."""
         if self._reserve is not None:
             self._reserve.close()
         self._stream.close()
@@ -96,7 +96,7 @@ def _allocate(directory: Path, size: int) -> IO[bytes]:
 
 
 def _sync_directory(directory: Path) -> None:
-    """Make a new name survive a power failure, where the file system can do that."""
+    """Make a new file name survive a power failure, if the file system supports that."""
     descriptor = os.open(directory, os.O_RDONLY)
     with suppress(OSError):
         os.fsync(descriptor)

@@ -1,4 +1,4 @@
-"""The writer's thread: from the backlog into logs, one after the other."""
+"""The writer's thread: takes messages from the backlog and writes them to one log after the other."""
 
 import errno
 import logging
@@ -29,14 +29,15 @@ log = logging.getLogger(__name__)
 
 _COMMAND_TIMEOUT_S = 30.0
 _IDLE_S = 0.05
-"""Time that messages gather before the writer takes them."""
+"""Time for which the writer waits while few messages are queued."""
 _LOSSES_PERIOD_S = 5.0
 _CLOCK_JUMP_S = 0.5
-"""More than a process is held up between reading the two clocks, and than a clock is slewed."""
+"""Smallest change between the two clocks that counts as a jump. A delay of the process between the readings
+of both clocks, or a slow correction of the clock, changes them by less."""
 
 
 class Recorder:
-    """Records what is put into it. ``with`` runs its thread; at the end it drains and finishes the log."""
+    """Records the messages put into it. ``with`` runs its thread; at the end it writes what is queued."""
 
     def __init__(
         self, config: LoggerConfig, *, version: str, health: HealthBook, account: SequenceAccount
@@ -49,10 +50,10 @@ class Recorder:
         self._failure: CannotWriteError | None = None
         self._latched: dict[tuple[str, bytes], Received] = {}
         self._written: Counter[str] = Counter()
-        """Counts by topic of the current batch."""
+        """Number of messages of the current batch, by topic."""
         self._services: dict[str, StatusReply] = {}
-        self._lost_told = 0
-        self._next_telling_s = 0.0
+        self._lost_reported = 0
+        self._next_report_s = 0.0
         self._split_asked = False
         self._clock_offset_s: float | None = None
         self._thread = Thread(target=self._run, name="writer")
@@ -70,29 +71,29 @@ class Recorder:
     # --- from any thread ---
 
     def put(self, received: Received) -> None:
-        """Record a message. Never waits: where there is no room it is lost, counted, and an error."""
+        """Record a message without waiting; if there is no room it is lost, counted and reported."""
         if not self._backlog.put(received):
             self._health.count(f"lost/{received.topic.name}")
 
     def know(self, services: Iterable[StatusReply]) -> None:
-        """Take what services say of themselves into this log and the next ones."""
+        """Store the status and configuration of services in this log and the next ones."""
         statuses = list(services)
         self._backlog.command(lambda _: self._know(statuses))
 
     def start(self, name: str | None = None) -> LogReply:
-        """Open a log; without a name under the last one. Raises ``LoggerError``."""
+        """Open a log, under the last name if none is given. Raises ``LoggerError``."""
         return self._do(lambda received: self._open(name, received))
 
     def stop(self) -> LogReply:
-        """Close the log. Raises ``LoggerError`` where there is none."""
+        """Close the log. Raises ``LoggerError`` if none is open."""
         return self._do(self._close)
 
     def split(self, name: str | None = None) -> LogReply:
-        """Close the log and go on in a new one; no message is in neither or both. Raises ``LoggerError``."""
+        """Close the log and go on in a new one; each message is in exactly one. Raises ``LoggerError``."""
         return self._do(lambda received: self._renew(name, received))
 
     def check(self) -> tuple[Health, str]:
-        """Return health: what was lost or missed is an error for as long as the process lives."""
+        """Return the health: ERROR until the process ends if a message was ever lost or missed."""
         self._health.put("queue/bytes", self._backlog.bytes)
         self._health.put("queue/high_water_bytes", self._backlog.high_water_bytes)
         self._health.put("queue/capacity_bytes", self._backlog.capacity_bytes)
@@ -107,12 +108,15 @@ class Recorder:
         return (Health.ERROR if self._failure else Health.OK), doing
 
     def tell_losses(self) -> None:
-        """Log the messages that were lost since it was last told, now and then."""
+        """Write a log line with the number of messages lost since the line before, at most every 5 s."""
         lost = self._lost()
-        if lost > self._lost_told and time.monotonic() >= self._next_telling_s:
-            full = f"the queue of {self._config.queue_bytes >> 20} MiB is full: the disk is too slow"
-            log.error("lost %d messages: %s", lost - self._lost_told, self._failure or full)
-            self._lost_told, self._next_telling_s = lost, time.monotonic() + _LOSSES_PERIOD_S
+        if lost > self._lost_reported and time.monotonic() >= self._next_report_s:
+            full = (
+                f"the queue of {self._config.queue_bytes >> 20} MiB is full, because the disk is too slow; "
+                "record to a faster disk or raise queue_bytes"
+            )
+            log.error("lost %d messages: %s", lost - self._lost_reported, self._failure or full)
+            self._lost_reported, self._next_report_s = lost, time.monotonic() + _LOSSES_PERIOD_S
 
     def _lost(self) -> int:
         counters = self._health.counters()
@@ -124,7 +128,7 @@ class Recorder:
         def run(received: Counter[str]) -> None:
             try:
                 outcome.set_result(action(received))
-            except Exception as error:  # noqa: BLE001 - it belongs to whoever asked
+            except Exception as error:  # noqa: BLE001 - the caller gets it
                 outcome.set_exception(error)
 
         if not self._backlog.command(run):
@@ -141,7 +145,7 @@ class Recorder:
                     item.action(item.received)
                 else:
                     self._write(item)
-            self._tell_written()
+            self._count_written()
             if time.monotonic() >= next_sync_s:
                 self._sync()
                 next_sync_s = time.monotonic() + self._config.sync_interval_s
@@ -156,8 +160,8 @@ class Recorder:
         elif self._failure:
             self._health.count(f"lost/{received.topic.name}")
 
-    def _tell_written(self) -> None:
-        """Add the batch to the counters: once for all of it, since each costs a lock and a name."""
+    def _count_written(self) -> None:
+        """Add the batch to the counters: once for the whole batch, because each addition takes a lock."""
         for topic, messages in self._written.items():
             self._health.count(f"written/{topic}", messages)
         self._written.clear()
@@ -171,7 +175,7 @@ class Recorder:
             )
 
     def _tend(self) -> None:
-        """End a file for which there is no more room, or split one that is large or old enough."""
+        """Close the file if the disk is full, or split it if it is large or old enough."""
         recording, config = self._recording, self._config
         if recording is None:
             return
@@ -249,7 +253,7 @@ class Recorder:
             self._close(received)
 
     def _end_early(self, recording: Recording, error: OSError) -> None:
-        """Close the log as far as the disk lets it."""
+        """Close the log if the disk still allows it; otherwise abandon it."""
         closed_at = self._totals(self._backlog.received())
         try:
             recording.close(closed_at, self._config.bus.keys, reasons=(str(error.strerror),))
@@ -260,28 +264,28 @@ class Recorder:
             self._fail(CannotWriteError(recording.file.path, error, closed=True))
 
     def _attempt(self, work: Callable[[Recording], None]) -> bool:
-        """Work on the open log; return whether there is one that took it. What fails is given up."""
+        """Do work on the open log; return whether it succeeded. A log on which it fails is abandoned."""
         if self._recording is None:
             return False
         try:
             work(self._recording)
-        except Exception as error:  # noqa: BLE001 - whatever it is, the daemon lives on and says so
+        except Exception as error:  # noqa: BLE001 - the daemon reports any error and goes on
             self._abandon(self._recording, error)
             return False
         return True
 
     def _abandon(self, recording: Recording, error: Exception) -> None:
-        """Leave the log as it is; what waited for its chunk is lost."""
+        """Leave the log as it is; the messages of its open chunk are lost."""
         recording.file.abandon()
         self._recording = None
-        self._tell_written()
+        self._count_written()
         for topic, messages in recording.file.pending.items():
             self._health.count(f"written/{topic}", -messages)
             self._health.count(f"lost/{topic}", messages)
         self._fail(CannotWriteError(recording.file.path, error, closed=False))
 
     def _fail(self, failure: CannotWriteError) -> CannotWriteError:
-        """Say so, and count what comes from now on as lost."""
+        """Report the failure; messages that arrive from now on are counted as lost."""
         self._failure = failure
         log.error("%s", failure)
         self._health.report(Health.ERROR, str(failure))

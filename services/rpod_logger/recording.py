@@ -1,4 +1,4 @@
-"""One log in the making: the file, what it opens with, and the account that it closes with."""
+"""One log while it is recorded: the file, its first records, and the counts with which it is closed."""
 
 import json
 import time
@@ -30,7 +30,7 @@ from rpod_schemas.wire import UNNUMBERED
 
 @dataclass(frozen=True)
 class Totals:
-    """Messages since the logger began, by topic."""
+    """Numbers of messages since the logger started, by topic."""
 
     received: Counter[str] = field(default_factory=Counter)
     missed: Counter[str] = field(default_factory=Counter)
@@ -39,7 +39,7 @@ class Totals:
     rejected: Counter[str] = field(default_factory=Counter)
 
     def since(self, before: Self) -> Self:
-        """Return what was added."""
+        """Return the differences from earlier totals."""
         return type(self)(
             **{each.name: getattr(self, each.name) - getattr(before, each.name) for each in fields(self)}
         )
@@ -50,13 +50,13 @@ class Totals:
 
     @property
     def topics(self) -> set[str]:
-        """Topics of which anything was counted."""
+        """Topics with any count."""
         return {topic for each in fields(self) for topic in getattr(self, each.name)}
 
 
 @dataclass
 class _Run:
-    """A publisher instance's messages in the file, as far as their numbers rise without a jump."""
+    """Messages of one publisher in the file whose sequence numbers rise without a jump."""
 
     topic: str
     first: int
@@ -65,12 +65,12 @@ class _Run:
     messages: int = 0
 
     def continues_with(self, sequence: int) -> bool:
-        """Return whether a number belongs to this run."""
+        """Return whether a sequence number belongs to this run."""
         return not self.numbered or self.last < sequence <= self.last + FARTHEST
 
 
 class Recording:
-    """An open log. What the disk refuses is raised as ``OSError``."""
+    """An open log. It raises ``OSError`` if the disk refuses data."""
 
     def __init__(self, file: LogFile, opened_at: Totals, *, continues: str | None = None) -> None:
         self.file = file
@@ -99,13 +99,13 @@ class Recording:
         run.messages += 1
 
     def repeat(self, latched: Iterable[Received]) -> None:
-        """Append latched messages from before this file."""
+        """Append latched messages that were received before this file was opened."""
         for received in latched:
             self.file.write(received)
             self._repeated[received.topic.name] += 1
 
     def describe(self, services: Mapping[str, StatusReply], version: str) -> None:
-        """Add what is known of software and services; what is told later counts."""
+        """Add software version, configuration and status of the services; later records replace earlier."""
         digests = {status.target_digest for status in services.values() if status.target_digest}
         software = {"name": "rpod", "version": version, "target_digest": " ".join(sorted(digests))}
         self.file.add_metadata(SOFTWARE, software)
@@ -122,7 +122,7 @@ class Recording:
         self._clock_jumps_s.append(round(jump_s, 3))
 
     def counts(self, closed_at: Totals) -> dict[str, TopicCount]:
-        """Return what became of each topic's messages since the log was opened."""
+        """Return the numbers of messages of each topic since the log was opened."""
         totals, written = closed_at.since(self._opened_at), Counter[str]()
         for run in chain.from_iterable(self._runs.values()):
             written[run.topic] += run.messages
@@ -132,7 +132,7 @@ class Recording:
         }
 
     def _publishers(self, keys: Namespace) -> dict[str, str]:
-        """Return the record of the publishers; of a message without a number nobody is known."""
+        """Return the record of the publishers; the publisher of a message without a number is unknown."""
         numbers: dict[str, list[dict[str, str | int]]] = defaultdict(list)
         for (key, gid), run in ((who, run) for who, runs in self._runs.items() for run in runs):
             if run.numbered:
@@ -141,12 +141,12 @@ class Recording:
         return {topic: json.dumps(each) for topic, each in numbers.items()}
 
     def close(self, closed_at: Totals, keys: Namespace, *, reasons: tuple[str, ...] = ()) -> None:
-        """Add the account and the statement of completeness, and finish the file.
+        """Add the counts and the statement of completeness, and finish the file.
 
         Args:
-            closed_at: the totals of this moment.
-            keys: where in the key space the facility lives.
-            reasons: why the file is not complete, beside what the account tells.
+            closed_at: the totals at this moment.
+            keys: the facility's part of the key space.
+            reasons: reasons why the file is not complete, beside those that follow from the counts.
         """
         counts = {channel_topic(keys, name): count for name, count in self.counts(closed_at).items()}
         written = {topic: count.written + count.repeated for topic, count in counts.items()}

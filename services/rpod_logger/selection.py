@@ -28,7 +28,7 @@ def _pattern(topic: Topic) -> Topic:
 
 
 class Extras:
-    """Key expressions to record beside the ICD's topics; a key belongs to the first that it fits."""
+    """Key expressions to record beside the ICD's topics; a key belongs to the first that matches it."""
 
     def __init__(self, keys: Namespace, expressions: Sequence[str]) -> None:
         self.expressions = tuple(expressions)
@@ -38,7 +38,7 @@ class Extras:
         self._first = cache(self._find_first)
 
     def owns(self, index: int, key: str) -> bool:
-        """Return whether a key is to be recorded for the extra of that index."""
+        """Return whether a key belongs to the expression with this index."""
         return self._first(key) == self._offset + index
 
     def _find_first(self, key: str) -> int:
@@ -51,4 +51,6 @@ def _expression(text: str) -> zenoh.KeyExpr:
     try:
         return zenoh.KeyExpr(text)
     except zenoh.ZError as error:
-        raise ConfigurationError("logger", "record_extra", f"{text!r} is no key expression") from error
+        raise ConfigurationError(
+            "logger", "record_extra", f"{text!r} is not a Zenoh key expression: {error}"
+        ) from error

@@ -1,6 +1,6 @@
-"""Writing one MCAP file: ROS 2 profile, wire bytes unchanged, safe against a kill (ICD section 5).
+"""Writes one MCAP file: ROS 2 profile, wire bytes unchanged, readable after a kill (ICD section 5).
 
-Knows neither bus nor threads.
+It knows neither bus nor threads.
 """
 
 import re
@@ -33,7 +33,7 @@ from rpod_schemas.topics import Namespace, Topic
 Compression = Literal["lz4", "zstd", "none"]
 
 _RECORD_BYTES = 31
-"""Size of a message record beside its payload."""
+"""Size of a message record without its payload."""
 _SEQUENCE_MASK = 0xFFFF_FFFF
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
@@ -44,11 +44,11 @@ class WriterSettings:
 
     keys: Namespace
     library: str
-    """Software and version, for the file's header."""
+    """Name and version of the software, for the file's header."""
     compression: Compression = "lz4"
     chunk_bytes: int = 1 << 20
     reserve_bytes: int = 16 << 20
-    """Room that is kept on the disk for closing the file."""
+    """Disk space that is reserved for closing the file."""
 
 
 class LogFile:
@@ -58,7 +58,7 @@ class LogFile:
         self.path = path
         self.messages = 0
         self.bytes = 0
-        """Bytes of payload."""
+        """Size of all payloads."""
         self._settings = settings
         self._disk = DiskFile(path, reserve_bytes=settings.reserve_bytes)
         self._writer = Writer(
@@ -70,7 +70,7 @@ class LogFile:
         self._channels: dict[str, int] = {}
         self._chunk_bytes = 0
         self.pending: Counter[str] = Counter()
-        """Messages in the open chunk, by topic: not in the file yet."""
+        """Number of messages in the open chunk, which is not in the file yet, by topic."""
         self._dirty = True
         self._writer.start(profile=PROFILE, library=settings.library)
 
@@ -90,7 +90,7 @@ class LogFile:
         return self._disk.vanished
 
     def write(self, received: Received) -> None:
-        """Append a message; its chunk stays open. Raises ``OSError`` where the disk does not take it."""
+        """Append a message to the open chunk. Raises ``OSError`` if the disk refuses the data."""
         size = len(received.payload) + _RECORD_BYTES
         if self._chunk_bytes + size > self._settings.chunk_bytes:
             self._flush()
@@ -117,7 +117,7 @@ class LogFile:
         self._dirty = True
 
     def sync(self) -> None:
-        """Bring everything so far, the open chunk too, to the disk."""
+        """Write everything so far, including the open chunk, to the disk."""
         if self._dirty:
             self._flush()
             self._disk.sync()
@@ -131,7 +131,7 @@ class LogFile:
         self._disk.close()
 
     def abandon(self) -> None:
-        """Leave the file as it is, after the disk failed: it ends behind the last whole record."""
+        """Leave the file as it is after the disk has failed; it ends after the last complete record."""
         with suppress(OSError):
             self._disk.close()
 
@@ -161,12 +161,12 @@ class LogFile:
 
 
 def create_log(directory: Path, stem: str, settings: WriterSettings) -> LogFile:
-    """Create ``<stem>.mcap``, or ``<stem>_0002.mcap`` and so on where there are earlier ones.
+    """Create ``<stem>.mcap``, or ``<stem>_0002.mcap`` and so on if there are earlier ones.
 
-    Never overwrites, and names a file so that it sorts behind all earlier ones, whatever the clock says.
+    It never overwrites a file. The name sorts after those of all earlier files, whatever the clock shows.
 
     Raises:
-        OSError: the directory or the file cannot be made.
+        OSError: the directory or the file cannot be created.
     """
     directory.mkdir(parents=True, exist_ok=True)
     for number in count(_last_number(directory, stem) + 1):
@@ -184,7 +184,7 @@ def _last_number(directory: Path, stem: str) -> int:
 
 
 def channel_topic(keys: Namespace, name: str) -> str:
-    """Return a topic's name in the log: absolute, with the ROS namespace, as rosbag2 has it."""
+    """Return a topic's name in the log: absolute, with the ROS namespace, as in rosbag2."""
     return f"/{keys.prefix}/{name}" if keys.prefix else f"/{name}"
 
 

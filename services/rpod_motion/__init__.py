@@ -1,4 +1,4 @@
-"""Motion of chaser and target: the truth of a run at any time, from a closed form or an integration."""
+"""Motion of chaser and target: the truth of a run at any time, in closed form or by integration."""
 
 from rpod_motion.errors import MotionError
 from rpod_motion.motion import MARGIN_S, Motion, MotionState, build_motion

@@ -10,11 +10,12 @@ from rpod_schemas.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """The target's origin on a line in chaser axes, which stay at rest in inertial space.
+    """The target's origin moves on a line in the chaser's axes, which do not rotate in inertial space.
 
-    The speed rises from rest in a share of the duration, is constant, and falls back to rest in the
-    same share; the ramps are 3 w^2 - 2 w^3, so that the acceleration is continuous. Before the epoch
-    and after the end the target rests. With no ramps the velocity is constant, beyond both ends too.
+    The speed rises from zero during a share of the duration, is then constant, and falls to zero during the
+    same share. The ramps are 3 w^2 - 2 w^3, so the acceleration is continuous. Before the epoch and after the
+    end the target is at rest. Without ramps the velocity is constant, also before the epoch and after the
+    end.
     """
 
     start_m: FloatArray

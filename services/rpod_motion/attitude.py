@@ -1,4 +1,4 @@
-"""Attitude of the target over time: fixed to the chaser, spinning, or tumbling free of torque."""
+"""Attitude of the target over time: fixed to the chaser, spinning, or tumbling without torque."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,8 @@ from rpod_motion.trajectory import TrajectoryState
 from rpod_schemas.arrays import FloatArray
 
 RELATIVE_TOLERANCE = 1e-12
-"""Relative tolerance of the integration; the energy errs by about as much over hundreds of turns."""
+"""Relative tolerance of the integration; the relative error of the energy is about as large after hundreds of
+turns."""
 
 
 class TargetAttitude(Protocol):
@@ -83,13 +84,13 @@ def integrate_tumble(
     inertia_kg_m2: FloatArray,
     span_s: tuple[float, float],
 ) -> Tumble:
-    """Integrate the torque-free rotation over a span of time that holds the epoch.
+    """Integrate the torque-free rotation over a span of time that contains the epoch.
 
     Args:
-        quaternion_xyzw: of R_epoch_target at the epoch, unit, shape (4,).
+        quaternion_xyzw: unit quaternion of R_epoch_target at the epoch, shape (4,).
         rate_rad_s: rate at the epoch relative to inertial space, target axes, shape (3,).
-        inertia_kg_m2: about the centre of mass, target axes, shape (3, 3).
-        span_s: first and last time from the epoch.
+        inertia_kg_m2: inertia about the centre of mass, target axes, shape (3, 3).
+        span_s: first and last time, counted from the epoch.
 
     Raises:
         MotionError: the inertia is not that of a rigid body, or the integration fails.
@@ -112,7 +113,9 @@ def integrate_tumble(
             atol=RELATIVE_TOLERANCE,
         )
         if not result.success or result.sol is None:
-            raise MotionError(f"the tumbling cannot be integrated: {result.message}")
+            raise MotionError(
+                f"the tumbling cannot be integrated: {result.message}; lower the rate or the duration"
+            )
         return result.sol
 
     return Tumble(inverse, momentum, before=solution(span_s[0]), after=solution(span_s[1]))
@@ -120,12 +123,13 @@ def integrate_tumble(
 
 def _require_rigid_body(inertia_kg_m2: FloatArray) -> None:
     if not np.allclose(inertia_kg_m2, inertia_kg_m2.T, rtol=1e-9, atol=0.0):
-        raise MotionError("the target's inertia is not symmetric")
+        raise MotionError("the target's inertia is not symmetric; correct it in the target file")
     least, middle, greatest = np.linalg.eigvalsh(inertia_kg_m2)
     if least <= 0.0 or greatest > (least + middle) * (1.0 + 1e-9):
         raise MotionError(
             f"the target's principal moments of inertia {least:g}, {middle:g}, {greatest:g} kg m2 are not "
-            "those of a rigid body: each must be positive and at most the sum of the other two"
+            "those of a rigid body: each must be positive and at most the sum of the other two; correct the "
+            "inertia in the target file"
         )
 
 
@@ -137,7 +141,7 @@ def _seen_from(
 
 
 def _rotation_about(axis: FloatArray, angle_rad: float) -> FloatArray:
-    """Return Rodrigues' rotation matrix; scipy's Rotation costs ten times the time at this size."""
+    """Return Rodrigues' rotation matrix; scipy's Rotation takes ten times as long at this size."""
     x, y, z = axis
     c, s = cos(angle_rad), sin(angle_rad)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -21,7 +21,7 @@ from rpod_target import load_target
 log = logging.getLogger(__name__)
 
 _SPARE_S = 0.2
-"""Time between the start and the epoch where no epoch is given; longer than the truth's preroll."""
+"""Time between the start and the epoch if no epoch is given; longer than the truth before the epoch."""
 _TAIL_S = 0.1
 """Duration of truth after the end, so that exposures at the end are covered."""
 _LONGEST_TAIL_S = 0.9
@@ -32,8 +32,8 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
     """Publish the scenario's truth from start to end, then return.
 
     Raises:
-        ConfigurationError: the target cannot move as configured.
-        LockstepError: in lockstep, a service did not keep up.
+        ConfigurationError: the configured motion is not possible.
+        LockstepError: in lockstep, a service did not answer in time.
     """
     target = load_target(config.target)
     try:
@@ -61,11 +61,11 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         node.health.report(Health.OK, "finished")
         log.info("finished after %g s of scenario time", config.duration_s)
         if config.await_start:
-            node.stop.wait()  # whoever started it asks for its state, then stops it
+            node.stop.wait()  # the process that started it asks for its state, then stops it
 
 
 def _tail_s(config: MotionServiceConfig) -> float:
-    """Return how long the truth goes on after the end."""
+    """Return the duration of truth after the end."""
     if config.speed != "max":
         return _TAIL_S
     latest_s = max((sensor.latency_s for sensor in config.sensors), default=0.0)
@@ -73,7 +73,7 @@ def _tail_s(config: MotionServiceConfig) -> float:
 
 
 def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
-    """Wait for the start and return the epoch; None where the service is stopped before."""
+    """Wait for the start and return the epoch; None if the service is stopped before."""
     if not config.await_start:
         node.ready("playing at once")
         return config.epoch_ns or time.time_ns() + round(_SPARE_S * NANOSECONDS)
@@ -82,7 +82,9 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
 
     def start(request: StartRequest) -> Accepted:
         if requests:
-            raise RefusedError("already started; a motion plays once, start another for the next run")
+            raise RefusedError(
+                "already started; a motion service plays once, start another one for the next run"
+            )
         requests.append(request)
         started.set()
         return Accepted()

@@ -23,7 +23,7 @@ _POLL_S = 0.002
 
 
 class Lockstep:
-    """Plays a scenario as fast as emulator, estimator and logger follow."""
+    """Plays a scenario as fast as emulator, estimator and logger process it."""
 
     def __init__(self, node: Node, config: MotionServiceConfig, truth: TruthPublisher) -> None:
         self._node, self._config, self._truth = node, config, truth
@@ -39,14 +39,14 @@ class Lockstep:
         node.subscribe(STATUS, self._take, recover=True)
 
     def _take(self, received: Received) -> None:
-        """Keep a status of this run; statuses of an earlier run with the same stamps may be recovered too."""
+        """Store a status of this run; statuses of an earlier run with the same stamps may arrive too."""
         if received.attachment.stamp_ns >= self._begun_ns:
             self._statuses.put(read_status(received.decode()))
 
     def play(self, first_tick: int, last_tick: int) -> None:
-        """Publish all truth, step by step; each step hands out one frame and waits until it is answered.
+        """Publish all truth step by step; each step is one frame and ends when its status has arrived.
 
-        The clock ends at the last step, the truth at ``last_tick``.
+        The last clock message is that of the last step; the last truth is that of ``last_tick``.
 
         Raises:
             LockstepError: a service did not deliver in time.
@@ -85,7 +85,7 @@ class Lockstep:
             self._await_count(lockstep.emulator, f"frames/{frame.sensor}", self._published[frame.sensor])
 
     def _await_status(self, frame: DueFrame) -> None:
-        """Wait for the status of a frame, whatever other statuses come before it."""
+        """Wait for the status of a frame; statuses of other frames may arrive before it."""
         deadline_s = time.monotonic() + self._config.lockstep.timeout_s
         answer = frame.sensor, frame.stamp_ns
         waited_for = f"a status for {frame.sensor} at {frame.stamp_ns} ns"
@@ -98,7 +98,7 @@ class Lockstep:
         self._answered.discard(answer)
 
     def _await_count(self, service: str | None, counter: str, count: int) -> None:
-        """Wait until a counter of a service reaches a value; return at once where no service is given."""
+        """Wait until a counter of a service reaches a value; return at once if no service is given."""
         if service is None:
             return
         deadline_s = time.monotonic() + self._config.lockstep.timeout_s

@@ -1,4 +1,4 @@
-"""The relative motion of chaser and target as a function of time alone."""
+"""The relative motion of chaser and target as a function of time only."""
 
 from dataclasses import dataclass
 
@@ -89,15 +89,15 @@ def build_motion(
 
     Args:
         config: trajectory, attitude, sun.
-        centre_of_mass_m: target axes, shape (3,).
-        inertia_kg_m2: about the centre of mass, target axes, shape (3, 3); used by a tumbling target.
-        duration_s: from the epoch to the end.
+        centre_of_mass_m: centre of mass, target axes, shape (3,).
+        inertia_kg_m2: inertia about the centre of mass, target axes, shape (3, 3); used by a tumbling target.
+        duration_s: time from the epoch to the end.
 
     Raises:
         MotionError: the duration is not positive, or the inertia is not that of a rigid body.
     """
     if not (np.isfinite(duration_s) and duration_s > 0.0):
-        raise MotionError(f"the duration is {duration_s:g} s, needs a positive time")
+        raise MotionError(f"the duration is {duration_s:g} s; it must be positive")
     return Motion(
         trajectory=_trajectory(config.trajectory, centre_of_mass_m, duration_s),
         attitude=_attitude(config.attitude, inertia_kg_m2, duration_s),

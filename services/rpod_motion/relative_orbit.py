@@ -42,14 +42,14 @@ _NODE_PHASE_RAD = pi / 2.0
 
 
 class OrbitState(NamedTuple):
-    """Position and velocity in Earth-centred inertial axes, and the turning of the local frame."""
+    """Position and velocity in Earth-centred inertial axes, and attitude and rate of the local frame."""
 
     position_m: FloatArray
-    """Shape (3,)."""
+    """Position, shape (3,)."""
     velocity_m_s: FloatArray
-    """Shape (3,)."""
+    """Velocity, shape (3,)."""
     R_inertial_local: FloatArray
-    """Columns: radius, track, orbit's normal; shape (3, 3)."""
+    """Attitude of the local frame, shape (3, 3); its columns are radius, track and normal of the orbit."""
     local_rate_rad_s: FloatArray
     """Rotation rate of the local frame relative to inertial space, local axes, shape (3,)."""
 
@@ -86,7 +86,7 @@ class MeanOrbit:
 
     @property
     def latitude_rate_rad_s(self) -> float:
-        """Mean rate of the argument of latitude: one turn is one relative orbit."""
+        """Mean rate of the argument of latitude; one revolution of it is one relative orbit."""
         return self.rates_rad_s[1] + self.rates_rad_s[2]
 
     def state(self, time_s: float) -> OrbitState:
@@ -135,9 +135,9 @@ class RelativeOrbit:
     def safety_ellipse(cls, target: MeanOrbit, *, radial_m: float, cross_track_m: float) -> Self:
         """Return the orbits for a safety ellipse with the amplitudes a and b of the module's docstring.
 
-        The inclination vectors differ by the nodes alone, theta = 90 deg: a difference of inclinations would
-        make the nodes part. With equal semi-major axes all rates are then equal to first order, and the
-        ellipse neither drifts nor grows; its perigee turns by 0.4 deg in two orbits of ENVISAT.
+        The inclination vectors differ only by the nodes, theta = 90 deg, because with different inclinations
+        the nodes would drift apart. With equal semi-major axes all rates are then equal to first order, and
+        the ellipse neither drifts nor grows; its perigee rotates by 0.4 deg in two orbits of ENVISAT.
         """
         a = target.semi_major_axis_m
         node_difference = cross_track_m / (a * sin(target.inclination_rad))
@@ -152,15 +152,15 @@ class RelativeOrbit:
             inclination_rad=target.inclination_rad,
             node_rad=target.node_rad + node_difference,
             perigee_rad=perigee,
-            # the nodes' distance along the orbit is made up for, so that the ellipse is centred
+            # compensates the distance of the nodes along the orbit, so that the ellipse is centred
             mean_anomaly_rad=mean_latitude - node_difference * cos(target.inclination_rad) - perigee,
         )
         return cls(target, chaser)
 
     def separation(self, time_s: float) -> tuple[FloatArray, FloatArray, OrbitState]:
-        """Return the chaser from the target, its rate as seen in the local frame, and the target's state.
+        """Return the chaser's position relative to the target, its local rate, and the target's state.
 
-        Position and rate in the target's local axes, shape (3,), m and m/s.
+        Position and rate are in the target's local axes, shape (3,), m and m/s.
         """
         target, chaser = self.target.state(time_s), self.chaser.state(time_s)
         to_local = target.R_inertial_local.T
@@ -170,12 +170,12 @@ class RelativeOrbit:
 
 
 def mean_latitude_at_phase(phase_rad: float) -> float:
-    """Return the mean argument of latitude where the safety ellipse has a phase u - phi."""
+    """Return the mean argument of latitude at which the safety ellipse has the phase u - phi."""
     return phase_rad + _NODE_PHASE_RAD
 
 
 def cross(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the cross product of two vectors, shape (3,); numpy's costs ten times the time at this size."""
+    """Return the cross product of two vectors, shape (3,); numpy's takes ten times as long at this size."""
     a, b, c = left.tolist()
     x, y, z = right.tolist()
     return np.array([b * z - c * y, c * x - a * z, a * y - b * x])

@@ -1,8 +1,8 @@
 """Positions along a safety ellipse at which campaigns try an acquisition.
 
 Source: Opromolla et al., Sensors 15(3), 2015, sections 3.3 and 4.3 (Fig. 5): 241 positions, 50 s apart, over
-two orbits of ENVISAT, at ranges from about 25 to 53 m. The paper does not state how the target turns
-meanwhile nor where on its orbit it begins: both are parameters.
+two orbits of ENVISAT, at ranges from about 25 to 53 m. The paper states neither how the target rotates
+meanwhile nor where on its orbit it starts: both are parameters.
 """
 
 import numpy as np
@@ -26,12 +26,12 @@ def safety_ellipse_positions(
 ) -> tuple[FloatArray, RigidTransform]:
     """Return times from the epoch, s, shape (241,), and T_chaser_target at them, 241 poses.
 
-    The chaser's z axis, the boresight, points at the target's centre of mass. Deterministic.
+    The chaser's z axis, the boresight, points at the target's centre of mass. The result is deterministic.
 
     Args:
-        attitude: how the target turns.
-        centre_of_mass_m: target axes, shape (3,).
-        inertia_kg_m2: about the centre of mass, target axes, shape (3, 3); used by a tumbling target.
+        attitude: rotation of the target.
+        centre_of_mass_m: centre of mass, target axes, shape (3,).
+        inertia_kg_m2: inertia about the centre of mass, target axes, shape (3, 3); used by a tumbling target.
         trajectory: the ellipse.
 
     Raises:

@@ -2,7 +2,7 @@
 
 The ellipse (``relative_orbit``) reads a cos(p) e1 + A sin(p) e2 with e1 = (-1, 0, 0), e2 = (0, 2a, b) / A and
 A^2 = 4 a^2 + b^2 in the target's local frame: its semi-axes a and A are the least and the greatest range.
-They are kept to a millimetre: what is neglected is of second order in the range over the orbit's radius.
+They are accurate to a millimetre: the neglected terms are of second order in range divided by orbit radius.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from rpod_schemas.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class StationKeeping:
-    """The chaser moves about the target's centre of mass; its z axis points there.
+    """The chaser moves around the target's centre of mass, and its z axis points at it.
 
     The chaser's y axis (down) is as close as possible to the normal e1 x e2 of the ellipse, which is constant
     in the local frame and on the far side of the orbit's normal.
@@ -44,7 +44,8 @@ class StationKeeping:
     ) -> Self:
         """Return the station keeping about a target whose mean orbit is a circle.
 
-        The phase at the epoch, p = u - 90 deg, says where the target is on its orbit then.
+        The phase at the epoch, p = u - 90 deg, determines the position of the target on its orbit at that
+        time.
         """
         target = MeanOrbit(
             semi_major_axis_m=semi_major_axis_m,
@@ -72,7 +73,7 @@ class StationKeeping:
         separation_m, rate_m_s, target = self.orbit.separation(time_s)
         range_m = sqrt(separation_m @ separation_m)
         R_local_chaser = self._looking_at_target(separation_m)
-        across_m_s = rate_m_s @ R_local_chaser  # of the separation, so that z turns by the opposite
+        across_m_s = rate_m_s @ R_local_chaser  # rate of the separation, so z rotates the opposite way
         down = self.down_L @ R_local_chaser
         pitch_rad_s = -across_m_s[0] / range_m
         turn = np.array([across_m_s[1] / range_m, pitch_rad_s, pitch_rad_s * down[2] / down[1]])

@@ -1,7 +1,8 @@
 """The protocol of a trajectory: the chaser's attitude, and the path of the target's *anchor* in chaser axes.
 
-The anchor is the point of the target that the trajectory moves; the rest follows from the attitude.
-Inertial space is represented by the *epoch axes*: the chaser's at the epoch, which keep their attitude.
+The anchor is the point of the target that the trajectory moves; the other points follow from the attitude.
+Inertial space is represented by the *epoch axes*: the chaser's axes at the epoch, kept fixed in inertial
+space.
 """
 
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ class Trajectory(Protocol):
 
     @property
     def anchor_m(self) -> FloatArray:
-        """The point of the target whose path this is, origin or centre of mass; target axes, shape (3,)."""
+        """Point of the target that follows this path, origin or centre of mass; target axes, shape (3,)."""
         ...
 
     def state(self, time_s: float) -> TrajectoryState:

@@ -15,9 +15,9 @@ from rpod_schemas.types import Odometry
 _TF_HZ = 25.0
 _SUN_HZ = 1.0
 _AHEAD_S = 0.032
-"""Time span for which truth is computed at once.
+"""Time span for which truth is computed in one go.
 
-A tick that is computed alone, on a processor that comes from other work, takes three times as long.
+A tick that is computed alone, after the processor has done other work, takes three times as long.
 """
 
 
@@ -43,8 +43,8 @@ class TruthPublisher:
         return self._epoch_ns + round(tick * NANOSECONDS / self._rate_hz)
 
     def publish(self, tick: int) -> None:
-        """Publish the truth of a tick. The reference is the same: ideal robots follow it exactly."""
-        if tick % self._sun_every == 0 or not self._sun.published:  # latched: known before any truth
+        """Publish the truth of a tick, also as the reference: ideal robots follow it exactly."""
+        if tick % self._sun_every == 0 or not self._sun.published:  # the latched sun precedes all truth
             sun = self._motion.sun_W_m2(tick / self._rate_hz)
             self._sun.publish(write_vector_stamped(self.stamp_ns(tick), CHASER, sun))
         truth, transform = self._made.pop(tick) if tick in self._made else self._make(tick)
@@ -56,7 +56,7 @@ class TruthPublisher:
             self._made = {later: self._make(later) for later in range(tick + 1, tick + 1 + self._ahead)}
 
     def _make(self, tick: int) -> tuple[bytearray, bytearray | None]:
-        """Return a tick's truth, and its transform where one is due."""
+        """Return the truth of a tick, and its transform if one is due."""
         stamp_ns = self.stamp_ns(tick)
         state = self._motion.state(tick / self._rate_hz)
         odometry = Odometry(

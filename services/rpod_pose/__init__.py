@@ -1,6 +1,7 @@
-"""From a measurement to a believed pose and a navigated state.
+"""Pose estimation: from a measurement to an accepted pose and a navigated state.
 
-Pure: no bus, no clock and no log, so that the daemon, a replay and a campaign run the same functions.
+The functions are pure and use no bus, no clock and no log, so the daemon, a replay and a campaign run the
+same code.
 """
 
 from rpod_schemas.kernel_cache import watch_callees

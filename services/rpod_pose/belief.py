@@ -41,13 +41,13 @@ class Belief:
 
     level: BeliefLevel = BeliefLevel.ACCEPTED
     reason: str = ""
-    """Why the result is not accepted, with figures, for the operator; empty if it is."""
+    """Reason why the result is not accepted, with figures, for the operator; empty if it is accepted."""
     evidence: Mapping[str, float] = field(default_factory=dict)
     """The numbers that the level follows from, by name; each name carries its unit or is a share."""
     rivals: tuple[Rival, ...] = ()
     """Other poses that explain the measurement, likeliest first; for an accepted pose, unlikely ones."""
     insufficient: str = ""
-    """Why the measurement alone is not enough to begin a track, although a running track may use it."""
+    """Reason why the measurement alone cannot begin a track, although a running track may use it."""
 
     @property
     def begins_track(self) -> bool:
@@ -57,7 +57,7 @@ class Belief:
 
     @property
     def refusal(self) -> str:
-        """Why a pose at which no track may begin is refused."""
+        """Reason why no track may begin at the pose."""
         return self.reason or self.insufficient
 
     @property
@@ -111,7 +111,7 @@ def worst_sigma(covariance: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Record:
-    """How often a sensor's frames did not support the pose that was tracked; older frames fade.
+    """Share of a sensor's frames that did not support the tracked pose; older frames count less.
 
     A single frame of another body may resemble the target by chance, or from one side. A stream of such
     frames does so only for a while.
@@ -124,7 +124,7 @@ class Record:
 
     @property
     def share(self) -> float:
-        """The share of frames that did not support the pose."""
+        """Share of frames that did not support the pose."""
         return self.unsupported / (self.frames + PRIOR_FRAMES)
 
     def after(self, belief: Belief) -> "Record":

@@ -23,6 +23,6 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Tick:
-    """Time went by without a measurement."""
+    """A time up to which there was no measurement."""
 
     stamp_ns: int

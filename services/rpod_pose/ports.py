@@ -1,7 +1,7 @@
-"""The ports of the estimator: what a method must offer to take part.
+"""The ports of the estimator: the interfaces that a method must implement.
 
-A method is a value behind one of these protocols, chosen in the configuration. It sees one
-measurement in its sensor's axes and the target's model, and neither bus, clock nor truth.
+A method implements one of these protocols and is chosen in the configuration. Its inputs are one measurement
+in its sensor's axes and the target's model; it knows neither bus, clock nor truth.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,16 +35,16 @@ class Registration:
 
     source: Source
     T_sensor_target: RigidTransform | None = None
-    """The measured pose; None where the frame gives none, and the belief says why."""
+    """The measured pose; None if the frame gives none, with the reason in the belief."""
     belief: Belief = field(default_factory=Belief)
-    """Whether the pose is believed; the only part that the navigator decides by."""
+    """Belief in the pose; the navigator's decisions depend on it only."""
     cost_m2: float = float("nan")
     """f_CONV: mean squared residual of the inliers at convergence, m2."""
     inliers: int = 0
     inlier_share: float = float("nan")
     """Number of inliers over the number of points that could have matched."""
     explained_share: float = float("nan")
-    """Share of agreeing rays among those where model or measurement show a surface: the self-check."""
+    """Share of agreeing rays among those where model or measurement show a surface (the self-check)."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     """Covariance of (dp, dtheta), sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1), (6, 6)."""
     iterations: int = 0
@@ -70,7 +70,7 @@ class Outcome(StrEnum):
 
     ACCEPTED = "accepted"
     AMBIGUOUS = "ambiguous"
-    """Several poses explain the measurement: the belief names them as rivals."""
+    """Several poses explain the measurement; the belief lists them as rivals."""
     FAILED = "failed"
 
 
@@ -79,15 +79,15 @@ class Acquisition:
     """Result of a search without a guess in one measurement."""
 
     registration: Registration
-    """The best pose with its covariance and belief; without a pose where nothing was found."""
+    """The best pose with its covariance and belief; without a pose if nothing was found."""
     templates: int = 0
-    """Attitudes in the search."""
+    """Number of attitudes in the search."""
     excluded_share: float = 0.0
     """Share of these attitudes that was left out before the comparison with the measurement."""
 
     @property
     def belief(self) -> Belief:
-        """Whether the best pose is believed; rivals are the other poses that explain the measurement."""
+        """Belief in the best pose; its rivals are the other poses that explain the measurement."""
         return self.registration.belief
 
     @property
@@ -128,7 +128,7 @@ class Candidates:
     poses: tuple[Candidate, ...] = ()
     """Candidates, best first; empty if the measurement has too few points."""
     templates: int = 0
-    """Attitudes in the search."""
+    """Number of attitudes in the search."""
     excluded_share: float = 0.0
     """Share of these attitudes that was left out before the comparison with the measurement."""
 
@@ -137,11 +137,11 @@ class Search(Protocol, Generic[MeasurementT_contra]):
     """Proposes poses for one measurement, for a tracker to refine and check."""
 
     def search(self, measurement: MeasurementT_contra) -> Candidates:
-        """Return candidates among all poses. Deterministic."""
+        """Return candidates among all poses; the result is deterministic."""
         ...
 
     def near(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Candidates:
-        """Return candidates around a pose that is too far off for the tracker. Deterministic."""
+        """Return candidates around a pose that is too far off for the tracker; deterministic."""
         ...
 
 
@@ -216,21 +216,23 @@ class Task:
         return replace(self, tracker=tracker)
 
 
-def _nothing_to_know(_sensor: Any, _said: Any) -> Any:
+def _nothing_to_know(_sensor: Any, _info: Any) -> Any:
     return ()
 
 
 @dataclass(frozen=True, eq=False)
 class KindMethods:
-    """How the methods of a sensor kind are made and warmed up."""
+    """Functions that create and warm up the methods of a sensor kind."""
 
     make: Callable[[Task], Methods]
-    """Returns the configured methods of a sensor."""
+    """Function that returns the configured methods of a sensor."""
     frames: Callable[[Target, RigidTransform, Any], Sequence[Any]]
-    """Returns frames without noise at T_sensor_target for a setup. Acquisition is warmed up with the first,
-    tracking with all of them, so that compiled code is loaded before the first frame."""
+    """Function that returns frames without noise at T_sensor_target for a setup. Acquisition is warmed up
+    with the first frame, tracking with all of them, so that compiled code is loaded before the first real
+    frame."""
     setup: Callable[[Any, Any], Any] = _nothing_to_know
-    """Returns the data of a sensor that its methods need, from its configuration and its info message (None
-    before the first); None if neither contains them. Methods are made anew when these data change."""
+    """Function that returns the data of a sensor that its methods need, from its configuration and its info
+    message (None before the first message); None if neither contains them. When these data change, new
+    methods are created."""
     missing: str = ""
     """Reason for which frames are rejected as long as these data are unknown."""

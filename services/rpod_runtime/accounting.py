@@ -1,9 +1,9 @@
 """Sequence accounting: what was received, recovered, missed, doubled or out of place, per publisher.
 
-The rules are those of ICD section 2: numbers rise by one, so that a gap is what was missed. A number far
-away from the last one is no gap but a second sequence under one identity: it is refused and told, and the
-sequence goes on. Where the sequence does not go on, because the publisher really jumped, the new numbers
-are taken after a few messages.
+The rules are those of ICD section 2: numbers rise by one, so a gap is the number of missed messages. A number
+far away from the last one is not a gap but a jump: probably a second publisher uses the same gid. Its message
+is refused and reported, and the old sequence continues. If the old sequence does not continue, because the
+publisher itself jumped, the new numbers are accepted after a few messages.
 """
 
 from collections import Counter, defaultdict
@@ -14,24 +14,28 @@ from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.wire import Attachment
 
 Publication = tuple[str, bytes]
-"""Key and gid: one publisher's sequence."""
+"""Key and gid, which identify one publisher's sequence."""
 
 FARTHEST = 1000
-"""Numbers between two messages that are a gap: twice the largest cache; more is a jump."""
+"""Largest step between two sequence numbers that counts as a gap: twice the largest cache. More is a jump."""
 LONGEST_GAP = 1_000_000
-"""A confirmed jump up to this many numbers is a gap: over an hour of truth was missed.
+"""Largest confirmed jump, in sequence numbers, that counts as a gap: more than an hour of truth.
 
-After a longer one the publisher counts anew, and nobody knows what was missed.
+After a larger one the publisher has started its numbers again, and it is unknown how many messages were
+missed.
 """
 CONFIRMED = 3
-"""Messages with rising numbers after a jump, none of the old sequence between them, that confirm it."""
+"""Number of messages with rising numbers that confirm a jump, without a message of the old sequence
+between."""
 
 
 class DuplicateError(MessageRejectedError):
-    """A message whose number, or a later one, has been received."""
+    """A message whose number, or a later one, was already received."""
 
     def __init__(self, sequence: int) -> None:
-        super().__init__(Reason.DUPLICATE, f"sequence {sequence}")
+        super().__init__(
+            Reason.DUPLICATE, f"sequence number {sequence}, or a later one, was already received"
+        )
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,8 @@ class JumpError(MessageRejectedError):
         self.jump = jump
         super().__init__(
             Reason.JUMP,
-            f"sequence from {jump}: limit {FARTHEST} numbers; does a second publisher use the same gid?",
+            f"sequence number jumps from {jump}: more than {FARTHEST} numbers; does a second publisher use "
+            "the same gid?",
         )
 
 
@@ -68,12 +73,12 @@ class Count:
     missed: int = 0
     duplicates: int = 0
     recovered: int = 0
-    """Those of the received ones that were lost at first, then fetched from the publisher's cache."""
+    """Number of received messages that were lost at first and then fetched from the publisher's cache."""
 
 
 @dataclass
 class _Elsewhere:
-    """Numbers far away from the sequence that were seen since it was last heard."""
+    """Numbers far away from the sequence, seen since the last message of the sequence."""
 
     last: int
     messages: int = 1
@@ -92,13 +97,13 @@ class SequenceAccount:
         self.counts: dict[str, Count] = defaultdict(Count)
 
     def take(self, key: str, attachment: Attachment, *, fetched: bool = False) -> None:
-        """Account for one arrival.
+        """Account for one received message.
 
-        What was ``fetched`` out of a cache is recovered if its publisher was heard live before; until
-        then it is history.
+        A message that was ``fetched`` from a cache counts as recovered if a live message of its publisher was
+        received before; otherwise it is history.
 
         Raises:
-            DuplicateError: the number has been received, or a later one.
+            DuplicateError: the number, or a later one, was already received.
             JumpError: the number is more than ``FARTHEST`` away from the last one.
         """
         publication = key, attachment.gid
@@ -113,7 +118,7 @@ class SequenceAccount:
         self._elsewhere.pop(publication, None)
 
     def _judge(self, publication: Publication, sequence: int, *, fetched: bool) -> None:
-        """Count a gap; raise where the number is not taken."""
+        """Count a gap; raise if the number is not accepted."""
         last = self._last.get(publication)
         if last is None:
             return
@@ -121,7 +126,7 @@ class SequenceAccount:
         if step > FARTHEST or (step < -FARTHEST and not fetched):
             if not self._is_confirmed(publication, sequence):
                 raise JumpError(Jump(*publication, before=last, after=sequence))
-            # What was refused on the way did arrive; numbers that went back tell of no gap.
+            # The refused messages of the jump did arrive; numbers that went back are no gap.
             step = step - self._elsewhere[publication].messages if step <= LONGEST_GAP else 1
         elif step <= 0:
             self.counts[publication[0]].duplicates += 1
@@ -130,7 +135,7 @@ class SequenceAccount:
             self._find(publication, self._gaps, step - 1)
 
     def _is_confirmed(self, publication: Publication, sequence: int) -> bool:
-        """Return whether enough numbers have risen elsewhere, one after the other."""
+        """Return whether enough successive messages have had rising numbers after the jump."""
         elsewhere = self._elsewhere.get(publication)
         if elsewhere is None or sequence <= elsewhere.last:
             self._elsewhere[publication] = _Elsewhere(sequence)
@@ -141,11 +146,11 @@ class SequenceAccount:
         return False
 
     def miss(self, publication: Publication, messages: int) -> None:
-        """Take what the bus gave up: at the end of a sequence no later number would tell."""
+        """Count messages that the bus could not recover; a gap at a sequence's end is seen only so."""
         self._find(publication, self._given_up, messages)
 
     def _find(self, publication: Publication, finder: Counter[Publication], messages: int) -> None:
-        """Count once what both ways find, in whatever order, from several threads."""
+        """Count missed messages once although gaps and the bus both report them, in any order and thread."""
         with self._lock:
             before = max(self._gaps[publication], self._given_up[publication])
             finder[publication] += messages

@@ -32,7 +32,7 @@ class WallClock:
 
 
 class BusClock:
-    """The time of the newest message on ``clock``; 0 before the first one. It never goes back."""
+    """Clock with the newest time received on ``clock``, 0 before the first message. It never goes back."""
 
     def __init__(self) -> None:
         self._now_ns = self._before_ns = 0

@@ -47,7 +47,7 @@ class Delivery:
             self.reject(topic.name, error)
         except MessageRejectedError as error:
             self.reject(topic.name, error)
-        except Exception:  # the bus's thread would print it, and nobody would count it
+        except Exception:  # otherwise the bus's thread prints it and it is not counted
             self._health.count(f"failed/{topic.name}")
             log.exception("a message on %s could not be handled", topic.name)
 
@@ -61,7 +61,7 @@ class Delivery:
             sink(_received(topic, key, sample, UNNUMBERED))
 
     def miss(self, miss: zenoh.ext.Miss) -> None:
-        """Count messages that the bus could not recover; a publisher that was never heard has none."""
+        """Count messages that the bus could not recover, if their publisher is known from earlier ones."""
         publication = self._publications.get(str(miss.source))
         if publication:
             self._account.miss(publication, miss.nb)
@@ -69,7 +69,9 @@ class Delivery:
     def reject(self, topic: str, error: MessageRejectedError) -> None:
         """Count a rejected message; log the first of its kind."""
         if self._health.reject(topic, error):
-            log.warning("rejected a message on %s: %s (counted from here on, see diagnostics)", topic, error)
+            log.warning(
+                "rejected a message on %s: %s; further ones are only counted in diagnostics", topic, error
+            )
 
     def _name(self, pattern: Topic, key: str) -> Topic:
         """Return the topic of a key that matched a pattern, and remember it."""

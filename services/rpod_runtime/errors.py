@@ -33,11 +33,14 @@ class QueryFailedError(BusError):
 
 
 class LockstepError(BusError):
-    """A service did not deliver what lockstep waits for in time."""
+    """A service did not deliver in time what lockstep waits for."""
 
     def __init__(self, service: str, waited_for: str, waited_s: float) -> None:
         self.service = service
-        super().__init__(f"{service} did not deliver {waited_for} within {waited_s:.0f} s of lockstep")
+        super().__init__(
+            f"{service} did not deliver {waited_for} within {waited_s:.0f} s, so that lockstep cannot go on; "
+            f"look at the log lines of {service}"
+        )
 
 
 class ExtrinsicsError(BusError):

@@ -27,7 +27,8 @@ class Extrinsics:
         """Return the mount of a sensor whose messages are stamped with a frame.
 
         Raises:
-            ExtrinsicsError: no source gives the mount, two differ, or the sensor is too far away.
+            ExtrinsicsError: no source gives the mount, two sources differ, or the sensor is too far from the
+                chaser's origin.
         """
         measured = self._chain(frame_id)
         configured = self._configured.get(sensor)
@@ -42,7 +43,10 @@ class Extrinsics:
         except ValueError as error:
             raise ExtrinsicsError(f"distance of {frame_id!r} from {CHASER!r} {error}") from error
         if measured is not None and configured is not None and _differ(measured, configured):
-            raise ExtrinsicsError(f"tf_static and the configured T_chaser_sensor of {sensor!r} differ")
+            raise ExtrinsicsError(
+                f"tf_static and the configured T_chaser_sensor of {sensor!r} differ: correct one of them, "
+                "or leave T_chaser_sensor out of the configuration"
+            )
         return mount
 
     def _chain(self, frame_id: str) -> RigidTransform | None:
@@ -55,7 +59,7 @@ class Extrinsics:
                 return None
             frame, T_parent_child = self._parents[frame]
             T_frame_sensor = chained(T_parent_child, T_frame_sensor)
-        return None  # a loop
+        return None  # the frames form a loop
 
 
 def _differ(first: RigidTransform, second: RigidTransform) -> bool:

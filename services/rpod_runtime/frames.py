@@ -1,7 +1,7 @@
 """Decodes and checks the parts of a complete frame.
 
-A reader stands for one sensor and remembers what the sensor says of itself. A kind names its reader; the ones
-of the PMD camera and the LIDAR are here.
+A reader reads the messages of one sensor and keeps the sensor's info. A sensor kind names its reader; the
+readers of the PMD camera and the LIDAR are here.
 """
 
 from collections.abc import Callable
@@ -33,11 +33,11 @@ class SensorReader(Protocol):
 
     @property
     def said(self) -> Any:
-        """What the sensor says of itself; None as long as it says nothing."""
+        """Info that the sensor has published of itself; None as long as there is none."""
         ...
 
     def learn(self, message: Any) -> None:
-        """Take what the sensor says of itself, a decoded message. Raises ``MessageRejectedError``."""
+        """Store the sensor's info, a decoded message. Raises ``MessageRejectedError``."""
         ...
 
     def read(self, frame: Assembled[Received]) -> SensorFrame:
@@ -65,17 +65,17 @@ class PartRejectedError(MessageRejectedError):
 
 
 class PmdReader:
-    """Frames of a PMD camera."""
+    """Reads the frames of a PMD camera."""
 
     def __init__(self) -> None:
         self.said: PmdInfo | None = None
 
     def learn(self, message: Any) -> None:
-        """Take the latched info."""
+        """Store the latched info."""
         self.said = read_pmd_info(message)
 
     def read(self, frame: Assembled[Received]) -> PmdFrame:
-        """Return depth, amplitude where it was sent, camera, and what the camera says of itself."""
+        """Return a frame: depth, amplitude where it was sent, lens model, and the camera's info."""
         amplitude = frame.parts.get("amplitude")
         camera = read_part(frame.parts["camera_info"], read_camera)
         size = (camera.height, camera.width)
@@ -96,13 +96,13 @@ class PmdReader:
 
 
 class LidarReader:
-    """Scans of a LIDAR, rows being elevation."""
+    """Reads the scans of a LIDAR; each row of a scan has one elevation."""
 
     def __init__(self) -> None:
         self.said: LidarInfo | None = None
 
     def learn(self, message: Any) -> None:
-        """Take the latched info; one without a scan pattern says nothing."""
+        """Store the latched info, if it holds a scan pattern."""
         info = read_lidar_info(message)
         if info.azimuth_rad.size and info.elevation_rad.size:
             self.said = info
@@ -128,7 +128,7 @@ class LidarReader:
 
 
 def read_part(received: Received, read: Callable[[Any], ReadT]) -> ReadT:
-    """Return what ``read`` makes of a decoded part. Raises ``PartRejectedError`` where it is refused."""
+    """Return the result of ``read`` for the decoded part. Raises ``PartRejectedError`` if it is refused."""
     try:
         return read(received.decode())
     except MessageRejectedError as error:
@@ -136,16 +136,17 @@ def read_part(received: Received, read: Callable[[Any], ReadT]) -> ReadT:
 
 
 def sized(image: Any, size: tuple[int, int]) -> Any:
-    """Return an image whose shape is (height, width) as said. Raises ``MessageRejectedError`` for another."""
+    """Return the image if its shape is ``size``, (height, width); else raise ``MessageRejectedError``."""
     if image.shape != size:
         raise MessageRejectedError(
             Reason.WRONG_SIZE,
-            f"image of {image.shape[1]} x {image.shape[0]}, camera_info says {size[1]} x {size[0]}",
+            f"image is {image.shape[1]} x {image.shape[0]} pixels, camera_info says {size[1]} x {size[0]}; "
+            "correct the driver",
         )
     return image
 
 
 def _finite(points_m: Float32Array) -> Float32Array:
     if not np.isfinite(points_m).all(axis=-1).any():
-        raise MessageRejectedError(Reason.NOT_FINITE, "no finite point in the cloud")
+        raise MessageRejectedError(Reason.NOT_FINITE, "no point of the cloud is finite")
     return points_m

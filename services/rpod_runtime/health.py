@@ -26,7 +26,7 @@ class HealthBook:
         self._changed = True
 
     def count(self, name: str, amount: int = 1) -> None:
-        """Add to a counter."""
+        """Add an amount to a counter."""
         with self._lock:
             self._counters[name] += amount
 
@@ -58,7 +58,7 @@ class HealthBook:
             self._changed = True
 
     def warn(self, name: str, text: str) -> None:
-        """Show a text that an operator must look at; the level is at least WARN until the process ends."""
+        """Add a text for the operator to the diagnostics; the level stays at least WARN from now on."""
         with self._lock:
             self._texts[name] = text
             self._warning = f"look at {name}"

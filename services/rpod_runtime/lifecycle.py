@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 EXIT_OK, EXIT_FAILURE, EXIT_USAGE = 0, 1, 2
 SUPERVISED = "RPOD_SUPERVISED"
-"""Environment variable that a supervisor sets; it holds the other end of standard input."""
+"""Environment variable that a supervisor sets; the supervisor holds the other end of standard input."""
 
 
 def configure_logging(instance: str, level: int = logging.INFO) -> None:
@@ -49,7 +49,7 @@ def run(instance: str, body: Callable[[threading.Event], None]) -> int:
         return EXIT_USAGE
     except NoRouterError as error:
         log.error("%s", error)
-        return EXIT_OK if stop.is_set() else EXIT_FAILURE  # told to stop while it waited
+        return EXIT_OK if stop.is_set() else EXIT_FAILURE  # stopped while it waited
     except BusError as error:
         log.error("%s", error)
         return EXIT_FAILURE
@@ -70,7 +70,7 @@ def _stop_on_signals(stop: threading.Event) -> None:
     os.set_blocking(writer, False)
     signal.set_wakeup_fd(writer)
     for each in _SIGNALS:
-        signal.signal(each, lambda *_: None)  # its number goes into the pipe
+        signal.signal(each, lambda *_: None)  # the signal's number is written into the pipe
     threading.Thread(target=_heed_signals, args=(reader, stop), name="signals", daemon=True).start()
 
 

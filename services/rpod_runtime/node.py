@@ -69,7 +69,7 @@ class Node:
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
-        with self._stack:  # what fails half-way leaves nothing open
+        with self._stack:  # a failure half-way leaves nothing open
             self._open()
             self._stack = self._stack.pop_all()
         return self
@@ -116,7 +116,7 @@ class Node:
 
         Duplicates and messages without a usable attachment are counted and not delivered. With ``recover``
         missed samples are requested again. With ``history`` earlier samples are fetched, as far as the
-        publisher keeps them; the last one of a latched topic always is.
+        publisher keeps them; the last sample of a latched topic is always fetched.
         """
         self._subscribe(topic, sink, recover=recover, history=history)
         self._token(self._graph.endpoint_token("MS", self._entity(), topic))
@@ -124,10 +124,10 @@ class Node:
     def subscribe_all(
         self, patterns: Sequence[Topic], sink: Callable[[Received], None], *, recover: bool = True
     ) -> None:
-        """Subscribe to all topics that match patterns (``*`` for a part of the name).
+        """Subscribe to all topics that match one of the patterns (``*`` stands for a part of the name).
 
-        Tokens carry no wildcards, so one is declared for each topic when its first publisher appears: newer
-        rmw_zenoh publishers of images and point clouds send nothing without it.
+        A liveliness token has no wildcards, so a token is declared for each topic when its first publisher
+        appears. Without it newer rmw_zenoh publishers of images and point clouds send nothing.
         """
         for pattern in patterns:
             self._subscribe(pattern, sink, recover=recover, history=recover)
@@ -159,9 +159,9 @@ class Node:
     def listen(
         self, key_expression: str, sink: Callable[[Received], None], *, accept: Callable[[str], bool]
     ) -> None:
-        """Subscribe, with recovery, to keys of any form that ``accept`` takes.
+        """Subscribe, with recovery, to the keys that ``accept`` accepts; they need not be ROS topics.
 
-        A message of an unknown topic has no type, and no attachment where the publisher sent none.
+        A message of an unknown topic has no type, and no attachment if the publisher sent none.
         """
 
         def take(sample: zenoh.Sample) -> None:
@@ -216,11 +216,11 @@ class Node:
                 try:
                     asked = request.model_validate_json(payload)
                     reply = handler(asked).model_dump_json()
-                except Exception as error:  # noqa: BLE001 - whatever it is, the asker must hear of it
+                except Exception as error:  # noqa: BLE001 - the client gets any error as a reply
                     query.reply_err(error_reply(error).model_dump_json())
                 else:
                     query.reply(key, reply)
-                    if verb != "status":  # that is asked all the time, and changes nothing
+                    if verb != "status":  # status is queried often and changes nothing
                         self.health.obey(verb, asked.model_dump_json())
 
         queryable = self._session.declare_queryable(key, answer)
@@ -249,8 +249,10 @@ class Node:
                 try:
                     return reply.model_validate_json(answer.ok.payload.to_bytes())
                 except ValidationError as error:
-                    raise QueryFailedError(key, f"answered with no {reply.__name__}") from error
-        raise QueryFailedError(key, f"no answer within {timeout_s:g} s")
+                    raise QueryFailedError(
+                        key, f"the answer is no {reply.__name__}; does the service have the same version?"
+                    ) from error
+        raise QueryFailedError(key, f"no answer within {timeout_s:g} s; is the service running?")
 
     def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:
         """Query every service that answers a verb; invalid and missing answers are left out."""

@@ -19,8 +19,8 @@ _HEARTBEAT_S = 0.2
 class Publisher:
     """Publishes one topic. Safe to call from several threads.
 
-    On a congested link images and point clouds wait, and are dropped, in a queue of their own; small messages
-    overtake them.
+    Images and point clouds have a queue of their own. On a congested link they wait there and may be dropped,
+    and small messages overtake them.
     """
 
     def __init__(self, session: zenoh.Session, keys: Namespace, topic: Topic) -> None:
@@ -45,7 +45,7 @@ class Publisher:
 
     @property
     def published(self) -> int:
-        """Messages published so far."""
+        """Number of messages published so far."""
         return self._sequence
 
     def publish(self, message: Any) -> None:

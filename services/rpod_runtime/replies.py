@@ -18,7 +18,7 @@ def error_reply(error: Exception) -> ErrorReply:
         field = ".".join(str(part) for part in problem["loc"]) or "request"
         return ErrorReply(error="BadRequest", message=f"{field}: {problem['msg']}")
     if not isinstance(error, SchemaError | RefusedError):
-        log.error("a query failed", exc_info=error)
+        log.error("a query failed with an unexpected error", exc_info=error)
     return ErrorReply(error=type(error).__name__, message=str(error))
 
 

@@ -1,8 +1,8 @@
 """Publishers of a camera and of a LIDAR, used by every driver and by the emulator (ICD section 2).
 
 A sensor announces itself once, with its latched info and its mount. Its frames follow; all parts of a
-frame carry one stamp. The publisher sets the frame of reference and ignores a given ``frame_id``. A kind
-names its publisher; the ones of the PMD camera and the LIDAR are here.
+frame carry the same stamp. The publisher sets the frame of reference and ignores a given ``frame_id``. A
+sensor kind names its publisher; the publishers of the PMD camera and the LIDAR are here.
 """
 
 from typing import Any, Protocol
@@ -42,24 +42,24 @@ _AMPLITUDE_ENCODING = {"uint8": "mono8", "uint16": "mono16", "float32": "32FC1"}
 
 
 class SensorPublisher(Protocol):
-    """A sensor on the bus, made as ``(node, name, *, T_chaser_sensor)``. Lives as long as the node."""
+    """A sensor on the bus, created as ``(node, name, *, T_chaser_sensor)``. It lives as long as the node."""
 
     frame_type: type[Any]
-    """Of what ``publish`` takes."""
+    """Type of the frames that ``publish`` accepts."""
     info_type: type[Any] | None
-    """Of what ``announce`` takes; None where such a sensor says nothing of itself."""
+    """Type of the info that ``announce`` accepts; None for a kind of sensor without info."""
 
     def announce(self, info: Any) -> None:
-        """Publish what the sensor says of itself, latched."""
+        """Publish the sensor's info, latched."""
         ...
 
     def publish(self, frame: Any) -> None:
-        """Publish a frame. Raises ``MessageRejectedError`` for one that no message can hold."""
+        """Publish a frame. Raises ``MessageRejectedError`` if no message can hold it."""
         ...
 
 
 def open_publisher(node: Node, kind: str, name: str, T_chaser_sensor: RigidTransform) -> SensorPublisher:
-    """Return the publisher of a sensor of a kind; its mount is announced."""
+    """Return the publisher of a sensor of the given kind, after announcing the sensor's mount."""
     publisher: SensorPublisher = resolve(sensor_kind(kind).publisher)(
         node, name, T_chaser_sensor=T_chaser_sensor
     )
@@ -147,7 +147,7 @@ class LidarPublisher:
 
 
 def announce_mount(node: Node, frame_id: str, T_chaser_sensor: RigidTransform) -> None:
-    """Publish where a sensor sits, latched."""
+    """Publish the mount of a sensor, latched."""
     mount = (CHASER, frame_id, T_chaser_sensor)
     node.publisher(TF_STATIC).publish(write_transforms(node.clock.now_ns(), [mount]))
 
@@ -157,5 +157,5 @@ def _amplitude_encoding(amplitude: NDArray[np.generic]) -> str:
         return _AMPLITUDE_ENCODING[amplitude.dtype.name]
     except KeyError:
         known = ", ".join(_AMPLITUDE_ENCODING)
-        text = f"amplitude of {amplitude.dtype.name}, needs one of {known}"
+        text = f"amplitude has data type {amplitude.dtype.name}; convert it to one of {known}"
         raise MessageRejectedError(Reason.WRONG_TYPE, text) from None

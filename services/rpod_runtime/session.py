@@ -19,10 +19,10 @@ from rpod_schemas.topics import TRUTH_TOPICS
 log = logging.getLogger(__name__)
 
 _QUEUED_BATCHES = 16
-"""Batches that may wait for a congested link, for bulky and for small messages each.
+"""Number of batches that may wait for a congested link, for bulky and for small messages each.
 
-A batch is 64 KiB, and 16 is the most that Zenoh takes. With its default of two an image is dropped as soon
-as the receiver is slow, and so is a burst from a process that was held up.
+A batch is 64 KiB, and 16 is the most that Zenoh accepts. With its default of two, an image is dropped as soon
+as the receiver is slow, and so is a burst of messages from a process that had to wait.
 """
 _RETRY_S = 0.25
 _REMIND_S = 10.0
@@ -43,8 +43,8 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
     """Open a client session to the router, with a given identity or a random one.
 
     Raises:
-        NoRouterError: no router answered in time, or ``stop`` was set while waiting. A router that refuses
-            an identity because another client holds it looks like no router.
+        NoRouterError: no router answered in time, or ``stop`` was set while waiting. It is also raised if the
+            router refuses the identity because another client holds it.
     """
     identity = {"id": zenoh_id} if zenoh_id else {}
     config = _zenoh_config(
@@ -65,7 +65,7 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
                 raise NoRouterError(bus.connect, waited_s, zenoh_id) from error
         if time.monotonic() - reminded_s > _REMIND_S:
             reminded_s = time.monotonic()
-            log.warning("still waiting for a router at %s", bus.connect)
+            log.warning("still waiting for a router at %s; start one with 'rpod router'", bus.connect)
         stop.wait(_RETRY_S)
 
 

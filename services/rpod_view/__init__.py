@@ -1,1 +1,1 @@
-"""The live view: what the sensors see and the estimator makes of it, in Rerun's viewer."""
+"""The live view: the sensors' data and the estimator's results, in Rerun's viewer."""

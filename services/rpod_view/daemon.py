@@ -1,7 +1,7 @@
-"""The view daemon: the bus's newest onto the screen, and nothing of it back.
+"""The view daemon: draws the newest messages of the bus and publishes nothing but its health.
 
-It subscribes without recovery to what it draws, keeps a bounded number of messages, and draws at most
-ten times a second, and only once the viewer has taken what was drawn before.
+It subscribes without recovery to what it draws and keeps a bounded number of messages. It draws at most ten
+times a second, and only when the viewer has received everything that was drawn before.
 """
 
 import logging
@@ -20,10 +20,10 @@ from rpod_view.viewer import open_viewer
 log = logging.getLogger(__name__)
 
 _WAITING_PARTS = 128
-"""Parts of frames between the bus and the drawing: the newest, some 30 MB of images."""
+"""Largest number of parts of frames that wait to be drawn, the newest ones; about 30 MB of images."""
 _WAITING = 2048
 _PATIENCE_S = 0.05
-"""For the viewer to take what was drawn a period ago."""
+"""Time for the viewer to receive what was drawn one period before."""
 
 
 def run(config: ViewConfig, *, version: str, stop: Event) -> None:
@@ -31,15 +31,15 @@ def run(config: ViewConfig, *, version: str, stop: Event) -> None:
     with Node(config, version=version, stop=stop) as node, open_viewer(config, stop) as viewer:
         target = _target(node, config.target)
         view = View(viewer.recording, target=target, prefix=config.prefix, reject=node.reject)
-        ears = _Ears(node, config)
-        node.ready(f"to be seen in {viewer.where}")
+        subscriptions = _Subscriptions(node, config)
+        node.ready(f"shown in {viewer.where}")
         next_s = time.monotonic()
         while not stop.wait(max(next_s - time.monotonic(), 0.0)):
             next_s = max(next_s, time.monotonic()) + 1.0 / config.rate_hz
             if viewer.closed:
                 log.info("the viewer was closed")
                 return
-            ears.hand_over(view)
+            subscriptions.hand_over(view)
             if viewer.has_taken(_PATIENCE_S):
                 node.health.count("drawn", view.draw())
             else:
@@ -47,10 +47,10 @@ def run(config: ViewConfig, *, version: str, stop: Event) -> None:
 
 
 def _target(node: Node, name: str | None) -> Target | None:
-    """Return the target that is configured, else the one that a service on the bus says it has.
+    """Return the configured target; if none is configured, the target of a service on the bus.
 
     Raises:
-        TargetError: there is no such target as is configured.
+        TargetError: the configured target does not exist.
     """
     if name is not None:
         return load_target(name)
@@ -59,12 +59,12 @@ def _target(node: Node, name: str | None) -> Target | None:
     try:
         return load_target(found) if found else None
     except TargetError as error:
-        log.warning("no mesh: %s", error)
+        log.warning("the target's mesh is not shown: %s", error)
         return None
 
 
-class _Ears:
-    """Topics that the view subscribes to; messages that are not fetched in time are dropped on purpose."""
+class _Subscriptions:
+    """Subscriptions of the view; messages that are not fetched in time are dropped on purpose."""
 
     def __init__(self, node: Node, config: ViewConfig) -> None:
         self._node = node
@@ -75,7 +75,7 @@ class _Ears:
         node.subscribe_all(sensor_topics(), self._parts.put, recover=False)
 
     def hand_over(self, view: View) -> None:
-        """Give the view everything that has come."""
+        """Pass all messages received so far to the view."""
         for received in self._others.wait(0.0) + self._parts.wait(0.0):
             view.take(received)
         self._node.health.put("overflowed/inbox", self._parts.overflowed + self._others.overflowed)

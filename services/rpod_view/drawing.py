@@ -19,9 +19,9 @@ from rpod_view.shading import MILLIMETRES, depth_colours, depth_mm, depth_span_m
 _ELLIPSOID = f"{CHASER}/uncertainty"
 _MOST_POINTS = 20_000
 _FEW_POINTS = 5_000
-"""Of which each is drawn larger."""
+"""Largest number of points at which each is drawn larger."""
 _VANISHING = 1e-6
-"""Scale of what is hidden: what is static cannot be cleared."""
+"""Scale of hidden objects, because Rerun cannot clear static data."""
 _LINE = rr.Radius.ui_points(1.0)
 _POINT, _LARGE_POINT, _LARGEST_POINT = (rr.Radius.ui_points(size) for size in (1.2, 2.2, 5.0))
 
@@ -30,8 +30,8 @@ class Drawing:
     """Draws frames and poses into a recording.
 
     Args:
-        recording: where to.
-        target: whose mesh and wireframe are drawn; None where it is not known.
+        recording: the recording to draw into.
+        target: the target whose mesh and wireframe are drawn; None if it is not known.
     """
 
     def __init__(self, recording: rr.RecordingStream, target: Target | None) -> None:
@@ -64,7 +64,7 @@ class Drawing:
     # --- frames ---
 
     def frame(self, frame: Frame, T_chaser_target: RigidTransform | None) -> None:
-        """Draw a frame at its stamp, with the wireframe at the estimate of that time over its images."""
+        """Draw a frame at its stamp; over its images draw the wireframe at the estimate of that time."""
         self._at(frame.data.stamp_ns)
         if frame.T_chaser_sensor is not None:
             self._place(f"{CHASER}/{frame.sensor}", frame.T_chaser_sensor)
@@ -86,7 +86,7 @@ class Drawing:
             self._recording.log(f"{path}/wireframe", lines)
 
     def _depth(self, frame: Frame, image: FrameImage, rays: FloatArray | None) -> rr.DepthImage:
-        """Return a depth image, and draw its points where the lens tells their rays."""
+        """Return a depth image; also draw its points if the rays of the lens are known."""
         span_m = depth_span_m(image.values)
         if rays is not None:
             seen = np.isfinite(image.values)
@@ -106,7 +106,7 @@ class Drawing:
         return project(visible_pieces(self._target, frame.T_chaser_sensor.inv() * T_chaser_target), camera)
 
     def _rays_of(self, sensor: str, camera: Camera) -> FloatArray | None:
-        """Return a camera's rays of unit depth, shape (height, width, 3); None where its lens forbids."""
+        """Return a camera's rays of unit depth, shape (height, width, 3); None if its lens has no inverse."""
         known, rays = self._rays.get(sensor, (None, None))
         if known is None or not _same(known, camera):
             rays = _unit_depth(camera)
@@ -141,12 +141,12 @@ class Drawing:
         estimate: RigidTransform | None,
         newest: Odometry | None,
     ) -> None:
-        """Draw the target where it is and where it is thought to be; what is not known is hidden.
+        """Draw the target at the truth and at the estimate; hide it where the pose is not known.
 
         Args:
-            stamp_ns: of the poses.
-            truth: T_chaser_target.
-            estimate: T_chaser_target.
+            stamp_ns: stamp of the poses.
+            truth: true T_chaser_target.
+            estimate: estimated T_chaser_target.
             newest: the estimate whose covariance is drawn.
         """
         self._at(stamp_ns)
@@ -165,7 +165,7 @@ class Drawing:
     def _uncertainty(
         self, truth: RigidTransform | None, estimate: RigidTransform, covariance_m2: FloatArray
     ) -> None:
-        """Draw the ellipsoid at its place, and large, its longest half axis one, with the truth in it."""
+        """Draw the ellipsoid at its place, and again enlarged to a longest half axis of 1, with the truth."""
         half_m, quaternion = ellipsoid(covariance_m2)
         longest_m = max(float(half_m[-1]), 1e-6)
         end = rr.Points3D(

@@ -1,4 +1,4 @@
-"""The errors of the view. Each message is one line that says what to do."""
+"""The errors of the view. Each message is one line that contains the remedy."""
 
 from rpod_runtime.errors import BusError
 
@@ -8,7 +8,7 @@ class ViewError(BusError):
 
 
 class ViewerFailedError(ViewError):
-    """The viewer does not start."""
+    """The viewer does not start; ``how`` completes the sentence "the viewer ..."."""
 
     def __init__(self, how: str) -> None:
         super().__init__(f"the viewer {how}; try --web, or --save FILE.rrd")

@@ -15,7 +15,7 @@ TIMELINE = "time"
 CHASER = "chaser"
 TRUTH, ESTIMATE = f"{CHASER}/truth", f"{CHASER}/estimate"
 FOCUS = f"{CHASER}/focus"
-"""The target's place in the chaser's axes: where the scene is looked at."""
+"""Position of the target in the chaser's axes, at which the scene's eye looks."""
 IMAGES = "image"
 STATE = "state"
 EVENTS = "events"
@@ -28,25 +28,25 @@ POSITION, ATTITUDE, PROCESSING, RANGE = (
 _WINDOW_S = 30.0
 """Time span of the plots."""
 _SCENE_RADII = 2.7
-"""Distance of the eye from the target, in its radii."""
+"""Distance of the eye from the target, in radii of the target."""
 _UNCERTAINTY_RADII = 2.6
 _Part = rrb.View | rrb.Container
 Images = Mapping[str, Mapping[str, tuple[int, int]]]
-"""Width and height of the images of each camera, by its name and their titles."""
+"""Width and height of the images of each camera, by camera name and image title."""
 
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """How a scene is seen first: a direction, since its distance is the view's affair."""
+    """Direction from which a scene is first seen; the view sets the distance."""
 
     offset: FloatArray
     """Unit vector from the centre of the scene to the eye, chaser axes, shape (3,)."""
     up: FloatArray
-    """Shape (3,)."""
+    """Upward direction of the picture, chaser axes, shape (3,)."""
 
 
 def over_shoulder(T_chaser_sensor: RigidTransform) -> Eye:
-    """Return an eye that sees the target as the sensor does, a little from the right and from above."""
+    """Return an eye that sees the target like the sensor, but from a little to the right and above."""
     right, down, forward = T_chaser_sensor.rotation.as_matrix().T
     offset = 0.62 * right - 0.42 * down - 0.66 * forward
     return Eye(offset / np.linalg.norm(offset), -down)
@@ -56,9 +56,9 @@ def layout(images: Images, eye: Eye | None, radius_m: float) -> rrb.Blueprint:
     """Return the layout.
 
     Args:
-        images: of each camera, by name.
-        eye: None where the viewer is to choose.
-        radius_m: of the target.
+        images: sizes of the images of each camera.
+        eye: direction of the eye; None if the viewer chooses it.
+        radius_m: radius of the target.
     """
     shown = [_image(name, title, size) for name, sizes in images.items() for title, size in sizes.items()]
     above: list[_Part] = [_scene(eye, radius_m)]

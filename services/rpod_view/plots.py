@@ -1,4 +1,4 @@
-"""The estimator over time: errors, bands, motion, and its state."""
+"""The estimator over time: errors, 3 sigma bands, range, processing time, and its state."""
 
 from collections.abc import Callable, Iterable, Sequence
 
@@ -31,7 +31,7 @@ _Sample = tuple[int, float]
 
 
 class Plots:
-    """Writes what changes over time into a recording."""
+    """Writes time series and events into a recording."""
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
@@ -77,7 +77,7 @@ class Plots:
             self._recording.send_columns(path, [index], rr.Scalars.columns(scalars=np.array(values)))
 
     def statuses(self, statuses: Iterable[EstimatorStatus]) -> None:
-        """Add what the estimator made of frames: processing times, and what changed of its state."""
+        """Add the estimator's processing times and the changes of its state."""
         processing: list[_Sample] = []
         for status in statuses:
             if status.mode == Mode.TRACKING and np.isfinite(status.processing_s):

@@ -1,7 +1,7 @@
 """State of the view: poses of the last seconds, and messages that have not been drawn yet.
 
-Messages come from the bus or from a log. The parts of frames are told apart by topic and stamp; only
-the newest complete frame of each sensor is decoded, and only when it is drawn.
+Messages come from the bus or from a log. The parts of frames are identified by topic and stamp. Only the
+newest complete frame of each sensor is decoded, and only when it is drawn.
 """
 
 from collections import deque
@@ -26,28 +26,28 @@ from rpod_schemas.types import EstimatorStatus, Mode, Odometry, SensorFrame
 from rpod_view.track import Track
 
 Reject = Callable[[str, MessageRejectedError], None]
-"""Is told of the messages that cannot be used, with the name of their topic."""
+"""Function that is called with the topic's name for each message that cannot be used."""
 _PATIENCE_NS = NANOSECONDS
-"""Time that an estimate waits for its truth."""
+"""Longest time that an estimate waits for its truth, ns."""
 _ENOUGH_NS = 16_000_000
-"""No more of the truth than so often is decoded."""
+"""Shortest time between two messages of the truth that are decoded, ns."""
 _MOST_WAITING = 512
 
 
 def sensor_topics() -> tuple[Topic, ...]:
-    """Return what is drawn of any sensor of the installed kinds; patterns."""
+    """Return patterns of the drawn topics of all sensors of the installed kinds."""
     parts = (part for kind in sensor_kinds() for part in kind.parts.values())
     return tuple(dict.fromkeys(part.topic.of("*") for part in parts))
 
 
 def pose_topics(prefix: str) -> tuple[Topic, ...]:
-    """Return what is drawn beside frames and truth, the estimates under their prefix."""
+    """Return the drawn topics besides frames and truth; ``prefix`` is that of the estimates."""
     return TF_STATIC, ESTIMATE.under(prefix), STATUS.under(prefix)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A sensor's frame and where the sensor sits."""
+    """A sensor's frame and the sensor's mount."""
 
     sensor: str
     data: SensorFrame
@@ -57,17 +57,17 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """An estimate, and its errors where the truth is known."""
+    """An estimate, and its errors if the truth is known."""
 
     estimate: Odometry
     attitude_rad: FloatArray | None
-    """Log(R_truth^T R_estimate), target axes, shape (3,)."""
+    """Attitude error, Log(R_truth^T R_estimate), target axes, shape (3,); None if the truth is unknown."""
     position_m: FloatArray | None
-    """Chaser axes, shape (3,)."""
+    """Position error, chaser axes, shape (3,); None if the truth is unknown."""
 
 
 class Scene:
-    """Collects messages and returns what is to be drawn."""
+    """Collects messages and returns the data to draw."""
 
     def __init__(self, prefix: str) -> None:
         self.truth = Track(gap_s=0.1, reach_s=0.1)
@@ -75,21 +75,22 @@ class Scene:
         self.newest: Odometry | None = None
         """The last estimate."""
         self.status: EstimatorStatus | None = None
-        """The last one."""
+        """The last status."""
         self._estimate, self._status = ESTIMATE.under(prefix).name, STATUS.under(prefix).name
         self._extrinsics = Extrinsics({})
         self._kinds = sensor_kinds()
         self._assemblers: dict[tuple[str, str], Assembler[Received]] = {}
-        """By sensor and kind: a topic alone may not tell the kind, a whole frame does."""
+        """Assemblers by sensor and kind: a topic may belong to several kinds, a complete frame to one
+        only."""
         self._readers: dict[str, SensorReader] = {}
         self._frames: NewestFrames[Received] = NewestFrames()
         self._statuses: deque[EstimatorStatus] = deque(maxlen=_MOST_WAITING)
         self._unscored: deque[Odometry] = deque(maxlen=_MOST_WAITING)
 
-    # --- what comes ---
+    # --- messages in ---
 
     def take(self, received: Received) -> None:
-        """Take a message. Raises ``MessageRejectedError``."""
+        """Process a message. Raises ``MessageRejectedError``."""
         name = received.topic.name
         if name == self._estimate:
             self._take_estimate(read_odometry(received.decode()))
@@ -136,10 +137,10 @@ class Scene:
             self._readers.setdefault(sensor, open_reader(kind))
             self._frames.put(sensor, frame)
 
-    # --- what is drawn ---
+    # --- data to draw ---
 
     def frames(self, reject: Reject) -> Iterator[Frame]:
-        """Yield the newest complete frame of each sensor with a new one, unless it is unusable."""
+        """Yield the newest complete frame of each sensor that has a new, usable one."""
         while (chosen := self._frames.take()) is not None:
             try:
                 frame = self._frame(*chosen)
@@ -157,13 +158,13 @@ class Scene:
         return Frame(sensor, data, mount)
 
     def statuses(self) -> list[EstimatorStatus]:
-        """Return those that have come."""
+        """Return the statuses that arrived since the last call."""
         statuses = list(self._statuses)
         self._statuses.clear()
         return statuses
 
     def estimated(self) -> list[Scored]:
-        """Return the estimates that have come, each once its truth is known or comes no more."""
+        """Return the new estimates whose truth is known, or has not arrived after a second."""
         scored: list[Scored] = []
         while self._unscored:
             odometry = self._unscored[0]
@@ -182,7 +183,7 @@ class Scene:
         return Scored(odometry, *pose_error(truth, odometry.pose))
 
     def estimate_at(self, stamp_ns: int) -> RigidTransform | None:
-        """Return the estimate of a time, predicted where it has not come yet; None where there is none."""
+        """Return the estimated pose at a time, predicted beyond the last estimate; None if there is none."""
         if self.status is not None and self.status.mode != Mode.TRACKING:
             return None
         return self.estimates.at(stamp_ns)

@@ -9,9 +9,9 @@ _AUTOGROUP = Path("/proc/self/autogroup")
 
 
 def lower_priority() -> None:
-    """Lower this process's priority for good, and on Linux its session's if it is alone in it.
+    """Lower this process's priority; on Linux also that of its session if no other process is in it.
 
-    Where sessions are scheduled as groups (sched(7), autogroup) niceness counts within a session only.
+    If sessions are scheduled as groups (sched(7), autogroup), niceness has an effect within a session only.
     """
     os.nice(_NICENESS)
     if os.getsid(0) == os.getpid():

@@ -1,4 +1,4 @@
-"""Turns measurements into colours, grey tones and ellipsoids. Independent of the viewer."""
+"""Converts measurements to colours, grey tones and ellipsoids, independent of the viewer."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +9,11 @@ from rpod_schemas.types import Float32Array
 
 MILLIMETRES = 1000.0
 SIGMAS = 3.0
-"""What ellipsoids and bands show."""
+"""Size of the ellipsoids and bands, in standard deviations."""
 _STEP_M = 0.25
-"""Colour scales of depth begin and end at multiples of it, so that they do not flicker."""
+"""Step of the ends of a depth's colour scale, so that the colours do not flicker."""
 _SAMPLED = 4
-"""Each so manyth pixel and row is asked for a picture's percentiles."""
+"""Step between the pixels, along rows and columns, from which a picture's percentiles are computed."""
 _VIRIDIS = np.array(
     [[68, 1, 84], [65, 68, 135], [42, 120, 142], [34, 168, 132], [122, 209, 81], [253, 231, 37]], float
 )
@@ -22,11 +22,11 @@ _COLOURS = np.column_stack(
 ).astype(np.uint8)
 _GAMMA = 0.6
 _FAR_M = 65.0
-"""The largest depth that fits."""
+"""Largest depth in metres that fits into 16 bits in millimetres."""
 
 
 def depth_span_m(depth_m: Array) -> tuple[float, float]:
-    """Return where the colours of depths, NaN where there is none, begin and end."""
+    """Return the depths at the ends of the colour scale; NaN in ``depth_m`` stands for no depth."""
     sampled = depth_m[::_SAMPLED, ::_SAMPLED] if depth_m.ndim == 2 else depth_m
     finite = sampled[np.isfinite(sampled)]
     if not finite.size:
@@ -37,9 +37,9 @@ def depth_span_m(depth_m: Array) -> tuple[float, float]:
 
 
 def depth_mm(depth_m: Float32Array, span_m: tuple[float, float]) -> NDArray[np.uint16]:
-    """Return depths within a span in millimetres, the far end, which is dark, where there is none.
+    """Return depths in millimetres, limited to a span; without depth the far end, which is dark.
 
-    Outside the ends of a colour scale a viewer's native and web versions differ.
+    They are limited because Rerun's native and web versions draw values outside a colour scale differently.
     """
     near, far = span_m
     millimetres: NDArray[np.uint16] = (
@@ -49,7 +49,7 @@ def depth_mm(depth_m: Float32Array, span_m: tuple[float, float]) -> NDArray[np.u
 
 
 def grey(amplitude: Array) -> NDArray[np.uint8]:
-    """Return an image's tones, 0 to 255, between its first and last per cent."""
+    """Return an image's grey tones, 0 to 255, scaled between its 1st and 99th percentile."""
     values = amplitude.astype(np.float32)
     low, high = np.nanpercentile(values[::_SAMPLED, ::_SAMPLED], (1, 99))
     share = np.nan_to_num((values - low) / max(high - low, 1e-6)).clip(0.0, 1.0)
@@ -65,7 +65,7 @@ def depth_colours(depth_m: Array, span_m: tuple[float, float]) -> NDArray[np.uin
 
 
 def ellipsoid(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the rising half axes, shape (3,), and x, y, z, w of a covariance's ellipsoid of three sigma."""
+    """Return half axes, rising, shape (3,), and quaternion x, y, z, w of a covariance's 3 sigma ellipsoid."""
     variances, axes = np.linalg.eigh(covariance)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     return SIGMAS * np.sqrt(variances.clip(0.0)), Rotation.from_matrix(axes).as_quat()

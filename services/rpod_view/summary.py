@@ -1,4 +1,4 @@
-"""Short table of the navigator's state for the operator."""
+"""A short table of the navigator's state for the operator."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ SOURCES = {
 def summary(status: EstimatorStatus | None, scored: Scored | None) -> str:
     """Return Markdown of the last status and the last estimate with its errors."""
     if status is None:
-        return "# no estimator\n\nWaiting for its first status."
+        return "# no estimator\n\nWaiting for the estimator's first status."
     rows = [
         ("source", SOURCES[status.source]),
         ("measurement", "accepted" if status.accepted else f"rejected: {status.reason or '-'}"),

@@ -1,4 +1,4 @@
-"""Poses by stamp: between two of them, and a little beyond the last."""
+"""Poses by stamp, interpolated between samples and predicted for a short time after the last one."""
 
 from bisect import bisect_left
 from itertools import islice
@@ -9,18 +9,18 @@ from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.poses import between
 
 _BASE_NS = 100_000_000
-"""Over which a motion is measured for the way beyond the last pose, so that noise is not magnified."""
+"""Time span from which the velocity for a prediction is computed; long enough not to amplify noise."""
 _AGAIN_NS = 1_000_000_000
-"""A stamp so much before the last one is of another run."""
+"""Time by which a stamp must be before the last one to belong to a new run."""
 
 
 class Track:
     """The poses of the last seconds, ``T_chaser_target``.
 
     Args:
-        gap_s: between poses further apart nothing is known.
-        reach_s: how far beyond the last pose its motion is thought to go on.
-        kept: number of poses.
+        gap_s: longest time between two poses over which a pose is interpolated.
+        reach_s: longest time after the last pose for which a pose is predicted.
+        kept: number of poses that are kept.
     """
 
     def __init__(self, *, gap_s: float, reach_s: float, kept: int = 512) -> None:
@@ -35,7 +35,7 @@ class Track:
         return self._stamps_ns[-1] if self._stamps_ns else -1
 
     def add(self, stamp_ns: int, pose: RigidTransform) -> None:
-        """Take a pose; stamps that do not rise are left out, unless time begins again."""
+        """Add a pose; stamps that do not rise are ignored, unless a new run has started."""
         if stamp_ns < self.newest_ns - _AGAIN_NS:
             self._stamps_ns, self._poses = [], []
         if stamp_ns <= self.newest_ns:
@@ -46,7 +46,7 @@ class Track:
             del self._stamps_ns[: -self._kept], self._poses[: -self._kept]
 
     def at(self, stamp_ns: int) -> RigidTransform | None:
-        """Return the pose at a stamp, by a constant velocity between and beyond poses; None if unknown."""
+        """Return the pose at a stamp, interpolated or predicted with constant velocity; None if unknown."""
         after = bisect_left(self._stamps_ns, stamp_ns)
         if after < len(self._poses) and self._stamps_ns[after] == stamp_ns:
             return self._poses[after]

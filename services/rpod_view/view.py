@@ -1,6 +1,6 @@
-"""The view without a bus: messages in, and at each call what is newest of them drawn.
+"""The view without a bus: it collects messages and draws the newest ones at each call.
 
-The daemon and the view of a log share this very path.
+The daemon and the view of a log both use it.
 """
 
 import numpy as np
@@ -23,10 +23,10 @@ class View:
     """Collects messages and draws the newest.
 
     Args:
-        recording: where it is drawn.
-        target: whose mesh and wireframe are drawn; None where it is not known.
+        recording: the recording to draw into.
+        target: the target whose mesh and wireframe are drawn; None if it is not known.
         prefix: first part of the topics of the estimates.
-        reject: is told of the messages that cannot be used.
+        reject: function that is called for each message that cannot be used.
     """
 
     def __init__(
@@ -42,14 +42,14 @@ class View:
         recording.send_blueprint(layout({}, None, self._radius_m))
 
     def take(self, received: Received) -> None:
-        """Take a message."""
+        """Process a message."""
         try:
             self._scene.take(received)
         except MessageRejectedError as error:
             self._reject(received.topic.name, error)
 
     def draw(self) -> int:
-        """Draw what is new, and return how many frames there were."""
+        """Draw the new data; return the number of frames drawn."""
         statuses, scored = self._scene.statuses(), self._scene.estimated()
         self._plots.statuses(statuses)
         self._plots.estimates(scored)
@@ -71,7 +71,7 @@ class View:
         return frames
 
     def _draw_poses(self, frames: list[Frame]) -> None:
-        """Draw both poses at one time: of the newest frame or estimate, else of the truth."""
+        """Draw truth and estimate at the time of the newest frame or estimate, else of the newest truth."""
         scene = self._scene
         stamp_ns = max([frame.data.stamp_ns for frame in frames] + [scene.estimates.newest_ns])
         stamp_ns = scene.truth.newest_ns if stamp_ns < 0 else stamp_ns
@@ -84,7 +84,7 @@ class View:
         self._recording.log(SUMMARY, text)
 
     def _arrange(self, frame: Frame) -> None:
-        """Divide the screen again where a camera is new, or it is known for the first time how to look."""
+        """Send the layout again if a camera is new, or if the direction of the eye has become known."""
         images, eye = dict(self._images), self._eye
         if shown := {
             image.title: (image.values.shape[1], image.values.shape[0]) for image in frame.data.images

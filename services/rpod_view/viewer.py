@@ -27,11 +27,11 @@ _LAST_FLUSH_S = 2.0
 
 @dataclass
 class Viewer:
-    """A recording and who looks at it; made by ``open_viewer``."""
+    """A recording and the process that shows it; created by ``open_viewer``."""
 
     recording: rr.RecordingStream
     where: str
-    """For an operator: where it is to be seen."""
+    """Place of the output, for the operator: "a window", the address of the page, or the file."""
     process: subprocess.Popen[bytes] | None = None
     """Process of the viewer; None if the output is a file."""
 
@@ -41,13 +41,13 @@ class Viewer:
         return self.process is not None and self.process.poll() is not None
 
     def has_taken(self, timeout_s: float) -> bool:
-        """Return whether everything that was drawn has been taken, after at most so long.
+        """Wait up to the timeout; return whether the viewer has received everything that was drawn.
 
-        What has not been taken waits in memory: so nothing more is to be drawn until it has.
+        Data that it has not received wait in memory, so nothing more must be drawn until it has.
         """
         try:
             self.recording.flush(timeout_sec=timeout_s)
-        except RuntimeError:  # it is slow, or gone
+        except RuntimeError:  # the viewer is slow, or has ended
             return False
         return True
 
@@ -57,13 +57,13 @@ def open_viewer(config: ViewConfig, stop: Event) -> Iterator[Viewer]:
     """Open a viewer, or the file that is written instead.
 
     Raises:
-        ViewerFailedError: it does not start.
+        ViewerFailedError: the viewer does not start.
     """
     recording = rr.RecordingStream(APPLICATION)
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
     with ExitStack() as stack:
-        stack.callback(recording.disconnect)  # last, since it waits for a viewer that stands still
+        stack.callback(recording.disconnect)  # last, because it waits for a viewer that does not respond
         if config.save is not None:
             _save(recording, config.save)
             yield Viewer(recording, str(config.save))
@@ -93,7 +93,7 @@ def has_display() -> bool:
 
 
 def _with_ports(config: ViewConfig) -> ViewConfig:
-    """Return the configuration with free ports where it leaves them open; raise where one is taken."""
+    """Return the configuration with free ports in place of 0; raise an error if a port is in use."""
     family = socket.AF_INET if config.bind.version == 4 else socket.AF_INET6
     ports = {}
     with ExitStack() as stack:
@@ -113,7 +113,7 @@ def _with_ports(config: ViewConfig) -> ViewConfig:
 
 @contextmanager
 def _process(config: ViewConfig, *, web: bool) -> Iterator[subprocess.Popen[bytes]]:
-    """Run the viewer; at the end its whole group ends, since the command leaves its child behind."""
+    """Run the viewer; at the end stop its process group, because the command does not stop its child."""
     page = ("--serve-web", "--web-viewer-port", str(config.web_port)) if web else ("--hide-welcome-screen",)
     memory = f"{config.memory_bytes // 1_000_000}MB"
     limits = ("--memory-limit", memory, "--server-memory-limit", memory)
@@ -141,7 +141,7 @@ def _process(config: ViewConfig, *, web: bool) -> Iterator[subprocess.Popen[byte
 
 @contextmanager
 def _private_environment() -> Iterator[dict[str, str]]:
-    """Yield an environment in which Rerun reports its use to nobody, whatever the user's own settings."""
+    """Yield an environment in which Rerun sends no usage reports, whatever the user's own settings."""
     with TemporaryDirectory(prefix="rpod-view-") as settings:
         environment = os.environ | {"RUST_LOG": "warn", "XDG_CONFIG_HOME": settings}
         subprocess.run(
@@ -162,5 +162,5 @@ def _await_listening(process: subprocess.Popen[bytes], config: ViewConfig, stop:
         with suppress(OSError), socket.create_connection((address, config.port), timeout=1.0):
             return
         if time.monotonic() > deadline_s:
-            raise ViewerFailedError(f"does not answer after {_START_TIMEOUT_S:.0f} s")
+            raise ViewerFailedError(f"does not answer within {_START_TIMEOUT_S:.0f} s")
         stop.wait(_POLL_S)

@@ -1,6 +1,6 @@
-"""Rerun's program for a view: it ends with the view, however that ends.
+"""Runs Rerun's program for a view, and ends when the view ends, for whatever reason.
 
-Run as ``python -m rpod_view.viewer_process`` in a process group of its own, with a pipe as standard input
+It is started as ``python -m rpod_view.viewer_process`` in its own process group. Its standard input is a pipe
 whose other end the view holds.
 """
 

@@ -1,4 +1,4 @@
-"""Rays, lenses and their hits on a target: shared by the emulated sensors and the pose estimation."""
+"""Lenses, rays and their hits on a target, for the emulated sensors and for the pose estimation."""
 
 from rpod_schemas.kernel_cache import watch_callees
 

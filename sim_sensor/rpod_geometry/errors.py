@@ -8,7 +8,9 @@ class GeometryError(RpodError):
 
 
 class DistortionError(GeometryError):
-    """Raised for a lens distortion that maps two directions onto one pixel, or no direction onto a pixel."""
+    """The lens distortion maps two directions onto one pixel, or no direction onto a pixel."""
 
     def __init__(self, column: float, row: float) -> None:
-        super().__init__(f"the lens distortion has no inverse at pixel ({column:.1f}, {row:.1f})")
+        super().__init__(
+            f"the lens distortion has no inverse at pixel ({column:.1f}, {row:.1f}); correct its coefficients"
+        )

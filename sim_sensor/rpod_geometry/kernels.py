@@ -37,18 +37,19 @@ def reassociated_kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def generic_kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a kernel that is compiled into each kernel that calls it, and not kept on disk by itself.
+    """Return a kernel that is compiled into each kernel that calls it, and has no cache file of its own.
 
-    For one that takes records of modules that it does not know: what is kept could not be seen to be old.
+    It is for kernels whose arguments are records of other modules: a cache file would not show that it is
+    old.
     """
     compiled: Callable[P, R] = njit(nogil=True, error_model="numpy")(function)
     return compiled
 
 
 def _kept(compiled: Any) -> Any:
-    """Return a kernel that takes what is kept on disk for nothing where that names a record no longer there.
+    """Return a kernel that ignores its cache file if the file names a record that no longer exists.
 
-    Numba reads the types of all that is kept before it asks whether that is old.
+    This is necessary because numba reads the types in a cache file before it checks whether the file is old.
     """
     file = compiled._cache._cache_file
     load = file._load_index

@@ -46,7 +46,7 @@ def undistort(distorted: FloatArray, camera: Camera) -> FloatArray:
     return slopes
 
 
-@np.errstate(all="ignore")  # what diverges is found by its last step
+@np.errstate(all="ignore")  # divergence is detected by the last step
 def _newton_step(
     slopes: FloatArray, distorted: FloatArray, camera: Camera
 ) -> tuple[FloatArray, NDArray[np.bool_]]:

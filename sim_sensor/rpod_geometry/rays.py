@@ -1,10 +1,11 @@
-"""Casting of a sensor's rays: one caster for the camera and for the LIDAR.
+"""Casts a sensor's rays: one caster for the camera and for the LIDAR.
 
-All rays start in the sensor's origin, so a triangle needs only four numbers a ray. Its corners v0, v1, v2
-and the ray d give ``s_i = d . (v_i x v_j)``, the sides of the three planes through the origin and an edge;
-the ray passes through the triangle where all have the sign of ``v0 . (v1 x v2)``, and it meets the plane at
-``v0 . (v1 x v2) / (s_0 + s_1 + s_2)``, since the three cross products add up to the face's normal. Two
-triangles that share an edge compute the same product with opposite signs: no ray slips through between them.
+All rays start in the sensor's origin, so a triangle needs only four numbers per ray. Its corners v0, v1, v2
+and the ray d give ``s_i = d . (v_i x v_j)``, which tells on which side of the plane through the origin and an
+edge the ray is. The ray passes through the triangle if all three have the sign of ``v0 . (v1 x v2)``. It
+meets the plane at ``v0 . (v1 x v2) / (s_0 + s_1 + s_2)``, because the three cross products add up to the
+face's normal. Two triangles that share an edge compute the same product with opposite signs, so no ray passes
+between them.
 """
 
 from dataclasses import dataclass, field
@@ -20,7 +21,7 @@ from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Camera, Float32Array
 
 NEAR_M = 0.05
-"""Least z of the corners of a triangle that is tried on a block of rays; nearer ones are tried on all."""
+"""Least z of the corners of a triangle that is tested on a block of rays; nearer ones are tested on all."""
 
 
 class Envelope(NamedTuple):
@@ -33,7 +34,7 @@ class Envelope(NamedTuple):
 
 
 class GridArrays(NamedTuple):
-    """The rays of a grid and their bounds, as the kernels take them; records within it would cost time."""
+    """The rays of a grid and their bounds, as arguments of kernels; nested records would be slower."""
 
     components: FloatArray
     """x, y, z of the unit rays in sensor axes, shape (3, rows, columns), float64 or float32."""
@@ -42,13 +43,13 @@ class GridArrays(NamedTuple):
     column_upper: FloatArray
     """``Envelope.upper`` of the columns, shape (columns,)."""
     row_lower: FloatArray
-    """The same of the rows, shape (rows,)."""
+    """``Envelope.lower`` of the rows, shape (rows,)."""
     row_upper: FloatArray
-    """The same of the rows, shape (rows,)."""
+    """``Envelope.upper`` of the rows, shape (rows,)."""
 
 
 class RenderBuffers(NamedTuple):
-    """First hit of each ray of a grid, as the kernels take it."""
+    """First hit of each ray of a grid, as arguments of kernels."""
 
     range_m: Float32Array
     """Distance along the ray, shape (rows, columns), inf without a hit."""
@@ -58,11 +59,11 @@ class RenderBuffers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RayGrid:
-    """Rays of a sensor, in rows and columns, with bounds by which a triangle's rows and columns are found.
+    """Rays of a sensor in rows and columns, with bounds that give the rows and columns of a triangle.
 
-    Build it by ``pinhole`` or ``azimuth_elevation``. A triangle is tried on a block of the grid only; the
-    block is found by the slopes x/z and y/z that its columns and rows span, so columns from left to right
-    and rows from top to bottom are fast, and any order is right.
+    Build it by ``pinhole`` or ``azimuth_elevation``. A triangle is tested on a block of the grid only. The
+    block follows from the slopes x/z and y/z of the columns and rows. The result is right for any order; it
+    is fast for columns from left to right and rows from top to bottom.
     """
 
     components: FloatArray
@@ -89,11 +90,11 @@ class RayGrid:
 
     @property
     def arrays(self) -> GridArrays:
-        """The rays and their bounds, as kernels take them."""
+        """The rays and their bounds, as arguments of kernels."""
         return GridArrays(self.components, *self._columns, *self._rows)
 
     def block(self, rows: slice, columns: slice) -> GridArrays:
-        """Return the rays of a block of rows and columns, as kernels take them."""
+        """Return the rays of a block of rows and columns, as arguments of kernels."""
         components = np.ascontiguousarray(self.components[:, rows, columns])
         across, down = self._columns, self._rows
         return GridArrays(
@@ -144,7 +145,7 @@ class Hits:
 
     @property
     def arrays(self) -> RenderBuffers:
-        """The hits as the kernels take them."""
+        """The hits as arguments of kernels."""
         return RenderBuffers(self.range_m, self.triangle)
 
 
@@ -160,7 +161,7 @@ def cast(
 
     Args:
         grid: the sensor's rays.
-        triangles_m: shape (T, 3, 3), target axes, counter-clockwise from outside.
+        triangles_m: corners of the triangles, shape (T, 3, 3), target axes, counter-clockwise from outside.
         T_sensor_target: pose of the target in the sensor.
         out: buffers to write into and to return; by default new ones.
         cull_back_faces: whether to skip triangles seen from behind, which closed bodies hide anyway.
@@ -250,7 +251,7 @@ def _volume(corner: FloatArray) -> float:
 
 @kernel
 def _sides(corner: FloatArray, sign: float, side: Array) -> None:
-    """Fill the products v_i x v_j, m2, shape (3, 3), with signs so that rays inside give none negative."""
+    """Fill the products v_i x v_j, m2, shape (3, 3), with signs so that s_i >= 0 for rays inside."""
     for i in range(3):
         a, b = corner[i], corner[(i + 1) % 3]
         side[i, 0] = sign * (a[1] * b[2] - a[2] * b[1])
@@ -270,7 +271,7 @@ def _lines(corner: FloatArray, axis: int, lower: FloatArray, upper: FloatArray) 
 
 @kernel
 def _draw(rays: Array, side: Array, face: _Face, inverse: Float32Array, triangle: NDArray[np.int32]) -> None:
-    """Assign to a triangle the rays that it hits first so far, without branches so that it is vectorised.
+    """Assign to a triangle the rays for which it is the nearest so far; without branches, to be vectorised.
 
     Args:
         rays: ``GridArrays.components``, shape (3, rows, columns).

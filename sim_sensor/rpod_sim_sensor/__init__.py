@@ -1,6 +1,6 @@
 """Emulated sensors: a LIDAR and a PMD camera on one ray caster.
 
-Pure functions of poses, configuration and a seed: no bus, no clock, no logger.
+They are pure functions of poses, configuration and a seed; they use no bus, no clock and no logger.
 """
 
 from rpod_schemas.kernel_cache import watch_callees

@@ -1,4 +1,4 @@
-"""Noise that depends on the frame, not on the run: the same in whatever order frames are made."""
+"""Noise that depends only on seed, sensor and frame: it is the same in whatever order frames are made."""
 
 import zlib
 

@@ -29,10 +29,10 @@ _FULLEST = 0.95
 
 
 class UnknownWorldError(SimSensorError):
-    """Raised for an unknown world."""
+    """There is no world of this name."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(f"world is {name!r}, needs one of {', '.join(WORLDS)}")
+        super().__init__(f"world is {name!r}; it must be one of {', '.join(WORLDS)}")
 
 
 class SurfaceWorld(Config):

@@ -1,7 +1,7 @@
 """The target: shape, materials, wireframe, model points, distance field and mass properties.
 
-A target is defined by a parameter file; three kinds ship with the package. Building one takes seconds and
-needs Open3D. The result is cached by its digest, so that a service starts in milliseconds without Open3D.
+A target is defined by a parameter file; some are shipped with the package. Building a target takes seconds
+and needs Open3D. The result is cached by its digest, so that a service starts in milliseconds without Open3D.
 """
 
 from rpod_target.errors import TargetError

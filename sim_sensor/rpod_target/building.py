@@ -1,4 +1,4 @@
-"""Building a target's arrays from its parameters: the slow half, which needs Open3D."""
+"""Builds a target's arrays from its parameters: the slow part of loading, which needs Open3D."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -84,7 +84,8 @@ def _placed(part: PartParameters, meshes: Mapping[str, bytes], *, source: str, f
         raise TargetError(
             source,
             f"{field}.file",
-            "a closed surface holds no volume, or its triangles run clockwise seen from outside",
+            "a closed surface has no volume, or its triangles run clockwise seen from outside; correct the "
+            "mesh, or reverse the order of its corners",
         )
     return placed
 
@@ -153,7 +154,8 @@ def _field_arrays(
         raise TargetError(
             source,
             "distance_field.spacing_m",
-            f"{spacing_m} m makes a grid of {shape.prod():.2g} nodes; at most {_MOST_NODES:.2g}",
+            f"{spacing_m} m gives a grid of {shape.prod():.2g} nodes, at most {_MOST_NODES:.2g} are allowed; "
+            "increase it",
         )
     field = bodies.distance_field(origin_m=origin_m, spacing_m=spacing_m, shape=shape.astype(int).tolist())
     return {"field_origin_m": field.origin_m, "field_values": field.values}

@@ -11,7 +11,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target.target import DistanceField
 
 _RAYS = 3
-"""Number of rays in the inside test, which vote, since a ray through an edge may be wrong."""
+"""Number of rays in the inside test; the majority decides, because a ray through an edge may be wrong."""
 
 
 class Bodies:

@@ -23,7 +23,7 @@ _BUILDER_VERSION = 4
 
 
 def shipped_targets() -> tuple[str, ...]:
-    """Return the names of the targets that ship with the package, sorted."""
+    """Return the names of the shipped targets, sorted."""
     return tuple(sorted(file.stem for file in _SHIPPED.glob("*.yaml")))
 
 
@@ -45,7 +45,7 @@ def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Targe
     arrays = store.read(file)
     if arrays is None:
         arrays = _build(parameters, meshes, path)
-        with contextlib.suppress(OSError):  # a full or read-only disk costs the next start time, nothing more
+        with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
             store.write(file, arrays)
     return _assemble(parameters, arrays, source=path, digest=digest)
 

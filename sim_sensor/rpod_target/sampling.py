@@ -18,7 +18,7 @@ _ROUNDS = 6
 _APART = 3.0
 """Weight of the normals, in pitches, while cells are halved, so that opposite faces are separated early."""
 _PLASTIC = 1.32471795724474602596
-"""Root of x^3 = x + 1: its powers make the evenest known additive sequence in the plane (Roberts, 2018)."""
+"""Root of x^3 = x + 1: its powers give the most even additive sequence known in the plane (Roberts, 2018)."""
 
 
 def sample_evenly(
@@ -26,8 +26,8 @@ def sample_evenly(
 ) -> tuple[FloatArray, FloatArray]:
     """Return about ``count`` points on the surface and their normals, shapes (N, 3); deterministic.
 
-    Each point represents an equal share of the area that ``hidden(points, normals)`` leaves. Cells are
-    formed in position and normal, so that the two faces of a thin panel do not share one.
+    Each point represents an equal share of the area where ``hidden(points, normals)`` is false. Cells are
+    formed in position and normal, so that no cell covers both faces of a thin panel.
     """
     points_m, normals = _candidates(triangles_m, _CANDIDATES_A_POINT * count)
     seen = ~hidden(points_m, normals)
@@ -67,7 +67,7 @@ def _equal_cells(points: FloatArray, members: Indices, count: int) -> list[Indic
 def _lloyd(means: FloatArray, points: FloatArray) -> Indices:
     """Return the points, among (M, D), nearest to the centres of their cells, from first centres, (N, D).
 
-    Centres are points of the surface in every round, so that a cell that began across an edge takes a side.
+    The centres are points of the surface in every round, so that a cell across an edge moves to one side.
     """
     tree = cKDTree(points)
     for _ in range(_ROUNDS):

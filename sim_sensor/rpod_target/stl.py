@@ -16,14 +16,14 @@ def read_stl(content: bytes) -> FloatArray:
     """Return the triangles of an STL file's content, shape (T, 3, 3), without those of zero area.
 
     Raises:
-        ValueError: the content is wrong; the text, made to follow the file's name, says how.
+        ValueError: the content is wrong; the text continues a sentence that begins with the file's name.
     """
     corners = _read_binary(content) if _is_binary(content) else _read_text(content)
     if not np.isfinite(corners).all():
-        raise ValueError("holds a coordinate that is not finite")
+        raise ValueError("contains a coordinate that is not finite")
     corners = corners[areas_m2(corners) > 0.0]
     if not len(corners):
-        raise ValueError("holds no triangle of an area greater than zero")
+        raise ValueError("contains no triangle with an area greater than zero")
     return corners
 
 
@@ -46,4 +46,4 @@ def _read_text(content: bytes) -> FloatArray:
     try:
         return np.array(vertices).astype(np.float64).reshape(-1, 3, 3)
     except ValueError as error:
-        raise ValueError("holds a coordinate that is no number") from error
+        raise ValueError("contains a coordinate that is not a number") from error

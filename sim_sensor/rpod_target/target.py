@@ -13,8 +13,8 @@ from rpod_target.errors import TargetError
 Int32Array = NDArray[np.int32]
 
 Albedo = Literal["dark", "grey", "white", "mirror"]
-"""Class of brightness that is visible without instruments: solar cells and black paint, painted panels, white
-paint, foil and bare metal."""
+"""Class of brightness, visible without instruments: dark for solar cells and black paint, grey for painted
+panels, white for white paint, mirror for foil and bare metal."""
 
 _MIRROR_F0, _DARK, _GREY = 0.5, 0.2, 0.5
 """Least specular reflectance of a mirror; reflectivities below which a surface is dark or grey."""
@@ -85,7 +85,7 @@ class Target:
     digest: str
     """SHA-256 of the resolved parameters, the mesh files' bytes and the builder's version."""
     triangles_m: FloatArray
-    """Shape (T, 3, 3), counter-clockwise seen from outside."""
+    """Corners of the triangles, shape (T, 3, 3), counter-clockwise seen from outside."""
     normals: FloatArray
     """Outward unit normals of the triangles, shape (T, 3)."""
     triangle_material: Int32Array
@@ -118,15 +118,15 @@ class Target:
         """Return the distance field.
 
         Raises:
-            TargetError: a part is not closed, so that it has no inside; the text names the part and its open
-                edges.
+            TargetError: a part is not closed, so that it has no inside; the text names the part and the
+                number of its open edges.
         """
         if self.field is None:
             raise TargetError(self.source, "distance_field", self.not_closed)
         return self.field
 
     def turns(self, *, exact: bool = False) -> list[RigidTransform]:
-        """Return the rotations of the symmetries, or of the exact ones alone, without the identity."""
+        """Return the rotations of all symmetries, or only of the exact ones, without the identity."""
         return [
             RigidTransform.from_rotation(
                 Rotation.from_rotvec(2.0 * np.pi * k / symmetry.order * np.array(symmetry.axis))

@@ -44,7 +44,7 @@ def welded(triangles_m: FloatArray) -> Indices:
 def open_edges(triangles_m: FloatArray) -> int:
     """Return the number of directed edges without an opposite one; 0 if the surface is closed."""
     edges = directed_edges(welded(triangles_m))
-    edges = edges[edges[:, 0] != edges[:, 1]]  # of slivers whose corners are one
+    edges = edges[edges[:, 0] != edges[:, 1]]  # leaves out edges of slivers whose corners coincide
     low_first = edges[:, 0] < edges[:, 1]
     _, inverse = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
     balance = np.bincount(inverse.reshape(-1), weights=np.where(low_first, 1.0, -1.0))
@@ -62,14 +62,14 @@ def separate_surfaces(triangles_m: FloatArray) -> list[FloatArray]:
 def edges(triangles_m: FloatArray) -> tuple[FloatArray, Indices]:
     """Return each edge once, shape (E, 2, 3), and the triangles beside it, shape (E, 2).
 
-    An edge with one triangle has it twice; of more than two triangles, two are given.
+    An edge with one triangle has this triangle twice; an edge with more than two triangles has two of them.
     """
     directed = directed_edges(welded(triangles_m))
     unique, first, inverse = np.unique(
         np.sort(directed, axis=1), axis=0, return_index=True, return_inverse=True
     )
     last = np.empty(len(unique), np.int64)
-    last[inverse.reshape(-1)] = np.arange(len(directed))  # the last writer wins
+    last[inverse.reshape(-1)] = np.arange(len(directed))  # the last assignment counts
     triangle, corner = first // 3, first % 3
     segments = np.stack([triangles_m[triangle, corner], triangles_m[triangle, (corner + 1) % 3]], axis=1)
     return segments, np.stack([triangle, last // 3], axis=1)
@@ -84,8 +84,8 @@ def creases(triangles_m: FloatArray, *, angle_rad: float) -> tuple[FloatArray, F
     segments, faces = edges(triangles_m)
     normals = unit_normals(triangles_m)[faces]
     normals[faces[:, 0] == faces[:, 1], 1] *= -1.0
-    sharp = np.einsum("ij,ij->i", normals[:, 0], normals[:, 1]) < np.cos(angle_rad)
-    return segments[sharp], normals[sharp]
+    is_crease = np.einsum("ij,ij->i", normals[:, 0], normals[:, 1]) < np.cos(angle_rad)
+    return segments[is_crease], normals[is_crease]
 
 
 def components(pairs: Indices, *, size: int) -> Indices:

@@ -41,7 +41,7 @@ def test_json_is_one_object_and_the_report_stands_beside_the_trials(tmp_path, ca
     told = {"method": "template-matching", "steps": "60", "ranges": "50", "trials": 3, "seed": 7}
     assert campaign_command("lidar-acquisition", options=told, jobs=1, out=tmp_path, as_json=False) == 0
     said = capsys.readouterr()
-    assert said.err == f"resuming {folder}: 3 of 3 trials are there\n"
+    assert said.err == f"resuming {folder}: 3 of 3 trials are done\n"
     assert str(folder / "report.html") in said.out
 
 
@@ -66,10 +66,10 @@ def test_a_signal_leaves_what_is_done_to_the_next_run_and_no_process_behind(tmp_
         running.send_signal(number)
         _, said = running.communicate(timeout=30.0)
         assert running.returncode == 130
-        assert "interrupted; what is done is kept in" in said.splitlines()[-1]
+        assert "interrupted; the finished trials are kept in" in said.splitlines()[-1]
         assert not psutil.wait_procs(children, timeout=10.0)[1]
-        assert said.startswith("resuming" if kept else "beginning")
-        assert not kept or f"{kept} of 20000 trials are there" in said
+        assert said.startswith("resuming" if kept else "starting")
+        assert not kept or f"{kept} of 20000 trials are done" in said
         kept = trials_in(tmp_path)
 
 

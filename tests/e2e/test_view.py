@@ -64,7 +64,7 @@ def test_a_run_whose_view_is_killed_goes_on_and_leaves_nothing_of_it(start, monk
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     facility = start("mockup-tumbling", "--duration", "4", "--view")
-    facility.stderr.wait_for("view: to be seen in http://127.0.0.1:")
+    facility.stderr.wait_for("view: shown in http://127.0.0.1:")
     facility.await_services()
     (view,) = [
         child for verb, child in facility.services.items() if child.cmdline()[1:4] == ["-m", "rpod", "view"]

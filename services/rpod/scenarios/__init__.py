@@ -1,4 +1,4 @@
-"""The scenarios that ship, and how one is found by name or file."""
+"""The scenarios that are shipped with rpod, and the search for a scenario by name or file."""
 
 from importlib import resources
 from pathlib import Path
@@ -11,16 +11,16 @@ DEFAULT = "mockup-tumbling"
 
 
 def shipped() -> dict[str, Path]:
-    """Return the files of the scenarios that ship, by name."""
+    """Return the files of the shipped scenarios, by name."""
     folder = Path(str(resources.files("rpod.scenarios")))
     return {file.stem: file for file in sorted(folder.glob("*.yaml"))}
 
 
 def find(name: str) -> Scenario:
-    """Return a scenario that ships, by its name, or one of a YAML or TOML file.
+    """Return a shipped scenario by its name, or the scenario in a YAML or TOML file.
 
     Raises:
-        ConfigurationError: there is none, or it is wrong.
+        ConfigurationError: the scenario does not exist, or it is wrong.
     """
     files = shipped()
     if name in files:

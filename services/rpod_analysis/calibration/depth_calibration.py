@@ -1,9 +1,9 @@
 """Calibration of a PMD camera's distances from logged frames with truth: offset and wiggling.
 
-Klionovska et al. 2018 leave this calibration out and blame the missing one for their errors in range. The
-error is fitted as a function of the *true* distance, which carries no noise, so that noise does not flatten
-the waves; the estimator inverts it. Fourth-order waves (a third harmonic of the correlation) are always
-fitted; second and eighth order are kept where the logs cover them and they stand out of their errors.
+Klionovska et al. 2018 have no such calibration, and name that as the cause of their errors in range. The
+error is fitted as a function of the *true* distance, which has no noise, so that noise does not flatten
+the waves; the estimator inverts it. Waves of fourth order (a third harmonic of the correlation) are always
+fitted. Waves of second and eighth order are kept if the logs cover them and they are significant.
 """
 
 import math
@@ -27,26 +27,26 @@ from rpod_schemas.config.depth_calibration import (
 _ORDER = 4
 _FURTHER_ORDERS = (2, 8)
 _PARTS = 8
-"""Parts of a wave that must all be covered."""
+"""Number of parts of a wave, all of which must be covered."""
 _LEAST_IN_PART = 100
-"""Pixels that cover a part."""
+"""Least number of pixels that cover a part."""
 _GATE_M = 0.5
-"""Pixels farther off than this from the median measure something else."""
+"""Greatest difference of an error from the median; pixels beyond it measure another object."""
 _TUKEY = 4.685
-"""Tukey's biweight in robust standard deviations: 95 % efficient for normal errors."""
+"""Width of Tukey's biweight in robust standard deviations: 95 % efficient for normal errors."""
 _ROUNDS = 20
 _LEAST_NOISE_M = 0.01
-"""Pixels of less noise count no more: what is left of their errors is no noise."""
+"""Least noise in the weight of a pixel: with less noise the remaining errors are systematic."""
 _BLOCK = 10
-"""Neighbouring frames share what the model leaves unexplained: so many count as one in standard errors."""
+"""Number of successive frames that count as one in standard errors, since they share unmodelled errors."""
 _SIGNIFICANT = 4.0
-"""Standard errors out of which a further wave must stand."""
+"""Least amplitude of a further wave, in standard errors."""
 _WORTH_M = 0.5e-3
-"""Height below which a further wave is left out."""
+"""Least amplitude of a further wave."""
 _BIN_M = 0.25
 _LEAST_IN_BIN = 30
 _KNOWN_M = 0.005
-"""Standard error beyond which the bias of a range is not known well enough to be told."""
+"""Greatest standard error with which the bias of a range is reported."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,11 @@ class RangeBin:
     to_m: float
     pixels: int
     bias_before_m: float
-    """Median of measured minus true."""
+    """Median of measured minus true distance."""
     bias_after_m: float
-    """The same, calibrated."""
+    """The same after calibration."""
     noise_m: float
-    """Robust standard deviation, calibrated."""
+    """Robust standard deviation after calibration."""
 
     @property
     def bias_sigma_m(self) -> float:
@@ -70,7 +70,7 @@ class RangeBin:
 
 
 def fit(samples: DepthSamples) -> DepthCalibration:
-    """Return the calibration that explains the errors of the pixels.
+    """Return the calibration fitted to the errors of the pixels.
 
     Raises:
         CalibrationError: the distances do not cover the waves of fourth order.
@@ -113,20 +113,20 @@ def range_bins(samples: DepthSamples, calibration: DepthCalibration) -> list[Ran
 
 
 def evidence(samples: DepthSamples, calibration: DepthCalibration) -> CalibrationEvidence:
-    """Return how well a calibration does on pixels, its own or others.
+    """Return the errors before and after a calibration on pixels, its own or others.
 
     Raises:
-        CalibrationError: the pixels are of a camera with another modulation frequency.
+        CalibrationError: the pixels are of a camera with another modulation frequency, or there are too few.
     """
     if not np.array_equal(samples.modulation_frequency_hz, calibration.modulation_frequency_hz):
         raise CalibrationError(
             f"modulation_frequency_hz is {samples.modulation_frequency_hz} in the logs, "
-            f"{calibration.modulation_frequency_hz} in the calibration"
+            f"{calibration.modulation_frequency_hz} in the calibration; calibrate for this frequency"
         )
     bins = [part for part in range_bins(samples, calibration) if part.bias_sigma_m < _KNOWN_M]
     if not bins:
         raise CalibrationError(
-            f"{samples.true_m.size} pixels on faces of the target are too few, or too noisy"
+            f"{samples.true_m.size} pixels on faces of the target are too few, or too noisy; give more logs"
         )
     after_m = _error_after(samples, calibration)
     usable = np.abs(samples.error_m - np.median(samples.error_m)) < _GATE_M
@@ -168,7 +168,7 @@ def _require_coverage(samples: DepthSamples, hertz: float, order: int) -> None:
         raise CalibrationError(
             f"distances from {samples.true_m.min():.2f} to {samples.true_m.max():.2f} m cover {covered} of "
             f"the {_PARTS} parts of a wave of {period_m:.2f} m ({hertz / 1e6:g} MHz): "
-            "move the target by at least that"
+            "the target must move by at least this length"
         )
 
 
@@ -203,7 +203,7 @@ def _fit(samples: DepthSamples, orders: Sequence[tuple[float, int]]) -> DepthCal
 def _solve(design: FloatArray, error_m: FloatArray, true_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients and weights of a regression with Tukey's biweight, iteratively reweighted.
 
-    Noise grows with the distance, so residuals are measured in the robust spread of their range.
+    Noise grows with the distance, so residuals are divided by the robust spread at their range.
     """
     weights: FloatArray = (np.abs(error_m - np.median(error_m)) < _GATE_M).astype(np.float64)
     number = np.unique(_bin_of(true_m), return_inverse=True)[1]

@@ -1,8 +1,8 @@
 """Measured and true distances of a logged PMD camera, at pixels on the target's faces.
 
-The target is rendered at the true pose along every pixel's ray. A pixel counts where its surroundings see the
-same plane, not at a grazing angle, in sufficient light and below saturation: at outlines the light of two
-surfaces mixes, and what is dark measures the lens's stray light.
+The target is rendered at the true pose along every pixel's ray. A pixel counts if the pixels around it show
+the same plane, not at a grazing angle, in sufficient light and below saturation. At outlines the light of two
+surfaces mixes, and dark pixels measure the lens's stray light.
 """
 
 from collections.abc import Iterator
@@ -27,20 +27,21 @@ from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import Target, TargetError, load_target
 
 _MOST_IN_FRAME = 400
-"""Pixels taken of a frame, evenly: near frames, which have many, shall not outweigh far ones."""
+"""Greatest number of pixels of a frame, taken evenly, so that near frames with many do not outweigh far
+ones."""
 _SAME_PLANE_PX = 5
-"""Side of the square around a pixel in which all rays meet its plane."""
+"""Side of the square around a pixel in which all rays must hit its plane."""
 _LEAST_COSINE = 0.35
-"""Least cosine of the angle of incidence; beyond 70 deg a pose error is tripled."""
+"""Least cosine of the angle of incidence; beyond 70 deg a pose error has three times the effect."""
 _LEAST_AMPLITUDE = 0.3
-"""Share of the median amplitude of the target's pixels."""
+"""Least amplitude, as a share of the median amplitude of the target's pixels."""
 _MOST_SATURATION = 0.9
-"""Share of the saturated amplitude."""
+"""Greatest amplitude, as a share of the saturated amplitude."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthSamples:
-    """N pixels of a camera."""
+    """Measured and true distances of N pixels of a camera."""
 
     modulation_frequency_hz: tuple[float, ...]
     target: str
@@ -48,13 +49,13 @@ class DepthSamples:
     true_m: FloatArray
     """Radial distance of the surface, shape (N,)."""
     error_m: FloatArray
-    """Measured minus true radial distance, to the nearest multiple of c / 2f, shape (N,)."""
+    """Measured minus true radial distance, modulo c / 2f around 0, shape (N,)."""
     frame: NDArray[np.int64]
-    """Number of the pixel's frame over all logs, shape (N,), rising."""
+    """Number of each pixel's frame, counted over all logs, rising, shape (N,)."""
 
     @property
     def frames(self) -> int:
-        """Frames that contribute."""
+        """Number of frames that contribute."""
         return int(np.unique(self.frame).size)
 
 
@@ -63,13 +64,13 @@ def collect(logs: list[Log], camera: str) -> DepthSamples:
 
     Raises:
         CalibrationError: a log lacks the camera, its mount, its frequency, the target or the truth; or two
-            are of different cameras or targets.
+            logs have different cameras or targets.
     """
     parts = [_of_log(log, camera) for log in logs]
     for field in ("modulation_frequency_hz", "target"):
-        told = {getattr(part, field) for part in parts}
-        if len(told) > 1:
-            raise CalibrationError(f"the logs differ in {field}: {' and '.join(map(str, sorted(told)))}")
+        values = {getattr(part, field) for part in parts}
+        if len(values) > 1:
+            raise CalibrationError(f"the logs differ in {field}: {' and '.join(map(str, sorted(values)))}")
     firsts = np.cumsum([0, *(part.frame.max() + 1 for part in parts)])
     return DepthSamples(
         modulation_frequency_hz=parts[0].modulation_frequency_hz,
@@ -85,10 +86,12 @@ def _of_log(log: Log, camera: str) -> DepthSamples:
     name = log.paths[0].name
     sensor = find_sensors(log).get(camera)
     if sensor is None or sensor.kind != "pmd":
-        raise CalibrationError(f"{name}: no frames of a PMD camera called {camera!r}")
+        raise CalibrationError(
+            f"{name}: no frames of a PMD camera called {camera!r}; give its name with --camera"
+        )
     if sensor.T_chaser_sensor is None:
         raise CalibrationError(
-            f"{name}: neither tf_static nor the configuration tells the mount of {camera!r}"
+            f"{name}: neither tf_static nor the configuration in the log gives the mount of {camera!r}"
         )
     frequencies_hz = _frequencies(log, camera)
     target = _target(log)
@@ -103,7 +106,7 @@ def _of_log(log: Log, camera: str) -> DepthSamples:
         raise CalibrationError(f"{name}: {error}") from error
     if not pixels:
         raise CalibrationError(
-            f"{name}: no frame of {camera!r} shows a face of the target where it should be"
+            f"{name}: no frame of {camera!r} shows a face of the target at the true pose; check the mount"
         )
     number, true_m, error_m = zip(*pixels, strict=True)
     return DepthSamples(
@@ -122,10 +125,10 @@ def _frequencies(log: Log, camera: str) -> tuple[float, ...]:
         return tuple(info.modulation_frequency_hz.tolist())
     for entry in _configured_sensors(log, camera):
         field = "dual_frequencies_hz" if entry.get("profile") == "dual" else "modulation_frequency_hz"
-        if told := entry.get(field):
-            return tuple(np.atleast_1d(told).tolist())
+        if value := entry.get(field):
+            return tuple(np.atleast_1d(value).tolist())
     raise CalibrationError(
-        f"{log.paths[0].name}: neither {camera}/info nor the configuration tells modulation_frequency_hz"
+        f"{log.paths[0].name}: neither {camera}/info nor the configuration gives modulation_frequency_hz"
     )
 
 
@@ -137,7 +140,7 @@ def _configured_sensors(log: Log, camera: str) -> Iterator[dict[str, Any]]:
 def _target(log: Log) -> Target:
     names = [service["target"] for service in log.configuration.values() if service.get("target")]
     if not names:
-        raise CalibrationError(f"{log.paths[0].name}: the log does not say which target it is")
+        raise CalibrationError(f"{log.paths[0].name}: no configuration in the log names the target")
     try:
         return load_target(names[0])
     except TargetError as error:
@@ -164,12 +167,12 @@ class _Reference:
     ) -> None:
         self._target, self._T_sensor_chaser, self._truth = target, T_chaser_sensor.inv(), truth
         self._plane = _planes(target)
-        one = len(frequencies_hz) == 1  # else the camera has unwrapped
+        one = len(frequencies_hz) == 1  # with two, the camera itself has unwrapped
         self._interval_m = unambiguous_range_m(frequencies_hz[0]) if one else np.inf
         self._seen: tuple[Camera, RayGrid] | None = None
 
     def compare(self, frame: PmdFrame) -> tuple[FloatArray, FloatArray] | None:
-        """Return true distance and error of a frame's good pixels; None where there are none, or no truth."""
+        """Return true distance and error of a frame's usable pixels; None without such pixels or truth."""
         poses, known = interpolate(self._truth, np.array([frame.stamp_ns]))
         if not known[0]:
             return None

@@ -1,4 +1,4 @@
-"""Reading logs: files, topics, sensors, the services' counts, completeness, messages that cannot be read."""
+"""Reading of logs: files, topics, sensors, counts of the services, completeness, unreadable messages."""
 
 from rpod_analysis.log.log import Log, Logged, TopicInfo, is_latched, open_log
 

@@ -1,4 +1,4 @@
-"""Counts of messages: published, in the log, missed; and the services' own counters."""
+"""Counts of messages (published, in the log, missed), and the services' own counters."""
 
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
@@ -12,11 +12,11 @@ _PUBLISHED = "published/"
 _DROPPED = "dropped"
 _INCOMPLETE = "incomplete"
 _PASSED_OVER = (f"{_DROPPED}/", f"{_INCOMPLETE}/")
-"""Counters of each sensor: frames complete but not the newest, and frames never complete."""
+"""Counters of each sensor: complete frames that a newer one replaced, and frames that were never complete."""
 _COMMANDS = "commands/"
 _MOST_COMMANDS = 12
 _MOST_ALARMS = 100
-"""Kinds of alarms that are told apart."""
+"""Largest number of kinds of alarms that are counted separately."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Command:
     service: str
     verb: str
     request: str
-    """JSON."""
+    """The request as JSON."""
 
 
 @dataclass(frozen=True)
@@ -39,20 +39,20 @@ class SensorFlow:
     accepted: int
     rejected: int
     dropped: int
-    """Complete, and passed over in favour of a newer one."""
+    """Number of complete frames that a newer one replaced before they were processed."""
     incomplete: int
-    """Never complete before a newer one was."""
+    """Number of frames that were not complete when a newer one was."""
 
     @property
     def rest(self) -> int:
-        """Number of frames without an outcome: the estimator did not run, or they were lost on the way."""
-        told = self.accepted + self.rejected + self.dropped + self.incomplete
-        return max(self.published - told, 0)
+        """Number of frames without an outcome: the estimator did not run, or they were lost on the bus."""
+        with_outcome = self.accepted + self.rejected + self.dropped + self.incomplete
+        return max(self.published - with_outcome, 0)
 
 
 @dataclass
 class Account:
-    """Counts a log's messages and reads the services' diagnostics, in the order of arrival."""
+    """Counts of a log's messages, and the services' diagnostics, in the order of arrival."""
 
     logged: Counter[str] = field(default_factory=Counter)
     first: dict[str, int] = field(default_factory=dict)
@@ -60,9 +60,9 @@ class Account:
     last: dict[str, int] = field(default_factory=dict)
     """Highest sequence number, by topic."""
     counters: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
-    """Last value of every counter, by service; the lives of a service that was restarted add up."""
+    """Last value of every counter, by service; the counts before and after a restart are added."""
     alarms: Counter[str] = field(default_factory=Counter)
-    """Diagnostics of level ERROR by service and text; the first kinds only."""
+    """Number of diagnostics of level ERROR, by service and text; the first kinds only."""
     commands: list[Command] = field(default_factory=list)
     """Commands that services accepted, the first ones only."""
     command_count: int = 0
@@ -76,7 +76,7 @@ class Account:
         self.last[name] = max(sequence, self.last.get(name, sequence))
 
     def hear(self, diagnostic: Diagnostic) -> None:
-        """Add a service's counters, and its alarm if it raises one."""
+        """Add a service's counters, and its alarm if the level is ERROR."""
         if diagnostic.level == Health.ERROR:
             alarm = f"{diagnostic.name}: {diagnostic.message}"
             known = alarm in self.alarms or len(self.alarms) < _MOST_ALARMS
@@ -100,8 +100,9 @@ class Account:
     def frames(self) -> dict[str, FrameCount]:
         """Return the counts of every topic in the log.
 
-        Published is what the publishers counted, else the highest sequence number. What a publisher had sent
-        before it could still be recovered (its cache is 90 messages) was before the log's time.
+        The number of published messages is that of the publishers' counters, or otherwise the highest
+        sequence number. Messages from before the log, which the publisher's cache of 90 messages no longer
+        held, do not count as missed.
         """
         counts: dict[str, FrameCount] = {}
         for topic, logged in sorted(self.logged.items()):
@@ -113,7 +114,7 @@ class Account:
         return counts
 
     def dropped(self, status_topic: str) -> int:
-        """Return the frames that the estimator passed over: the one that publishes this status."""
+        """Return the number of frames that the estimator that publishes this status dropped."""
         total = 0
         for counters in self.counters.values():
             if _PUBLISHED + status_topic in counters:
@@ -122,7 +123,7 @@ class Account:
         return total
 
     def passed_over(self, status_topic: str, sensor: str) -> tuple[int, int]:
-        """Return a sensor's frames that were dropped and incomplete at the estimator of this status."""
+        """Return the numbers of a sensor's dropped and incomplete frames at the estimator of this status."""
         mine = [counters for counters in self.counters.values() if _PUBLISHED + status_topic in counters]
         dropped, incomplete = (
             sum(counters[f"{kind}/{sensor}"] for counters in mine) for kind in (_DROPPED, _INCOMPLETE)

@@ -33,9 +33,9 @@ class FileCompleteness:
     complete: bool | None
     """None if the file has no record: another program or an old version of the logger wrote it."""
     reasons: tuple[str, ...]
-    """Why the file is not complete, a sentence each."""
+    """Reasons why the file is not complete, a sentence each."""
     continues: str | None = None
-    """Name of the file at whose last message this one begins."""
+    """Name of the file after whose last message this one begins."""
     clock_jumps_s: tuple[float, ...] = ()
 
 
@@ -50,17 +50,19 @@ class CheckedCompleteness:
     @property
     def complete(self) -> bool | None:
         """Whether the log holds every message published while it was open; None if no record says so."""
-        said = [file.complete for file in self.files]
-        if False in said or self.between:
+        answers = [file.complete for file in self.files]
+        if False in answers or self.between:
             return False
-        return None if None in said else True
+        return None if None in answers else True
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why the log is not complete, a sentence each, with the file's name if there are several."""
+        """Reasons why the log is not complete, a sentence each, with the file's name if there are several."""
         one = len(self.files) == 1
-        told = (reason if one else f"{file.name}: {reason}" for file in self.files for reason in file.reasons)
-        return (*told, *self.between)
+        within = (
+            reason if one else f"{file.name}: {reason}" for file in self.files for reason in file.reasons
+        )
+        return (*within, *self.between)
 
     def summary(self) -> LogCompleteness:
         """Return the completeness in the form of ``summary.json``."""
@@ -71,12 +73,12 @@ def check_log_completeness(log: Log) -> CheckedCompleteness:
     """Return the completeness that a log records, checked against its content."""
     files = tuple(_of_file(file) for file in log.files)
     between = [
-        f"nothing says that {after.name} begins where {before.name} ends"
+        f"{after.name} does not state that it continues {before.name}"
         for before, after in pairwise(files)
         if after.complete is not None and after.continues != before.name
     ]
     if files[0].continues:
-        between.insert(0, f"{files[0].name} goes on from {files[0].continues}, which is not here")
+        between.insert(0, f"{files[0].name} continues {files[0].continues}, which is missing")
     return CheckedCompleteness(files, tuple(between))
 
 
@@ -90,17 +92,22 @@ def _of_file(file: LogFile) -> FileCompleteness:
         return FileCompleteness(name, messages, None, ())
     try:
         counts = file.metadata(COUNTS)
-        said = check_completeness(statement, counts, _counted(file))
-        said = said.with_reasons(tuple(_count_again(file.metadata(PUBLISHERS), counts)))
+        checked = check_completeness(statement, counts, _counted(file))
+        checked = checked.with_reasons(tuple(_count_again(file.metadata(PUBLISHERS), counts)))
     except ValueError:
         return FileCompleteness(name, messages, False, ("its record of completeness cannot be read",))
     return FileCompleteness(
-        name, messages, said.complete, said.reasons, said.continues, clock_jumps_s=said.clock_jumps_s
+        name,
+        messages,
+        checked.complete,
+        checked.reasons,
+        checked.continues,
+        clock_jumps_s=checked.clock_jumps_s,
     )
 
 
 def _of_recovery(recovery: Recovery) -> tuple[str, ...]:
-    """Return what recovery could not bring back."""
+    """Return the losses that remain after a recovery."""
     reasons = [] if recovery.closed else ["recovered from a log that was not closed: its end is not known"]
     if recovery.unreadable_bytes:
         reasons.append(
@@ -108,22 +115,24 @@ def _of_recovery(recovery: Recovery) -> tuple[str, ...]:
             f"in {recovery.damaged_places} places"
         )
     if recovery.without_definition:
-        reasons.append(f"{recovery.without_definition} messages left out for want of their definition")
+        reasons.append(
+            f"{recovery.without_definition} messages are left out, because their channel is not defined"
+        )
     reasons += [f"{name}: about {topic.lost} lost" for name, topic in recovery.topics.items() if topic.lost]
     return tuple(reasons)
 
 
 def _count_again(publishers: Mapping[str, str], counts: Mapping[str, str]) -> Iterator[str]:
-    """Tell where the publishers' sequence numbers contradict the account. Raises ``ValueError``."""
+    """Yield the differences between the publishers' numbers and the counts. Raises ``ValueError``."""
     for topic, text in publishers.items():
         runs, count = _NUMBERS.validate_json(text), TopicCount.model_validate_json(counts.get(topic, "{}"))
         held = sum(run.messages for run in runs)
         gaps = sum(run.last - run.first + 1 - run.messages for run in runs)
-        told = count.missed + count.lost + count.rejected
+        counted = count.missed + count.lost + count.rejected
         if held != count.written:
-            yield f"{topic}: {held} written by its publishers' numbers, {count.written} by its account"
-        if gaps > told:
-            yield f"{topic}: {gaps} missing in its publishers' numbers, {told} by its account"
+            yield f"{topic}: {held} written by its publishers' numbers, {count.written} by the logger's count"
+        if gaps > counted:
+            yield f"{topic}: {gaps} missing in its publishers' numbers, {counted} by the logger's count"
 
 
 def _counted(file: LogFile) -> Counter[str]:

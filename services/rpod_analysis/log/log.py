@@ -1,7 +1,7 @@
 """Opening a log: topics, messages and metadata of one or several MCAP files (ICD section 5).
 
-Nothing is read before it is asked for; a slice of time costs only the chunks that it touches.
-Several files, or those of a folder, are the parts of one run: they are read as one log, in the order
+Data are read only when they are needed; for a slice of time only the chunks that overlap it are read.
+Several files, or those of a folder, are the parts of one run. They are read as one log, in the order
 of arrival.
 """
 
@@ -29,7 +29,8 @@ from rpod_schemas.topics import ESTIMATE, STATUS, TF_STATIC, TOPICS, Topic
 from rpod_schemas.types import EstimatorStatus, Odometry
 
 _MOST_LATCHED = 64
-"""Latched messages of a topic, one of each publisher, that may come again at the beginning of a file."""
+"""Largest number of latched messages of a topic, one per publisher, that a file may repeat at its
+beginning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,17 +39,17 @@ class Logged:
 
     topic: str
     type: str
-    """ROS 2 type, as ``sensor_msgs/msg/Image``."""
+    """ROS 2 type, for example ``sensor_msgs/msg/Image``."""
     log_ns: int
-    """Arrival at the logger."""
+    """Time of arrival at the logger, ns."""
     publish_ns: int
-    """Source stamp of the attachment."""
+    """Source stamp in the attachment, ns."""
     sequence: int
-    """Sequence number of the attachment."""
+    """Sequence number in the attachment."""
     payload: bytes
 
     def decode(self) -> Any:
-        """Return the ROS message, its arrays views of the payload; raises ``MessageRejectedError``."""
+        """Return the ROS message, whose arrays are views of the payload. Raises ``MessageRejectedError``."""
         return decode(memoryview(self.payload), self.type)
 
 
@@ -58,37 +59,38 @@ class TopicInfo:
 
     type: str
     count: int
-    """Messages in the log's files."""
+    """Number of messages in the log's files."""
 
 
 def open_log(path: Path | str, *more: Path | str, namespace: str = "") -> "Log":
     """Open a log: a file, a folder, or several of either that are read as one.
 
-    Nothing but the files' summaries is read. Logs of others, as rosbag2 writes them, have the same topics.
+    Only the files' summaries are read. Logs of other programs with the same topics, such as rosbag2's, work
+    too.
 
     Args:
-        path: MCAP file, or a folder of them, in which a recovered log stands for the damaged one, and
+        path: MCAP file, or a folder of them. In a folder a recovered log replaces the damaged one, and
             replays are left out.
         more: further files or folders.
-        namespace: ROS namespace of the topics, where the log's own configuration does not tell.
+        namespace: ROS namespace of the topics, if the configuration in the log does not contain it.
 
     Raises:
-        AnalysisError: a file is missing, no MCAP, or truncated.
+        AnalysisError: a file is missing, truncated, or not an MCAP file.
     """
     return Log(path, *more, namespace=namespace)
 
 
 class Log:
-    """A log that is open; close it by ``with``."""
+    """An open log; use it in a ``with`` statement, which closes it."""
 
     def __init__(self, *paths: Path | str, namespace: str = "") -> None:
         self.unreadable = Unreadable()
-        """Messages that could not be read so far, by whoever asked for them."""
+        """Messages that could not be read so far, by any reader of this log."""
         self._given_namespace = namespace.strip("/")
         with ExitStack() as stack:
             files = [file for path in paths for file in files_of(Path(path))]
             parts = [open_file(file, stack) for file in files]
-            # By their ends: a part may open with latched messages from before the one before it.
+            # Sorted by their ends: a part may begin with latched messages older than the part before it.
             self._parts = sorted(parts, key=lambda part: part.statistics.message_end_time)
             self._stack = stack.pop_all()
 
@@ -107,10 +109,10 @@ class Log:
 
     @property
     def files(self) -> tuple[LogFile, ...]:
-        """The files themselves, open, in the order of time."""
+        """The open files, in the order of time."""
         return tuple(self._parts)
 
-    # --- what is there ---
+    # --- content ---
 
     @cached_property
     def topics(self) -> dict[str, TopicInfo]:
@@ -128,12 +130,12 @@ class Log:
 
     @cached_property
     def start_ns(self) -> int:
-        """Arrival of the first message; 0 in a log without any."""
+        """Time of arrival of the first message, ns; 0 in a log without messages."""
         return min((part.message_start_time for part in self._filled), default=0)
 
     @cached_property
     def end_ns(self) -> int:
-        """Arrival of the last message; 0 in a log without any."""
+        """Time of arrival of the last message, ns; 0 in a log without messages."""
         return max((part.message_end_time for part in self._filled), default=0)
 
     @property
@@ -142,7 +144,7 @@ class Log:
 
     @cached_property
     def configuration(self) -> dict[str, dict[str, Any]]:
-        """The resolved configuration of every service, by instance; what is no JSON object is left out."""
+        """The resolved configuration of every service, by instance; invalid ones are left out."""
         found: dict[str, dict[str, Any]] = {}
         for name, text in self.metadata(CONFIGURATION).items():
             try:
@@ -152,11 +154,11 @@ class Log:
             if isinstance(model, dict):
                 found[name] = model
             else:
-                self.unreadable.note(CONFIGURATION, Reason.MALFORMED, f"{name}: is no JSON object")
+                self.unreadable.note(CONFIGURATION, Reason.MALFORMED, f"{name}: is not a JSON object")
         return found
 
     def metadata(self, record: str) -> dict[str, str]:
-        """Return a metadata record, empty where there is none; what was written later counts."""
+        """Return a metadata record, empty if there is none; later values replace earlier ones."""
         values: dict[str, str] = {}
         for part in self._parts:
             values |= part.metadata(record)
@@ -164,7 +166,7 @@ class Log:
 
     @cached_property
     def counts(self) -> dict[str, TopicCount]:
-        """The logger's account by topic, over all files that were closed."""
+        """The logger's counts by topic, over all files that were closed."""
         totals: dict[str, Counter[str]] = defaultdict(Counter)
         for part in self._parts:
             for topic, text in part.metadata(COUNTS).items():
@@ -189,15 +191,15 @@ class Log:
         """Iterate over messages in the order of arrival.
 
         Args:
-            topics: of which topics; of all where none is named.
-            start_ns: arrival of the first message.
-            end_ns: all messages arrived before this.
+            topics: topics to read; all topics if none is named.
+            start_ns: time of arrival from which messages are read.
+            end_ns: time of arrival before which messages are read.
 
         Raises:
-            DamagedLogError: the file cannot be read there.
+            DamagedLogError: the file has damaged bytes in this part.
         """
         names = {topic.name if isinstance(topic, Topic) else topic for topic in topics}
-        latched: dict[str, deque[tuple[int, int]]] = {}  # each file opens with the latched messages again
+        latched: dict[str, deque[tuple[int, int]]] = {}  # each file repeats the latched messages
         parts = [self._messages_of(part, names, start_ns, end_ns) for part in self._parts]
         for logged in heapq.merge(*parts, key=lambda logged: logged.log_ns):
             if is_latched(logged.topic):
@@ -247,7 +249,7 @@ class Log:
                 yield read_status(logged.decode())
 
     def _name(self, channel_topic: str) -> str:
-        """Return a topic's name as the ICD writes it: no leading slash, no namespace."""
+        """Return a topic's name as in the ICD, without leading slash and namespace."""
         return channel_topic.removeprefix("/").removeprefix(self._namespace)
 
     @cached_property
@@ -262,7 +264,7 @@ class Log:
 
 
 def is_latched(name: str) -> bool:
-    """Return whether the ICD has a topic latched."""
+    """Return whether a topic is latched according to the ICD."""
     kind = name.split("/", 1)[-1]
     return any(
         topic.latched and (topic.name == name or topic.name in (f"<camera>/{kind}", f"<lidar>/{kind}"))

@@ -1,4 +1,4 @@
-"""One file of a log, or all files of a folder: what can be opened, and what is wrong where it cannot."""
+"""Opening of a file of a log, or of all files of a folder, with an error that names the defect."""
 
 import struct
 import zlib
@@ -24,21 +24,21 @@ SUFFIX, RECOVERED, REPLAY = ".mcap", ".recovered", ".replay"
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = struct.Struct("<QQI")
-"""Beginning of the summary and of its offsets, checksum over all from there up to itself."""
+"""Footer: beginning of the summary, beginning of its offsets, checksum from the summary up to here."""
 _CHUNK = struct.Struct("<BQQQQ")
-"""Opcode, length, first and last time, size of the content; checksum and compression follow."""
+"""Chunk: opcode, length, first and last time, size of the content; checksum and compression follow."""
 _FRAME_BYTES = 9
 _DAMAGE = (McapError, RuntimeError, ValueError, KeyError, struct.error, EOFError)
 """Exceptions that the MCAP reader and the decompression raise on damaged bytes."""
 
 
 def beside(log: Path, kind: str) -> Path:
-    """Return the file beside a log that holds what was made of it: ``run.replay.mcap`` of ``run.mcap``."""
+    """Return the path of a file derived from a log, beside it: ``run.replay.mcap`` for ``run.mcap``."""
     return log.with_name(f"{log.stem}{kind}{log.suffix}")
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return a file, or a folder's logs: the recovered one in place of a damaged one, replays left out.
+    """Return the file itself, or a folder's logs: recovered ones replace damaged ones, replays are left out.
 
     Raises:
         NoLogError: the folder holds no log.
@@ -55,7 +55,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 class _Guarded:
-    """A file that compares a chunk with its index before the reader has it, which believes the index."""
+    """A file that compares each chunk with its index before it is read, because the reader does not."""
 
     def __init__(self, path: Path, stream: IO[bytes]) -> None:
         self.tell, self.read, self.seekable = stream.tell, stream.read, stream.seekable
@@ -63,11 +63,11 @@ class _Guarded:
         self._chunks: dict[int, ChunkIndex] = {}
 
     def guard(self, chunks: list[ChunkIndex]) -> None:
-        """Know the chunks by where the reader goes for them: behind opcode and length."""
+        """Store the chunks by the offset to which the reader seeks: after opcode and length."""
         self._chunks = {index.chunk_start_offset + _FRAME_BYTES: index for index in chunks}
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Go to a place. Raises ``DamagedLogError`` where a chunk should be and is not."""
+        """Seek to an offset. Raises ``DamagedLogError`` if the chunk that should be there is not."""
         index = self._chunks.get(offset) if whence == 0 else None
         if index is not None:
             self._check(index)
@@ -90,7 +90,7 @@ class _Guarded:
 
 @dataclass(frozen=True)
 class LogFile:
-    """A file that is open."""
+    """An open file of a log."""
 
     path: Path
     reader: McapReader
@@ -99,7 +99,7 @@ class LogFile:
     """Number of messages, and the times of the first and the last one."""
 
     def metadata(self, record: str) -> dict[str, str]:
-        """Return a metadata record, empty where there is none; what was written later counts."""
+        """Return a metadata record, empty if there is none; later values replace earlier ones."""
         values: dict[str, str] = {}
         with reading(self.path):
             for item in self.reader.iter_metadata():
@@ -107,13 +107,13 @@ class LogFile:
         return values
 
     def type_of(self, schema_id: int) -> str:
-        """Return the ROS 2 type of a channel's schema; empty where it has none."""
+        """Return the ROS 2 type of a channel's schema; empty if it has none."""
         schema = self.summary.schemas.get(schema_id)
         return ros_type(schema) if schema else ""
 
 
 def ros_type(schema: Schema) -> str:
-    """Return a schema's type as ``std_msgs/msg/Header``, which some write as ``std_msgs/Header``."""
+    """Return a schema's type in the form ``std_msgs/msg/Header``; some programs write ``std_msgs/Header``."""
     if schema.encoding == SCHEMA_ENCODING and schema.name.count("/") == 1:
         return schema.name.replace("/", "/msg/")
     return schema.name
@@ -121,7 +121,7 @@ def ros_type(schema: Schema) -> str:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn what damaged bytes provoke into ``DamagedLogError``."""
+    """Convert exceptions that damaged bytes cause to ``DamagedLogError``."""
     try:
         yield
     except _DAMAGE as error:
@@ -142,7 +142,7 @@ def open_file(path: Path, stack: ExitStack) -> LogFile:
     if summary is None or summary.statistics is None:
         raise TruncatedLogError(path)
     if not summary_is_whole(stream):
-        raise DamagedLogError(path, "the checksum of its summary does not hold")
+        raise DamagedLogError(path, "the checksum of its summary is wrong")
     guarded.guard(summary.chunk_indexes)
     for schema in summary.schemas.values():
         if schema.encoding == SCHEMA_ENCODING:
@@ -151,7 +151,7 @@ def open_file(path: Path, stack: ExitStack) -> LogFile:
 
 
 def summary_is_whole(stream: IO[bytes]) -> bool:
-    """Return whether the checksum over the summary holds, or is none (MCAP specification, "Footer")."""
+    """Return whether the summary's checksum is right or absent (MCAP specification, "Footer")."""
     stream.seek(-len(MAGIC) - _FOOTER.size, 2)
     end = stream.tell() + _FOOTER.size - 4
     summary_start, _, checksum = _FOOTER.unpack(stream.read(_FOOTER.size))
@@ -160,7 +160,7 @@ def summary_is_whole(stream: IO[bytes]) -> bool:
 
 
 def _check_ends(path: Path, stream: IO[bytes]) -> None:
-    """An MCAP file begins and, once it was closed, ends with the same eight bytes."""
+    """Check that a file begins and ends with the eight bytes of MCAP; the end shows that it was closed."""
     if stream.read(len(MAGIC)) != MAGIC:
         raise NotMcapError(path)
     size = stream.seek(0, 2)

@@ -1,7 +1,7 @@
-"""Checks that a logged message can be read, at the least cost that its type allows.
+"""Checks that a logged message can be read, as fast as its type allows.
 
-A report goes through every message of a log. Poses at 250 Hz and images are checked by their bare numbers;
-what is small or rare is read as a service reads it.
+A report reads every message of a log. Poses at 250 Hz and images are checked by their numbers only; small or
+rare messages are decoded completely, as in a service.
 """
 
 from collections.abc import Callable
@@ -35,11 +35,11 @@ from rpod_schemas.topics import (
 )
 
 _UNIT = 1e-3
-"""Largest distance of a squared quaternion's norm from 1 that needs no closer look."""
+"""Largest difference of a quaternion's squared norm from 1 without a complete check."""
 
 
 def check_message(logged: Logged) -> None:
-    """Raise ``MessageRejectedError`` where a message of the ICD's types cannot be read."""
+    """Raise ``MessageRejectedError`` if a message of a type of the ICD cannot be read."""
     if is_known(logged.type):
         message = logged.decode()
         if read := _READERS.get(logged.type):
@@ -50,12 +50,12 @@ def pose_numbers(pose: Any) -> tuple[float, float, float, float, float, float, f
     """Return x, y, z and the quaternion x, y, z, w of a geometry_msgs/Pose.
 
     Raises:
-        MessageRejectedError: it is no pose.
+        MessageRejectedError: the pose is not valid.
     """
     p, q = pose.position, pose.orientation
     norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
     if not (abs(norm - 1.0) < _UNIT and max(abs(p.x), abs(p.y), abs(p.z)) <= POSITION_M.high):
-        read_pose(pose)  # says what is wrong
+        read_pose(pose)  # raises the error with its reason
     return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
 
 

@@ -1,4 +1,4 @@
-"""The sensors of a log: which there are, where they are mounted, and their frames put together."""
+"""The sensors of a log: their names and kinds, their mounts, and their assembled frames."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -20,7 +20,7 @@ from rpod_schemas.types import LidarScan, PmdFrame, PmdInfo, SensorFrame
 from rpod_schemas.wire import GID_BYTES, Attachment
 
 _MOST_PENDING = 8
-"""Incomplete frames kept while their parts are awaited."""
+"""Largest number of incomplete frames that wait for their parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,20 +29,20 @@ class Sensor:
 
     name: str
     kind: str
-    """As the registry names it: ``pmd``, ``lidar``, or what another package brings."""
+    """Name of the kind in the registry: ``pmd``, ``lidar``, or a kind of another package."""
     T_chaser_sensor: RigidTransform | None
-    """Mount, from tf_static, else from the configuration; None where neither tells."""
+    """Mount, from tf_static, else from the configuration; None if neither contains it."""
 
     @property
     def leading(self) -> Topic:
-        """Topic on which each of its frames has one message."""
+        """Topic that has one message for each frame."""
         return sensor_kind(self.kind).leading.of(self.name)
 
 
 def find_sensors(log: Log) -> dict[str, Sensor]:
-    """Return the sensors of a log by name: by their topics and types, whatever they are called.
+    """Return the sensors of a log by name; they are recognised by the topics and types of their messages.
 
-    Where the topics of two kinds are alike, the configuration in the log decides.
+    If two kinds have the same topics, the configuration in the log decides.
     """
     sensors: dict[str, Sensor] = {}
     configured = _configured_kinds(log.configuration)
@@ -68,7 +68,7 @@ def _configured_kinds(configuration: dict[str, dict[str, Any]]) -> dict[str, str
 
 
 def _frame_id(log: Log, topic: str) -> str:
-    """Return the frame of a topic's first message that can be read; empty where none can."""
+    """Return the frame of reference of a topic's first readable message; empty if there is none."""
     for logged in log.messages(topic):
         with log.unreadable.left_out(logged):
             return str(logged.decode().header.frame_id)
@@ -77,7 +77,7 @@ def _frame_id(log: Log, topic: str) -> str:
 
 def _mount(log: Log, sensor: str, frame_id: str) -> RigidTransform | None:
     T_frame_sensor, frame = RigidTransform.identity(), frame_id
-    for _ in range(len(log.extrinsics) + 1):  # more steps than transforms would be a loop
+    for _ in range(len(log.extrinsics) + 1):  # more steps than transforms mean a loop
         if frame == CHASER:
             return T_frame_sensor
         if frame not in log.extrinsics:
@@ -99,7 +99,7 @@ def _configured_mount(configuration: dict[str, dict[str, Any]], sensor: str) -> 
 
 
 def configured_sensors(service: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the sensors of a service's configuration; what has another form is left out."""
+    """Return the sensors of a service's configuration; entries of another form are left out."""
     entries = service.get("sensors")
     return (
         [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list | tuple) else []
@@ -107,7 +107,7 @@ def configured_sensors(service: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def pmd_info(log: Log, sensor: str) -> PmdInfo | None:
-    """Return what a PMD camera said of itself last; None where it did not, or nothing that can be read."""
+    """Return the last info that a PMD camera published; None if there is none that can be read."""
     info: PmdInfo | None = None
     for logged in log.messages(PMD_INFO.of(sensor)):
         with log.unreadable.left_out(logged):
@@ -116,7 +116,7 @@ def pmd_info(log: Log, sensor: str) -> PmdInfo | None:
 
 
 def as_received(logged: Logged) -> Received:
-    """Return a logged message as it came off the wire."""
+    """Return a logged message in the form in which a service receives it."""
     attachment = Attachment(logged.sequence, logged.publish_ns, bytes(GID_BYTES))
     topic = Topic(logged.topic, logged.type)
     return Received(topic, logged.topic, memoryview(logged.payload), attachment, logged.log_ns, 0.0)
@@ -125,7 +125,7 @@ def as_received(logged: Logged) -> Received:
 def sensor_frames(
     log: Log, sensor: str, kind: str, *, start_ns: int | None = None, end_ns: int | None = None
 ) -> Iterator[SensorFrame]:
-    """Iterate over the frames of a sensor of any kind, put together by stamp; arrival within the slice.
+    """Iterate over the frames of a sensor of any kind, assembled by stamp, that arrived within the slice.
 
     Frames that lack a required part, or that an estimator would refuse, are left out.
     """

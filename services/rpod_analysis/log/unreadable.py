@@ -1,4 +1,4 @@
-"""Messages of a log that cannot be read: they are left out and counted, and nothing ends because of them."""
+"""Messages of a log that cannot be read: they are left out and counted, and the analysis continues."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from rpod_analysis.log.log import Log, Logged
 
 _MOST_REMEMBERED = 100_000
-"""Messages that are known to have been counted, so that none is counted by two readers."""
+"""Largest number of counted messages that are stored, so that two readers do not count a message twice."""
 _SAMPLED = 25
-"""Messages of each topic, its first ones, whose stamps show the clocks of a log."""
+"""Number of first messages of each topic whose stamps show the clocks of a log."""
 _LEAST_OF_A_CLOCK = 3
-"""Fewer sampled stamps that agree are no clock of the log."""
+"""Least number of sampled stamps that agree on a clock of the log."""
 _DAY_NS = 86_400 * NANOSECONDS
 _FASTEST = 1_000
-"""A log in lockstep may be this many times as fast as the wall clock."""
+"""Largest speed of a log in lockstep, in multiples of the wall clock's."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Unreadable:
         self._seen: set[tuple[str, int, int, int]] = set()
 
     def add(self, logged: "Logged", rejection: MessageRejectedError) -> None:
-        """Count a message; one that was counted before is not counted again."""
+        """Count a message, unless it was counted before."""
         identity = logged.topic, logged.log_ns, logged.publish_ns, logged.sequence
         if identity in self._seen:
             return
@@ -61,7 +61,7 @@ class Unreadable:
 
     @contextmanager
     def left_out(self, logged: "Logged") -> Iterator[None]:
-        """Leave a message out where reading it raises ``MessageRejectedError``, and count it."""
+        """Leave a message out, and count it, if reading it raises ``MessageRejectedError``."""
         try:
             yield
         except MessageRejectedError as rejection:
@@ -76,7 +76,7 @@ class Unreadable:
         )
 
     def by_topic(self) -> dict[str, dict[str, int]]:
-        """Return how many there are by topic, then by reason: as in ``summary.json``."""
+        """Return their numbers by topic, then by reason, as in ``summary.json``."""
         counts: dict[str, dict[str, int]] = {}
         for kind in self.kinds:
             counts.setdefault(kind.topic, {})[kind.reason] = kind.count
@@ -84,11 +84,12 @@ class Unreadable:
 
 
 class StampCheck:
-    """Finds stamps that cannot be of a log: days away from every clock that its messages are stamped by.
+    """Finds wrong stamps: those that are days away from every clock by which the log's messages are stamped.
 
-    A log may have several clocks: in lockstep the sensors have that of the scenario, diagnostics the wall
-    clock. So the distances of stamps from arrivals are sampled, and each that several messages agree on is
-    allowed for. One stamp of another year would stretch a run over all the years between.
+    A log may have several clocks: in lockstep the sensors use that of the scenario, diagnostics the wall
+    clock. So the differences between stamp and arrival are sampled, and each difference on which several
+    messages agree is a valid clock. Without this check, one stamp of another year would extend the run over
+    years.
     """
 
     def __init__(self, log: "Log") -> None:
@@ -96,7 +97,7 @@ class StampCheck:
         self._offsets_ns = _offsets_ns(log)
 
     def check(self, logged: "Logged", stamp_ns: int) -> int:
-        """Return a message's stamp. Raises ``MessageRejectedError`` where it cannot be of this log."""
+        """Return a message's stamp. Raises ``MessageRejectedError`` if it cannot belong to this log."""
         offset_ns = stamp_ns - logged.log_ns
         ahead_ns = min((offset_ns - known_ns for known_ns in self._offsets_ns), key=abs)
         if abs(ahead_ns) <= _DAY_NS + _FASTEST * abs(logged.log_ns - self._start_ns):
@@ -104,14 +105,14 @@ class StampCheck:
         days = abs(ahead_ns) / _DAY_NS
         where, reason = ("ahead of", Reason.FUTURE) if ahead_ns > 0 else ("behind", Reason.LATE)
         raise MessageRejectedError(
-            reason, f"stamp {days:,.0f} days {where} the log's other messages; check the publisher's clock"
+            reason, f"stamp is {days:,.0f} days {where} the log's other messages; check the publisher's clock"
         )
 
     def peek(self, logged: "Logged") -> int | None:
-        """Return the checked stamp of a message that begins with one, else None.
+        """Return the checked stamp of a message that begins with one, None for a message of another type.
 
         Raises:
-            MessageRejectedError: there should be a stamp and is none, or it cannot be of this log.
+            MessageRejectedError: the stamp is missing, or it cannot belong to this log.
         """
         if not is_known(logged.type) or not begins_with_stamp(logged.type):
             return None
@@ -119,7 +120,7 @@ class StampCheck:
 
 
 def _offsets_ns(log: "Log") -> list[int]:
-    """Return how far the clocks of a log's stamps are ahead of the arrivals; without any, 0."""
+    """Return how far the clocks of a log's stamps are ahead of the arrivals; 0 if there is no stamp."""
     sampled: list[int] = []
     for name, info in log.topics.items():
         if not is_known(info.type) or not begins_with_stamp(info.type):

@@ -1,4 +1,4 @@
-"""A readable log out of a truncated or damaged one."""
+"""Recovery of a readable log from a truncated or damaged one."""
 
 from rpod_analysis.recovery.recover import recover
 

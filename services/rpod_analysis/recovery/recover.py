@@ -1,4 +1,4 @@
-"""Makes a readable log of a damaged one: copies whole records, and counts what is lost."""
+"""Writes a readable log from a damaged one: copies complete records, and counts the lost messages."""
 
 import os
 from collections import Counter, defaultdict
@@ -28,16 +28,16 @@ from rpod_schemas.logs import PROFILE, RECOVERY, RecoveredTopic, Recovery
 
 
 def recover(source: Path, out: Path | None = None) -> Recovery:
-    """Write a new, indexed log of all that is whole in a truncated or damaged one, which stays as it is.
+    """Write a new, indexed log with all complete records of a truncated or damaged one, which is not changed.
 
     Args:
         source: any MCAP file.
-        out: file to write, never overwritten; ``run.recovered.mcap`` beside ``run.mcap`` where left out.
+        out: file to write, which must not exist; by default ``run.recovered.mcap`` beside ``run.mcap``.
 
     Raises:
         NoLogError: the file is missing or cannot be read.
-        NotMcapError: nothing in it is of an MCAP file.
-        CannotWriteError: the new file exists already, or the disk does not take it.
+        NotMcapError: the file contains nothing of an MCAP file.
+        CannotWriteError: the new file already exists, or it cannot be written.
     """
     target = out or beside(source, RECOVERED)
     try:
@@ -50,7 +50,7 @@ def recover(source: Path, out: Path | None = None) -> Recovery:
             with target.open("xb") as written:
                 recovery = _copy(stream, written, source=source, out=target, size=size)
         except FileExistsError as error:
-            raise CannotWriteError(target, "exists already; give another name with --out") from error
+            raise CannotWriteError(target, "already exists; give another name with --out") from error
         except OSError as error:
             target.unlink(missing_ok=True)
             raise CannotWriteError(target, (error.strerror or str(error)).lower()) from error
@@ -75,16 +75,16 @@ def _copy(stream: IO[bytes], written: IO[bytes], *, source: Path, out: Path, siz
 
 @dataclass
 class _Account:
-    """Messages found of a channel, and evidence of lost ones."""
+    """Number of messages found in a channel, and evidence of lost ones."""
 
     had: int = 0
     first_ns: int = 0
     last_ns: int = 0
     sequence: int = 0
     indexed: int = 0
-    """Messages in damaged chunks, by the index that follows them."""
+    """Number of messages in damaged chunks, by the index that follows them."""
     skipped: int = 0
-    """Sequence numbers that are missing where there is damage."""
+    """Number of missing sequence numbers at damaged places."""
     after_damage: bool = False
 
     def take(self, message: Message) -> None:
@@ -96,7 +96,7 @@ class _Account:
         self.sequence, self.after_damage = message.sequence, False
 
     def cut(self, end_ns: int | None) -> int:
-        """Return how many more there were at this rate up to a time."""
+        """Return the number of further messages up to a time, estimated from the rate."""
         if end_ns is None or self.had < 2 or self.last_ns == self.first_ns:
             return 0
         return max(int((self.had - 1) * (end_ns - self.last_ns) / (self.last_ns - self.first_ns)), 0)
@@ -104,7 +104,7 @@ class _Account:
 
 @dataclass
 class _Definitions:
-    """Schemas and channels of the source: those of whole chunks before those of damaged ones."""
+    """Schemas and channels of the source; those of complete chunks take precedence."""
 
     sure: dict[tuple[type, int], Schema | Channel] = field(default_factory=dict)
     doubtful: dict[tuple[type, int], Schema | Channel] = field(default_factory=dict)
@@ -126,7 +126,7 @@ class _Definitions:
 
 
 class _Copier:
-    """Takes what was found in the source and writes it to a new file."""
+    """Writes the records found in the source to a new file."""
 
     def __init__(self, written: IO[bytes], stream: IO[bytes]) -> None:
         self.records = 0
@@ -150,7 +150,7 @@ class _Copier:
         self._cut_ns: int | None = None
 
     def take(self, found: Found) -> None:
-        """Take the next find."""
+        """Process the next item found in the source."""
         if isinstance(found, Gap | DamagedChunk):
             self._note_damage(found)
             return
@@ -236,7 +236,7 @@ class _Copier:
             )
 
     def recovery(self, *, source: Path, out: Path, size: int) -> Recovery:
-        """Return the account of it all."""
+        """Return the counts of the recovery."""
         topics: dict[str, RecoveredTopic] = {}
         for number in {*self._accounts, *(self._summary.channels if self._summary else ())}:
             account = self._accounts[number]
@@ -266,16 +266,16 @@ class _Copier:
         return max(account.skipped, account.indexed) + account.cut(self._cut_ns)
 
     def finish(self, recovery: Recovery) -> None:
-        """Add the account and close the new file."""
+        """Add the counts and close the new file."""
         self._start()
         self._writer.add_metadata(RECOVERY, {"recovery": recovery.model_dump_json()})
         self._writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _whole_summary(stream: IO[bytes]) -> Summary | None:
-    """Return the summary, where there is one and its checksum holds.
+    """Return the summary if there is one with a right checksum.
 
-    It knows how many messages there were, and repeats the channels of a first chunk that is lost.
+    It contains the number of messages, and the channels that a lost first chunk defined.
     """
     stream.seek(0)
     with suppress(*DAMAGE, OSError):

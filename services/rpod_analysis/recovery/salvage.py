@@ -1,8 +1,9 @@
-"""Finds the whole records of a damaged MCAP file, in the order of the file, and the gaps between them.
+"""Finds the complete records of a damaged MCAP file, in the order of the file, and the gaps between them.
 
-A record is believed only as a whole: its length fits the file, and it says the same once it is written anew.
-A chunk is believed by its checksum. Where bytes are no record, the search goes on byte by byte for the next
-one (MCAP specification, "Records": a byte of opcode, eight of length, the content).
+A record is accepted only as a whole: its length must fit the file, and its content must give the same bytes
+when it is written again. A chunk is accepted by its checksum. If bytes are not a record, the search for the
+next one goes on byte by byte (MCAP specification, "Records": one byte of opcode, eight of length, the
+content).
 """
 
 import re
@@ -54,13 +55,13 @@ DAMAGE = (
 
 _FRAME = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
-"""First and last time, size and checksum of the content, length of the compression's name."""
+"""Chunk: first and last time, size and checksum of the content, length of the compression's name."""
 _CANDIDATE = re.compile(rb"(?=[\x01-\x0f].{4}\x00{4})", re.DOTALL)
-"""An opcode and a length below 4 GiB; looked ahead, so that candidates may overlap."""
+"""Pattern of an opcode and a length below 4 GiB; a lookahead, so that candidates may overlap."""
 _WINDOW = 1 << 22
 _PIECE = 1 << 14
 _MOST_BYTES = 1 << 30
-"""A record that claims to be longer is none."""
+"""Largest length of a valid record."""
 _TYPES: dict[int, Any] = {
     Opcode.HEADER: Header,
     Opcode.FOOTER: Footer,
@@ -82,7 +83,7 @@ _TYPES: dict[int, Any] = {
 
 @dataclass(frozen=True)
 class Gap:
-    """Bytes that are no record."""
+    """Bytes that are not a record."""
 
     start: int
     end: int
@@ -90,31 +91,31 @@ class Gap:
 
 @dataclass(frozen=True)
 class DamagedChunk:
-    """A chunk whose content cannot be believed, or that the end of the file cuts."""
+    """A chunk with a wrong checksum, or one that is truncated by the end of the file."""
 
     size: int
-    """Bytes in the file."""
+    """Size in the file, bytes."""
     definitions: tuple[Schema | Channel, ...]
-    """Read out of it all the same: without them, later messages mean nothing."""
+    """Schemas and channels in it, read in spite of the damage, because later messages need them."""
     whole: tuple[Message, ...] = ()
-    """Messages of a cut chunk that lie before the cut."""
+    """Complete messages of a truncated chunk."""
     end_ns: int | None = None
-    """Time of arrival of the last message of a cut chunk."""
+    """Time of arrival of the last message of a truncated chunk, from its header."""
 
 
 Found = McapRecord | Gap | DamagedChunk
 
 
 def is_mcap(stream: IO[bytes]) -> bool:
-    """Return whether a file begins as an MCAP file does."""
+    """Return whether a file begins with the bytes of an MCAP file."""
     stream.seek(0)
     return stream.read(len(MAGIC)) == MAGIC
 
 
 def scan(stream: IO[bytes]) -> Iterator[Found]:
-    """Yield what a file holds from its beginning to its end; chunks as the records within them.
+    """Yield the content of a file from its beginning to its end; for a chunk, yield the records in it.
 
-    Reads one record at a time; never raises on damage.
+    It reads one record at a time and never raises on damage.
     """
     size = stream.seek(0, 2)
     offset = len(MAGIC) if is_mcap(stream) else 0
@@ -139,7 +140,7 @@ def _tail(stream: IO[bytes], offset: int) -> bytes:
 
 
 def _record_at(stream: IO[bytes], offset: int, size: int) -> tuple[McapRecord, int] | None:
-    """Return the record that begins at an offset, and its length; None where there is none that is whole."""
+    """Return the record that begins at an offset, and its length; None if there is no complete one."""
     frame = _frame_at(stream, offset, size)
     if frame is None:
         return None
@@ -163,7 +164,7 @@ def _frame_at(stream: IO[bytes], offset: int, size: int) -> tuple[int, int] | No
 
 
 def _is_chunk(stream: IO[bytes], length: int) -> bool:
-    """Return whether the lengths within a chunk add up to its own; the stream stands behind its frame."""
+    """Return whether the lengths within a chunk add up to its own; the stream is after opcode and length."""
     head = stream.read(_CHUNK.size)
     if len(head) < _CHUNK.size:
         return False
@@ -178,7 +179,7 @@ def _is_chunk(stream: IO[bytes], length: int) -> bool:
 
 
 def _parse(opcode: int, content: bytes) -> McapRecord | None:
-    """Return the record of its content; None where its parts do not make up the whole."""
+    """Return the record with a content; None if its parts do not add up to the whole."""
     kind, stream = _TYPES[opcode], ReadDataStream(BytesIO(content))
     try:
         if kind is Message:
@@ -200,14 +201,14 @@ def _written(record: McapRecord) -> bytes:
 
 
 def _next_record(stream: IO[bytes], offset: int, size: int) -> int:
-    """Return where the next record begins that another one, or the end of the file, follows."""
+    """Return the offset of the next record that is followed by another record or by the end of the file."""
     while offset < size:
         stream.seek(offset)
         window = stream.read(_WINDOW)
         for match in _CANDIDATE.finditer(window):
             start = offset + match.start()
             whole = _record_at(stream, start, size)
-            # Within an uncompressed chunk messages look like records, but nothing vouches for their bytes.
+            # Messages in an uncompressed chunk look like records, but no checksum protects their bytes.
             if whole and not isinstance(whole[0], Message) and _goes_on(stream, start + whole[1], size):
                 return start
         offset += max(len(window) - _FRAME.size, 1)
@@ -230,7 +231,7 @@ def _opened(chunk: Chunk, length: int) -> Iterator[Found]:
 
 
 def _cut_chunk(stream: IO[bytes], offset: int, size: int) -> DamagedChunk | None:
-    """Return what the last chunk of a file holds whose end is missing; None where it is no chunk."""
+    """Return the content of a file's last chunk, whose end is missing; None if it is not a chunk."""
     stream.seek(offset)
     head = stream.read(_FRAME.size + _CHUNK.size)
     if len(head) < _FRAME.size + _CHUNK.size or head[0] != Opcode.CHUNK:
@@ -271,7 +272,7 @@ def _unpacked(compression: str, data: bytes) -> bytes:
 
 
 def _records_in(content: bytes) -> Iterator[McapRecord]:
-    """Yield the whole records at the beginning of a chunk's content."""
+    """Yield the complete records at the beginning of a chunk's content."""
     offset = 0
     while offset + _FRAME.size <= len(content):
         opcode, length = _FRAME.unpack_from(content, offset)

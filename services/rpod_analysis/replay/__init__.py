@@ -1,4 +1,4 @@
-"""A log played again: through the navigator in one process, or onto the bus."""
+"""Replay of a log: through the navigator in one process, onto the bus, or into the view."""
 
 from rpod_analysis.replay.compare import Compared, compare
 from rpod_analysis.replay.navigate import Replayed, configured_estimator, replay

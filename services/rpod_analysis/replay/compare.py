@@ -1,4 +1,4 @@
-"""Old estimates and new ones: each against the truth, and one against the other."""
+"""Comparison of old and new estimates with the truth, and with each other."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ from rpod_schemas.replay import Difference, Side
 
 @dataclass(frozen=True)
 class Compared:
-    """Both sides, and what lies between them; None where there is nothing to tell of."""
+    """Scores of both sides and the difference between them; None where there are no data."""
 
     old: Side | None
     new: Side | None
@@ -28,7 +28,7 @@ class Compared:
 def compare(log: Log, replayed: Replayed) -> Compared:
     """Compare the estimates that a replay wrote with those of its log.
 
-    Errors are told in the axes of the log's sensors.
+    Errors are given in the axes of the log's sensors.
     """
     sensors = find_sensors(log)
     with open_log(replayed.out) as beside:
@@ -38,7 +38,7 @@ def compare(log: Log, replayed: Replayed) -> Compared:
 
 
 def find_difference(old: Track, new: Track) -> Difference | None:
-    """Return how far two tracks are apart at their common stamps; None where there is none."""
+    """Return the difference of two tracks at their common stamps; None if there are none."""
     _, mine, theirs = np.intersect1d(old.stamp_ns, new.stamp_ns, return_indices=True)
     if mine.size == 0:
         return None

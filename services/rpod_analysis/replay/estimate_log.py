@@ -1,4 +1,4 @@
-"""The log that a replay writes: truth and old estimates as they were, the new ones beside them."""
+"""The log that a replay writes: unchanged truth and old estimates, and the new estimates beside them."""
 
 import json
 import os
@@ -33,11 +33,11 @@ _LATCHED = {topic.name for topic in TOPICS if topic.latched}
 
 
 class EstimateLog:
-    """An open log; nothing in it depends on when it is written. What fails leaves no file."""
+    """An open log, whose content does not depend on the time of writing. A failure leaves no file."""
 
     def __init__(self, path: Path, source: Log, config: EstimatorConfig) -> None:
         self.last_ns = 0
-        """Arrival of the last message that was copied."""
+        """Time of arrival of the last copied message, ns."""
         self._path, self._source, self._config = path, source, config
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
@@ -62,7 +62,7 @@ class EstimateLog:
             self._path.unlink(missing_ok=True)
 
     def copy(self, logged: Logged) -> None:
-        """Add a message as it was."""
+        """Add an unchanged message."""
         self.last_ns = logged.log_ns
         topic = Topic(logged.topic, logged.type, logged.topic in _LATCHED)
         self._put(
@@ -74,7 +74,7 @@ class EstimateLog:
         )
 
     def add(self, outputs: Iterable[Output], *, arrival_ns: int) -> None:
-        """Add what the estimator made of a frame; its arrival counts as that of the result."""
+        """Add the estimator's results for a frame, with the frame's time of arrival."""
         for output in outputs:
             if output.odometry is not None:
                 self._add(ESTIMATE, write_odometry(output.odometry), arrival_ns)
@@ -108,7 +108,7 @@ class EstimateLog:
         return self._channels[topic.name]
 
     def _describe(self) -> None:
-        """Add the source's records, without its namespace, and the configuration of the new estimates."""
+        """Add the source's metadata, without its namespace, and the configuration of the new estimates."""
         services = {
             name: model | ({"bus": model["bus"] | {"namespace": ""}} if "bus" in model else {})
             for name, model in self._source.configuration.items()

@@ -1,4 +1,4 @@
-"""Sensor data of a log as input of an estimator: in the order of arrival, or as the live run used them."""
+"""Sensor data of a log as input of an estimator, in the order of arrival or as the live run used them."""
 
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -19,11 +19,11 @@ from rpod_schemas.messages import read_status
 from rpod_schemas.types import EstimatorStatus
 
 _BY_ARRIVAL = tuple(f"{reason}:" for reason in (Reason.LATE, Reason.FUTURE, Reason.DUPLICATE))
-"""Why a live run refused a frame before it looked at it: what only that run can know."""
+"""Reasons for which a live run refused a frame by its time of arrival, which only that run can know."""
 _PATIENCE_NS = NANOSECONDS
 """Largest delay between the arrival of a status and that of its frame."""
 _MOST_WAITING = 64
-"""Frames whose status has not come yet; older ones were passed over."""
+"""Largest number of frames that wait for their status; older ones were dropped by the live run."""
 
 Event = Arrived | Tick
 """Input of the estimator."""
@@ -31,29 +31,29 @@ Event = Arrived | Tick
 
 @dataclass
 class Frames:
-    """Takes a log's messages one by one, and returns what they make the estimator do.
+    """Converts a log's messages, one by one, to inputs of the estimator.
 
-    A log may be old, or of another clock: only stamps that differ by days from the log's others are refused.
-    Other messages do nothing.
+    A log may be old, or use another clock: only stamps that differ by days from the log's other stamps are
+    refused. Messages of other topics are ignored.
     """
 
     intake: FrameReader
     stamps: StampCheck | None = None
-    """Tells stamps that cannot be of the log; without it none is judged."""
+    """Check that finds stamps that cannot belong to the log; None for no check."""
     refused: Counter[str] = field(default_factory=Counter)
-    """Messages that could not be used, by topic."""
+    """Number of messages that could not be used, by topic."""
     missing: int = 0
-    """Frames that a live run took and the log has not."""
+    """Number of frames that the live run used and that are not in the log."""
 
     def __post_init__(self) -> None:
         self._latched = {topic.name for topic in self.intake.latched}
 
     def take(self, logged: Logged) -> list[Event]:
-        """Take a message; return the frames that are complete with it, oldest first."""
+        """Process a message; return the frames that it completes, oldest first."""
         return [self._arrived(sensor, frame) for sensor, frame in self._complete(logged)]
 
     def rest(self) -> list[Event]:
-        """Return the frames that wait for an optional part in vain."""
+        """Return the frames that still wait for an optional part at the end of the log."""
         return [
             self._arrived(sensor, frame)
             for sensor, assembler in self.intake.assemblers.items()
@@ -85,14 +85,14 @@ class Frames:
 
 @dataclass
 class FramesAsLive(Frames):
-    """Frames of the live run only, in its order: those that its status messages name."""
+    """Converts only the frames of the live run, which its status messages name, in its order."""
 
     status_topic: str = ""
     _waiting: dict[tuple[str, int], Assembled[Received]] = field(default_factory=dict)
     _due: deque[tuple[int, EstimatorStatus]] = field(default_factory=deque)
 
     def take(self, logged: Logged) -> list[Event]:
-        """Take a message; return what the live run did once it had it."""
+        """Process a message; return the inputs that the live run used after it."""
         if logged.topic == self.status_topic:
             with suppress(MessageRejectedError):
                 self._due.append((logged.log_ns, read_status(logged.decode())))
@@ -101,13 +101,13 @@ class FramesAsLive(Frames):
         return list(self._events(logged.log_ns - _PATIENCE_NS))
 
     def rest(self) -> list[Event]:
-        """Return what the last statuses name."""
+        """Return the inputs that the last statuses name."""
         for sensor, assembler in self.intake.assemblers.items():
             self._waiting |= {(sensor, frame.stamp_ns): frame for frame in assembler.release()}
         return list(self._events(None))
 
     def _events(self, given_up_ns: int | None) -> Iterator[Event]:
-        """Yield what is due; a frame that has not come once its status is that old is missing."""
+        """Yield the due inputs; a frame is missing if its status arrived before ``given_up_ns``."""
         while self._due:
             log_ns, status = self._due[0]
             frame = self._waiting.pop((status.sensor, status.stamp_ns), None)

@@ -15,9 +15,9 @@ from rpod_view.scene import pose_topics, sensor_topics
 from rpod_view.view import View
 
 _MOST_MOMENTS = 1200
-"""Drawn of a log, so that a long one does not fill the viewer's memory."""
+"""Largest number of drawings of a log, so that a long log does not fill the viewer's memory."""
 _AGAIN_NS = NANOSECONDS
-"""A stamp so much before the last ones is of a clock that began again."""
+"""Time by which a stamp must be before the last one to show that the clock started again."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Part:
 
 
 class _Pace:
-    """Moments at even distances in the time of the stamps, which need not be that of the arrival."""
+    """Times of drawing, evenly spaced in the time of the stamps, which may differ from the arrivals'."""
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
         self._next_ns: int | None = None
 
     def is_due(self, stamp_ns: int) -> bool:
-        """Return whether a moment lies before this stamp."""
+        """Return whether a time of drawing is before this stamp."""
         if self._next_ns is None or self._next_ns - stamp_ns > self._period_ns + _AGAIN_NS:
             self._next_ns = stamp_ns + self._period_ns
         if stamp_ns < self._next_ns:
@@ -58,14 +58,15 @@ def show_log(
 
     Args:
         log: an open log.
-        view: where it is drawn.
+        view: the view that draws it.
         prefix: first part of the topics of the estimates.
-        rate_hz: in each second of the stamps the newest is drawn so often, in a long log less often.
-        part: what of the log.
-        drawn: called after each moment, waits until the viewer has it; false ends the drawing.
+        rate_hz: number of drawings per second of the stamps, fewer for a long log.
+        part: part of the log to draw.
+        drawn: function that is called after each drawing and waits until the viewer has received it; False
+            ends the drawing.
 
     Raises:
-        AnalysisError: the log cannot be read there.
+        AnalysisError: this part of the log cannot be read.
     """
     topics = _topics(log, prefix)
     pace = _Pace(round(max(NANOSECONDS / rate_hz, _span_ns(log, topics, part) / _MOST_MOMENTS)))
@@ -85,7 +86,7 @@ def show_log(
 
 
 def _of_this_log(log: Log, stamps: StampCheck, logged: Logged) -> bool:
-    """Return whether a message's stamp can be of the log; others are left out and counted."""
+    """Return whether a message's stamp can belong to the log; if not, count it as unreadable."""
     with log.unreadable.left_out(logged):
         stamps.peek(logged)
         return True
@@ -93,7 +94,7 @@ def _of_this_log(log: Log, stamps: StampCheck, logged: Logged) -> bool:
 
 
 def _is_due(pace: _Pace, logged: Logged) -> bool:
-    """Return whether a moment lies before a message; transforms carry their stamps elsewhere."""
+    """Return whether a time of drawing is before a message; transforms have their stamps inside."""
     if logged.type == TF.type:
         return False
     with suppress(MessageRejectedError):
@@ -102,7 +103,7 @@ def _is_due(pace: _Pace, logged: Logged) -> bool:
 
 
 def _span_ns(log: Log, topics: list[str], part: Part) -> int:
-    """Return from which stamp to which the part reaches, to the last second of its arrival."""
+    """Return the time span of the stamps in a part, to a second of its arrivals."""
     stamped = [name for name in topics if log.topics[name].type != TF.type]
     end_ns = log.end_ns + 1 if part.end_ns is None else part.end_ns
     stamps_ns: list[int] = []
@@ -114,7 +115,7 @@ def _span_ns(log: Log, topics: list[str], part: Part) -> int:
 
 
 def _topics(log: Log, prefix: str) -> list[str]:
-    """Return the topics of a log that are drawn; the truth's own where it is there, else its transforms."""
+    """Return the topics of a log that are drawn; the truth comes from its own topic, else from transforms."""
     truth = TRUTH if TRUTH.name in log.topics else TF
     wanted = (truth, *pose_topics(prefix), *sensor_topics())
     return [

@@ -1,7 +1,7 @@
-"""A log through the navigator, in one process: the same bytes come out each time.
+"""Replay of a log through the navigator, in one process; the result is the same, byte for byte, each time.
 
-What runs is the daemon's estimator; time is the frames' own. Between two frames it passes in steps, as it
-does for the daemon, so that silence is noticed at the same place.
+The estimator is that of the daemon; its time comes from the frames. Between two frames the time advances in
+steps, as in the daemon, so that silence is detected at the same stamp.
 """
 
 import time
@@ -37,21 +37,21 @@ class Replayed:
     prefix: str
     """Prefix of the logged estimates' topics."""
     frames: int
-    """Number of frames handed to the estimator."""
+    """Number of frames given to the estimator."""
     missing: int
-    """Frames that the live run took and the log has not."""
+    """Number of frames that the live run used and that are not in the log."""
     refused: dict[str, int]
-    """Messages that could not be used, by topic."""
+    """Number of messages that could not be used, by topic."""
     processing_s: tuple[float, ...]
-    """Processing time of each frame on this machine."""
+    """Processing time of each frame on this machine, s."""
 
 
 def configured_estimator(log: Log) -> EstimatorConfig:
-    """Return the configuration with which a log's estimator ran; of several, the one named ``estimator``.
+    """Return the configuration of a log's estimator; if there are several, that of ``estimator``.
 
     Raises:
-        NoEstimatorError: the log holds none.
-        ConfigurationError: it is of another version, and cannot be used.
+        NoEstimatorError: the log contains none.
+        ConfigurationError: the configuration has another version and cannot be used.
     """
     found = {
         name: model for name, model in log.configuration.items() if {"prefix", "sensors"} <= model.keys()
@@ -75,23 +75,23 @@ def replay(
     start_s: float = 0.0,
     end_s: float | None = None,
 ) -> Replayed:
-    """Estimate a log's sensor data anew.
+    """Run the estimator again on a log's sensor data.
 
     Args:
-        log: with sensor data.
-        config: of the estimator; its bus does not matter.
-        out: log to write; ``run.replay.mcap`` beside ``run.mcap`` where left out. An older one is replaced.
-        as_live: take the frames that the live run took, in its order, instead of all.
-        start_s: where to begin, from the log's beginning; latched messages from before are known.
-        end_s: where to end.
+        log: log with sensor data.
+        config: configuration of the estimator; its bus is not used.
+        out: log to write, by default ``run.replay.mcap`` beside ``run.mcap``. An older one is replaced.
+        as_live: whether to use only the frames that the live run used, in its order.
+        start_s: beginning, from the beginning of the log; earlier latched messages are used too.
+        end_s: end, from the beginning of the log.
 
     Raises:
         TargetError: the configured target cannot be loaded.
-        AnalysisError: the log cannot be read, or the new one not be written.
+        AnalysisError: the log cannot be read, or the new one cannot be written.
     """
     target = out or beside(log.paths[0], REPLAY)
     if target.resolve() in {path.resolve() for path in log.paths}:
-        raise CannotWriteError(target, "is the log itself")
+        raise CannotWriteError(target, "is the log itself; give another name with --out")
     estimator, intake = Estimator(config, load_target(config.target)), FrameReader(config.sensors)
     old = estimate_prefix(log)
     stamps = StampCheck(log)
@@ -121,7 +121,7 @@ def replay(
 
 
 def _copied(prefix: str) -> set[str]:
-    """Return the names of the topics that the new log has from the old one."""
+    """Return the names of the topics that are copied from the old log to the new one."""
     estimates = (topic.under(prefix).name for topic in (ESTIMATE, ESTIMATE_POSE, STATUS))
     return {TRUTH.name, TF_STATIC.name, *estimates}
 
@@ -140,7 +140,7 @@ def _relevant(
 
 
 class _Feed:
-    """Feeds the estimator, and lets time pass between the frames."""
+    """Passes frames to the estimator, and advances its time between the frames."""
 
     def __init__(self, estimator: Estimator, intake: FrameReader, *, as_live: bool) -> None:
         self.processing_s: list[float] = []
@@ -149,11 +149,11 @@ class _Feed:
     def outputs(self, events: Iterable[Event]) -> Iterator[Output]:
         """Yield the estimator's outputs."""
         for event in events:
-            self._estimator.learn(self._intake.said)
+            self._estimator.learn(self._intake.infos)
             if isinstance(event, Tick):
                 yield from self._tick(event.stamp_ns)
                 continue
-            if not self._as_live:  # there the statuses tell when a tick had something to say
+            if not self._as_live:  # as live, the statuses show which ticks changed the mode
                 yield from self._estimator.let_time_pass(event.stamp_ns)
             started_s = time.perf_counter()
             output = self._estimator.process(event)

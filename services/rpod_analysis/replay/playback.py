@@ -1,7 +1,7 @@
 """Publishes a log on the bus: the recorded bytes at their recorded times.
 
-A receiver whose time comes from ``clock`` cannot tell it from the sensors: keys, attachments, latched topics
-and stamps are theirs.
+For a receiver whose time comes from ``clock`` it is equivalent to the sensors: keys, attachments, latched
+topics and stamps are the same.
 """
 
 import time
@@ -32,15 +32,16 @@ class Playback:
     """Options of a playback."""
 
     speed: float = 1.0
-    """Times as fast as it was recorded."""
+    """Speed relative to the recording."""
     start_s: float = 0.0
     """Beginning, s after the log's first message."""
     end_s: float | None = None
     """End, s after the log's first message; None for the end of the log."""
     loop: bool = False
-    """Begin again at the end; stamps and clock go on rising."""
+    """Whether to start again at the end; stamps and clock continue to rise."""
     topics: tuple[str, ...] = ()
-    """Patterns as ``pmd/*``; where left out, all but what estimators and services said, tf and clock."""
+    """Patterns such as ``pmd/*``; by default all topics except those of estimators and services, tf and
+    clock."""
     clock: bool = True
     """Whether ``clock`` is published."""
 
@@ -52,25 +53,25 @@ class Played:
     messages: Counter[str] = field(default_factory=Counter)
     """Number of messages by topic."""
     left_out: tuple[str, ...] = ()
-    """Topics that were asked for and whose type is not known."""
+    """Requested topics whose message type is not known."""
     laps: int = 0
     """Number of times that the end was reached."""
     behind_s: float = 0.0
-    """Largest delay of a message."""
+    """Largest delay of a message, s."""
 
 
 def play(log: Log, node: Node, playback: Playback, *, stop: Event) -> Played:
-    """Publish a log's messages as they came, until its end or until stopped.
+    """Publish a log's messages as they were recorded, until its end or until stopped.
 
     Raises:
-        NothingToPlayError: no topic of a known type fits.
-        DamagedLogError: the log cannot be read there.
+        NothingToPlayError: no topic of a known type matches.
+        DamagedLogError: the log has damaged bytes in this part.
     """
     return _Player(log, node, playback, stop).play()
 
 
 def chosen_topics(log: Log, patterns: tuple[str, ...] = ()) -> list[str]:
-    """Return the topics that are played; without patterns, what sensors, truth and environment said."""
+    """Return the topics that are played; without patterns those of sensors, truth and environment."""
     if patterns:
         return [name for name in log.topics if any(fnmatchcase(name, pattern) for pattern in patterns)]
     estimators = {
@@ -116,14 +117,14 @@ class _Player:
         return self._played
 
     def _announce(self, begin_ns: int) -> None:
-        """Publish the time and what was latched before the beginning."""
+        """Publish the time, and the messages that were latched before the beginning."""
         self._tell_time(begin_ns)
         latched = [name for name in self._publishers if is_latched(name)]
         newest: dict[tuple[str, bytes], Logged] = {}
         for logged in (
             self._log.messages(*latched, end_ns=self._timeline.arrival_of(begin_ns)) if latched else ()
         ):
-            newest[logged.topic, logged.payload] = logged  # several sensors latch one tf_static each
+            newest[logged.topic, logged.payload] = logged  # each of several sensors latches its own tf_static
         for logged in newest.values():
             self._send(logged, 0)
 
@@ -140,7 +141,7 @@ class _Player:
             yield logged, now_ns
 
     def _wait_until(self, due_s: float) -> bool:
-        """Wait for a message's turn; return whether it is over."""
+        """Wait until a message is due; return whether the playback was stopped."""
         ahead_s = due_s - time.monotonic()
         self._played.behind_s = max(self._played.behind_s, -ahead_s)
         return self._stop.wait(ahead_s) if ahead_s > 0 else self._stop.is_set()

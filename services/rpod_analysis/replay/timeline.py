@@ -1,4 +1,4 @@
-"""The time of a log: that of its own ``clock``, as after a run in lockstep, else that of the arrivals."""
+"""The time of a log: that of its ``clock`` (after a run in lockstep), else that of the arrivals."""
 
 from bisect import bisect_left
 
@@ -20,11 +20,11 @@ class Timeline:
         self.start_ns = self.now_ns
 
     def at(self, time_s: float) -> int:
-        """Return the time so many seconds from the beginning."""
+        """Return the time, ns, at a number of seconds from the beginning."""
         return self.start_ns + round(time_s * NANOSECONDS)
 
     def advance(self, logged: Logged) -> int:
-        """Return the time once a message has come."""
+        """Return the time after a message has arrived."""
         if not self.recorded:
             self.now_ns = logged.log_ns
         elif logged.topic == CLOCK.name:
@@ -33,14 +33,14 @@ class Timeline:
         return self.now_ns
 
     def arrival_of(self, time_ns: int) -> int:
-        """Return when the log had reached a time, on the clock of the arrivals."""
+        """Return the time of arrival at which the log had reached a time."""
         if not self.recorded:
             return time_ns
         arrivals = range(self._log.start_ns, self._log.end_ns + 1)
         return arrivals.start + bisect_left(arrivals, time_ns, key=self._clock_from)
 
     def _clock_from(self, arrival_ns: int) -> int:
-        """Return the first time that was told from an arrival on; that of the end beyond it."""
+        """Return the first time on ``clock`` from an arrival on; after the last one, the time of the end."""
         for logged in self._log.messages(CLOCK, start_ns=arrival_ns):
             with self._log.unreadable.left_out(logged):
                 return self._told(logged)

@@ -1,4 +1,4 @@
-"""Several runs side by side: the numbers that one compares, and their errors over one another."""
+"""Comparison of several runs: a table of numbers, and their errors over time in common figures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,10 +25,10 @@ class ComparedRow:
     form: str = ".3g"
     scale: float = 1.0
     better: int = -1
-    """-1 if a smaller value is better, 1 if a larger one is, 0 if neither is."""
+    """-1 if smaller values are better, 1 if larger values are better, 0 if neither."""
 
     def cells(self, contents: Sequence[ReportContent]) -> list[tuple[str, bool]]:
-        """Return the number of each run as text, and whether it is the best of different ones."""
+        """Return the number of each run as text, and whether it is the best among different ones."""
         values = [self._of(content.summary) for content in contents]
         known = [value for value in values if value is not None]
         best = (min if self.better < 0 else max)(known) if self.better and len(set(known)) > 1 else None
@@ -72,7 +72,7 @@ ROWS = (
 
 
 def comparison_figure(contents: Sequence[ReportContent]) -> go.Figure:
-    """Errors, NEES and distance of all runs over one another, from the start of each."""
+    """Return a figure with errors, NEES and distance of all runs over the time from the start of each."""
     figure = make_subplots(
         rows=2,
         cols=2,

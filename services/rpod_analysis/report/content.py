@@ -1,4 +1,4 @@
-"""Content of the report of one log, gathered in one pass over it."""
+"""Content of the report of one log, collected in one pass over it."""
 
 import json
 from collections import Counter
@@ -42,12 +42,12 @@ class ReportContent:
     plot_data: PlotData
     completeness: CheckedCompleteness
     counts: dict[str, TopicCount]
-    """The logger's own account by topic; empty where it left none."""
+    """The logger's own counts by topic; empty if it wrote none."""
     flows: tuple[SensorFlow, ...]
     commands: tuple[tuple[float | None, Command], ...]
     """Times, s from the start of the run, and commands that services accepted; the first ones only.
 
-    None where the clock is not the wall's, by which services stamp their diagnostics.
+    The time is None if the run does not use the wall clock, by which services stamp their diagnostics.
     """
     command_count: int
     alarms: tuple[tuple[str, int], ...]
@@ -60,11 +60,11 @@ class ReportContent:
     target_note: str
     software: str
     configuration: dict[str, str]
-    """JSON by service."""
+    """Configuration of each service as JSON, by service."""
 
     @property
     def assessment(self) -> str:
-        """The run in one sentence."""
+        """Assessment of the run in one sentence."""
         return assess(list(self.checks))
 
     @property
@@ -79,11 +79,11 @@ class ReportContent:
 
     @property
     def reasons(self) -> list[tuple[str, int]]:
-        """Why frames were rejected, most frequent first, whatever the numbers in the reason."""
+        """Reasons of rejected frames, most frequent first; reasons that differ only in numbers are one."""
         return self.totals.reasons.most_common(_MOST_REASONS)
 
     def figures(self, prefix: str = "") -> dict[str, str]:
-        """Return the figures as HTML by name, empty where nothing is to be drawn; ``prefix`` of their ids."""
+        """Return the figures as HTML by name, empty if there are no data; ``prefix`` begins their ids."""
         scored = self.plot_data.angle_deg.values.size
         drawn = {
             "state": state_figure(self.plot_data),
@@ -106,7 +106,7 @@ def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None
     target, target_note = _target(log, software.get("target_digest", "").split())
     alarms = run.account.alarms
     snapshots = tuple(take_snapshots(log, run, plot_data, target))
-    summary = summarise(log, run, totals, report=report)  # last: it tells what could not be read
+    summary = summarise(log, run, totals, report=report)  # last, because it contains what could not be read
     return ReportContent(
         name=name,
         files=tuple(path.name for path in log.paths),
@@ -133,7 +133,7 @@ def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None
 
 
 def figure_html(figure: go.Figure | None, identity: str) -> str:
-    """Return a figure as HTML without plotly itself, empty where there is none."""
+    """Return a figure as HTML without plotly itself; empty if there is no figure."""
     if figure is None:
         return ""
     options: dict[str, Any] = {"config": _PLOT, "full_html": False, "include_plotlyjs": False}
@@ -159,10 +159,10 @@ def _flows(run: StreamedRun, totals: RunTotals, summary: Summary) -> list[Sensor
 
 
 def _target(log: Log, digests: list[str]) -> tuple[Target | None, str]:
-    """Return the target that the services were configured for, and what is to be said of its wireframe."""
+    """Return the target in the services' configuration, and a remark about its wireframe."""
     names = [service["target"] for service in log.configuration.values() if service.get("target")]
     if not names:
-        return None, "No wireframe: the log does not say which target it is."
+        return None, "No wireframe: no configuration in the log names the target."
     try:
         target = load_target(names[0])
     except TargetError as error:

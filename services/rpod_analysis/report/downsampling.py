@@ -1,4 +1,4 @@
-"""Few points in place of many: what is drawn of a run of any length."""
+"""Downsampling of the data that are drawn, for runs of any length."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +9,11 @@ from rpod_schemas.arrays import FloatArray
 MOST_POINTS = 5000
 """Largest number of points of a line."""
 MOST_STRETCHES = 2000
-"""Largest number of stretches of a band."""
+"""Largest number of intervals of a band."""
 
 
 class Bins:
-    """The time of a run in equal parts."""
+    """The time span of a run, divided into equal parts."""
 
     def __init__(self, span_ns: tuple[int, int], parts: int) -> None:
         self._start_ns = span_ns[0]
@@ -25,7 +25,7 @@ class Bins:
 
 
 class Line:
-    """About 5,000 points of a line at most: of every part its lowest and highest, so that no peak is lost."""
+    """A line of at most about 5,000 points: the lowest and highest of each part, so that no peak is lost."""
 
     def __init__(self, span_ns: tuple[int, int], most: int = MOST_POINTS) -> None:
         self._bins = Bins(span_ns, most // 2)
@@ -34,7 +34,7 @@ class Line:
         self.values: FloatArray = np.empty(0)
 
     def extend(self, stamp_ns: IntArray, values: FloatArray) -> None:
-        """Take more points; NaN is left out."""
+        """Add points; NaN is left out."""
         known: BoolArray = np.isfinite(values)
         keep = self._extremes(stamp_ns[known], values[known])
         self.stamp_ns = np.concatenate([self.stamp_ns, stamp_ns[known][keep]])
@@ -52,7 +52,7 @@ class Line:
 
 
 class Samples:
-    """At most about so many rows, evenly over the time: the first of every part."""
+    """Rows spread evenly over the time, the first of each part; about ``most`` at most."""
 
     def __init__(self, span_ns: tuple[int, int], most: int, columns: int = 0) -> None:
         self._bins = Bins(span_ns, most)
@@ -61,7 +61,7 @@ class Samples:
         self.rows: FloatArray = np.empty((0, columns))
 
     def extend(self, stamp_ns: IntArray, rows: FloatArray) -> IntArray:
-        """Take more rows, later ones than before; return which were kept."""
+        """Add rows that are later than those before; return which were kept."""
         bins, first = np.unique(self._bins.of(stamp_ns), return_index=True)
         keep: IntArray = first[bins > self._last]
         self._last = int(bins.max(initial=self._last))
@@ -71,17 +71,17 @@ class Samples:
 
 
 class Band:
-    """Stretches of equal value over time; where they are too many, the shortest join those before them."""
+    """Intervals of equal value over time; if there are too many, the shortest join those before them."""
 
     def __init__(self) -> None:
         self.start_ns: IntArray = np.empty(0, np.int64)
         self.values: NDArray[np.int64] = np.empty(0, np.int64)
         self.end_ns = 0
         self.left_out_ns = 0
-        """Stretches up to this long are not drawn."""
+        """Length up to which intervals are not drawn, ns."""
 
     def extend(self, stamp_ns: IntArray, values: IntArray) -> None:
-        """Take more values, later ones than before; each holds until the next."""
+        """Add values that are later than those before; each is valid until the next."""
         if not stamp_ns.size:
             return
         self.start_ns = np.concatenate([self.start_ns, stamp_ns])

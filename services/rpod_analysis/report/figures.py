@@ -1,6 +1,6 @@
-"""The report's figures over time, in plotly: state and errors.
+"""The report's figures over time, made with plotly: state and errors.
 
-Colours of text, grid and paper come from the page's style sheet.
+The colours of text, grid and background come from the page's style sheet.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ ACCENT = "#2f7df6"
 BAD = "#d9534f"
 QUIET = "#8b949e"
 SEVERAL = (ACCENT, "#e8833a", "#2aa876", "#a05fd6", "#d6487e", "#8a6d3b", "#17a2b8", "#6c757d")
-"""Colours of the logs in a figure of several, in their order."""
+"""Colours of the logs in a figure of several logs, in their order."""
 _BAND = "rgba(139,148,158,0.22)"
 _MODES = {
     Mode.TRACKING: ACCENT,
@@ -45,7 +45,7 @@ _LIMITS = (10.0, 0.3)
 
 
 def error_figure(plot_data: PlotData) -> go.Figure:
-    """Attitude and position errors over time: size, and each axis with the covariance's 3-sigma band."""
+    """Return a figure of attitude and position errors: magnitude, and each axis with its 3-sigma band."""
     titles = [title for pair in (("attitude", "position"), *zip(*_AXES, strict=True)) for title in pair]
     figure = make_subplots(
         rows=4,
@@ -76,7 +76,7 @@ def error_figure(plot_data: PlotData) -> go.Figure:
 
 
 def state_figure(plot_data: PlotData) -> go.Figure:
-    """State and source as bands, rejected frames as ticks on them, and the distance to the target."""
+    """Return a figure of state and source as bands, rejected frames as ticks, and the target's distance."""
     figure = make_subplots(
         rows=3, cols=1, shared_xaxes=True, row_heights=[0.13, 0.13, 0.74], vertical_spacing=0.03
     )
@@ -120,7 +120,7 @@ def state_figure(plot_data: PlotData) -> go.Figure:
 
 
 def _reach(error: FloatArray, sigma: FloatArray) -> float:
-    """Return how far a panel reaches: all of the errors, and of the band what it mostly is."""
+    """Return the half height of a panel: all errors fit in, and the band most of the time."""
     usual = float(np.median(sigma)) if sigma.size else 0.0
     return max(1.15 * float(np.abs(error).max(initial=0.0)), 3.5 * usual, 1e-9)
 
@@ -151,7 +151,7 @@ def _line(figure: go.Figure, plot_data: PlotData, line: Line, unit: str, *, row:
 
 
 def _alone(values: FloatArray) -> BoolArray:
-    """Return which points have no neighbour, so that no line shows them."""
+    """Return which points have no neighbour, so that a line would not show them."""
     known = np.pad(np.isfinite(values), 1)
     alone: BoolArray = known[1:-1] & ~known[:-2] & ~known[2:]
     return alone
@@ -180,7 +180,7 @@ def _band(figure: go.Figure, plot_data: PlotData, sigma: Line, unit: str, *, row
 
 
 def with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Break the line where the estimates pause, so that nothing is drawn where nothing was known."""
+    """Return a line with gaps where there are no estimates."""
     if time_s.size < 3:
         return time_s, values
     step_s = np.diff(time_s)
@@ -191,7 +191,7 @@ def with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, Float
 def _stretches(
     figure: go.Figure, plot_data: PlotData, band: Band, colours: Mapping[Any, str], *, row: int
 ) -> None:
-    """One bar a stretch of equal value; bars of one value are one trace."""
+    """Draw a bar for each interval of equal value; the bars of one value are one trace."""
     starts_s = plot_data.seconds(band.start_ns)
     ends_s = np.append(starts_s[1:], plot_data.seconds(np.array([band.end_ns])))[: starts_s.size]
     for value, colour in colours.items():
@@ -214,7 +214,7 @@ def _stretches(
 
 
 def styled(figure: go.Figure, *, height: int, top: int = 28, legend: bool = False) -> go.Figure:
-    """Give a figure the reports' looks, and return it."""
+    """Apply the style of the reports to a figure, and return it."""
     axis: dict[str, Any] = {
         "gridcolor": "rgba(139,148,158,0.22)",
         "zerolinecolor": "rgba(139,148,158,0.55)",

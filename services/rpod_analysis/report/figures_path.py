@@ -1,4 +1,4 @@
-"""The way of the target through the chaser's axes: in three dimensions, from above and from the side."""
+"""The path of the target in the chaser's axes: in three dimensions, and in two projections."""
 
 from typing import Any
 
@@ -16,9 +16,9 @@ _CAMERA = {"eye": {"x": 1.5, "y": 1.5, "z": 1.0}, "center": {"x": 0.0, "y": 0.0,
 
 
 def path_figure(plot_data: PlotData) -> go.Figure | None:
-    """Position of the target's origin in chaser axes, truth and estimate; None where neither is known.
+    """Return a figure of the target's true and estimated path, chaser axes; None if neither is known.
 
-    The plane projections need no WebGL, which a browser may not have.
+    The two projections need no WebGL, which some browsers do not have.
     """
     paths: list[tuple[str, Samples, dict[str, Any]]] = [
         ("truth", plot_data.true_path, {"color": QUIET, "width": 4}),
@@ -80,13 +80,13 @@ def _with_gaps(plot_data: PlotData, path: Samples) -> FloatArray:
 
 
 def _by_extent(rows: FloatArray) -> tuple[int, int, int]:
-    """Return the axes by how far the path goes along them, the longest first."""
+    """Return the axes in the order of the path's extent along them, the longest first."""
     first, second, third = np.argsort(np.nanmin(rows, axis=0) - np.nanmax(rows, axis=0), kind="stable")
     return int(first), int(second), int(third)
 
 
 def _ranges(rows: FloatArray) -> list[list[float]]:
-    """Return from where to where each axis goes: a short way is not blown up to look like a long one."""
+    """Return the limits of each axis; a short extent is not enlarged to look like a long one."""
     low, high = np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)
     half = np.maximum(0.55 * (high - low), 0.1 * (high - low).max())
     half = np.maximum(half, 1e-3)
@@ -107,7 +107,7 @@ def _projection(
 
 
 def _ends(figure: go.Figure, rows: FloatArray, axes: tuple[int, int, int]) -> None:
-    """Mark where the path begins and ends."""
+    """Mark the beginning and the end of the path."""
     for row, across in ((1, axes[1]), (2, axes[2])):
         figure.add_trace(
             go.Scatter(

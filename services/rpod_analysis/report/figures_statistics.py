@@ -1,4 +1,4 @@
-"""The report's figures of distributions: latency, processing, and whether the covariances are right."""
+"""The report's figures of distributions: latency, processing time, and consistency (NEES, NIS)."""
 
 import numpy as np
 import plotly.graph_objects as go
@@ -19,7 +19,7 @@ _BINS_A_DECADE = 8
 
 
 def timing_figure(totals: RunTotals) -> go.Figure | None:
-    """Latency and processing time, median and 99 % marked; None where neither is known."""
+    """Return a figure of latency and processing time, with median and 99 %; None if neither is known."""
     panels = [
         ("latency: stamp to publication", "latency [ms]", totals.latency_s),
         ("processing: last part received to publication", "processing [ms]", totals.processing_s),
@@ -48,7 +48,7 @@ def timing_figure(totals: RunTotals) -> go.Figure | None:
 
 
 def consistency_figure(plot_data: PlotData, totals: RunTotals) -> go.Figure | None:
-    """NEES and NIS over time and as distributions, with their 95 % bound; None where neither is known."""
+    """Return a figure of NEES and NIS with their 95 % bound, and distributions; None if neither is known."""
     panels = [
         ("NEES of the tracked frames", "NEES [-]", plot_data.nees, totals.nees),
         ("NIS of the measurements", "NIS [-]", plot_data.nis, totals.nis),
@@ -81,7 +81,7 @@ def consistency_figure(plot_data: PlotData, totals: RunTotals) -> go.Figure | No
                 yanchor="bottom" if above else "top", xanchor="left", row=row, col=1,
             )  # fmt: skip
     figure.update_xaxes(title_text="time [s]", row=len(known), col=1)
-    figure.update_xaxes(title_text="share of frames a bin", row=len(known), col=2)
+    figure.update_xaxes(title_text="share of frames per bin", row=len(known), col=2)
     return styled(figure, height=60 + 240 * len(known))
 
 
@@ -101,7 +101,7 @@ def _over_time(figure: go.Figure, plot_data: PlotData, line: Line, *, row: int) 
 
 
 def _distribution(figure: go.Figure, column: Column, *, row: int) -> None:
-    """Bars a bin of the logarithm, beside what chi-squared with six degrees of freedom puts into it."""
+    """Draw a histogram over the logarithm, with that of chi-squared with six degrees of freedom."""
     low, high = _DECADES
     edges = 10.0 ** np.linspace(low, high, round((high - low) * _BINS_A_DECADE) + 1)
     ends = edges.copy()
@@ -134,7 +134,7 @@ def _chi_squared_share(x: FloatArray) -> FloatArray:
 
 
 def _histogram(figure: go.Figure, seconds: Column, end_s: float, *, col: int) -> None:
-    """Bars between 0 and an end; what is longer is in the last one."""
+    """Draw a histogram between 0 and an end; longer durations are in the last bar."""
     bins = min(60, max(8, int(np.sqrt(seconds.count)) * 2))
     edges = np.linspace(0.0, np.nextafter(end_s, np.inf), bins + 1)
     counts = seconds.counts(np.append(edges[:-1], np.inf))

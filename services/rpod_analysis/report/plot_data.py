@@ -1,4 +1,4 @@
-"""Data of a run's figures in bounded memory: downsampled lines that keep all peaks."""
+"""Data of a run's figures in bounded memory, as downsampled lines that keep all peaks."""
 
 import numpy as np
 
@@ -21,9 +21,9 @@ class PlotData:
         self.angle_deg, self.distance_m = Line(span_ns), Line(span_ns)
         """Magnitudes of the errors."""
         self.attitude_deg = tuple(Line(span_ns) for _ in range(3))
-        """Roll, pitch, yaw: in target axes."""
+        """Errors in roll, pitch and yaw, target axes."""
         self.position_m = tuple(Line(span_ns) for _ in range(3))
-        """x, y, z: in the axes of the sensor."""
+        """Errors in x, y and z, axes of the sensor."""
         self.sigma_deg = tuple(Line(span_ns) for _ in range(3))
         self.sigma_m = tuple(Line(span_ns) for _ in range(3))
         self.nees, self.nis = Line(span_ns), Line(span_ns)
@@ -32,11 +32,11 @@ class PlotData:
         self.mode, self.source = Band(), Band()
         self.rejected = Samples(span_ns, _MOST_TICKS)
         self.reasons: list[str] = []
-        """Reasons of the rejected frames that are drawn."""
+        """Reasons of the drawn rejected frames."""
         self.true_path, self.path = Samples(span_ns, _MOST_STEPS, 3), Samples(span_ns, _MOST_STEPS, 3)
         """Positions of the target, chaser axes, m."""
         self.frames = {sensor: Samples(span_ns, _MOST_FRAMES) for sensor in sensors}
-        """Frames of each sensor, those that have an estimate."""
+        """Stamps of the frames of each sensor that have an estimate."""
         self.any_frames = {sensor: Samples(span_ns, _MOST_FRAMES) for sensor in sensors}
 
     @classmethod

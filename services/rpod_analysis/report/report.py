@@ -1,6 +1,6 @@
-"""The report: one HTML file that opens without a network, ``summary.json`` and tables beside it.
+"""The report: one HTML file that opens without a network, with ``summary.json`` and tables beside it.
 
-Several logs are reported one by one, and then side by side in one more file.
+For several logs there is a report of each, and one more file that compares them.
 """
 
 import os
@@ -25,11 +25,11 @@ _PART = re.compile(r"_\d{4}$")
 
 @dataclass(frozen=True)
 class ReportPaths:
-    """Paths of the files that a report consists of."""
+    """Paths of the files of a report."""
 
     html: Path
     summary: Path
-    """JSON: a ``Summary``; of several runs a ``Comparison``."""
+    """JSON file: a ``Summary``, or a ``Comparison`` for several runs."""
 
 
 def write_report(logs: Sequence[Path], out: Path | None = None) -> ReportPaths:
@@ -37,25 +37,26 @@ def write_report(logs: Sequence[Path], out: Path | None = None) -> ReportPaths:
 
     Args:
         logs: the run's log, or its parts.
-        out: directory to write to; beside the log where left out.
+        out: directory to write to, by default that of the log.
 
     Raises:
-        AnalysisError: a log cannot be read, or no estimator spoke in it.
+        AnalysisError: a log cannot be read, or contains no estimates.
     """
     paths, _ = _report_one(logs, out, name="")
     return paths
 
 
 def write_comparison(runs: Sequence[Sequence[Path]], out: Path | None = None) -> ReportPaths:
-    """Report several runs, each as ``write_report`` does, and beside each other in ``comparison.html``.
+    """Write a report of each run, as ``write_report`` does, and their comparison in ``comparison.html``.
 
     Args:
-        runs: the log of each, or its parts.
-        out: directory to write to, with a folder of each log; where left out beside the logs, in a folder of
-            each where several are in one, and the comparison into the folder that holds them all.
+        runs: the log of each run, or its parts.
+        out: directory to write to, with a folder for each log. By default each report is written beside its
+            log (if several logs are in one folder, into a folder for each), and the comparison into the
+            folder that contains them all.
 
     Raises:
-        AnalysisError: a log cannot be read, or no estimator spoke in it.
+        AnalysisError: a log cannot be read, or contains no estimates.
     """
     names, contents = tell_apart([logs[0] for logs in runs]), []
     folders = [logs[0].absolute().parent for logs in runs]
@@ -75,7 +76,7 @@ def write_comparison(runs: Sequence[Sequence[Path]], out: Path | None = None) ->
 
 
 def group_parts(paths: Sequence[Path]) -> list[list[Path]]:
-    """Return logs by the run that they are of: ``run.mcap`` and ``run_0002.mcap`` of one folder are parts."""
+    """Return logs grouped by run: ``run.mcap`` and ``run_0002.mcap`` in one folder are parts of one run."""
     runs: dict[tuple[Path, str], list[Path]] = {}
     for path in paths:
         stem = path.name if path.is_dir() else path.stem.removesuffix(RECOVERED)
@@ -84,7 +85,7 @@ def group_parts(paths: Sequence[Path]) -> list[list[Path]]:
 
 
 def tell_apart(paths: Sequence[Path]) -> list[str]:
-    """Return a name of each log: its file's, where two are the same its folder's, else with a number."""
+    """Return a name for each log: its file's name; for equal names its folder's; else with a number."""
     absolute = [path.absolute() for path in paths]
     choices = (
         [path.stem for path in absolute],

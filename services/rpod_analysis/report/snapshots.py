@@ -1,4 +1,4 @@
-"""Sample frames of a run, with the target's wireframe at the estimate and at the truth over them."""
+"""Sample frames of a run, overlaid with the target's wireframe at the estimate and at the truth."""
 
 import base64
 from collections.abc import Iterator
@@ -21,9 +21,9 @@ from rpod_schemas.types import Camera, Float32Array, FrameImage, SensorFrame
 from rpod_target import Target
 
 _SAMPLES = 4
-"""Frames shown of each sensor."""
+"""Number of frames of each sensor that are shown."""
 _SLICE_NS = 200_000_000
-"""The parts of a frame arrive within this of each other."""
+"""Greatest time between the arrivals of a frame's parts, ns."""
 _ASPECT = 4.0 / 3.0
 _MARGIN = 1.25
 _MOST_POINTS = 4000
@@ -32,17 +32,17 @@ _SHADES = 10
 
 @dataclass(frozen=True)
 class Picture:
-    """One image with its overlay; lengths are a camera's pixels, else x/z and y/z in thousandths."""
+    """One image with its overlay; coordinates are a camera's pixels, or x/z and y/z in thousandths."""
 
     title: str
     view: tuple[float, float, float, float]
     """Window of the picture: left, top, width, height."""
     image: str
-    """Data URI; empty where points are drawn."""
+    """Image as a data URI; empty if points are drawn."""
     size: tuple[int, int]
     """Width and height of the image."""
     points: tuple[tuple[str, str], ...]
-    """Colour and SVG path of points, near to far."""
+    """Colour and SVG path of points, from near to far."""
     low: str
     high: str
     """Labels of the ends of the scale."""
@@ -59,12 +59,12 @@ class Snapshot:
     note: str
     pictures: tuple[Picture, ...]
     estimate_path: str
-    """SVG path of the wireframe at the estimate; empty where there is none."""
+    """SVG path of the wireframe at the estimate; empty if there is none."""
     truth_path: str
 
 
 def take_snapshots(log: Log, run: StreamedRun, plot_data: PlotData, target: Target | None) -> list[Snapshot]:
-    """Return about four frames of each sensor, evenly over the run, estimated ones first of all."""
+    """Return about four frames of each sensor, spread over the run, preferably frames with an estimate."""
     return [
         snapshot
         for sensor in run.sensors.values()
@@ -137,7 +137,7 @@ def _note(run: Run, index: int | None) -> str:
 
 
 def frame_pictures(frame: SensorFrame, outline: FloatArray) -> tuple[Picture, ...]:
-    """Return the images of a frame, else its points, with the window on an outline, pixels, shape (N, 2)."""
+    """Return the images of a frame, or its points, with a window around an outline, pixels, shape (N, 2)."""
     if not frame.images:
         return _points_pictures(frame.returns_m, outline)
     first = frame.images[0].values
@@ -184,7 +184,7 @@ def _points_pictures(returns_m: Float32Array, outline: FloatArray) -> tuple[Pict
 
 
 def _view(points: FloatArray, size: tuple[int, int] | None) -> tuple[float, float, float, float]:
-    """Return the window on what is to be seen, with a margin, in the pictures' aspect."""
+    """Return a window that contains points, with a margin, in the aspect ratio of the pictures."""
     if not len(points):
         return (0.0, 0.0, *size) if size else (0.0, 0.0, 1.0, 1.0)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -200,7 +200,7 @@ def _span(values: Array) -> tuple[float, float]:
 
 
 def _shade(values: Array, black: float, white: float) -> NDArray[np.uint8]:
-    """Return values as 0 to 255 between two ends, NaN as 0."""
+    """Return values scaled to 0 to 255 between two limits; NaN gives 0."""
     share = np.nan_to_num((values.astype(np.float64) - black) / (white - black))
     return (255.0 * share.clip(0.0, 1.0)).astype(np.uint8)
 

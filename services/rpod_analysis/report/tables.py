@@ -1,7 +1,7 @@
-"""Tables of a run, for polars and whatever reads Arrow: truth, estimates, statuses, and all by stamp.
+"""Tables of a run, for polars and programs that read Arrow: truth, estimates, statuses, and all by stamp.
 
-A polars frame hands its columns to pyarrow, pandas or DuckDB without copying (``__arrow_c_stream__``). They
-carry their units in their names; stamps are nanoseconds of UTC.
+A polars frame passes its columns to pyarrow, pandas or DuckDB without copying (``__arrow_c_stream__``). The
+names of the columns contain their units; stamps are nanoseconds of UTC.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -33,18 +33,18 @@ def estimate_table(run: Run) -> pl.DataFrame:
 
 
 def status_table(run: Run) -> pl.DataFrame:
-    """Return of each frame: sensor, mode, source, accepted, reason, nis, processing_s."""
-    said = run.statuses
+    """Return for each frame: sensor, mode, source, accepted, reason, nis, processing_s."""
+    statuses = run.statuses
     return pl.DataFrame(
         {
-            "stamp_ns": said.stamp_ns,
-            "sensor": said.sensor.tolist(),
-            "mode": [Mode(mode).name for mode in said.mode],
-            "source": [Source(source).name for source in said.source],
-            "accepted": said.accepted,
-            "reason": said.reason.tolist(),
-            "nis": said.nis,
-            "processing_s": said.processing_s,
+            "stamp_ns": statuses.stamp_ns,
+            "sensor": statuses.sensor.tolist(),
+            "mode": [Mode(mode).name for mode in statuses.mode],
+            "source": [Source(source).name for source in statuses.source],
+            "accepted": statuses.accepted,
+            "reason": statuses.reason.tolist(),
+            "nis": statuses.nis,
+            "processing_s": statuses.processing_s,
         },
         schema_overrides=dict.fromkeys(("sensor", "mode", "source", "reason"), pl.String),
     )
@@ -53,8 +53,8 @@ def status_table(run: Run) -> pl.DataFrame:
 def joined_table(run: Run) -> pl.DataFrame:
     """Return a row for each frame: its status, the estimate of the same stamp, the truth, and the errors.
 
-    Truth is interpolated at the estimate's stamp; where it is not known, columns are null. Errors
-    are those of the ICD: attitude in target axes, position in the sensor's.
+    The truth is interpolated at the estimate's stamp; unknown values are null. Errors are defined as in the
+    ICD: attitude in target axes, position in the sensor's axes.
     """
     known = run.errors.scored
     truth = _pose_columns(run.T_truth, prefix="truth_")
@@ -80,8 +80,8 @@ def write_tables(directory: Path, run: Iterable[Run]) -> None:
     """Write ``truth.parquet``, ``frames.parquet`` and, for evo, ``truth.tum`` and ``estimate.tum``.
 
     Args:
-        directory: where to.
-        run: minutes of a run in their order, gone through once for each table; rows are written as they come.
+        directory: folder to write to.
+        run: minutes of a run in their order; it is iterated once for each table.
     """
     _write_parquet(directory / "truth.parquet", run, truth_table)
     _write_parquet(directory / "frames.parquet", run, joined_table)
@@ -92,7 +92,7 @@ def write_tables(directory: Path, run: Iterable[Run]) -> None:
 
 
 def _write_parquet(path: Path, run: Iterable[Run], table: Callable[[Run], pl.DataFrame]) -> None:
-    """Write a table in row groups, as the minutes come."""
+    """Write a table in row groups, minute by minute."""
 
     def rows(*_: object) -> Iterator[pl.DataFrame]:
         return (table(minute) for minute in run)
@@ -101,7 +101,7 @@ def _write_parquet(path: Path, run: Iterable[Run], table: Callable[[Run], pl.Dat
 
 
 def tum_lines(track: Track) -> Iterator[str]:
-    """Return poses as evo reads them: a line of seconds, x, y, z, qx, qy, qz, qw each (TUM RGB-D format)."""
+    """Yield poses in the TUM RGB-D format, which evo reads: lines of seconds, x, y, z, qx, qy, qz, qw."""
     rows = np.column_stack(list(_pose_columns(track.poses).values()))
     for stamp, row in zip(track.stamp_ns.tolist(), rows.tolist(), strict=True):
         yield f"{stamp // 10**9}.{stamp % 10**9:09d} {' '.join(f'{value:.9g}' for value in row)}\n"

@@ -4,7 +4,7 @@ from rpod_schemas.arrays import FloatArray
 
 
 def svg_path(segments: FloatArray) -> str:
-    """Return the path data of segments, shape (N, 2, 2); those that follow each other are joined."""
+    """Return the path data of segments, shape (N, 2, 2); successive segments with a common end are joined."""
     parts: list[str] = []
     last = ""
     for start, end in segments:

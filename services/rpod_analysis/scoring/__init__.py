@@ -1,1 +1,1 @@
-"""Scoring a run: estimates against truth, totals, the summary, and whether the run went well."""
+"""Scoring of a run: comparison of estimates with the truth, totals, summary, and checks."""

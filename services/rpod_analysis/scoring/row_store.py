@@ -1,6 +1,6 @@
-"""Storage for the rows and numbers of a run of any length: in memory at first, then on disk.
+"""Storage for the rows and numbers of a run of any length: first in memory, then on disk.
 
-Memory is bounded by a minute of the run; what is asked of the numbers is exact all the same.
+The memory is bounded by that of a minute of the run; the statistics are exact nevertheless.
 """
 
 import pickle
@@ -17,9 +17,9 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.cdr import NANOSECONDS
 
 BLOCK_NS = 60 * NANOSECONDS
-"""Length of a block of rows: a minute."""
+"""Length of a block of rows, ns: a minute."""
 Row = tuple[Any, ...]
-"""A row; its first item is the stamp, ns."""
+"""A row, whose first item is the stamp, ns."""
 
 _MOST_PENDING = 20_000
 _RECENT = 3
@@ -29,7 +29,7 @@ _GATHERED = 1 << 15
 
 
 class RowStore:
-    """Rows that arrive in any order and are read by the minute of their stamps."""
+    """Rows that are added in any order and read by the minute of their stamps."""
 
     def __init__(self) -> None:
         self._file: IO[bytes] = TemporaryFile()  # noqa: SIM115
@@ -67,11 +67,11 @@ class RowStore:
 
     @property
     def minutes(self) -> list[int]:
-        """The minutes that have rows, in the order of time."""
+        """Minutes that have rows, in the order of time."""
         return sorted({*self._places, *self._pending})
 
     def rows(self, minute: int) -> list[Row]:
-        """Return a minute's rows in the order of their stamps, those of one stamp as they came."""
+        """Return a minute's rows in the order of their stamps; for equal stamps in the order of addition."""
         if minute not in self._recent:
             self._recent[minute] = sorted(self._read(minute), key=lambda row: row[0])
             if len(self._recent) > _RECENT:
@@ -86,7 +86,7 @@ class RowStore:
 
 
 class Column:
-    """Any number of finite numbers with exact statistics; NaN is left out."""
+    """A column of any number of finite values, with exact statistics; NaN is left out."""
 
     def __init__(self, values: FloatArray | None = None) -> None:
         self._file: IO[bytes] = SpooledTemporaryFile(max_size=_IN_MEMORY_BYTES)  # noqa: SIM115
@@ -115,12 +115,12 @@ class Column:
 
     @property
     def mean(self) -> float:
-        """Mean of at least one number."""
+        """Mean; there must be at least one number."""
         return self._sum / self.count
 
     @property
     def rms(self) -> float:
-        """Root mean square of at least one number."""
+        """Root mean square; there must be at least one number."""
         return float(np.sqrt(self._squares / self.count))
 
     def share_up_to(self, bound: float) -> float:
@@ -128,27 +128,27 @@ class Column:
         return sum(int((block <= bound).sum()) for block in self._blocks()) / self.count
 
     def quantile(self, share: float) -> float:
-        """Return a quantile, between neighbours on a straight line, as ``numpy.quantile`` has it."""
+        """Return a quantile, interpolated linearly between neighbours, like ``numpy.quantile``."""
         position = share * (self.count - 1)
         below = self._of_rank(int(position))
         above = self._of_rank(min(int(position) + 1, self.count - 1))
         return below + (position - int(position)) * (above - below)
 
     def counts(self, edges: FloatArray) -> NDArray[np.int64]:
-        """Return how many numbers there are from each edge to below the next."""
+        """Return the number of values from each edge to below the next."""
         counts = np.zeros(len(edges) - 1, np.int64)
         for block in self._blocks():
             counts += np.diff(np.searchsorted(np.sort(block), edges))
         return counts
 
     def _of_rank(self, rank: int) -> float:
-        """Return the number of a rank, from 0: the range that holds it is narrowed until few are in it."""
+        """Return the value of a rank, from 0, by narrowing the range around it until it holds few values."""
         low, end = self._low, np.nextafter(self.max, np.inf)
         before, inside = 0, self.count
         while inside > _GATHERED:
             edges = np.unique(np.linspace(low, end, _BINS + 1))
             if edges.size == 2:
-                return low  # no other number lies between the ends
+                return low  # no other number is between the ends
             counts = self.counts(edges)
             above = before + np.cumsum(counts)
             bin_ = int(np.searchsorted(above, rank, side="right"))

@@ -1,7 +1,7 @@
-"""A run, read from its log in one pass: everything that is scored and drawn.
+"""A run, read from its log in one pass: all data that are scored and drawn.
 
-The pass keeps what it finds by the minute (``StreamedRun``), so that a run of any length is scored minute by
-minute in bounded memory; ``read_run`` gives all of it at once.
+The data are stored by the minute (``StreamedRun``), so that a run of any length is scored minute by
+minute in bounded memory; ``read_run`` returns all of it at once.
 """
 
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ class Statuses:
     source: IntArray
     accepted: BoolArray
     nis: FloatArray
-    """Normalised innovation squared, six degrees of freedom; NaN where nothing was compared."""
+    """Normalised innovation squared, six degrees of freedom; NaN without a comparison."""
     processing_s: FloatArray
     sensor: NDArray[np.str_]
     reason: NDArray[np.str_]
@@ -64,15 +64,16 @@ class Run:
     covariance: FloatArray
     """Covariance of (dp, dtheta) in chaser axes, shape (N, 6, 6)."""
     latency_s: FloatArray
-    """Stamp to publication of the estimates, shape (N,); NaN where the clock is not the wall's."""
+    """Time from stamp to publication of the estimates, shape (N,); NaN if the run does not use the wall
+    clock."""
     tracked: BoolArray
     """Whether an estimate's frame was in TRACKING, shape (N,)."""
     sensor_of: NDArray[np.str_]
-    """The sensor behind each estimate, shape (N,); empty where unknown."""
+    """Sensor whose frame gave each estimate, shape (N,); empty if unknown."""
     R_chaser_sensor: Rotation
-    """Attitude of that sensor, N of them."""
+    """Attitude of that sensor for each estimate, N rotations."""
     T_truth: RigidTransform
-    """The truth at the estimates' stamps, N poses; without meaning where they are not scored."""
+    """Truth at the estimates' stamps, N poses; not valid for estimates that are not scored."""
     errors: Errors
     statuses: Statuses
     sensors: dict[str, Sensor]
@@ -92,7 +93,7 @@ class Run:
 
 
 class StreamedRun:
-    """A run of any length, minute by minute; on disk as far as it is long."""
+    """A run of any length, minute by minute; the rows of a long run are on disk."""
 
     def __init__(self, found: Found) -> None:
         self._found = found
@@ -100,7 +101,7 @@ class StreamedRun:
         self.minutes: list[int] = sorted(
             {minute for store in (*stores, found.frames) for minute in store.minutes}
         )
-        """Minutes of UTC in which anything happened."""
+        """Minutes of UTC for which there are data."""
         self.start_ns = min(store.first_ns for store in stores if store.first_ns is not None)
         """First stamp of truth and estimator."""
         self.end_ns = max(store.last_ns for store in stores if store.last_ns is not None)
@@ -120,19 +121,19 @@ class StreamedRun:
         return (self.minute(minute) for minute in self.minutes)
 
     def at(self, stamp_ns: int) -> Run:
-        """Return the minute that holds a stamp."""
+        """Return the minute that contains a stamp."""
         return self.minute(stamp_ns // BLOCK_NS)
 
     def minute(self, minute: int) -> Run:
-        """Return a minute, scored as it would be within the whole."""
+        """Return a minute, with the same scores as within the whole run."""
         return self._build([minute], self._truth_around(minute), self._status_before(minute))
 
     def whole(self) -> Run:
-        """Return all minutes as one."""
+        """Return all minutes as one run."""
         return self._build(self.minutes, [], [])
 
     def _truth_around(self, minute: int) -> list[Row]:
-        """Truth is interpolated between neighbours that are this near, wherever a minute ends."""
+        """Return the truth just before and after a minute, for the interpolation at its ends."""
         start_ns = minute * BLOCK_NS
         before = [row for row in self._found.truth.rows(minute - 1) if row[0] >= start_ns - MAX_TRUTH_GAP_NS]
         end_ns = start_ns + BLOCK_NS + MAX_TRUTH_GAP_NS
@@ -186,7 +187,7 @@ def read_run(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> Run:
-    """Read a log and score its estimates against its truth, all at once; as ``stream_run``."""
+    """Read a whole log and compare its estimates with its truth; arguments as for ``stream_run``."""
     return stream_run(log, prefix=prefix, sensors=sensors, start_ns=start_ns, end_ns=end_ns).whole()
 
 
@@ -198,18 +199,19 @@ def stream_run(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> StreamedRun:
-    """Read a log, in memory that does not grow with its length.
+    """Read a log in memory that does not grow with its length.
 
     Args:
-        log: with estimates.
-        prefix: first part of the estimates' topics, where the log has several; found where left out.
-        sensors: in whose axes errors are told, where the log has not their data; found where left out.
-        start_ns: arrival of the first message.
-        end_ns: all messages arrived before this.
+        log: log with estimates.
+        prefix: first part of the estimates' topics, necessary if the log has several; found by default.
+        sensors: sensors in whose axes errors are given, necessary if their data are not in the log; found by
+            default.
+        start_ns: time of arrival from which messages are read.
+        end_ns: time of arrival before which messages are read.
 
     Raises:
         NoEstimatesError: there is neither an estimate nor a status in the log.
-        FramesDifferError: truth and estimates are of different frames.
+        FramesDifferError: truth and estimates are given in different frames of reference.
     """
     prefix = prefix or estimate_prefix(log)
     reader = Reader(log, prefix, find_sensors(log) if sensors is None else sensors)
@@ -224,7 +226,7 @@ def stream_run(
 
 
 def estimate_prefix(log: Log) -> str:
-    """Return the first part of the estimator's topics; ``estimate`` where there are several or none."""
+    """Return the first part of the estimator's topics; ``estimate`` if there are several or none."""
     suffix = STATUS.name.removeprefix(DEFAULT_PREFIX)
     found = [name for name, info in log.topics.items() if info.type == STATUS.type and name.endswith(suffix)]
     return found[0].removesuffix(suffix) if len(found) == 1 else DEFAULT_PREFIX
@@ -254,9 +256,9 @@ def _statuses(rows: list[Row]) -> Statuses:
 
 
 def _behind(estimates: Track, statuses: Statuses) -> tuple[BoolArray, NDArray[np.str_]]:
-    """Return whether estimates are of tracked frames, and their sensors: by the last status up to each.
+    """Return whether estimates are of tracked frames, and their sensors, by the last status up to each.
 
-    One before which there is none counts as tracked; its sensor is not known.
+    An estimate without an earlier status counts as tracked, with an unknown sensor.
     """
     last = np.searchsorted(statuses.stamp_ns, estimates.stamp_ns, side="right") - 1
     if not len(statuses):
@@ -273,9 +275,10 @@ def _sensor_frames(sensor: str, rows: list[Row]) -> SensorFrames:
 
 
 def _sensor_axes(sensor_of: NDArray[np.str_], sensors: dict[str, Sensor]) -> Rotation:
-    """Return the attitude of the sensor behind each estimate.
+    """Return the attitude of the sensor whose frame gave each estimate.
 
-    The only sensor's where none is named; the chaser's where the mount is not known.
+    If the sensor is unknown, it is the attitude of the only sensor; if the mount is unknown, that of the
+    chaser.
     """
     quaternions = np.tile((0.0, 0.0, 0.0, 1.0), (sensor_of.size, 1))
     for sensor in sensors.values():

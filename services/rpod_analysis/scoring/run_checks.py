@@ -18,7 +18,7 @@ MAX_DROPPED_SHARE = 0.05
 _COMPLETE = {
     True: "the log is complete",
     False: "the log is not complete",
-    None: "the log does not say whether it is complete",
+    None: "it is not known whether the log is complete",
 }
 
 
@@ -33,10 +33,10 @@ class Check:
 
 
 def assess(checks: list[Check]) -> str:
-    """Return the run in one sentence."""
+    """Return an assessment of the run in one sentence."""
     failed = [check.question.lower() for check in checks if check.good is False]
     if not failed:
-        return "The run went well."
+        return "The run passed all checks."
     if checks[0].good is False:
         return "The target was not acquired."
     return f"The run has findings: {', '.join(failed)}."
@@ -44,23 +44,23 @@ def assess(checks: list[Check]) -> str:
 
 def headline(summary: Summary, totals: RunTotals) -> str:
     """Return the most important facts in one line: acquisition, losses, worst errors, completeness."""
-    told = []
+    facts = []
     if summary.modes.first_tracking_s is None:
-        told.append("Never acquired")
+        facts.append("Never acquired")
     else:
         lost_s = summary.estimates.lost_s
-        told.append(f"Acquired after {summary.modes.first_tracking_s:.2f} s")
-        told.append(f"lost for {lost_s:.3g} s" if lost_s else "never lost")
+        facts.append(f"Acquired after {summary.modes.first_tracking_s:.2f} s")
+        facts.append(f"lost for {lost_s:.3g} s" if lost_s else "never lost")
     if totals.worst_deg and totals.worst_m:
-        told.append(
+        facts.append(
             f"worst errors {totals.worst_deg.value:.2f}° (at {totals.worst_deg.time_s:.1f} s) "
             f"and {100.0 * totals.worst_m.value:.1f} cm (at {totals.worst_m.time_s:.1f} s)"
         )
     else:
-        told.append("errors not known")
+        facts.append("errors not known")
     complete = summary.completeness.complete if summary.completeness else None
-    told.append(_COMPLETE[complete])
-    return ", ".join(told) + "."
+    facts.append(_COMPLETE[complete])
+    return ", ".join(facts) + "."
 
 
 def find_checks(summary: Summary, alarms: int) -> list[Check]:
@@ -94,14 +94,14 @@ def _estimation(summary: Summary) -> Iterator[Check]:
     off = modes.worse_than_10deg_or_0_3m_share
     yield Check(
         "Accuracy",
-        "nothing scored" if off is None else f"{_percent(off)} of frames off by more than 10° or 0.3 m",
+        "no estimate scored" if off is None else f"{_percent(off)} of frames off by more than 10° or 0.3 m",
         f"at most {_percent(MAX_OFF_TARGET_SHARE)}",
         None if off is None else off <= MAX_OFF_TARGET_SHARE,
     )
     within = consistency.nees_share_in_95 if consistency else None
     yield Check(
         "Covariance",
-        "nothing scored" if within is None else f"{_percent(within)} of errors within the 95 % bound",
+        "no estimate scored" if within is None else f"{_percent(within)} of errors within the 95 % bound",
         f"at least {_percent(MIN_NEES_SHARE)}",
         None if within is None else within >= MIN_NEES_SHARE,
     )
@@ -123,14 +123,14 @@ def _recorded(summary: Summary) -> Iterator[Check]:
     missed = summary.missed
     yield Check("Log", f"{_count(missed, 'message')} missed", "no message missed", missed == 0)
     yield _readable(summary)
-    said = summary.completeness
-    if said is None or said.complete is None:
-        answer = "the log does not say"
+    stated = summary.completeness
+    if stated is None or stated.complete is None:
+        answer = "unknown: the log has no record of it"
     else:
-        first = f"no: {said.reasons[0]}" if said.reasons else "no"
-        more = f" and {_count(len(said.reasons) - 1, 'other reason')}" if len(said.reasons) > 1 else ""
-        answer = "complete, by its own account" if said.complete else first + more
-    complete = said.complete if said else None
+        first = f"no: {stated.reasons[0]}" if stated.reasons else "no"
+        more = f" and {_count(len(stated.reasons) - 1, 'other reason')}" if len(stated.reasons) > 1 else ""
+        answer = "complete, by its own record" if stated.complete else first + more
+    complete = stated.complete if stated else None
     yield Check("Completeness", answer, "the log's own statement, checked against its content", complete)
 
 

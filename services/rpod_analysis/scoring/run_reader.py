@@ -1,6 +1,6 @@
-"""One pass over a log that sorts its messages by purpose, as plain numbers.
+"""One pass over a log that sorts its messages by purpose and stores them as plain numbers.
 
-The domain types cost ten times as much as the decoding.
+The domain types are not used, because they take ten times as long as the decoding.
 """
 
 from collections.abc import Callable
@@ -24,22 +24,22 @@ class Found:
     sensors: dict[str, Sensor]
     status_topic: str
     truth: RowStore = field(default_factory=RowStore)
-    """Pose as x, y, z, qx, qy, qz, qw."""
+    """Rows of stamp and pose as x, y, z, qx, qy, qz, qw."""
     estimates: RowStore = field(default_factory=RowStore)
-    """Pose, covariance as bytes, time of publication."""
+    """Rows of stamp, pose, covariance as bytes, and time of publication."""
     statuses: RowStore = field(default_factory=RowStore)
-    """Mode, source, accepted, nis, processing_s, sensor, reason."""
+    """Rows of stamp, mode, source, accepted, nis, processing_s, sensor and reason."""
     frames: RowStore = field(default_factory=RowStore)
-    """Sensor, arrival."""
+    """Rows of stamp, sensor and time of arrival."""
     parents: set[str] = field(default_factory=set)
-    """Frames of truth and estimates."""
+    """Frames of reference of truth and estimates."""
     account: Account = field(default_factory=Account)
     clock: bool = False
     """Whether time comes from the topic ``clock``."""
 
 
 class Reader:
-    """Takes the messages of a log, in the order of arrival; those that cannot be read are left out."""
+    """Sorts the messages of a log, in the order of arrival; those that cannot be read are left out."""
 
     def __init__(self, log: Log, prefix: str, sensors: dict[str, Sensor]) -> None:
         self._unreadable, self._stamps = log.unreadable, StampCheck(log)

@@ -1,4 +1,4 @@
-"""Scoring: estimates against truth, in numbers. Pure; it knows arrays and nothing of logs.
+"""Scoring: numerical comparison of estimates with the truth, by pure functions of arrays.
 
 Source: ICD section 1, "Covariance" and "Errors".
 """
@@ -20,9 +20,9 @@ MAX_TRUTH_GAP_NS = 8_000_000
 NEES_95 = 12.59
 """95 % quantile of chi-squared with six degrees of freedom."""
 OFF_TARGET_RAD = math.radians(10.0)
-"""A tracked frame with a larger attitude error is off the target."""
+"""Attitude error above which a tracked frame counts as off the target."""
 OFF_TARGET_M = 0.3
-"""A tracked frame with a larger position error is off the target."""
+"""Position error above which a tracked frame counts as off the target."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,9 @@ class Track:
     """Poses over time."""
 
     stamp_ns: IntArray
-    """Shape (N,), in the order of publication."""
+    """Stamps in the order of publication, shape (N,)."""
     poses: RigidTransform
-    """N poses."""
+    """Poses at the stamps, N of them."""
 
     def __len__(self) -> int:
         return self.stamp_ns.size
@@ -40,18 +40,18 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Errors of N estimates; NaN where there is no truth."""
+    """Errors of N estimates; NaN for estimates without truth."""
 
     attitude_rad: FloatArray
-    """Log(R_truth^T R_estimate), target axes, shape (N, 3): roll, pitch, yaw."""
+    """Attitude errors (roll, pitch, yaw), Log(R_truth^T R_estimate), target axes, shape (N, 3)."""
     position_m: FloatArray
-    """Estimate minus truth in the sensor's axes, shape (N, 3)."""
+    """Position errors, estimate minus truth in the sensor's axes, shape (N, 3)."""
     nees: FloatArray
-    """Shape (N,); NaN where the covariance is none."""
+    """NEES, shape (N,); NaN if the covariance is not valid."""
 
     @property
     def scored(self) -> BoolArray:
-        """Whether there is truth at the estimate's stamp, shape (N,)."""
+        """Whether the truth is known at the estimate's stamp, shape (N,)."""
         return np.isfinite(self.angle_rad)
 
     @property
@@ -75,10 +75,10 @@ class Errors:
 
 
 def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolArray]:
-    """Return the truth at stamps, and where it is known; poses elsewhere mean nothing.
+    """Return the truth at stamps, and at which of them it is known; the other poses are not valid.
 
-    Rotations on the great arc (Slerp), translations on the straight line between neighbours. The truth is
-    known at its own stamps and between neighbours at most 8 ms apart, and never beyond its ends.
+    Between neighbours, rotations are interpolated by Slerp and translations linearly. The truth is known at
+    its own stamps and between neighbours at most 8 ms apart, but not beyond its ends.
     """
     known_ns, first = np.unique(truth.stamp_ns, return_index=True)
     if known_ns.size == 0:
@@ -104,10 +104,10 @@ def find_errors(
     """Return the errors of N estimates, and the truth at their stamps.
 
     Args:
-        estimates: T_chaser_target as estimated.
-        truth: T_chaser_target as it was.
-        covariance: of (dp, dtheta) in chaser axes, shape (N, 6, 6); zeros where unknown.
-        R_chaser_sensor: N attitudes of the sensors behind the estimates.
+        estimates: estimated T_chaser_target.
+        truth: true T_chaser_target.
+        covariance: covariances of (dp, dtheta) in chaser axes, shape (N, 6, 6); zeros if unknown.
+        R_chaser_sensor: attitudes of the sensors whose frames gave the estimates, N rotations.
     """
     T_truth, known = interpolate(truth, estimates.stamp_ns)
     R_truth, R_estimate = T_truth.rotation, estimates.poses.rotation
@@ -126,7 +126,7 @@ def find_errors(
 def find_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return e^T P^-1 e, shape (N,), of errors (N, 6) and covariances (N, 6, 6).
 
-    NaN where the error is unknown or the covariance is not positive definite.
+    It is NaN if the error is unknown or the covariance is not positive definite.
     """
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).clip(0.0))
     usable = np.isfinite(error).all(axis=1) & (sigma > 0.0).all(axis=1)

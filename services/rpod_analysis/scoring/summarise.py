@@ -1,4 +1,4 @@
-"""Makes ``summary.json`` of a run."""
+"""Creates the content of a run's ``summary.json``."""
 
 from pathlib import Path
 
@@ -43,12 +43,12 @@ def summarise(
 
 
 def _scenario(log: Log) -> str | None:
-    """Return the name under which the run was recorded: ``rpod run`` gives the scenario's to the logger."""
+    """Return the configured name of the log; ``rpod run`` uses the name of the scenario."""
     name = log.configuration.get(LoggerConfig.model_fields["instance"].default, {}).get("name")
     return str(name) if name else None
 
 
 def _seed(log: Log) -> int | None:
-    """Return the first seed that a service was configured with."""
+    """Return the first seed in the services' configurations."""
     seeds = [service["seed"] for service in log.configuration.values() if service.get("seed") is not None]
     return int(seeds[0]) if seeds else None

@@ -35,7 +35,7 @@ class Change:
     """A change of the navigator's state."""
 
     time_s: float
-    """From the start of the run."""
+    """Time from the start of the run."""
     before: Mode
     after: Mode
     reason: str
@@ -48,11 +48,11 @@ class Worst:
 
     value: float
     time_s: float
-    """From the start of the run."""
+    """Time from the start of the run."""
 
 
 class Kinds:
-    """Counts texts that differ only in their numbers as one kind."""
+    """Counts of texts; texts that differ only in their numbers are one kind."""
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
@@ -72,22 +72,22 @@ class Kinds:
 
 
 class RunTotals:
-    """Adds up a run, minute by minute or whole."""
+    """Totals of a run, added minute by minute or for the whole run."""
 
     def __init__(self) -> None:
         self.estimates = self.accepted = self.rejected = self.unscored = 0
         self.lost_ns = 0
-        """Time in LOST or ACQUIRING after the first TRACKING; a mode holds until the next status."""
+        """Time in LOST or ACQUIRING after the first TRACKING, ns; a mode lasts until the next status."""
         self.latency_s, self.processing_s, self.nis = Column(), Column(), Column()
         self.nees = Column()
-        """NEES of the tracked frames, as are all errors below."""
+        """NEES of the tracked frames; all errors below are of the tracked frames too."""
         self.reasons = Kinds()
         """Reasons of the rejected frames."""
         self.changes: list[Change] = []
-        """The first ones."""
+        """Changes of the navigator's state; the first ones only."""
         self.change_count = 0
         self.by_sensor: dict[str, Counter[str]] = {}
-        """Accepted and rejected frames."""
+        """Numbers of accepted and rejected frames, by sensor."""
         self.worst_deg: Worst | None = None
         self.worst_m: Worst | None = None
         self._first_tracking_s: float | None = None
@@ -99,7 +99,7 @@ class RunTotals:
 
     @classmethod
     def of(cls, *runs: Run) -> "RunTotals":
-        """Return the totals of runs, which are the minutes of one in their order."""
+        """Return the totals of runs, which are the minutes of one run in their order."""
         totals = cls()
         for run in runs:
             totals.take(run)
@@ -182,10 +182,10 @@ class RunTotals:
         self.worst_deg = _worse(self.worst_deg, angle_deg, time_s)
         self.worst_m = _worse(self.worst_m, distance_m, time_s)
 
-    # --- what it comes to ---
+    # --- results ---
 
     def modes(self) -> Tracking:
-        """Return how long the run tracked the target, and how well."""
+        """Return the shares of the modes, and the share of large errors."""
         return Tracking(
             first_tracking_s=self._first_tracking_s,
             tracking_share=self._tracking_since / self._since if self._since else None,
@@ -193,7 +193,7 @@ class RunTotals:
         )
 
     def error(self) -> ErrorSummary | None:
-        """Return the sizes of the errors over the tracked frames; None where there are none."""
+        """Return the statistics of the errors over the tracked frames; None if there are none."""
         if not self._scored:
             return None
         return ErrorSummary(
@@ -203,25 +203,25 @@ class RunTotals:
         )
 
     def consistency(self) -> Consistency | None:
-        """Return whether the covariance tells the truth about the errors; None where no NEES is known."""
+        """Return whether the covariance fits the errors, by the NEES; None if no NEES is known."""
         if not self.nees.count:
             return None
         return Consistency(nees_mean=self.nees.mean, nees_share_in_95=self.nees.share_up_to(NEES_95))
 
     def innovation(self) -> Innovation | None:
-        """Return whether it tells the truth about the measurements; None where no NIS is known."""
+        """Return whether the covariance fits the innovations, by the NIS; None if no NIS is known."""
         if not self.nis.count:
             return None
         return Innovation(nis_mean=self.nis.mean, nis_share_in_95=self.nis.share_up_to(NEES_95))
 
 
 def summarise_size(values: Column) -> ErrorSize:
-    """Return how large errors are; of one at least."""
+    """Return the statistics of at least one error."""
     return ErrorSize(rms=values.rms, p95=values.quantile(0.95), max=values.max)
 
 
 def summarise_durations(seconds: Column) -> Durations | None:
-    """Return median, 99th percentile and maximum of durations; None where there are none."""
+    """Return median, 99th percentile and maximum of durations; None if there are none."""
     if not seconds.count:
         return None
     return Durations(p50=seconds.quantile(0.5), p99=seconds.quantile(0.99), max=seconds.max)

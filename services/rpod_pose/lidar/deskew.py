@@ -27,7 +27,7 @@ def deskewed(
     stamp, with the target's origin at p0.
 
     Args:
-        scan: with or without times.
+        scan: scan with or without times.
         T_sensor_target: predicted pose at the stamp.
         velocity_m_s: v, velocity of the target's origin, sensor axes, shape (3,).
         rate_rad_s: w, rate of the target relative to the sensor, sensor axes, shape (3,).

@@ -29,7 +29,7 @@ import numpy as np
 from rpod_schemas.arrays import FloatArray
 
 HALVES: FloatArray = np.append(0.0, np.geomspace(1e-2, 1.0, 5))
-"""Values of ``half``, half a decade apart, of sensors with 1 to 10 times the least range; 0 means that
+"""Values of ``half``, half a decade apart, for sensors that reach 1 to 10 times the least range; 0 means that
 everything is detected."""
 STEEPNESS = log(81.0) / log(10.0)
 """Exponent for a rise from 10 to 90 % over a factor of ten: detectors need a factor of four, and the albedo

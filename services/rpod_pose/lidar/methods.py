@@ -42,10 +42,10 @@ def icp_nearest_neighbour(config: IcpNearestNeighbourConfig, task: Task) -> Trac
     return NearestNeighbourIcp(config, task.target, task.setup)
 
 
-def known_pattern(sensor: LidarInput, said: LidarInfo | None) -> ScanPattern | None:
+def known_pattern(sensor: LidarInput, info: LidarInfo | None) -> ScanPattern | None:
     """Return the scan pattern that the LIDAR published, or the configured one; None if neither is known."""
-    if said is not None:
-        return ScanPattern.of(said)
+    if info is not None:
+        return ScanPattern.of(info)
     if sensor.azimuth_rad is None or sensor.elevation_rad is None:
         return None
     return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad, sigma_range_m=sensor.sigma_range_m or 0.0)

@@ -19,8 +19,8 @@ def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
     milliseconds. A service that configures the search holds a ``GlobalSearch`` instead.
 
     Args:
-        scan: organised in the sensor's rows and columns, or not.
-        target: with a distance field.
+        scan: the scan, organised in the sensor's rows and columns or not.
+        target: target with a distance field.
         sensor: info of the LIDAR: scan pattern and sigma of a range.
 
     Returns:

@@ -1,1 +1,1 @@
-"""From believed poses to a navigated state: navigator, filter, history of measurements, de-skewing."""
+"""From accepted poses to a navigated state: navigator, filter, history of measurements, de-skewing."""

@@ -6,11 +6,11 @@ the covariance is the one that the ICD publishes (section 1). Values are immutab
 
 Model: the velocity of the centre of mass and w are random walks. With phi = w dt the error propagates, to
 first order in itself and exactly in phi, as dtheta+ = Exp(phi) dtheta + J_l(phi) dt dw (J_l is the left
-Jacobian of SO(3)). The origin's swing about the centre of mass, at R r from it, is kinematics, not noise:
-a prediction goes to the centre by p + R r and v + w x R r, moves it, and comes back. After an update by
-delta the attitude error is left-multiplied by J_l(delta). Source: J. Sola, Quaternion kinematics for the
-error-state Kalman filter, arXiv:1711.02508, section 7 (errors in global axes), with J_l in place of its
-first-order terms.
+Jacobian of SO(3)). The origin's rotation about the centre of mass, at R r from it, is kinematics, not noise:
+a prediction transforms the state to the centre by p + R r and v + w x R r, propagates it, and transforms it
+back. After an update by delta the attitude error is left-multiplied by J_l(delta). Source: J. Sola,
+Quaternion kinematics for the error-state Kalman filter, arXiv:1711.02508, section 7 (errors in global axes),
+with J_l in place of its first-order terms.
 """
 
 from dataclasses import dataclass, field, replace
@@ -31,10 +31,10 @@ POSE, TWIST = slice(0, 6), slice(6, 12)
 
 
 class StampOrderError(PoseError):
-    """Raised for a prediction backwards in time."""
+    """The prediction would go back in time."""
 
     def __init__(self, state_ns: int, asked_ns: int) -> None:
-        super().__init__(f"the state is of {state_ns} ns, it cannot be predicted back to {asked_ns} ns")
+        super().__init__(f"the state is of {state_ns} ns and cannot be predicted back to {asked_ns} ns")
 
 
 @dataclass(frozen=True, eq=False)

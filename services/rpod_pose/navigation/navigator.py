@@ -1,13 +1,13 @@
 """The navigator: a pure state machine from measurements to estimates.
 
-ACQUIRING  --a refined candidate is believed-->             VERIFYING
+ACQUIRING  --a refined candidate is accepted-->             VERIFYING
 VERIFYING  --the next frames agree-->                       TRACKING
-TRACKING   --rejections or silence for too long,
-             or too many frames that contradict-->          LOST
-LOST       --believed near the prediction, or searched-->   VERIFYING
+TRACKING   --rejections or silence for too long, or
+             too many frames inconsistent with the pose-->  LOST
+LOST       --accepted near the prediction, or found-->      VERIFYING
 
 ``step(state, measurement) -> (state, output)`` knows neither bus nor clock: the daemon, a replay
-of a log and a Monte-Carlo campaign run this very function.
+of a log and a Monte-Carlo campaign run the same function.
 """
 
 from collections.abc import Mapping, Sequence
@@ -96,7 +96,7 @@ class Navigator:
             return self._acquire(state, event)
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:
-            return state, self._output(state, event, reason="late: older than the filter reaches back")
+            return state, self._output(state, event, reason="late: older than the filter's history")
         if state.mode == Mode.LOST:
             return self._recover(state, predicted, event)
         return self._track(state, state.history, predicted, event)
@@ -159,7 +159,9 @@ class Navigator:
         measured = PoseMeasurement(event.stamp_ns, pose, covariance)
         grown, nis, accepted = apply(history, measured, self._settings.filter, predicted)
         if not accepted:
-            state = replace(state, history=grown)  # a late measurement may still make this one consistent
+            state = replace(
+                state, history=grown
+            )  # a measurement that comes later may make this one consistent
             return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
         confirmations = state.confirmations + 1
         verified = confirmations >= self._limits.confirmations and self._is_credible(state, event)
@@ -177,7 +179,7 @@ class Navigator:
     def _register(
         self, event: Measurement, predicted: FilterState, *, tracked: bool
     ) -> tuple[Registration, str]:
-        """Return the registration from the prediction, and why it is not believed.
+        """Return the registration from the prediction, and the reason why it is not accepted.
 
         If the registration fails, the surroundings of the prediction are searched, unless a track predicts
         the attitude confidently: while no twist is known, or after a gap, the prediction may be far off.

@@ -28,7 +28,7 @@ class CameraCheck:
         self._others: Counter[str] = Counter()
 
     def check(self, sensor: str, camera: Camera) -> None:
-        """Accept a frame's camera if it is the first, equal to the known one, or another one that stays.
+        """Accept a frame's camera if it is the first, equals the known one, or is another one that stays.
 
         Raises:
             MessageRejectedError: the camera is none of these; the text names the field and both values.

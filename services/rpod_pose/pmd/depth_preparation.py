@@ -53,7 +53,7 @@ _SAME = 1e-3
 
 
 class DepthPreparation:
-    """Unwraps and calibrates the distances of a camera, by its configuration and by the frame's own info."""
+    """Unwraps and calibrates the distances of a camera, by its configuration and by the info in the frame."""
 
     def __init__(self, sensor: PmdInput, target: Target) -> None:
         self._sensor, self._radius_m = sensor, target.radius_m
@@ -123,7 +123,7 @@ class DepthPreparation:
     def _applied(self, frame: PmdFrame, range_m: float, reach_m: float) -> PmdFrame:
         cosine, interval_m = _cosines_of(frame.camera), self._interval_m(frame)
         if cosine is None or (self._sensor.calibration is None and not interval_m):
-            return frame  # the method reports what is wrong with the lens
+            return frame  # the method reports the error of the lens
         depth_m = np.empty(frame.depth_m.shape, np.float32)
         _prepare(frame.depth_m, cosine, (range_m, reach_m, interval_m), self._corrections_m, depth_m)
         return frame.model_copy(update={"depth_m": depth_m})

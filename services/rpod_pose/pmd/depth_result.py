@@ -29,7 +29,7 @@ class Progress:
     """Displacement of the target's surface by the last step."""
     iterations: int = 0
     reason: str = ""
-    """Why the iterations were aborted; empty if they were not."""
+    """Reason why the iterations were aborted; empty if they were not."""
 
 
 class ResultConfig(Protocol):

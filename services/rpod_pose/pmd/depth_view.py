@@ -97,7 +97,7 @@ def _view(
     lens = np.resize((*distortion, *np.zeros(PLUMB_BOB)), PLUMB_BOB)
     camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
     offset = min(stride // 2, width - 1, height - 1)
-    downsampled = camera.model_copy(  # no camera that a message may tell, whose limits do not count here
+    downsampled = camera.model_copy(  # not a camera of a message, so the limits of messages do not apply
         update={
             "width": len(range(offset, width, stride)),
             "height": len(range(offset, height, stride)),

@@ -1,14 +1,16 @@
 """Prior of a surface's brightness: four classes of albedo, each known only within a wide factor.
 
-No estimator knows a satellite's reflectances: paint yellows, foil crinkles, and a target's file is a
-drawing. What a user can tell are classes (``Material.looks``). A class is a mean albedo and a standard
+No estimator knows a satellite's reflectances: paint yellows, foil crinkles, and a target's file follows the
+drawings. A user can name a class of brightness (``Material.looks``). A class has a mean albedo and a standard
 deviation of its logarithm:
 
-- dark, grey and white span 0.05 to 0.2, 0.2 to 0.5 and 0.5 to 1, with the geometric means as their middles.
-  Even over the widest of them the logarithm's standard deviation is 0.4; surfaces that are not Lambertian add
-  0.3: 0.5 together.
-- a mirror sends its light where it points. From beside it is as dark as black paint (0.05), in a glint it is
-  brighter than any diffuse surface, so that its logarithm is known within two or so.
+- dark, grey and white span 0.05 to 0.2, 0.2 to 0.5 and 0.5 to 1; their albedo is the geometric mean of the
+limits.
+  In the widest of them the logarithm has a standard deviation of 0.4. Surfaces that are not Lambertian add
+  0.3, which gives 0.5 in total.
+- a mirror reflects into one direction. From other directions it is as dark as black paint (0.05); in a glint
+it is
+  brighter than any diffuse surface. So its logarithm has a standard deviation of about 2.
 """
 
 from collections.abc import Mapping

@@ -61,8 +61,8 @@ class Surface:
         """Return the closest point on a usable triangle for each point, shape (N, 3).
 
         Args:
-            points_m: shape (N, 3).
-            usable: mask of the triangles that may be matched, shape (T,); at least one must be.
+            points_m: the points, shape (N, 3).
+            usable: mask of the triangles that may be matched, shape (T,), at least one.
             nearest: in: a guess of each point's triangle, shape (N,); out: the closest triangle.
         """
         closest_m: FloatArray = closest_points(
@@ -76,10 +76,10 @@ class Surface:
         """Return the closest foot of a normal on a usable triangle for each point, shape (N, 3).
 
         Args:
-            points_m: shape (N, 3).
+            points_m: the points, shape (N, 3).
             usable: mask of the triangles that may be matched, shape (T,).
-            nearest: out: the triangle of each point's foot, shape (N,); -1 where the point lies above or
-                below no triangle: such a point is returned unchanged.
+            nearest: out: the triangle of each point's foot, shape (N,); -1 for a point that lies above or
+                below no triangle and is returned unchanged.
         """
         projected_m: FloatArray = projected_points(points_m, self.triangles_m, self.normals, usable, nearest)
         return projected_m

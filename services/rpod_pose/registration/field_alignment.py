@@ -25,7 +25,8 @@ from rpod_schemas.arrays import FloatArray
 AWAY = 0.5
 """Greatest cosine between a ray and the normal of a face that can have reflected it."""
 REACH_M, REACH_RAD = 0.5, 0.1
-"""Prior standard deviations of a step: a direction that the points do not determine stays where it is."""
+"""Prior standard deviations of a step, m and rad, so that it is small in directions that no point
+determines."""
 SPREAD = 0.1
 """Assumed standard deviation of the residuals, as a share of the Geman-McClure scale."""
 
@@ -92,7 +93,7 @@ def add_field_points(  # noqa: PLR0917
         px, py, pz = places[n, 0], places[n, 1], places[n, 2]
         ray, range_m = in_target(R, px, py, pz), np.sqrt(px * px + py * py + pz * pz)
         x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
-        if bias != 0.0:  # the look-up below waits for the division, which most problems do not need
+        if bias != 0.0:  # the division delays the look-up below, and most problems do not need it
             back = bias / range_m
             x, y, z = x - back * ray.x, y - back * ray.y, z - back * ray.z
         distance, slope = distance_and_gradient(
@@ -108,7 +109,9 @@ def add_field_points(  # noqa: PLR0917
         add_residual(sums, g, place, distance, weight)
         if biased:
             add_range_bias(sums, g, place, -along / range_m, distance, weight)
-        inlier = 1 if d2 < c2 else 0  # no branch, since it would be guessed wrong half the time
+        inlier = (
+            1 if d2 < c2 else 0
+        )  # no branch, because the processor would predict it wrongly half of the time
         inliers += inlier
         squares += inlier * trust[n] * d2
         trusted += inlier * trust[n]

@@ -1,12 +1,14 @@
-"""The loop of all registrations: linearise at the pose, sum, solve, move, with narrower scales each time.
+"""The loop of all registrations: linearise at the pose, sum, solve, move, with a narrower scale in each step.
 
-A *problem* is a record of what was measured, of the model and of the scales of its steps. ``linearised``
-turns it into normal equations at a pose; each kind of problem registers how, by ``@linearises(ItsRecord)``,
-from factors that add their residuals to one set of sums (``normal_equations``). Which kernel is called is
-decided by the record's type when the loop is compiled into a kernel, so that nothing is looked up at run time
-and the compiled code can be kept on disk, which it could not if kernels were passed as arguments.
+A *problem* is a record with the measurement, the model and the scales of its steps. ``linearised`` returns
+its normal equations at a pose. Each kind of problem registers a kernel for that, by
+``@linearises(ItsRecord)``; the kernel calls factors that add their residuals to one set of sums
+(``normal_equations``). The record's type determines the kernel when the loop is compiled, so that nothing is
+looked up at run time and the compiled code can be stored on disk. That would not be possible if kernels were
+passed as arguments.
 
-After K. Koide, small_gicp (https://github.com/koide3/small_gicp): one registration, factors plug in.
+The design follows K. Koide, small_gicp (https://github.com/koide3/small_gicp): one registration with
+exchangeable factors.
 """
 
 from collections.abc import Callable
@@ -63,7 +65,7 @@ def linearised(problem: Any, state: State, step: int) -> Linear[Any]:
 
     Args:
         problem: a record whose type was registered by ``linearises``.
-        state: where to linearise.
+        state: pose and bias to linearise at.
         step: number of the step, from 0, that chooses the scales.
     """
     raise NotImplementedError(f"{type(problem).__name__}: called by kernels only")
@@ -88,13 +90,13 @@ def linearises(record: type) -> Callable[[K], K]:
 def minimised(problem: Any, start: State, steps: int) -> Fit[Any]:
     """Return the state after Gauss-Newton steps on a problem, one for each of its scales.
 
-    To be called by kernels, each of which keeps the loop compiled for its own kind of problem. The loop ends
-    early where the residuals determine no step, or where they are not finite.
+    It is called by kernels; each has the loop compiled for its own kind of problem. The loop ends early if
+    the residuals determine no step, or if they are not finite.
 
     Args:
         problem: a record whose type was registered by ``linearises``.
         start: state to begin with.
-        steps: how many steps to make.
+        steps: number of steps to make.
 
     Raises:
         ValueError: ``steps`` is below 1.

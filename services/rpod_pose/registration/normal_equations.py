@@ -1,9 +1,9 @@
 """Sums over residuals: the information and the gradient of a least-squares step, of all methods.
 
 The unknowns are a right perturbation R <- R Exp(dtheta), t <- t + R dtau in target axes, ordered
-(dtau, dtheta), and, where a sensor's ranges may all be too long by the same length, that length as a seventh.
-A residual r with the row J of derivatives and the weight w adds w J^T J to the information and w J^T r to the
-gradient; the step that minimises the sum of w (r + J step)^2 solves information step = -gradient.
+(dtau, dtheta). If all ranges of a sensor may be too long by the same length, that length is a seventh
+unknown. A residual r with the row J of derivatives and the weight w adds w J^T J to the information and w J^T
+r to the gradient; the step that minimises the sum of w (r + J step)^2 solves information step = -gradient.
 
 Every residual of the methods here is a length (or an angle) along a normal n at a place q in target axes:
 r = n . (q - what it is compared with), where q = R^T (p - t) is where a measured point p lies. A step moves q
@@ -27,7 +27,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_methods import DepthErrorConfig
 
 DAMPING = 1e-6
-"""Information added per residual, so that an unobservable direction stays where it is."""
+"""Information added per residual, so that a step has no component in an unobservable direction."""
 DEGENERATE = 1e-4
 """Least information of the worst direction, relative to a direction that every residual determines."""
 UNKNOWNS = 7
@@ -37,7 +37,7 @@ LEAST_PIVOT = 1e-14
 SUMS = 35
 """Number of entries of the sums: 7 + 6 + 5 + 4 + 3 + 2 of the pose, 8 of the seventh unknown."""
 OF_POSE = 27
-"""Of these, entries of the pose; those of the seventh unknown follow."""
+"""Number of entries of the pose, which come first; those of the seventh unknown follow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class NormalEquations:
         return step
 
     def degenerate(self, radius_m: float) -> bool:
-        """Return whether some motion of a target of this radius is left undetermined."""
+        """Return whether any motion of a target of this radius is undetermined."""
         if not self.inliers:
             return True
         scale = np.repeat((1.0, 1.0 / radius_m), 3)
@@ -165,7 +165,7 @@ def add_residual(sums: FloatArray, normal: Vector, place: Vector, residual: floa
 def add_range_bias(  # noqa: PLR0917
     sums: FloatArray, normal: Vector, place: Vector, slope: float, residual: float, weight: float
 ) -> None:
-    """Add to the sums what a residual says of the seventh unknown, beside ``add_residual``.
+    """Add a residual's entries for the seventh unknown to the sums, in addition to ``add_residual``.
 
     Args:
         sums: information and gradient, shape (35,), in and out.
@@ -217,15 +217,15 @@ def gradient_of(sums: FloatArray, unknowns: int) -> FloatArray:
 
 @kernel
 def held_step(sums: FloatArray, hold: FloatArray) -> FloatArray:
-    """Return the Gauss-Newton step, shape (7,), of sums, shape (35,); 0 where it is not determined.
+    """Return the Gauss-Newton step, shape (7,), of sums, shape (35,); 0 if it is not determined.
 
     The system is solved by Cholesky's decomposition. Sums that are not finite, or not positive definite to
     machine precision, give a step of 0; nothing is raised.
 
     Args:
         sums: information and gradient.
-        hold: prior information that the step is zero, above 0, added to the diagonal, shape (7,): what the
-            residuals do not determine stays where it is.
+        hold: prior information that the step is zero, above 0, added to the diagonal, shape (7,), so that
+            unknowns that the residuals do not determine do not change.
     """
     L, step = information_of(sums, UNKNOWNS), -gradient_of(sums, UNKNOWNS)
     for j in range(UNKNOWNS):

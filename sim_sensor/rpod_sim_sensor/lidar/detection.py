@@ -1,7 +1,7 @@
 """Detection of a laser pulse: the model of the 2015 paper, equation by equation.
 
 Source: Opromolla et al., Sensors 15(3), 2015, section 3.2, Eqs. 4 to 9. Powers and electrons are those
-of one pulse, all arrays broadcast.
+of one pulse. All arrays broadcast.
 """
 
 from math import log, pi, sqrt
@@ -44,7 +44,7 @@ def echo_power_W(  # noqa: N802 - watts
     laser: LidarTransmitterConfig,
     receiver: LidarReceiverConfig,
 ) -> FloatArray:
-    """Return the power of the echo at the detector (Eq. 6): a well resolved Lambertian target."""
+    """Return the power of the echo of a resolved Lambertian target at the detector (Eq. 6)."""
     peak_power_W = laser.average_power_W / (laser.pulse_rate_hz * laser.pulse_width_s)
     collected = reflectivity * cos_incidence * receiver.aperture_m**2 / (4.0 * range_m**2)
     return peak_power_W * collected * receiver.transmittance
@@ -59,7 +59,7 @@ def thermal_variance(receiver: LidarReceiverConfig) -> float:
 def background_power_W(  # noqa: N802 - watts
     reflectivity: FloatArray, laser: LidarTransmitterConfig, receiver: LidarReceiverConfig
 ) -> FloatArray:
-    """Return the sunlight that reaches the filter, Pw_BACK of Eq. 8, which the paper does not spell out.
+    """Return the sunlight that reaches the filter, Pw_BACK of Eq. 8, for which the paper has no formula.
 
     The sunlit target has the radiance rho E / pi within the filter's band; the aperture collects it from
     a field of view as wide as the beam.

@@ -7,11 +7,11 @@ from rpod_schemas.arrays import FloatArray
 from rpod_sim_sensor.worlds import LidarWorld
 
 _APART_M = 0.1
-"""Greatest distance of two surfaces that make one echo."""
+"""Greatest distance of two surfaces that give one common echo."""
 _STEEPEST = 0.05
 """Least cosine of incidence in the spread of a beam on a plane."""
 _FALSE_SPREAD = 0.5, 1.5
-"""Limits of uniformly distributed false ranges over the median of the others."""
+"""Limits of the uniformly distributed false ranges, as multiples of the median of the true ranges."""
 
 
 def mixed(
@@ -41,7 +41,7 @@ def mixed(
         np.where(grazed, rim, np.where(between, weight * mid + (1.0 - weight) * rim, mid))
         for mid, rim in zip(middle, beside, strict=True)
     )
-    # Half of the beam's light passes the target by.
+    # Half of the beam's light misses the target.
     return range_m, cosine, np.where(grazed, 0.5 * reflectivity, reflectivity)
 
 

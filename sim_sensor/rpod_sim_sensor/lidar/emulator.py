@@ -42,9 +42,10 @@ class LidarEmulator:
 
     Args:
         config: configuration of the documented sensor, from which its info message is made.
-        target: target of its file.
+        target: the target, as documented in its file.
         seed: seed of all noise.
-        world: differences of sensor and target from that, which the info message does not show.
+        world: differences of sensor and target from the documented ones, which the info message does not
+            show.
     """
 
     def __init__(self, config: LidarConfig, target: Target, *, seed: int, world: World = DOCUMENTED) -> None:
@@ -72,7 +73,7 @@ class LidarEmulator:
         )
         if world.lidar.law == "hard":
             probability = np.where(np.isnan(probability), np.nan, probability >= 0.5)
-        detected = generator.random(range_m.shape) < probability  # not where NaN: nothing is met
+        detected = generator.random(range_m.shape) < probability  # False for NaN, a ray without a hit
         if not world.lidar.is_documented:
             false = false_m(range_m, world.lidar, strange)
             detected |= np.isfinite(false)

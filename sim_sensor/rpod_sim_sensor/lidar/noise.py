@@ -21,8 +21,8 @@ def noisy_range_m(
 ) -> FloatArray:
     """Return ranges with errors, shape as given: white noise, 4-sigma outliers, gross outliers.
 
-    Every ray draws the same number of variates whatever the parameters, so that runs that differ in one of
-    them stay comparable.
+    Every ray draws the same number of random values for all parameters, so that runs that differ in one
+    parameter remain comparable.
     """
     shape = range_m.shape
     white = world.draw(generator, shape)
@@ -34,7 +34,7 @@ def noisy_range_m(
 
 
 def noisy_directions(directions: FloatArray, sigma_rad: float, generator: Generator) -> FloatArray:
-    """Return unit vectors, shape (..., 3), turned from the given ones by a normal angle in any direction."""
+    """Return unit vectors, shape (..., 3), rotated from the given ones by a normally distributed angle."""
     angle_rad = sigma_rad * generator.standard_normal(directions.shape[:-1])
     turn_rad = generator.uniform(0.0, 2.0 * pi, directions.shape[:-1])
     # Two axes across each ray; a LIDAR's rays never come near its own y axis, which is 90 deg of elevation.

@@ -27,14 +27,14 @@ from rpod_target import Target
 _POOL = 1 << 20
 """Number of normal numbers in the pool from which frames take their noise, each row from its own place."""
 _POOL_KEY = 1 << 63
-"""Stands for a frame's number in the key of the pool; frame numbers are smaller."""
+"""Number in the key of the pool in place of a frame's number; frame numbers are smaller."""
 
 
 class PoseCountError(SimSensorError):
-    """Raised if the number of poses is not that of the sub-exposures."""
+    """The number of poses is not that of the sub-exposures."""
 
     def __init__(self, count: int, needed: int) -> None:
-        super().__init__(f"got {count} poses, an exposure needs {needed}: one at each of its pose times")
+        super().__init__(f"got {count} poses, but an exposure needs {needed}: one at each of its pose times")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +70,10 @@ class PmdEmulator:
 
     Args:
         config: configuration of the documented camera, from which its info message is made.
-        target: target of its file.
+        target: the target, as documented in its file.
         seed: seed of all noise.
-        world: differences of camera and target from that, which the info message does not show.
+        world: differences of camera and target from the documented ones, which the info message does not
+            show.
     """
 
     def __init__(self, config: PmdConfig, target: Target, *, seed: int, world: World = DOCUMENTED) -> None:

@@ -1,10 +1,10 @@
 """Light that reaches each pixel in each sub-exposure.
 
-A pixel sums its rays, so that edges mix by themselves; where all rays of a pixel meet the same triangle, one
-through its centre stands for them. Which triangle a ray meets is taken from the middle of the exposure, how
-far away it is from each sub-exposure's own pose: the ray is cut with the triangle's plane as it lies then. In
-25 ms an outline moves by a fraction of a pixel, but ranges by millimetres, which the samples see one after
-the other.
+A pixel sums its rays, so pixels at edges are mixed without further computation. If all rays of a pixel hit
+the same triangle, one ray through the pixel's centre replaces them. The triangle that a ray hits is that of
+the middle of the exposure; its distance is computed for each sub-exposure, from the triangle's plane at the
+pose of that time. In 25 ms an outline moves by a fraction of a pixel, but ranges change by millimetres, from
+sample to sample.
 """
 
 import math
@@ -27,7 +27,7 @@ SUN_RADIUS_RAD = 4.65e-3
 """Angular radius of the sun at one astronomical unit."""
 
 _GRAZING = 1e-4
-"""Least cosine of a normal: a tilted patch of a visible surface may turn away from the camera."""
+"""Least cosine between a normal and a ray, because a tilted patch may face away from the camera."""
 
 
 class Lights(NamedTuple):
@@ -292,9 +292,9 @@ def _correlate(k: int, fragments: Fragments, count: int, planes: Float32Array, l
     for f in range(count):
         i = index[f]
         modulated_e[f] = planes[i, 1 + k, 0] * x[f] + planes[i, 1 + k, 1] * y[f] + planes[i, 1 + k, 2] * z[f]
-    for f in range(count):  # apart from the look-up above, so that it is vectorised
+    for f in range(count):  # separate from the look-up above, so that it is vectorised
         now = modulated_e[f]
-        # all but edge-on, its plane may sweep over the camera
+        # the plane of a triangle seen almost edge-on may pass through the camera
         now = now if 0.5 * inverse[f] < now < 2.0 * inverse[f] else inverse[f]
         wave = _cosine(turns_per_m / now - theta)
         third = wave * (4.0 * wave * wave - 3.0)  # cos 3x

@@ -1,7 +1,7 @@
-"""Metering of a frame's light before it becomes charge: its mean, and the exposure time.
+"""Metering of a frame's light: its mean, and the exposure time.
 
-The exposure depends on the light of the same frame, before any noise: a frame is the same in whatever order
-frames are made, and whichever are left out.
+The exposure depends only on the light of the same frame, before any noise. So a frame does not depend on the
+order in which frames are made, nor on frames that are left out.
 """
 
 import numpy as np
@@ -32,8 +32,8 @@ def exposure_share(
     Args:
         modulated_e: correlation of the light with the modulation in the full time, shape (K, H, W).
         charge_e: all electrons of a sub-exposure in the full time, shape (H, W).
-        config: of the camera.
-        electronics: the chip in the full time.
+        config: configuration of the camera.
+        electronics: the chip at the full time.
     """
     if config.exposure == "fixed":
         return 1.0

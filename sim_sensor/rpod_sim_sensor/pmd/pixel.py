@@ -117,7 +117,7 @@ def _convert(
             signal = modulated_e[k, row]
             taken = _Taken(signal, stray_e[k], normal, share)
             _fill(taken, charge, sigma, electronics, fullest, counts)
-            for column in range(width):  # apart, so that the above is vectorised
+            for column in range(width):  # a separate loop, so that the one above is vectorised
                 samples[k // SAMPLES, row, column, k % SAMPLES] = counts[column]
         for column in range(width):
             full[row, column] = fullest[column] >= electronics.full_well_e

@@ -21,7 +21,7 @@ _TURN_RAD = 2.0 * math.pi
 
 
 class Lost(IntFlag):
-    """Why a pixel has no depth."""
+    """Reasons why a pixel has no depth."""
 
     TOO_DARK = 1
     """The amplitude is below its limit."""
@@ -120,7 +120,8 @@ def reconstruct(
         samples: Q1..Q4, counts from an offset of 32768, shape (F, H, W, 4) in the order of
             ``config.frequencies_hz``, or (H, W, 4) of one frequency.
         config: configuration of the camera that took them.
-        cosine: of the angle between each pixel's ray and the boresight, shape (H, W): z over radial distance.
+        cosine: cosine of the angle between each pixel's ray and the boresight (z over radial distance), shape
+            (H, W).
         full: pixels with a full tap, shape (H, W), if the camera reports them.
         out: buffers to write into and to return; by default new ones.
     """

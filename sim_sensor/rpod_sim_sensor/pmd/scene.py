@@ -1,11 +1,11 @@
-"""The target's surfaces as they lie in an exposure, placed only where a ray meets them.
+"""The target's surfaces in an exposure; only those that a ray hits are placed.
 
-A mesh may have a hundred thousand triangles, of which an image shows a part: a triangle's planes are worked
-out for the pixel that meets it first, and kept for the others of the frame.
+A mesh may have a hundred thousand triangles, and an image shows only a part of them. So a triangle's planes
+are computed for the first pixel that hits it, and stored for the other pixels of the frame.
 
-Insulation (MLI) is a crinkled mirror. Its surface is cut into patches, each with a tilt of its own, which
-belong to the target and move with it. The patches are the cells of a cubic lattice; since the lattice lies
-askew, faces cut it obliquely and none lies along a boundary of cells.
+Multi-layer insulation (MLI) is a crinkled mirror. Its surface is divided into patches with different tilts,
+which are fixed to the target and move with it. The patches are the cells of a cubic lattice. The lattice is
+rotated from the target axes, so that no face of the target lies along a boundary of its cells.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
-_ASKEW = Rotation.from_rotvec((0.7, -0.4, 0.55)).as_matrix()
+_LATTICE = Rotation.from_rotvec((0.7, -0.4, 0.55)).as_matrix()
 """Rotation from target axes into the lattice's."""
 
 
@@ -80,7 +80,7 @@ class Scene:
         self._frame += 1
         matrices = np.stack([pose.as_matrix() for pose in (T_middle, *poses)])
         rotations, positions_m = matrices[:, :3, :3].copy(), matrices[:, :3, 3].copy()
-        R_lattice_optical = _ASKEW @ rotations[0].T
+        R_lattice_optical = _LATTICE @ rotations[0].T
         return Surfaces(
             normals=self._target.normals,
             offsets_m=self._offsets_m,
@@ -111,7 +111,7 @@ def place(index: int, surfaces: Surfaces) -> None:
         for i in range(3):
             if k == 0:
                 surfaces.far_normals[index, i] = np.copysign(1.0, offset_m) * plane[k, i]
-            plane[k, i] = plane[k, i] / offset_m if offset_m != 0.0 else 0.0  # seen edge-on: no ray meets it
+            plane[k, i] = plane[k, i] / offset_m if offset_m != 0.0 else 0.0  # seen edge-on: no ray hits it
     surfaces.placed[index] = surfaces.frame
 
 
@@ -134,9 +134,9 @@ def crinkled(  # noqa: PLR0917
     j = int(np.floor((R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]) * per_m))
     k = int(np.floor((R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]) * per_m))
     mixed = i * 73856093 ^ j * 19349663 ^ k * 83492791
-    for _ in range(2):  # after Wellons' hash prospector: every bit of the cell turns half of the bits
+    for _ in range(2):  # after Wellons' hash prospector: each bit of the cell flips half of the bits
         mixed = ((mixed >> 32 ^ mixed) & 0xFFFFFFFF) * 0x45D9F3B
-    scale = tilt_rad * np.sqrt(3.0) / 1024.0  # evenly over +-1: a variance of a third
+    scale = tilt_rad * np.sqrt(3.0) / 1024.0  # uniform over +-1 has a variance of 1/3
     a = scale * ((mixed & 0x7FF) - 1023.5)
     b = scale * ((mixed >> 11 & 0x7FF) - 1023.5)
     c = scale * ((mixed >> 22 & 0x7FF) - 1023.5)

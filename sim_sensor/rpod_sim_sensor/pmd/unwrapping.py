@@ -1,8 +1,9 @@
 """Distances beyond one frequency's unambiguous range, from two frequencies.
 
-A distance at frequency f is known modulo c / 2f. Of all ways to add whole turns to two such distances, the
-one in which they agree best is taken. At 20.013 and 30 MHz the next way is 2.49 m off, up to 14.98 m, where
-both frequencies begin a turn at once: what lies beyond reads 14.98 m less, and no sample tells.
+A distance at frequency f is known modulo c / 2f. Whole turns are added to two such distances so that they
+agree best. At 20.013 and 30 MHz the second best combination differs by 2.49 m. At 14.98 m both frequencies
+begin a turn at the same distance; a distance beyond is measured 14.98 m too short, and the samples do not
+show it.
 """
 
 from typing import NamedTuple
@@ -49,7 +50,7 @@ def unwrap(first_m: Array, second_m: Array, config: PmdConfig) -> tuple[FloatArr
         config: configuration of the camera, profile dual.
 
     Returns:
-        The distances modulo ``config.unambiguous_range_m``, and by how much the two disagree, as a share of
+        The distances modulo ``config.unambiguous_range_m``, and the disagreement of the two, as a share of
         half the least difference between two ways to unwrap them.
     """
     distance_m = np.empty(np.shape(first_m))

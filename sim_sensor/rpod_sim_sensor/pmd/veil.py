@@ -1,8 +1,8 @@
 """Light that reaches a pixel of a PMD camera from its surroundings: lens glare, and second reflections.
 
-Both take a share of each pixel's light and spread it over the pixels around. Glare keeps its phase. Light
-that was reflected twice arrives late: its correlation turns by 2 pi (2 f / c) d for a path that is longer by
-d. The third harmonic, a few percent, is turned like the first.
+Both take a share of each pixel's light and spread it over the surrounding pixels. Glare keeps its phase.
+Light that was reflected twice arrives later: the phase of its correlation changes by 2 pi (2 f / c) d for a
+path that is longer by d. The third harmonic, a few percent, is changed by the same phase as the first.
 """
 
 import numpy as np
@@ -31,7 +31,7 @@ def add_veils(
         world: shares that are spread, and their radii.
     """
     width = charge_e.shape[1]
-    if world.bounced_share:  # from surface to surface: the sky stays dark
+    if world.bounced_share:  # only from surface to surface: the background stays dark
         turns = 2.0 * np.array(config.frequencies_hz) / constants.c * world.detour_m
         share = np.where(charge_e > 0.0, np.float32(world.bounced_share), np.float32(0.0))
         _spread(modulated_e, charge_e, share, width * world.bounced_radius, turns)
@@ -65,7 +65,7 @@ def _spread(
 
 
 def _halo(image: Float32Array, radius_px: float) -> Float32Array:
-    """Return an image blurred; light that leaves it is lost."""
+    """Return a blurred image; light that leaves the image is lost."""
     size = max(3, round(radius_px))
     for _ in range(_PASSES):
         image = uniform_filter(image, size, mode="constant")

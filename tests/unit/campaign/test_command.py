@@ -34,7 +34,7 @@ def test_a_wrong_value_is_one_line_that_names_the_option(name, options, says, tm
 
 def test_no_process_is_one_too_few(tmp_path, capsys):
     assert campaign_command("lidar-acquisition", options={}, jobs=0, out=tmp_path, as_json=True) == 2
-    assert capsys.readouterr().err == "rpod campaign: --jobs: is 0, at least 1 is needed\n"
+    assert capsys.readouterr().err == "rpod campaign: --jobs: is 0; it must be at least 1\n"
 
 
 def test_an_unknown_campaign_is_answered_with_those_that_there_are(tmp_path, capsys):

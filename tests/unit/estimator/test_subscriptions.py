@@ -185,9 +185,9 @@ def test_a_flood_of_images_does_not_wash_the_transforms_away():
 @pytest.mark.parametrize(
     ("offset_s", "reason", "words"),
     [
-        (-1.1, "late", "late: 1.100 s old, limit 1 s; check the sensor's clock"),
+        (-1.1, "late", "late: 1.100 s old, max_age_s is 1; check the sensor's clock"),
         (-37.0, "late", "late: 37.000 s old"),
-        (0.1, "future", "future: 0.100 s ahead of wall time; check the sensor's clock"),
+        (0.1, "future", "future: 0.100 s ahead of wall time, max_future_s is 0.05; check the sensor's clock"),
         (1e9, "future", "future: 1000000000.000 s ahead"),
     ],
 )
@@ -330,7 +330,7 @@ def test_images_that_do_not_fit_their_camera_are_counted_as_of_the_wrong_size():
     bench.send(AMPLITUDE.of("pmd"), image(np.ones((4, 6), np.uint16), "mono16"))
     bench.send(CAMERA_INFO.of("pmd"), wrong_camera())
     (arrived,) = bench.arrived()
-    assert arrived.reason == "wrong_size: image of 6 x 4, camera_info says 7 x 4"
+    assert arrived.reason == "wrong_size: image is 6 x 4 pixels, camera_info says 7 x 4; correct the driver"
 
 
 @pytest.mark.parametrize("kept", [0, 3, 11])
@@ -436,7 +436,7 @@ def test_the_scan_pattern_comes_from_the_latched_info():
     bench = lidar_bench()
     bench.send(LIDAR_INFO.of("lidar"), lidar_info())
     bench.arrived()
-    np.testing.assert_array_equal(bench.inputs.said["lidar"].azimuth_rad, [-0.1, 0.0, 0.1])
+    np.testing.assert_array_equal(bench.inputs.infos["lidar"].azimuth_rad, [-0.1, 0.0, 0.1])
 
 
 def test_scans_whose_rows_are_azimuth_are_turned():
@@ -452,7 +452,7 @@ def test_an_info_without_a_pattern_is_no_pattern():
     bench = lidar_bench()
     bench.send(LIDAR_INFO.of("lidar"), lidar_info(azimuth_rad=[], elevation_rad=[]))
     assert bench.arrived() == []
-    assert bench.inputs.said["lidar"] is None
+    assert bench.inputs.infos["lidar"] is None
 
 
 def test_a_pattern_that_is_not_finite_is_counted():
@@ -462,7 +462,7 @@ def test_a_pattern_that_is_not_finite_is_counted():
     bench.send(LIDAR_INFO.of("lidar"), message)
     assert bench.arrived() == []
     assert bench.node.refused == [("lidar/info", "not_finite")]
-    assert bench.inputs.said["lidar"] is None
+    assert bench.inputs.infos["lidar"] is None
 
 
 # --- frames of another camera ---
@@ -516,4 +516,4 @@ def test_a_camera_without_a_positive_frequency_is_not_believed():
     bench.send(PMD_INFO.of("pmd"), message)
     assert bench.arrived() == []
     assert bench.node.refused == [("pmd/info", "malformed")]
-    assert bench.inputs.said["pmd"] is None
+    assert bench.inputs.infos["pmd"] is None

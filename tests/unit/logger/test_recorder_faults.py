@@ -55,7 +55,9 @@ def test_on_a_full_disk_the_file_is_closed_and_the_next_one_starts_when_there_is
         assert [number for _, number in read(second.path)[1:]] == list(range(101, 111))
         assert completeness(second.path).continues is None
     assert level is Health.ERROR
-    assert f"cannot write {first.path}: the disk is full; it is closed and readable; make room" in message
+    assert (
+        f"cannot write {first.path}: the disk is full; the file is closed and readable; free space" in message
+    )
     assert f"{100 - len(kept)} lost here" in message
     assert [record.levelname for record in caplog.records] == ["ERROR"]
 
@@ -71,7 +73,7 @@ def test_where_not_even_the_end_fits_the_file_ends_behind_a_whole_record(desk, a
         assert kept == list(range(1, len(kept) + 1))
         assert len(kept) == one.counter("written/lab/raw") == 12 - one.counter("lost/lab/raw")
         assert early_metadata(Path(log.path), "software")["version"] == "1.2.3"
-    assert "'rpod recover' makes it readable; make room" in one.recorder.check()[1]
+    assert "'rpod recover' makes it readable; free space" in one.recorder.check()[1]
 
 
 def test_the_log_of_a_disk_that_is_full_from_the_start_is_refused_and_can_be_started_later(
@@ -80,7 +82,7 @@ def test_the_log_of_a_disk_that_is_full_from_the_start_is_refused_and_can_be_sta
     with small_disk(tmp_path / "disk", 4 * MEBI) as disk:
         ballast = disk.fill(leave_bytes=1 << 17)
         one = desk(disk.path, **SMALL)
-        with pytest.raises(CannotWriteError, match="No space left on device; make room on the disk"):
+        with pytest.raises(CannotWriteError, match="No space left on device; free space on the disk"):
             one.recorder.start()
         feed(one, arrive, 1, 3)
         assert one.counter("lost/lab/raw") == 3
@@ -144,7 +146,9 @@ def test_a_disk_that_breaks_costs_the_open_chunk_and_what_follows(desk, arrive, 
 
     monkeypatch.setattr(LogFile, "write", broken)
     feed(one, arrive, 4, 5)
-    assert one.recorder.check()[1].startswith(f"cannot write {first.path}: Input/output error; it could not")
+    assert one.recorder.check()[1].startswith(
+        f"cannot write {first.path}: Input/output error; the file could not"
+    )
     assert one.counter("lost/lab/raw") == 2 + 3
     second = one.recorder.start()
     feed(one, arrive, 6, 6)

@@ -111,7 +111,7 @@ def test_without_a_sun_it_is_dark() -> None:
 
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_duration_that_is_no_time_is_refused(duration_s: float) -> None:
-    with pytest.raises(MotionError, match="needs a positive time"):
+    with pytest.raises(MotionError, match="must be positive"):
         built(MotionConfig(), duration_s=duration_s)
 
 

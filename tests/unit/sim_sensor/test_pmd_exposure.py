@@ -361,5 +361,5 @@ def test_a_frame_is_written_into_the_callers_arrays() -> None:
 
 
 def test_an_exposure_needs_a_pose_for_each_sub_exposure() -> None:
-    with pytest.raises(PoseCountError, match="got 3 poses, an exposure needs 4"):
+    with pytest.raises(PoseCountError, match="got 3 poses, but an exposure needs 4"):
         PmdEmulator(usual(), wall(), seed=1).expose([away(3.0)] * 3, sun_W_m2=DARKNESS, frame=0)

@@ -46,7 +46,7 @@ def test_half_of_the_worlds_are_held_out() -> None:
 
 
 def test_an_unknown_world_is_named() -> None:
-    with pytest.raises(UnknownWorldError, match="'mars', needs one of documented"):
+    with pytest.raises(UnknownWorldError, match="'mars'; it must be one of documented"):
         world_of("mars")
 
 

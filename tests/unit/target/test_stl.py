@@ -53,7 +53,7 @@ def test_triangles_without_area_are_dropped() -> None:
         (b"solid nothing\nendsolid nothing\n", "no triangle"),
         (as_binary(np.zeros((2, 3, 3)), b""), "no triangle"),
         (as_binary(TRIANGLES * np.nan, b""), "not finite"),
-        (b"solid x\nvertex a b c\nvertex 1 2 3\nvertex 1 2 3\n", "no number"),
+        (b"solid x\nvertex a b c\nvertex 1 2 3\nvertex 1 2 3\n", "not a number"),
     ],
 )
 def test_what_is_no_usable_stl_file_is_refused_with_a_reason(content: bytes, reason: str) -> None:

@@ -1,4 +1,4 @@
-"""The self-check of a scan's registration: does the target, cast at the pose, explain the rays?
+"""The self-check of a scan's registration: the target is cast at the pose and compared with each ray.
 
 Returns that the pose does not predict count against it, and so do predicted returns that are missing: a pose
 that aligns few points with the wrong faces predicts returns that the scan does not have.

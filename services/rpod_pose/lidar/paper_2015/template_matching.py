@@ -114,12 +114,12 @@ class OnlineTemplateMatching:
     def _best_distinct(self, costs_m2: FloatArray, attitudes: Rotation, distinct_deg: float) -> list[int]:
         """Return indices of templates, least cost first, without those close to a better one."""
         quaternions = attitudes.as_quat()
-        alike = np.cos(radians(distinct_deg) / 2.0)
+        least_cosine = np.cos(radians(distinct_deg) / 2.0)
         chosen: list[int] = []
         for index in np.argsort(costs_m2, kind="stable"):
             if len(chosen) == self._config.candidates or not np.isfinite(costs_m2[index]):
                 break
-            if not (np.abs(quaternions[chosen] @ quaternions[index]) > alike).any():
+            if not (np.abs(quaternions[chosen] @ quaternions[index]) > least_cosine).any():
                 chosen.append(int(index))
         return chosen
 

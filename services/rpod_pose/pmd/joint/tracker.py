@@ -8,8 +8,8 @@ is inconsistent with the frame, the next wider start is tried, since the depth m
 does.
 
 The self-check uses both images: with a wrong camera matrix, another target or a mirrored image the depth may
-agree, but the edges do not. If one image shows nothing of the target, the other is used alone, and the source
-says so.
+agree, but the edges do not. If one image shows nothing of the target, only the other is used, and the source
+of the pose names it.
 """
 
 from collections.abc import Iterator

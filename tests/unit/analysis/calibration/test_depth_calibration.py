@@ -122,9 +122,9 @@ def test_logs_at_one_range_are_refused(tmp_path):
     ("changes", "reason"),
     [
         ({"with_truth": False}, "no truth in the log"),
-        ({"info": None}, "neither pmd/info nor the configuration tells modulation_frequency_hz"),
+        ({"info": None}, "neither pmd/info nor the configuration gives modulation_frequency_hz"),
         ({"name": "nose"}, "no frames of a PMD camera called 'pmd'"),
-        ({"target": None}, "does not say which target"),
+        ({"target": None}, "names the target"),
         ({"target": "no-such-target"}, "no-such-target"),
         ({"camera": FOLDED}, "the lens distortion has no inverse"),
         ({"truth_gaps_s": ((-0.001, 9.0),)}, "no frame of 'pmd' shows a face"),

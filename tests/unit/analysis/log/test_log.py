@@ -156,7 +156,7 @@ def test_a_folder_without_a_log_is_named(tmp_path):
 def test_another_file_is_no_mcap_log(tmp_path, content):
     path = tmp_path / "other.mcap"
     path.write_bytes(content)
-    with pytest.raises(AnalysisError, match=r"other\.mcap: is no MCAP log") as error:
+    with pytest.raises(AnalysisError, match=r"other\.mcap: is not an MCAP log") as error:
         open_log(path)
     assert one_line(error)
 

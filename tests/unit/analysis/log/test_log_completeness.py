@@ -76,8 +76,8 @@ def test_a_statement_that_the_content_contradicts_is_not_believed(whole):
     ("last", "messages", "reason"),
     [
         (21, 21, None),
-        (25, 21, "4 missing in its publishers' numbers, 0 by its account"),
-        (20, 20, "20 written by its publishers' numbers, 21 by its account"),
+        (25, 21, "4 missing in its publishers' numbers, 0 by the logger's count"),
+        (20, 20, "20 written by its publishers' numbers, 21 by the logger's count"),
     ],
 )
 def test_the_publishers_numbers_are_counted_again(whole, last, messages, reason):
@@ -106,7 +106,7 @@ def test_parts_of_a_log_are_complete_where_each_goes_on_from_the_one_before(tmp_
     assert statement_of(first, second).complete is True
     alone = statement_of(second)
     assert alone.complete is False
-    assert alone.reasons == ("run_0002.mcap goes on from run.mcap, which is not here",)
+    assert alone.reasons == ("run_0002.mcap continues run.mcap, which is missing",)
 
 
 def test_a_gap_between_the_parts_of_a_log_is_named(tmp_path):
@@ -114,4 +114,4 @@ def test_a_gap_between_the_parts_of_a_log_is_named(tmp_path):
     second = SyntheticRun(part=(1.2, np.inf)).write(tmp_path / "run_0002.mcap")
     said = statement_of(first, second)
     assert said.complete is False
-    assert said.reasons == ("nothing says that run_0002.mcap begins where run.mcap ends",)
+    assert said.reasons == ("run_0002.mcap does not state that it continues run.mcap",)

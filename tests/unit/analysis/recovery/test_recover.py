@@ -207,7 +207,7 @@ def test_nothing_is_overwritten(tmp_path):
     path.write_bytes(write_log())
     recover(path)
     for out in (None, path):
-        with pytest.raises(AnalysisError, match="exists already"):
+        with pytest.raises(AnalysisError, match="already exists"):
             recover(path, out)
 
 
@@ -215,7 +215,7 @@ def test_nothing_is_overwritten(tmp_path):
 def test_what_is_no_mcap_is_refused_and_leaves_nothing(tmp_path, content):
     path = tmp_path / "other.mcap"
     path.write_bytes(content)
-    with pytest.raises(AnalysisError, match="is no MCAP log"):
+    with pytest.raises(AnalysisError, match="is not an MCAP log"):
         recover(path)
     assert list(tmp_path.iterdir()) == [path]
 

@@ -49,7 +49,7 @@ def test_every_figure_names_its_quantities_and_their_units(digest, tally):
     assert titles(state_figure(digest)) == {"time [s]", "distance [m]", "state", "source"}
     assert titles(timing_figure(tally)) == {"latency [ms]", "processing [ms]", "frames"}
     assert titles(consistency_figure(digest, tally)) == {
-        "time [s]", "NEES [-]", "NIS [-]", "share of frames a bin",
+        "time [s]", "NEES [-]", "NIS [-]", "share of frames per bin",
     }  # fmt: skip
     path = path_figure(digest)
     assert titles(path) == {"x [m]", "y [m]", "z [m]"}

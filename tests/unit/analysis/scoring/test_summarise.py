@@ -112,7 +112,7 @@ def test_messages_that_did_not_reach_the_log_are_missed(tmp_path):
 def test_a_good_run_is_called_so_and_a_bad_one_by_its_findings(tmp_path):
     good = summary_of(tmp_path)
     assert failing(good) == set()
-    assert assess(find_checks(good, 0)) == "The run went well."
+    assert assess(find_checks(good, 0)) == "The run passed all checks."
     assert assess(find_checks(good, 2)) == "The run has findings: services."
     assert failing(summary_of(tmp_path, unlogged=1, dropped=9)) == {"Log", "Completeness", "Pace"}
 

@@ -583,7 +583,7 @@ def test_a_measurement_that_comes_too_late_is_rejected_and_changes_nothing():
     made = tracking(START_S + 3.0)
     history = made.state.history
     output = made.see(good(START_S + 1.5))
-    assert output.status.reason == "late: older than the filter reaches back"
+    assert output.status.reason == "late: older than the filter's history"
     assert made.mode == Mode.TRACKING
     assert made.state.history is history
     assert output.odometry.stamp_ns == round((START_S + 3.0) * SECOND_NS)
