@@ -82,4 +82,4 @@ def test_a_run_whose_view_is_killed_goes_on_and_leaves_nothing_of_it(start, monk
 def test_a_run_without_rerun_goes_on_without_a_view(tmp_path):
     ended = rpod("run", "--view", "--duration", "2", "--out", tmp_path, without_rerun=True)
     assert ended.returncode == 0, ended.stderr
-    assert "rpod run: no view, it needs rerun-sdk: pip install 'rpod[view]'" in ended.stderr
+    assert "rpod run: no view, because it needs rerun-sdk: pip install 'rpod[view]'" in ended.stderr
