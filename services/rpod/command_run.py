@@ -3,6 +3,7 @@
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -13,7 +14,6 @@ from rpod.run import RunFolder, play
 from rpod.scenarios import find
 from rpod.summary_table import print_summary
 from rpod_analysis import AnalysisError
-from rpod_analysis.report import ReportPaths, write_report
 from rpod_runtime import BusError
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
 from rpod_schemas.config.base import check
@@ -21,6 +21,9 @@ from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.summary import Summary
 from rpod_target import load_target
+
+if TYPE_CHECKING:
+    from rpod_analysis.report import ReportPaths
 
 EXIT_INTERRUPTED = 130
 
@@ -52,6 +55,8 @@ def run_command(
         with Progress(quiet=as_json) as progress:
             play(scenario, folder, speed=pace, progress=progress, view=view)
             progress.say("writing the report")
+            from rpod_analysis.report import write_report  # noqa: PLC0415 - loaded in half a second
+
             paths = write_report(folder.logs)
     except (InterruptedRunError, KeyboardInterrupt):
         return _fail("interrupted", EXIT_INTERRUPTED, folder)
@@ -81,7 +86,7 @@ def _speed(speed: str) -> Speed:
     raise ConfigurationError("--speed", "", f"is {speed!r}; it must be 1 or max")
 
 
-def _tell(summary: Summary, paths: ReportPaths) -> None:
+def _tell(summary: Summary, paths: "ReportPaths") -> None:
     console = Console()
     print_summary(summary, console)
     console.print(f"log      {summary.log}", soft_wrap=True, highlight=False)
