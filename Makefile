@@ -24,7 +24,7 @@ run: $(READY) ## Play a scenario: make run SCENARIO=mockup-oblique
 	$(BIN)/rpod run $(SCENARIO) $(ARGS)
 
 test: $(READY) ## The tests
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 check: format lint types layers test docs ## All that CI checks, but the viewers
 

@@ -1,7 +1,7 @@
 """How much of the estimator's configuration is public, and where the values of the rest come from."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 from pydantic import BaseModel
@@ -56,10 +56,11 @@ def tuning_roots() -> list[type[BaseModel]]:
     return sorted(roots, key=lambda model: model.__name__)
 
 
-def test_the_estimator_has_at_most_sixty_public_fields(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_estimator_has_at_most_sixty_public_fields(
+    record_property: Callable[[str, object], None],
+) -> None:
     names = estimator_fields()
-    with capsys.disabled():
-        print(f"\n[configuration] {len(names)} public fields of the estimator, {MOST_PUBLIC_FIELDS} at most")  # noqa: T201 - for who reads the run of the tests
+    record_property("measured", f"{len(names)} public fields of the estimator, {MOST_PUBLIC_FIELDS} at most")
     assert len(names) <= MOST_PUBLIC_FIELDS, "\n".join(names)
 
 
@@ -72,7 +73,7 @@ def test_every_public_field_has_a_sentence() -> None:
     assert {name for name in mute if not name.endswith(".kind")} == set()
 
 
-def test_every_tuning_value_says_where_it_comes_from(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_tuning_value_says_where_it_comes_from(record_property: Callable[[str, object], None]) -> None:
     values = {root: tuning_values(root) for root in tuning_roots()}
     without = [
         f"{root.__name__}.{value.path}"
@@ -82,9 +83,8 @@ def test_every_tuning_value_says_where_it_comes_from(capsys: pytest.CaptureFixtu
     ]
     assert not without, f"no provenance: {', '.join(without)}"
     counts = sources([value for of in values.values() for value in of])
-    with capsys.disabled():
-        told = ", ".join(f"{count} {source}" for source, count in counts.most_common())
-        print(f"\n[configuration] {counts.total()} tuning values: {told}")  # noqa: T201 - for who reads the run of the tests
+    told = ", ".join(f"{count} {source}" for source, count in counts.most_common())
+    record_property("measured", f"{counts.total()} tuning values: {told}")
     assert counts["hand, mock-up"] <= MOST_BY_HAND
 
 
