@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.errors import ConfigurationError
@@ -19,6 +20,8 @@ _VARIANTS: dict[str, dict[str, Any]] = {
 }
 """Fields of the 2018 paper's ICP, point to point with equal weights in many small steps, and of ours, point
 to plane."""
+EVERY_POSE = AcceptanceConfig(max_cost_m2=1e9, min_explained_share=0.0, min_inlier_share=0.0)
+"""Limits that every pose meets."""
 DEFAULT = "default"
 """Name of the method in the facility's default configuration."""
 
@@ -34,8 +37,17 @@ def method_names() -> tuple[str, ...]:
     return tuple(dict.fromkeys((*_VARIANTS, *brought)))
 
 
-def pmd_input(method: str, *, radius_px: int | None = None, name: str = "pmd") -> PmdInput:
+def pmd_input(
+    method: str, *, radius_px: int | None = None, name: str = "pmd", limited: bool = True
+) -> PmdInput:
     """Return the configuration of a method for the camera of a name.
+
+    Args:
+        method: name of the method.
+        radius_px: radius of its neighbour search; None for the default.
+        name: name of the camera.
+        limited: whether a method that accepts poses by their residuals keeps its limits. A comparison with a
+            paper that follows every pose needs none.
 
     Raises:
         ConfigurationError: the method is not known.
@@ -47,4 +59,14 @@ def pmd_input(method: str, *, radius_px: int | None = None, name: str = "pmd") -
         raise ConfigurationError("--method", "", f"needs {', '.join(known)}, not {method!r}")
     tracking = _VARIANTS.get(method) or {"kind": method.replace("-", "_")}
     radius = {} if radius_px is None else {"radius_px": radius_px}
-    return check(PmdInput, {"name": name, "tracking": tracking | radius}, source=f"--method {method}")
+    camera = check(PmdInput, {"name": name, "tracking": tracking | radius}, source=f"--method {method}")
+    return camera if limited else camera.model_copy(update={"tracking": _without_limits(camera.tracking)})
+
+
+def _without_limits(tracking: Any) -> Any:
+    """Return a method's configuration with no limit of residuals, in itself or in its tuning."""
+    if hasattr(tracking, "acceptance"):
+        return tracking.model_copy(update={"acceptance": EVERY_POSE})
+    if hasattr(getattr(tracking, "tuning", None), "acceptance"):
+        return tracking.model_copy(update={"tuning": _without_limits(tracking.tuning)})
+    return tracking

@@ -188,9 +188,11 @@ def _methods(cell: SequenceCell) -> Methods:
 
 
 def _input(cell: SequenceCell) -> PmdInput:
+    """Return the camera's input; only under the navigator do methods limit residuals, as no paper does."""
     sensors = scenario_of(cell.document).estimator.sensors
     camera = next(sensor for sensor in sensors if isinstance(sensor, PmdInput))
-    method = pmd_input(cell.method, radius_px=cell.radius_px, name=camera.name)
+    limited = cell.through == "navigator"
+    method = pmd_input(cell.method, radius_px=cell.radius_px, name=camera.name, limited=limited)
     return method.model_copy(update={"calibration": camera.calibration})
 
 

@@ -15,6 +15,7 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.papers import paper_2018 as paper
 from rpod_campaign.pmd import sequence
 from rpod_campaign.pmd.cells import CALIBRATED_WIGGLING
+from rpod_campaign.pmd.methods import EVERY_POSE, pmd_input
 from rpod_campaign.pmd.poses import FRONT_DEG, drawn
 from rpod_campaign.pmd.report.summary import AXES, summarise
 from rpod_campaign.pmd.scene import Stage, off, scenario_of, times_s
@@ -375,3 +376,12 @@ def test_the_cases_of_the_command_line_are_those_of_the_trials():
         assert campaign.options().case == tuple(known)
     with pytest.raises(ValidationError, match="sideways"):
         cells(pmd_verdict, case=("sideways",))
+
+
+@pytest.mark.parametrize("method", ["icp-reverse-calibration", "signed-distance"])
+def test_beside_a_paper_every_pose_is_followed(method):
+    limited, followed = (pmd_input(method, limited=limited).tracking for limited in (True, False))
+    parts = [getattr(each, "tuning", each) for each in (limited, followed)]
+    limits = [getattr(part, "acceptance", None) for part in parts]
+    assert limits[1] == EVERY_POSE != limits[0]
+    assert pmd_input("joint", limited=False) == pmd_input("joint")
