@@ -55,6 +55,12 @@ def names(group: str) -> tuple[str, ...]:
     return tuple(sorted(_entries(group)))
 
 
+def providers() -> tuple[str, ...]:
+    """Return the top-level modules that provide sensor kinds and methods, sorted; nothing is imported."""
+    entries = (entry for group in (SENSORS, METHODS) for entry in _entries(group).values())
+    return tuple(sorted({entry.module.partition(".")[0] for entry in entries}))
+
+
 @cache
 def load(group: str, name: str) -> Any:
     """Return the object of a name.

@@ -233,7 +233,7 @@ class Node:
         reply: type[ReplyT],
         request: BaseModel | None = None,
         *,
-        timeout_s: float = 2.0,
+        timeout_s: float = 5.0,
     ) -> ReplyT:
         """Query another service's control plane.
 

@@ -167,7 +167,7 @@ def test_a_worker_of_another_version_is_refused_by_name_and_others_run_the_trial
     dask.start_worker("old", "--preload", str(other))
     told = []
     with pytest.raises(NoWorkersError, match=r"worker old at tcp://.*: rpod is 0\.0\.9, not 0\.1\.0"):
-        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=5.0))
+        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=10.0))
     dask.start_worker("new")
     campaign = counting(tmp_path)
     run_campaign(campaign, Cluster(dask.address, note=told.append))
@@ -180,13 +180,13 @@ def test_a_worker_that_cannot_say_what_it_runs_is_refused_and_not_waited_for(tmp
     broken.write_text("from rpod_campaign.engine import software\nsoftware._version = None\n")
     dask.start_worker("broken", "--preload", str(broken))
     with pytest.raises(NoWorkersError, match=r"worker broken at tcp://.*: TypeError: 'NoneType'"):
-        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=5.0))
+        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=10.0))
 
 
 def test_a_worker_with_several_threads_is_refused(tmp_path, dask):
     dask.start_worker("wide", OMP_NUM_THREADS="2")
     with pytest.raises(NoWorkersError, match=r"worker wide .*OMP_NUM_THREADS is 2, not 1"):
-        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=5.0))
+        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=10.0))
 
 
 def test_rows_go_back_to_the_client_where_a_worker_does_not_see_the_folder(tmp_path, dask, monkeypatch):

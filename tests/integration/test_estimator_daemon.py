@@ -176,7 +176,9 @@ def test_the_daemon_ends_when_it_is_told_to_over_the_bus(bus):
         ready = first(
             listener.health,
             lambda received: [
-                item for item in read_diagnostics(received.decode()) if item.name == "estimator"
+                item
+                for item in read_diagnostics(received.decode())
+                if item.name == "estimator" and item.message != "starting"
             ],
             120.0,
         )

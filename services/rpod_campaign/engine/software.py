@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from rpod_campaign.engine.campaign import AnyCampaign
+from rpod_schemas.registry import providers
 
 _DECISIVE = (
     "rpod_schemas",
@@ -32,7 +33,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless")
 def software_digest(campaign: AnyCampaign) -> str:
     """Return SHA-256 of the sources that a campaign's trial runs, without those of tables and figures.
 
-    For a campaign of another package, all sources of that package count.
+    All sources count of another package that provides the campaign, a sensor kind or a method.
     """
     return _digest(campaign.trial.__module__)
 
@@ -68,14 +69,21 @@ def _digest(trial_module: str) -> str:
 
 def _all_sources(trial_module: str) -> list[tuple[str, Traversable]]:
     found = [source for package in _DECISIVE for source in _sources(files(package), package)]
-    package, _, name = trial_module.rpartition(".")
+    others = {top for top in providers() if top not in _DECISIVE}
     if trial_module.startswith(f"{_OURS}."):
-        return [*found, (trial_module, files(package) / f"{name}.py")]
-    top = trial_module.partition(".")[0]
+        package, _, name = trial_module.rpartition(".")
+        found.append((trial_module, files(package) / f"{name}.py"))
+    else:
+        others.add(trial_module.partition(".")[0])
+    return found + [source for top in sorted(others) for source in _sources_of(top)]
+
+
+def _sources_of(top: str) -> list[tuple[str, Traversable]]:
+    """Return the sources of another package, or of one that is a single module."""
     spec = find_spec(top)
     if spec is not None and spec.origin and not spec.submodule_search_locations:
-        return [*found, (top, Path(spec.origin))]  # one module, no package
-    return [*found, *_sources(files(top), top)]
+        return [(top, Path(spec.origin))]
+    return _sources(files(top), top)
 
 
 def _sources(folder: Traversable, name: str) -> list[tuple[str, Traversable]]:

@@ -7,6 +7,7 @@ import pytest
 
 import rpod_campaign
 from rpod_campaign.catalogue import BUILT_IN, find, options_of
+from rpod_campaign.engine import software
 from rpod_campaign.engine.software import _all_sources
 
 ROOT = Path(rpod_campaign.__file__).parent
@@ -45,6 +46,13 @@ def test_all_that_a_trial_imports_of_this_package_counts_for_its_digest(name):
         if file.exists():
             left |= imports(file) - reached
     assert reached <= counted | {"rpod_campaign.lidar.options", "rpod_campaign.pmd.options"}
+
+
+def test_a_package_that_provides_a_method_counts_for_the_digest(monkeypatch):
+    trial = find("pmd-tracking").trial.__module__
+    assert "counting_campaign" not in dict(_all_sources(trial))
+    monkeypatch.setattr(software, "providers", lambda: ("rpod_schemas", "counting_campaign"))
+    assert dict(_all_sources(trial))["counting_campaign"].name == "counting_campaign.py"
 
 
 def test_the_engine_knows_no_campaign_and_no_sensor():
