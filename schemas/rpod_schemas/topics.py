@@ -147,6 +147,15 @@ class Namespace:
         return Topic(relative, "")
 
 
+def is_latched(name: str) -> bool:
+    """Return whether a topic is latched according to the ICD."""
+    kind = name.split("/", 1)[-1]
+    return any(
+        topic.latched and (topic.name == name or topic.name in (f"<camera>/{kind}", f"<lidar>/{kind}"))
+        for topic in TOPICS
+    )
+
+
 @cache
 def type_of_wire(wire_type: str) -> str:
     """Return the ROS 2 type of a DDS type: the inverse of ``Topic.wire_type``."""

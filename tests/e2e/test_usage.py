@@ -76,7 +76,7 @@ def test_an_unknown_scenario_is_refused_with_the_known_ones(tmp_path):
     [
         (
             lambda document: document["motion"]["attitude"].update(rate_rpm=3),
-            ("mine.yaml: motion.attitude.", "rate_rpm: ", "not permitted"),
+            ("mine.yaml: motion.attitude.", "rate_rpm: ", "not a known field"),
         ),
         (lambda document: document.update(target="iss"), ("target 'iss': is unknown", "mockup")),
     ],

@@ -61,8 +61,8 @@ def written(directory: Path, document: object) -> Path:
             "three finite numbers",
         ),
         ("estimator", {"sensors": []}, "sensors", "at least 1 item"),
-        ("estimator", {"filter": {"gate": 3}}, "filter.gate", "not permitted"),
-        ("logger", {"directroy": "x"}, "directroy", "not permitted"),
+        ("estimator", {"filter": {"gate": 3}}, "filter.gate", "not a known field"),
+        ("logger", {"directroy": "x"}, "directroy", "not a known field"),
     ],
 )
 def test_a_wrong_field_is_named_with_its_file_and_the_reason(tmp_path, verb, changes, field, reason):

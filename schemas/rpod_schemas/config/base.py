@@ -8,6 +8,7 @@ from typing import Annotated, Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from rpod_schemas.errors import ConfigurationError
 
@@ -58,14 +59,28 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
+        problem, *others = _problems(error)
         field = ".".join(str(part) for part in problem["loc"])
         reason = problem["msg"].removeprefix("Value error, ")
-        if problem["type"] == "extra_forbidden" and _is_tuning(model, document, problem["loc"]):
-            place = ".".join(str(part) for part in (*problem["loc"][:-1], "tuning", problem["loc"][-1]))
-            reason = f"is a tuning field now: write it as {place}"
-        more = error.error_count() - 1
+        if problem["type"] == "extra_forbidden":
+            reason = "is not a known field; check its spelling and its place"
+            if _is_tuning(model, document, problem["loc"]):
+                place = ".".join(str(part) for part in (*problem["loc"][:-1], "tuning", problem["loc"][-1]))
+                reason = f"is a tuning field now: write it as {place}"
+        more = len(others)
         raise ConfigurationError(source, field, reason + (f" (and {more} more)" if more else "")) from error
+
+
+def _problems(error: ValidationError) -> list[ErrorDetails]:
+    """Return the errors without those that follow from others: of wrong items a list has too few."""
+    problems = error.errors(include_url=False)
+    places = [problem["loc"] for problem in problems]
+    return [
+        problem
+        for problem in problems
+        if problem["type"] != "too_short"
+        or not any(place[: len(problem["loc"])] == problem["loc"] != place for place in places)
+    ]
 
 
 def _is_tuning(model: type[BaseModel], document: Any, location: Sequence[int | str]) -> bool:

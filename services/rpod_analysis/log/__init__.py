@@ -1,5 +1,5 @@
 """Reading of logs: files, topics, sensors, counts of the services, completeness, unreadable messages."""
 
-from rpod_analysis.log.log import Log, Logged, TopicInfo, is_latched, open_log
+from rpod_analysis.log.log import Log, Logged, TopicInfo, open_log
 
-__all__ = ["Log", "Logged", "TopicInfo", "is_latched", "open_log"]
+__all__ = ["Log", "Logged", "TopicInfo", "open_log"]

@@ -25,7 +25,7 @@ from rpod_schemas.cdr import decode
 from rpod_schemas.errors import Reason
 from rpod_schemas.logs import CONFIGURATION, COUNTS, TopicCount
 from rpod_schemas.messages import read_odometry, read_status, read_transforms
-from rpod_schemas.topics import ESTIMATE, STATUS, TF_STATIC, TOPICS, Topic
+from rpod_schemas.topics import ESTIMATE, STATUS, TF_STATIC, Topic, is_latched
 from rpod_schemas.types import EstimatorStatus, Odometry
 
 _MOST_LATCHED = 64
@@ -261,12 +261,3 @@ class Log:
             if isinstance(bus, dict) and (namespace := bus.get("namespace")):
                 return f"{namespace}/"
         return ""
-
-
-def is_latched(name: str) -> bool:
-    """Return whether a topic is latched according to the ICD."""
-    kind = name.split("/", 1)[-1]
-    return any(
-        topic.latched and (topic.name == name or topic.name in (f"<camera>/{kind}", f"<lidar>/{kind}"))
-        for topic in TOPICS
-    )

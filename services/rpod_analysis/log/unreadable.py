@@ -11,6 +11,7 @@ import numpy as np
 
 from rpod_schemas.cdr import NANOSECONDS, begins_with_stamp, is_known, peek_stamp
 from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.topics import is_latched
 
 if TYPE_CHECKING:
     from rpod_analysis.log.log import Log, Logged
@@ -111,12 +112,18 @@ class StampCheck:
     def peek(self, logged: "Logged") -> int | None:
         """Return the checked stamp of a message that begins with one, None for a message of another type.
 
+        A latched message with the stamp 0 has none: in lockstep a sensor announces itself before the clock
+        runs.
+
         Raises:
             MessageRejectedError: the stamp is missing, or it cannot belong to this log.
         """
         if not is_known(logged.type) or not begins_with_stamp(logged.type):
             return None
-        return self.check(logged, peek_stamp(logged.payload))
+        stamp_ns = peek_stamp(logged.payload)
+        if stamp_ns == 0 and is_latched(logged.topic):
+            return None
+        return self.check(logged, stamp_ns)
 
 
 def _offsets_ns(log: "Log") -> list[int]:

@@ -12,13 +12,13 @@ from fnmatch import fnmatchcase
 from threading import Event
 
 from rpod_analysis.errors import NothingToPlayError
-from rpod_analysis.log import Log, Logged, is_latched
+from rpod_analysis.log import Log, Logged
 from rpod_analysis.replay.timeline import Timeline
 from rpod_runtime import Node
 from rpod_runtime.publisher import Publisher
 from rpod_schemas.cdr import NANOSECONDS, begins_with_stamp, is_known, restamped
 from rpod_schemas.messages import write_clock
-from rpod_schemas.topics import CLOCK, DIAGNOSTICS, STATUS, TF, Topic
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, STATUS, TF, Topic, is_latched
 
 _CLOCK_PERIOD_NS = NANOSECONDS // 250
 _BETWEEN_LAPS_NS = NANOSECONDS // 10

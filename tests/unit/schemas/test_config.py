@@ -1,3 +1,5 @@
+from typing import Annotated
+
 import numpy as np
 import pytest
 from pydantic import Field
@@ -40,7 +42,7 @@ def test_three_formats_read_alike(tmp_path, text, suffix):
     ("document", "field", "reason"),
     [
         ({"inner": {"rate_hz": -1}}, "inner.rate_hz", "greater than 0"),
-        ({"inner": {"rate_hz": 1}, "nmaes": []}, "nmaes", "not permitted"),
+        ({"inner": {"rate_hz": 1}, "nmaes": []}, "nmaes", "not a known field"),
         ({}, "inner", "required"),
         (
             {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"translation_m": [1, 2]}},
@@ -61,6 +63,16 @@ def test_an_error_names_source_field_and_reason_in_one_line(document, field, rea
     assert text.startswith(f"lab.yaml: {field}")
     assert reason in text
     assert "\n" not in text
+
+
+def test_a_wrong_item_is_one_error_and_the_list_is_not_called_too_short():
+    class Listed(Config):
+        items: Annotated[tuple[Annotated[int, Field(gt=0)], ...], Field(min_length=1)]
+
+    with pytest.raises(ConfigurationError, match=r"items\.0: .*greater than 0$"):
+        check(Listed, {"items": [-1]}, source="x")
+    with pytest.raises(ConfigurationError, match=r"items: .*at least 1 item"):
+        check(Listed, {"items": []}, source="x")
 
 
 def test_several_errors_are_counted():

@@ -59,3 +59,8 @@ def test_a_single_stamp_of_another_year_is_refused(years, words):
     wrong = Message("lidar/points", POINTS, WALL_NS + 10 * SECOND_NS, WALL_NS + years * YEAR_NS)
     with pytest.raises(MessageRejectedError, match=words):
         StampCheck(Log(wrong)).peek(wrong)
+
+
+def test_a_sensors_info_from_before_the_clock_runs_has_no_stamp():
+    info = Message("lidar/info", "rpod_msgs/msg/LidarInfo", WALL_NS, 0)
+    assert StampCheck(Log(info)).peek(info) is None
