@@ -61,7 +61,7 @@ def spikes_table(results: Results) -> tuple[Table, ...]:
     for scenario, title in ((paper.OBLIQUE, "Table 3"), (paper.TUMBLING, "Table 4")):
         images = tuple(paper.NORMS[scenario, paper.ICP])
         rows = [(_technique(r.cell), *_spikes(r, images)) for r in _one_radius(results, scenario)]
-        columns = ("method", *(f"{image}: {unit}" for image in images for unit in ("deg", "m")))
+        columns = ("method", *(f"image {image}, {unit}" for image in images for unit in ("deg", "m")))
         if rows:
             tables.append(Table(f"{title}: {scenario}, by image", columns, tuple(rows)))
     return tuple(tables)

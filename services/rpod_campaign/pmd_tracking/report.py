@@ -16,16 +16,23 @@ from rpod_campaign.pmd_tracking.beside_paper import (
 
 
 def sections(results: Results) -> list[Section]:
-    """Return the sections of the report: those of the paper in its order, then the others."""
+    """Return the sections of the report for the methods that were run.
+
+    Those of the paper come first, in its order.
+    """
+    return [section for section in _sections(results) if section.tables or section.figures]
+
+
+def _sections(results: Results) -> list[Section]:
     keyframes = [r for r in results if r.cell.frames == "keyframes" and r.cell.case == results[0].cell.case]
     full = [result for result in results if result.cell.frames == "full"]
     usual = [result for result in results if result.cell.radius_px in (None, paper.RADIUS_PX)]
     return [
         Section(
             "RMS and time of ICP with reverse calibration (Table 2)",
-            "Ours / printed. Attitude is Log(R_truth^T R_estimate) in target axes, position in camera axes; "
-            "the paper does not state its own, so that the other choice follows below. Frame to frame, one "
-            "failure causes the next; therefore the technique also starts from the last image's true pose. "
+            "Measured here / printed. Attitude is Log(R_truth^T R_estimate) in target axes, position in "
+            "camera axes; the paper does not state its own, so that the other choice follows below. Frame to frame, "
+            "one failure causes the next; therefore the technique also starts from the last image's true pose. "
             "The paper's times are from C++ on a processor that it does not name.",
             table_2(keyframes),
         ),
@@ -37,9 +44,9 @@ def sections(results: Results) -> list[Section]:
         ),
         Section(
             "The images on which the paper's EPnP is better than its ICP (Tables 3 and 4)",
-            "Norms of the errors of single images, ours / printed. The paper's images show another target in "
-            "another light, so that only one thing is comparable: whether the techniques fail on different "
-            "images.",
+            "Norms of the errors of single images, measured here / printed. The paper's images show another "
+            "target in another light, so that only one thing is comparable: whether the techniques fail on "
+            "different images.",
             spikes_table(keyframes),
         ),
         Section("The seventh images (Figs. 13 and 14)", seventh_note(), figures=pictures(keyframes)),
