@@ -31,8 +31,9 @@ def _sections(results: Results) -> list[Section]:
         Section(
             "RMS and time of ICP with reverse calibration (Table 2)",
             "Measured here / printed. Attitude is Log(R_truth^T R_estimate) in target axes, position in "
-            "camera axes; the paper does not state its own, so that the other choice follows below. Frame to frame, "
-            "one failure causes the next; therefore the technique also starts from the last image's true pose. "
+            "camera axes; the paper does not state its own, so that the other choice follows below. "
+            "Frame to frame, one failure causes the next; therefore the technique also starts from the last "
+            "image's true pose. "
             "The paper's times are from C++ on a processor that it does not name.",
             table_2(keyframes),
         ),
