@@ -43,7 +43,8 @@ def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Targe
     parameters = _read_parameters(path)
     meshes = _read_meshes(parameters, path)
     digest = _digest(parameters, meshes)
-    file = (cache or store.default_directory()) / f"target-{digest}.npz"
+    built = _digest(parameters.model_copy(update={"symmetries": ()}), meshes)  # they change no array
+    file = (cache or store.default_directory()) / f"target-{built}.npz"
     arrays = store.read(file)
     if arrays is None:
         arrays = _build(parameters, meshes, path)
