@@ -99,6 +99,8 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
     pieces = list(_pieces(_scene(suffix, content, beside)))
     if not pieces:
         raise ValueError("contains no triangle: export its surfaces as a mesh")
+    if suffix == ".obj":
+        pieces.reverse()  # the reader returns them from the last to the first
     materials = tuple({piece.material.name: piece.material for piece in pieces if piece.material}.values())
     objects = tuple(dict.fromkeys(piece.name for piece in pieces))
     numbers = {material.name: number for number, material in enumerate(materials)}
