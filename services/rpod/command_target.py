@@ -92,11 +92,12 @@ def _target(file: Path, *, units: str | None, longest_side_m: float | None) -> T
     if file.suffix.lower() not in FORMATS:
         return load_target(file)
     with tempfile.TemporaryDirectory() as folder:
-        if units is None and longest_side_m is None:
-            units = "m"
+        assumed = units is None and longest_side_m is None
+        units = "m" if assumed else units
         options = DraftOptions(units=units, longest_side_m=longest_side_m, confirmed_size=True)
         made = draft(file, Path(folder) / f"{file.stem}.yaml", options)
-        return replace(made.target, source=str(file), repairs=made.told)
+        told = ("coordinates are taken as metres: no unit is given", *made.told) if assumed else made.told
+        return replace(made.target, source=str(file), repairs=told)
 
 
 def _tell(found: TargetCheck, console: Console) -> None:

@@ -97,7 +97,8 @@ def _check_size(parameters: TargetParameters, size_m: float, *, source: str) -> 
         source,
         scaled[0] if scaled else "parts",
         f"the target's longest side is {size_m:.4g} m, and {_SMALLEST_M} m to {_LARGEST_M:.0f} m are usual: "
-        "correct the unit, or add confirmed_size: true to the file if the size is right",
+        f"the longest side is {size_m:.4g} m, and {_SMALLEST_M} m to {_LARGEST_M:.0f} m are usual: "
+        "target new)",
     )
 
 

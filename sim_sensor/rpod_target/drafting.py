@@ -123,7 +123,7 @@ def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) ->
         return scale
     if by_unit is None:
         reason = f"is missing: the longest side is {longest:.4g} units of the file, which does not say which"
-        raise TargetError("rpod target new", "--units", f"{reason}; or give --longest-side-m")
+        raise TargetError(cad, "--units", f"{reason}; or give --longest-side-m")
     return by_unit
 
 

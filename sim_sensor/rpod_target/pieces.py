@@ -6,6 +6,7 @@ that a shell whose objects or materials share its edges stays one shell.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import PurePath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,7 +189,7 @@ def _of_file(file: MeshFile, parts: Mapping[int, MeshParameters], *, source: str
         bodies,
         loose=mesh.loose,
         patch=mesh.patch,
-        told=tuple(f"{first.file}: {text}" for text in told),
+        told=tuple(f"{PurePath(first.file).name}: {text}" for text in told),
     )
 
 
