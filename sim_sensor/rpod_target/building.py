@@ -97,8 +97,8 @@ def _check_size(parameters: TargetParameters, size_m: float, *, source: str) -> 
         source,
         scaled[0] if scaled else "parts",
         f"the target's longest side is {size_m:.4g} m, and {_SMALLEST_M} m to {_LARGEST_M:.0f} m are usual: "
-        f"the longest side is {size_m:.4g} m, and {_SMALLEST_M} m to {_LARGEST_M:.0f} m are usual: "
-        "target new)",
+        "correct the unit, or if the size is right add confirmed_size: true to the file (--confirm-size of "
+        "rpod target new)",
     )
 
 

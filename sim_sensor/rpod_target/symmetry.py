@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import Array, FloatArray
 from rpod_target.target import Target
 from rpod_target.topology import areas_m2
 from rpod_target.visibility import as_tensor, scene_of
@@ -89,9 +89,7 @@ class _Matcher:
         worst = float(np.quantile(distance, 0.995)) if (same & agrees).mean() > 0.98 else np.inf
         return worst, float((agrees & same).mean())
 
-    def _closest(
-        self, points_m: FloatArray, normals: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _closest(self, points_m: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray, Array]:
         """Return distance over size, cosine and material of the surface nearest to places facing alike."""
         lifted = points_m + 0.5 * _NEAR * self.size_m * normals  # prefers the face that looks the same way
         found = self._scene.compute_closest_points(as_tensor(lifted))
