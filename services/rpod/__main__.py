@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from rpod import __version__
 from rpod.campaign_verbs import campaign_verbs
 from rpod.log_verbs import log_verbs
+from rpod.target_verbs import target_verbs
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_runtime.lifecycle import run as run_service
 from rpod_schemas.config.base import check, read_document
@@ -58,6 +59,7 @@ def _version(asked: bool) -> None:
 
 app.add_typer(log_verbs)
 app.add_typer(campaign_verbs)
+app.add_typer(target_verbs)
 
 
 @app.callback()

@@ -14,12 +14,14 @@ from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import cache as store
 from rpod_target.errors import TargetError
+from rpod_target.mesh_files import companions
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
 from rpod_target.target import DistanceField, Material, Symmetry, Target
 
 _SHIPPED = Path(__file__).parent / "targets"
-_BUILDER_VERSION = 4
-"""Version of the builder, to be increased when the same parameters give other arrays."""
+_BUILDER_VERSION, _MESH_BUILDER_VERSION = 4, 5
+"""Version of the builder, without and with mesh files, to be increased when the same parameters give other
+arrays."""
 
 
 def shipped_targets() -> tuple[str, ...]:
@@ -41,7 +43,8 @@ def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Targe
     parameters = _read_parameters(path)
     meshes = _read_meshes(parameters, path)
     digest = _digest(parameters, meshes)
-    file = (cache or store.default_directory()) / f"target-{digest}.npz"
+    built = _digest(parameters.model_copy(update={"symmetries": ()}), meshes)  # they change no array
+    file = (cache or store.default_directory()) / f"target-{built}.npz"
     arrays = store.read(file)
     if arrays is None:
         arrays = _build(parameters, meshes, path)
@@ -67,6 +70,7 @@ def _read_parameters(path: Path) -> TargetParameters:
         # pydantic puts a union's tag into the location, which is no field of the file
         field = re.sub(r"^(parts\.\d+)\.(box|prism|frustum|cylinder|mesh)\b", r"\1", error.field)
         raise TargetError(error.source, field, error.reason) from error
+    _check_mass(parameters, path)
     for index, part in enumerate(parameters.parts):
         for field, material in _named_materials(part):
             if material not in parameters.materials:
@@ -77,15 +81,29 @@ def _read_parameters(path: Path) -> TargetParameters:
     return parameters
 
 
+def _check_mass(parameters: TargetParameters, path: Path) -> None:
+    masses = [name for name in ("mass_kg", "density_kg_m3") if getattr(parameters, name) is not None]
+    missing = [name for name in ("centre_of_mass_m", "inertia_kg_m2") if getattr(parameters, name) is None]
+    if missing and not masses:
+        reason = "is missing: give it, or mass_kg or density_kg_m3, from which it is computed"
+        raise TargetError(path, missing[0], reason)
+    if len(masses) == 2:
+        raise TargetError(path, "density_kg_m3", "give either it or mass_kg")
+
+
 def _named_materials(part: PartParameters) -> Iterator[tuple[str, str]]:
     yield "material", part.material
     if isinstance(part, PrismParameters):
         for field in ("top_materials", "base_materials", "side_materials"):
             for index, material in enumerate(getattr(part, field)):
                 yield f"{field}.{index}", material
+    if isinstance(part, MeshParameters):
+        for name, material in part.file_materials.items():
+            yield f"file_materials.{name}", material
 
 
 def _read_meshes(parameters: TargetParameters, path: Path) -> dict[str, bytes]:
+    """Return the bytes of all mesh files, and of the files beside them that they refer to and that exist."""
     meshes = {}
     for index, part in enumerate(parameters.parts):
         if isinstance(part, MeshParameters):
@@ -95,12 +113,15 @@ def _read_meshes(parameters: TargetParameters, path: Path) -> dict[str, bytes]:
             except OSError as error:
                 reason = f"mesh {file} cannot be read ({error.strerror})"
                 raise TargetError(path, f"parts.{index}.file", reason) from error
+            for name in companions(part.file, meshes[part.file]):
+                with contextlib.suppress(OSError):  # colours are not needed; the reader names what is
+                    meshes[str(Path(part.file).parent / name)] = (file.parent / name).read_bytes()
     return meshes
 
 
 def _digest(parameters: TargetParameters, meshes: Mapping[str, bytes]) -> str:
     content = {
-        "builder": _BUILDER_VERSION,
+        "builder": _MESH_BUILDER_VERSION if meshes else _BUILDER_VERSION,
         "parameters": parameters.model_dump(mode="json"),
         "meshes": {name: hashlib.sha256(mesh).hexdigest() for name, mesh in meshes.items()},
     }
@@ -117,11 +138,13 @@ def _build(parameters: TargetParameters, meshes: Mapping[str, bytes], path: Path
 
 
 def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source: Path, digest: str) -> Target:
-    field = None
-    if "field_values" in arrays:
-        spacing_m = parameters.distance_field.spacing_m
-        field = DistanceField(arrays.pop("field_origin_m"), spacing_m, arrays.pop("field_values"))
-    not_closed = str(arrays.pop("not_closed", ""))
+    spacing_m = parameters.distance_field.spacing_m or float(arrays["field_spacing_m"])
+    field = DistanceField(arrays.pop("field_origin_m"), spacing_m, arrays.pop("field_values"))
+    arrays.pop("field_spacing_m", None)  # a cache of the past may be without it
+    parts = tuple(part.name for part in parameters.parts)
+    backs = tuple(f"{parts[number]}-back" for number in arrays.pop("back_parts", ()))
+    repairs = tuple(str(text) for text in arrays.pop("repairs", ()))
+    centre_m, inertia = parameters.centre_of_mass_m, parameters.inertia_kg_m2
     return Target(
         name=parameters.name,
         source=str(source),
@@ -129,11 +152,11 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         materials=tuple(
             Material(name=name, **material.model_dump()) for name, material in parameters.materials.items()
         ),
-        parts=tuple(part.name for part in parameters.parts),
+        parts=parts + backs,
         field=field,
-        not_closed=not_closed,
-        centre_of_mass_m=parameters.centre_of_mass_m,
-        inertia_kg_m2=parameters.inertia_kg_m2,
+        repairs=repairs,
+        centre_of_mass_m=arrays.pop("centre_of_mass_m") if centre_m is None else centre_m,
+        inertia_kg_m2=arrays.pop("inertia_kg_m2") if inertia is None else inertia,
         radius_m=float(np.linalg.norm(arrays["triangles_m"], axis=-1).max()),
         symmetries=tuple(
             Symmetry(axis=tuple(symmetry.axis.tolist()), order=symmetry.order, exact=symmetry.exact)

@@ -113,12 +113,19 @@ class CylinderParameters(_PartParameters):
 
 
 class MeshParameters(_PartParameters):
-    """An STL file, scaled and then placed; its separate closed surfaces may overlap."""
+    """A CAD or mesh file, or one object of it, scaled and then placed; its surfaces may overlap."""
 
     shape: Literal["mesh"]
     """Kind of the part."""
     file: str
-    """Path, relative to the parameter file."""
+    """Path, relative to the parameter file: STL, OBJ, PLY, glTF, GLB, or STEP with the extra ``step``."""
+    object: str | None = None
+    """Name of the object or group of the file that is the part; by default the whole file."""
+    file_materials: dict[str, str] = Field(default_factory=dict)
+    """Material of this file by the name of the material in the mesh file; others have ``material``."""
+    largest_error_m: Positive | None = None
+    """Largest distance between the file's surface and the triangles that stand for it, where the file has
+    more than 20,000; by default a thousandth of the part's longest side."""
     longest_side_m: Positive | None = None
     """Length to which the longest side of the file's bounding box is scaled."""
     metres_per_unit: Positive | None = None
@@ -127,8 +134,14 @@ class MeshParameters(_PartParameters):
     @model_validator(mode="after")
     def _one_scale(self) -> Self:
         if (self.longest_side_m is None) == (self.metres_per_unit is None):
-            raise ValueError("needs either longest_side_m or metres_per_unit")
+            raise ValueError(
+                "needs either longest_side_m or metres_per_unit: mesh files do not say their unit reliably"
+            )
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _kept(handler(self), {"object": None, "file_materials": {}, "largest_error_m": None})
 
 
 PartParameters = Annotated[
@@ -140,10 +153,10 @@ PartParameters = Annotated[
 class FieldParameters(Config):
     """The grid of the distance field."""
 
-    spacing_m: Positive
-    """Distance of neighbouring nodes."""
-    margin_m: Positive
-    """Extent of the grid beyond the parts."""
+    spacing_m: Positive | None = None
+    """Distance of neighbouring nodes; by default a hundredth of the target's longest side."""
+    margin_m: Positive | None = None
+    """Extent of the grid beyond the parts; by default 0.15 of the target's longest side."""
 
 
 class SymmetryParameters(Config):
@@ -170,15 +183,24 @@ class TargetParameters(Config):
 
     name: Name
     """Name of the target in logs and reports."""
-    centre_of_mass_m: Vector3
-    """Centre of mass, target axes."""
-    inertia_kg_m2: Matrix3
-    """Inertia about the centre of mass, target axes."""
+    centre_of_mass_m: Vector3 | None = None
+    """Centre of mass, target axes; by default that of the parts."""
+    inertia_kg_m2: Matrix3 | None = None
+    """Inertia about the centre of mass, target axes; by default that of the parts, by ``mass_kg`` or
+    ``density_kg_m3``."""
+    mass_kg: Positive | None = None
+    """Mass, spread evenly over the parts, for the centre of mass and the inertia that are not given."""
+    density_kg_m3: Positive | None = None
+    """Density of the parts' volume, instead of ``mass_kg``."""
+    mass_spread: Literal["volume", "surface"] = "volume"
+    """Whether the mass is in the volume of the closed surfaces or on the area of all surfaces, as a skin."""
+    confirmed_size: bool = False
+    """Whether a longest side below 0.05 m or above 500 m is meant."""
     materials: Annotated[dict[Name, MaterialParameters], Field(min_length=1)]
     """Materials by name."""
     parts: Annotated[tuple[PartParameters, ...], Field(min_length=1)]
     """Parts of the target, which may touch and overlap."""
-    distance_field: FieldParameters
+    distance_field: FieldParameters = FieldParameters()
     """The grid of the signed distance field."""
     model_points: Annotated[int, Field(ge=10, le=100_000)] = 1200
     """Number of points sampled evenly over the visible surface."""
@@ -189,7 +211,9 @@ class TargetParameters(Config):
 
     @field_validator("inertia_kg_m2")
     @classmethod
-    def _inertia_is_physical(cls, inertia: FloatArray) -> FloatArray:
+    def _inertia_is_physical(cls, inertia: FloatArray | None) -> FloatArray | None:
+        if inertia is None:
+            return None
         if not np.allclose(inertia, inertia.T):
             raise ValueError("is not symmetric")
         moments = np.linalg.eigvalsh(inertia)
@@ -209,3 +233,23 @@ class TargetParameters(Config):
         if repeated:
             raise ValueError(f"two parts are named {repeated[0]!r}")
         return parts
+
+    @model_serializer(mode="wrap")
+    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields; without those that are left out, the digest of the file stays as it was."""
+        added = {
+            "centre_of_mass_m": None,
+            "inertia_kg_m2": None,
+            "mass_kg": None,
+            "density_kg_m3": None,
+            "mass_spread": "volume",
+            "confirmed_size": False,
+        }
+        return _kept(handler(self), added)
+
+
+def _kept(document: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
+    """Return a document without the fields that have these values."""
+    return {
+        name: value for name, value in document.items() if name not in defaults or value != defaults[name]
+    }

@@ -66,7 +66,7 @@ class Symmetry:
 
 @dataclass(frozen=True, eq=False)
 class DistanceField:
-    """Signed distance on a regular grid, negative inside: the minimum over the closed parts."""
+    """Signed distance on a regular grid, negative inside: the minimum over the parts."""
 
     origin_m: FloatArray
     """Position of node (0, 0, 0), shape (3,)."""
@@ -94,6 +94,8 @@ class Target:
     """Index into ``parts``, shape (T,)."""
     materials: tuple[Material, ...]
     parts: tuple[str, ...]
+    """Names of the parts; the second side of a surface that is seen from both sides is a part of its own,
+    whose name ends with ``-back``."""
     edges_m: FloatArray
     """Wireframe segments: creases and open boundaries of each part, shape (E, 2, 3)."""
     edge_normals: FloatArray
@@ -103,9 +105,9 @@ class Target:
     model_normals: FloatArray
     """Outward unit normals at the model points, shape (N, 3)."""
     field: DistanceField | None
-    """Distance field; None if a part is not closed."""
-    not_closed: str
-    """Reason why there is no field; empty if there is one."""
+    """Distance field; None in a target put together without one."""
+    repairs: tuple[str, ...]
+    """What was repaired or approximated in the mesh files, one sentence each."""
     centre_of_mass_m: FloatArray
     """Centre of mass, shape (3,)."""
     inertia_kg_m2: FloatArray
@@ -118,11 +120,10 @@ class Target:
         """Return the distance field.
 
         Raises:
-            TargetError: a part is not closed, so that it has no inside; the text names the part and the
-                number of its open edges.
+            TargetError: the target was put together without a field; one from a file always has it.
         """
         if self.field is None:
-            raise TargetError(self.source, "distance_field", self.not_closed)
+            raise TargetError(self.source, "distance_field", "is missing: load the target from its file")
         return self.field
 
     def turns(self, *, exact: bool = False) -> list[RigidTransform]:

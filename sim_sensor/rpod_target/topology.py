@@ -34,11 +34,26 @@ def volume_m3(triangles_m: FloatArray) -> float:
 
 
 def welded(triangles_m: FloatArray) -> Indices:
-    """Return corner indices, shape (T, 3): equal corners have equal indices."""
+    """Return corner indices, shape (T, 3): equal corners have equal indices, numbered as they first occur."""
     corners = triangles_m.reshape(-1, 3)
     tolerance_m = _WELD * np.ptp(corners, axis=0).max()
-    pairs = cKDTree(corners).query_pairs(tolerance_m, output_type="ndarray")
-    return components(pairs, size=len(corners)).reshape(-1, 3)
+    single, number = _once_each(corners)  # most corners stand several times, bit for bit
+    pairs = cKDTree(single).query_pairs(tolerance_m, output_type="ndarray")
+    return components(pairs, size=len(single))[number].reshape(-1, 3)
+
+
+def _once_each(corners: FloatArray) -> tuple[FloatArray, Indices]:
+    """Return different corners in the order in which they first occur, and the number of each corner."""
+    order = np.lexsort(corners.T)
+    begins = np.append(True, (np.diff(corners[order], axis=0) != 0.0).any(axis=1))
+    sorted_number = np.cumsum(begins) - 1
+    first = np.full(int(begins.sum()), len(corners))
+    np.minimum.at(first, sorted_number, order)
+    rank = np.empty(len(first), np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    number = np.empty(len(corners), np.int64)
+    number[order] = rank[sorted_number]
+    return corners[np.sort(first)], number
 
 
 def open_edges(triangles_m: FloatArray) -> int:

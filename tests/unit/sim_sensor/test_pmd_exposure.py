@@ -47,7 +47,7 @@ def plates(*parts: tuple[FloatArray, float], f0: float = 0.0, roughness: float =
         model_points_m=np.empty((0, 3)),
         model_normals=np.empty((0, 3)),
         field=None,
-        not_closed="plates have no inside",
+        repairs=(),
         centre_of_mass_m=np.zeros(3),
         inertia_kg_m2=np.eye(3),
         radius_m=20.0,

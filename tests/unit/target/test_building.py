@@ -168,13 +168,3 @@ def test_a_mesh_is_scaled_to_its_longest_side(build: Build, write_stl: Callable[
     write_stl("brick.stl", build().triangles_m * 100.0)
     mesh = build({"shape": "mesh", "file": "brick.stl", "longest_side_m": 4.0})
     np.testing.assert_allclose(mesh.triangles_m.max(axis=(0, 1)), 2.0 * HALF_M)
-
-
-def test_a_mesh_with_a_hole_has_all_but_a_field(build: Build, write_stl: Callable[[str, Any], Any]) -> None:
-    write_stl("holed.stl", build().triangles_m[1:])
-    target = build({"shape": "mesh", "file": "holed.stl", "metres_per_unit": 1.0, "name": "hull"})
-    assert target.field is None
-    assert (
-        len(target.edges_m) == 13
-    )  # the twelve creases, one of them now a boundary, and the face's diagonal
-    np.testing.assert_allclose(box_distance_m(target.model_points_m, HALF_M), 0.0, atol=1e-6)

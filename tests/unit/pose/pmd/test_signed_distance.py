@@ -102,11 +102,9 @@ def test_no_frame_raises_and_without_a_pose_there_is_a_reason(frame):
     assert bool(registration.belief.reason) != registration.continues_track
 
 
-def test_a_target_that_is_not_closed_cannot_be_tracked_by_its_field():
+def test_a_target_without_a_field_cannot_be_tracked_by_its_field():
     with pytest.raises(TargetError):
-        SignedDistanceTracker(
-            SignedDistanceConfig(), replace(mockup(), field=None, not_closed="part 0 is open")
-        )
+        SignedDistanceTracker(SignedDistanceConfig(), replace(mockup(), field=None))
 
 
 def test_a_scale_that_widens_is_refused():

@@ -1,0 +1,141 @@
+"""``rpod target new`` and ``rpod target check`` from their arguments to their exit codes."""
+
+import json
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from rpod_analysis.target_check import TargetCheck, check_target, write_page
+from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_target import Target, TargetError, load_target
+from rpod_target.drafting import METRES, Draft, DraftOptions, draft
+from rpod_target.mesh_files import FORMATS, METRIC
+
+
+def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: bool) -> int:
+    """Write a parameter file from a CAD file; return the exit code."""
+    try:
+        made = draft(cad, out or Path(f"{cad.stem}.yaml"), _asked(cad, options, as_json=as_json))
+    except TargetError as error:
+        print(f"rpod target new: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    except OSError as error:
+        print(f"rpod target new: {error}", file=sys.stderr)
+        return EXIT_FAILURE
+    if as_json:
+        print(json.dumps(_new_document(made), indent=2))
+        return EXIT_OK
+    console = Console(highlight=False)
+    for text in made.told:
+        console.print(f"{text}", soft_wrap=True, markup=False)
+    console.print(f"target   {made.file}", soft_wrap=True, markup=False)
+    console.print(f"next     rpod target check {made.file}", soft_wrap=True, markup=False)
+    return EXIT_OK
+
+
+def _asked(cad: Path, options: DraftOptions, *, as_json: bool) -> DraftOptions:
+    """Return the options, completed by questions if someone is there to answer them."""
+    known = options.units is not None or options.longest_side_m is not None
+    if known or as_json or cad.suffix.lower() in METRIC or not sys.stdin.isatty():
+        return options
+    answer = input(f"Unit of {cad.name} ({', '.join(METRES)}), or the longest side in m: ").strip()
+    try:
+        return replace(options, longest_side_m=float(answer))
+    except ValueError:
+        return replace(options, units=answer or None)
+
+
+def _new_document(made: Draft) -> dict[str, object]:
+    return {
+        "file": str(made.file),
+        "name": made.target.name,
+        "parts": list(made.target.parts),
+        "materials": [material.name for material in made.target.materials],
+        "symmetries": [
+            {"axis": list(one.axis), "order": one.order, "exact": one.exact} for one in made.target.symmetries
+        ],
+        "told": list(made.told),
+    }
+
+
+def check_command(
+    file: Path, *, units: str | None, longest_side_m: float | None, out: Path | None, as_json: bool
+) -> int:
+    """Check a target and draw it; return the exit code."""
+    try:
+        target = _target(file, units=units, longest_side_m=longest_side_m)
+        found = check_target(target)
+        files = write_page(target, found, out or Path())
+    except TargetError as error:
+        print(f"rpod target check: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    except OSError as error:
+        print(f"rpod target check: {error}", file=sys.stderr)
+        return EXIT_FAILURE
+    if as_json:
+        written = {"page": str(files.page), "picture": str(files.picture)}
+        print(json.dumps(found.document() | written, indent=2))
+        return EXIT_OK
+    console = Console(highlight=False)
+    _tell(found, console)
+    console.print(f"page     {files.page}", soft_wrap=True, markup=False)
+    console.print(f"picture  {files.picture}", soft_wrap=True, markup=False)
+    return EXIT_OK
+
+
+def _target(file: Path, *, units: str | None, longest_side_m: float | None) -> Target:
+    """Return the target of a parameter file or of a name, or one drafted from a CAD file."""
+    if file.suffix.lower() not in FORMATS:
+        return load_target(file)
+    with tempfile.TemporaryDirectory() as folder:
+        assumed = units is None and longest_side_m is None
+        units = "m" if assumed else units
+        options = DraftOptions(units=units, longest_side_m=longest_side_m, confirmed_size=True)
+        made = draft(file, Path(folder) / f"{file.stem}.yaml", options)
+        told = ("coordinates are taken as metres: no unit is given", *made.told) if assumed else made.told
+        return replace(made.target, source=str(file), repairs=told)
+
+
+def _tell(found: TargetCheck, console: Console) -> None:
+    sides = " x ".join(f"{side:.4g}" for side in found.size.sides_m)
+    parts, field = len(found.parts), found.distance_field
+    console.print(
+        f"{found.name}: {sides} m, {found.triangles} triangles, {parts} part{'s' * (parts != 1)}, "
+        f"{len(found.materials)} materials; distance field {field.megabytes:.0f} MB, "
+        f"{field.spacing_m:.3g} m spacing",
+        soft_wrap=True,
+    )
+    for text in found.repairs:
+        console.print(f"repaired  {text}", soft_wrap=True, markup=False)
+    for one in found.found_symmetries:
+        axis = ", ".join(f"{value:.3f}" for value in one.axis)
+        order = "any turn" if one.order == 0 else f"order {one.order}"
+        console.print(f"symmetry  about ({axis}): {order}, {'exact' if one.exact else 'near'}", markup=False)
+    if found.openings:
+        console.print(f"openings  {found.openings}; their places are on the page")
+    console.print(_accuracy(found))
+    refused = [one for one in found.methods if not one.works]
+    console.print(f"methods   {len(found.methods) - len(refused)} of {len(found.methods)} take the target")
+    for each in refused:
+        console.print(f"          {each.sensor}.{each.name}: {each.reason}", soft_wrap=True, markup=False)
+
+
+def _accuracy(found: TargetCheck) -> Table:
+    table = Table(title="smallest error of one frame (1 sigma, least known axis)", title_justify="left")
+    for name in ("sensor", "range, m", "points", "position, mm", "attitude, deg", "edges"):
+        table.add_column(name, justify="left" if name == "sensor" else "right")
+    for sensor in found.accuracy:
+        for at in sensor.ranges:
+            table.add_row(
+                sensor.sensor,
+                f"{at.range_m:.4g}",
+                str(at.points),
+                "-" if at.sigma_position_m is None else f"{1e3 * at.sigma_position_m:.2g}",
+                "-" if at.sigma_attitude_deg is None else f"{at.sigma_attitude_deg:.2g}",
+                str(found.edges_seen[sensor.sensor][f"{at.range_m:.4g}"]),
+            )
+    return table

@@ -1,0 +1,91 @@
+"""The verbs about targets: new and check."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+target_verbs = typer.Typer(
+    name="target",
+    help="Make a target from a CAD file, and see what rpod makes of it.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+UnitsOption = Annotated[
+    str | None, typer.Option("--units", help="Unit of the CAD file: m, dm, cm, mm, in, ft or km.")
+]
+LongestOption = Annotated[
+    float | None,
+    typer.Option("--longest-side-m", help="Length to which the longest side is scaled, m.", min=1e-6),
+]
+
+
+@target_verbs.callback()
+def target() -> None:
+    """Make a target from a CAD file, and see what rpod makes of it."""
+
+
+@target_verbs.command()
+def new(
+    cad: Annotated[Path, typer.Argument(help="STL, OBJ, PLY, glTF, GLB or STEP file.")],
+    units: UnitsOption = None,
+    longest_side_m: LongestOption = None,
+    name: Annotated[
+        str | None, typer.Option("--name", help="Name of the target; that of the file by default.")
+    ] = None,
+    mass_kg: Annotated[float | None, typer.Option("--mass-kg", help="Mass, kg.", min=1e-9)] = None,
+    density_kg_m3: Annotated[
+        float | None, typer.Option("--density-kg-m3", help="Density, kg/m3, instead of the mass.", min=1e-9)
+    ] = None,
+    origin: Annotated[
+        str,
+        typer.Option(
+            "--origin",
+            help="Origin of target axes: file, centre (of area), or auto: the file's where it is within the "
+            "bounding box.",
+        ),
+    ] = "auto",
+    confirm_size: Annotated[
+        bool, typer.Option("--confirm-size", help="A size below 0.05 m or above 500 m is meant.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Parameter file to write; <cad>.yaml by default.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+) -> None:
+    """Write a target's parameter file from a CAD file: parts, materials, mass, symmetries."""
+    from rpod.command_target import new_command
+    from rpod_target.drafting import DraftOptions
+
+    if origin not in {"auto", "file", "centre"}:
+        raise typer.BadParameter("is not one of auto, file, centre", param_hint="--origin")
+    options = DraftOptions(
+        units=units,
+        longest_side_m=longest_side_m,
+        name=name,
+        mass_kg=mass_kg,
+        density_kg_m3=density_kg_m3,
+        origin=origin,  # type: ignore[arg-type]
+        confirmed_size=confirm_size,
+    )
+    raise typer.Exit(new_command(cad, options, out=out, as_json=as_json))
+
+
+@target_verbs.command()
+def check(
+    file: Annotated[Path, typer.Argument(help="Parameter file or name of a target, or a CAD file.")],
+    units: UnitsOption = None,
+    longest_side_m: LongestOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder for the page and its picture; the working folder by default."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+) -> None:
+    """Say what rpod makes of a target: size, repairs, symmetries, accuracy, methods; draw it."""
+    from rpod.command_target import check_command
+
+    raise typer.Exit(
+        check_command(file, units=units, longest_side_m=longest_side_m, out=out, as_json=as_json)
+    )

@@ -1,0 +1,240 @@
+"""What rpod makes of a target, as numbers."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rpod_analysis.target_check.accuracy import SensorAccuracy, expected_accuracy
+from rpod_analysis.target_check.edges import Edge, straight_edges
+from rpod_analysis.target_check.holes import Opening, openings
+from rpod_pose.methods import kind_methods
+from rpod_pose.ports import Task
+from rpod_schemas.errors import SchemaError
+from rpod_schemas.sensors import methods, sensor_kind
+from rpod_target import Target
+from rpod_target.symmetry import FoundSymmetry, find_symmetries
+from rpod_target.topology import areas_m2
+
+_LISTED = 20
+"""Number of openings and edges that are listed one by one, the longest."""
+_KINDS = ("lidar", "pmd")
+
+
+@dataclass(frozen=True)
+class Size:
+    """Bounding box of a target."""
+
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+    sides_m: tuple[float, float, float]
+    longest_side_m: float
+    radius_m: float
+    """Radius of the sphere about the origin that holds the target."""
+
+
+@dataclass(frozen=True)
+class PartFacts:
+    """A part of a target."""
+
+    name: str
+    triangles: int
+    area_m2: float
+    sides_m: tuple[float, float, float]
+    materials: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class MaterialFacts:
+    """A material of a target."""
+
+    name: str
+    looks: str
+    """Class of brightness, which is all that an estimator knows."""
+    reflectivity: float
+    diffuse: float
+    f0: float
+    area_share: float
+
+
+@dataclass(frozen=True)
+class FieldFacts:
+    """The distance field."""
+
+    nodes: tuple[int, ...]
+    spacing_m: float
+    megabytes: float
+    volume_inside_m3: float
+    """Volume of the nodes inside; sheets and panels thinner than the spacing have none."""
+
+
+@dataclass(frozen=True)
+class MassFacts:
+    """Mass properties."""
+
+    centre_of_mass_m: tuple[float, ...]
+    inertia_kg_m2: tuple[tuple[float, ...], ...]
+    principal_moments_kg_m2: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class MethodFacts:
+    """Whether a method takes the target."""
+
+    sensor: str
+    role: str
+    name: str
+    works: bool
+    reason: str
+    """Why it does not; empty if it works."""
+
+
+@dataclass(frozen=True)
+class TargetCheck:
+    """Everything that a check finds."""
+
+    name: str
+    file: str
+    digest: str
+    size: Size
+    triangles: int
+    model_points: int
+    parts: tuple[PartFacts, ...]
+    materials: tuple[MaterialFacts, ...]
+    repairs: tuple[str, ...]
+    openings: int
+    longest_openings: tuple[Opening, ...]
+    declared_symmetries: tuple[dict[str, Any], ...]
+    found_symmetries: tuple[FoundSymmetry, ...]
+    mass: MassFacts
+    distance_field: FieldFacts
+    edges: int
+    longest_edges: tuple[Edge, ...]
+    edges_seen: dict[str, dict[str, int]]
+    """Number of edges that a sensor resolves, by sensor and by range, m."""
+    accuracy: tuple[SensorAccuracy, ...]
+    methods: tuple[MethodFacts, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return the check as a JSON document."""
+        return asdict(self)
+
+
+def check_target(target: Target) -> TargetCheck:
+    """Return what rpod makes of a target.
+
+    Raises:
+        rpod_target.TargetError: the target has no distance field.
+    """
+    rims, edges, accuracy = openings(target), straight_edges(target), expected_accuracy(target)
+    return TargetCheck(
+        name=target.name,
+        file=target.source,
+        digest=target.digest,
+        size=_size(target),
+        triangles=len(target.triangles_m),
+        model_points=len(target.model_points_m),
+        parts=tuple(_part(target, number) for number in range(len(target.parts))),
+        materials=_materials(target),
+        repairs=target.repairs,
+        openings=len(rims),
+        longest_openings=tuple(rims[:_LISTED]),
+        declared_symmetries=tuple(asdict(one) for one in target.symmetries),
+        found_symmetries=tuple(find_symmetries(target)),
+        mass=_mass(target),
+        distance_field=_field(target),
+        edges=len(edges),
+        longest_edges=tuple(edges[:_LISTED]),
+        edges_seen={
+            sensor.sensor: {
+                f"{at.range_m:.4g}": sum(edge.seen_up_to_m[sensor.sensor] >= at.range_m for edge in edges)
+                for at in sensor.ranges
+            }
+            for sensor in accuracy
+        },
+        accuracy=accuracy,
+        methods=tuple(_method_facts(target)),
+    )
+
+
+def _triple(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _size(target: Target) -> Size:
+    low_m, high_m = target.triangles_m.min(axis=(0, 1)), target.triangles_m.max(axis=(0, 1))
+    return Size(
+        _triple(low_m),
+        _triple(high_m),
+        _triple(high_m - low_m),
+        float((high_m - low_m).max()),
+        target.radius_m,
+    )
+
+
+def _part(target: Target, number: int) -> PartFacts:
+    chosen = target.triangle_part == number
+    triangles_m = target.triangles_m[chosen]
+    if not len(triangles_m):
+        return PartFacts(target.parts[number], 0, 0.0, (0.0, 0.0, 0.0), ())
+    used = np.unique(target.triangle_material[chosen])
+    return PartFacts(
+        target.parts[number],
+        len(triangles_m),
+        float(areas_m2(triangles_m).sum()),
+        _triple(np.ptp(triangles_m, axis=(0, 1))),
+        tuple(target.materials[index].name for index in used),
+    )
+
+
+def _materials(target: Target) -> tuple[MaterialFacts, ...]:
+    area_m2 = np.bincount(
+        target.triangle_material, weights=areas_m2(target.triangles_m), minlength=len(target.materials)
+    )
+    return tuple(
+        MaterialFacts(
+            each.name, each.looks, each.reflectivity, each.diffuse, each.f0, float(area / area_m2.sum())
+        )
+        for each, area in zip(target.materials, area_m2, strict=True)
+    )
+
+
+def _mass(target: Target) -> MassFacts:
+    return MassFacts(
+        tuple(target.centre_of_mass_m.tolist()),
+        tuple(tuple(row) for row in target.inertia_kg_m2.tolist()),
+        tuple(np.linalg.eigvalsh(target.inertia_kg_m2).tolist()),
+    )
+
+
+def _field(target: Target) -> FieldFacts:
+    field = target.require_field()
+    inside = int(np.count_nonzero(field.values < 0.0))
+    return FieldFacts(
+        field.values.shape, field.spacing_m, field.values.nbytes / 1e6, inside * field.spacing_m**3
+    )
+
+
+def _method_facts(target: Target) -> list[MethodFacts]:
+    """Return which methods can be made for the target, each with its default configuration."""
+    found = []
+    for name in _KINDS:
+        kind = sensor_kind(name)
+        emulated: Any = kind.emulated
+        heard: Any = kind.heard
+        sensor = heard().informed_by(emulated())
+        setup = kind_methods(sensor).setup(sensor, None)
+        task = Task(target, sensor, setup)
+        made: dict[str, Any] = {}
+        for each in sorted(methods(name), key=lambda one: one.role != "tracking"):
+            reason = ""
+            try:
+                tracker = made.get(sensor.tracking.kind)
+                uses = task if each.role == "tracking" or tracker is None else task.with_tracker(tracker)
+                config: Any = each.config
+                made[each.name] = each.built(config(), uses)
+            except (SchemaError, ValueError, IndexError) as error:
+                reason = " ".join(str(error).split())
+            found.append(MethodFacts(name, each.role, each.name, not reason, reason))
+    return found

@@ -1,0 +1,81 @@
+"""What a check says of a target: openings, straight edges, expected accuracy, and its picture."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from scipy.spatial.transform import Rotation
+
+from rpod_analysis.target_check.accuracy import _information
+from rpod_analysis.target_check.edges import straight_edges
+from rpod_analysis.target_check.holes import openings
+from rpod_analysis.target_check.page import render_views
+from rpod_schemas.poses import make_pose
+from rpod_target import Target, load_target
+
+
+def built(mesh: trimesh.Trimesh, folder: Path) -> Target:
+    mesh.export(folder / "hull.stl")
+    document = {
+        "name": "hull",
+        "mass_kg": 10.0,
+        "materials": {"paint": {"reflectivity": 0.5, "diffuse": 0.4, "f0": 0.02, "roughness": 0.3}},
+        "parts": [
+            {"name": "hull", "shape": "mesh", "file": "hull.stl", "metres_per_unit": 1.0, "material": "paint"}
+        ],
+        "distance_field": {"spacing_m": 0.1, "margin_m": 0.3},
+        "model_points": 100,
+    }
+    (folder / "hull.yaml").write_text(yaml.safe_dump(document))
+    return load_target(folder / "hull.yaml", cache=folder / "cache")
+
+
+def test_a_closed_box_has_no_opening_and_twelve_straight_edges(tmp_path: Path) -> None:
+    target = built(trimesh.creation.box((2.0, 1.0, 0.5)).subdivide(), tmp_path)
+    assert openings(target) == []
+    edges = straight_edges(target)
+    assert len(edges) == 12
+    assert [edge.length_m for edge in edges[:4]] == pytest.approx([2.0] * 4)
+    assert edges[0].angle_deg == pytest.approx(90.0)
+    assert edges[0].seen_up_to_m["pmd"] > edges[0].seen_up_to_m["lidar"]
+
+
+def test_an_opening_is_told_with_its_place(tmp_path: Path) -> None:
+    mesh = trimesh.creation.box((2.0, 1.0, 0.5))
+    mesh.update_faces(~(mesh.triangles[:, :, 2] == 0.25).all(axis=1))
+    (opening,) = openings(built(mesh, tmp_path))
+    assert opening.parts == ("hull",)
+    assert opening.centre_m == pytest.approx((0.0, 0.0, 0.25))
+    assert (opening.edges, opening.length_m, opening.extent_m) == (4, pytest.approx(6.0), pytest.approx(2.0))
+
+
+def test_what_a_plane_does_not_measure_is_not_given() -> None:
+    rng = np.random.default_rng(1)
+    places_m = np.column_stack([rng.uniform(-1.0, 1.0, (200, 2)), np.full(200, 5.0)])
+    normals = np.tile([0.0, 0.0, -1.0], (200, 1))
+    pose = make_pose(translation_m=[0.0, 0.0, 5.0])
+    points, position, attitude = _information((places_m, normals, np.full(200, 0.01)), pose)
+    assert points == 200
+    assert not np.isfinite(position)
+    assert not np.isfinite(attitude)
+
+
+def test_more_points_measure_better() -> None:
+    sigmas = []
+    for count in (300, 1200):
+        normals = Rotation.random(count, rng=np.random.default_rng(2)).apply([0.0, 0.0, 1.0])
+        places_m = normals * [1.0, 0.5, 0.3] + [0.0, 0.0, 6.0]
+        pose = make_pose(translation_m=[0.0, 0.0, 6.0])
+        sigmas.append(_information((places_m, normals, np.full(count, 0.01)), pose)[1:])
+    np.testing.assert_allclose(np.divide(*sigmas), 2.0, rtol=0.2)
+
+
+def test_the_picture_shows_the_target_and_its_edges(tmp_path: Path) -> None:
+    image = render_views(built(trimesh.creation.box((2.0, 1.0, 0.5)), tmp_path))
+    assert image.shape == (840, 1260, 3)
+    red = (image[..., 2].astype(int) - image[..., 0]) > 80
+    for row in (0, 420):
+        for column in (0, 420, 840):
+            assert red[row : row + 420, column : column + 420].sum() > 100

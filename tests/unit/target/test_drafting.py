@@ -1,0 +1,137 @@
+"""Parameter files written from CAD files, the symmetries in them, and large meshes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from rpod_target import Target, TargetError, load_target
+from rpod_target.drafting import DraftOptions, draft
+from rpod_target.mesh_files import FileMaterial
+from rpod_target.proposed_materials import proposed
+from rpod_target.simplification import ENOUGH, simplified
+from rpod_target.symmetry import find_symmetries
+
+OBJ = """mtllib colours.mtl
+o body
+{body}
+o solar wing
+{wing}
+"""
+MTL = "newmtl grey\nKd 0.5 0.5 0.5\nnewmtl blue stuff\nKd 0.1 0.1 0.7\n"
+
+
+def obj_box(
+    *, sides: tuple[float, float, float], at: tuple[float, float, float], first: int, use: str
+) -> str:
+    box = trimesh.creation.box(sides)
+    corners = [f"v {x} {y} {z}" for x, y, z in box.vertices + np.array(at)]
+    faces = [f"f {a + first} {b + first} {c + first}" for a, b, c in box.faces]
+    return "\n".join([*corners, f"usemtl {use}", *faces])
+
+
+@pytest.fixture
+def cad(tmp_path: Path) -> Path:
+    """A body of 1 x 1 x 2 units with a wing on one side, and its colours."""
+    body = obj_box(sides=(1.0, 1.0, 2.0), at=(0.0, 0.0, 0.0), first=1, use="grey")
+    wing = obj_box(sides=(0.1, 3.0, 1.0), at=(0.0, 2.0, 0.0), first=9, use="blue stuff")
+    (tmp_path / "sat.obj").write_text(OBJ.format(body=body, wing=wing))
+    (tmp_path / "colours.mtl").write_text(MTL)
+    return tmp_path / "sat.obj"
+
+
+def test_a_target_is_written_from_a_cad_file(cad: Path, cache: Path) -> None:
+    made = draft(cad, cad.parent / "out" / "sat.yaml", DraftOptions(units="m", mass_kg=50.0), cache=cache)
+    target = load_target(made.file, cache=cache)
+    assert target.parts == ("body", "solar-wing")
+    assert {material.name for material in target.materials} == {"blue-stuff", "grey"}
+    assert {material.looks for material in target.materials} == {"dark", "grey"}
+    np.testing.assert_allclose(np.ptp(target.triangles_m, axis=(0, 1)), [1.0, 4.0, 2.0], atol=1e-9)
+    assert made.told == ()
+
+
+def test_the_longest_side_decides_over_the_unit_and_that_is_told(cad: Path, cache: Path) -> None:
+    made = draft(cad, cad.with_suffix(".yaml"), DraftOptions(units="mm", longest_side_m=2.0), cache=cache)
+    assert np.ptp(made.target.triangles_m, axis=(0, 1)).max() == pytest.approx(2.0)
+    assert any("scaled to 2 m" in text for text in made.told)
+    assert any("kg are assumed" in text for text in made.told)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (DraftOptions(), "--units: is missing: the longest side is 4 units"),
+        (DraftOptions(units="inch"), "--units: is 'inch', known are m, dm, cm"),
+        (DraftOptions(units="mm"), "confirmed_size: true"),
+    ],
+)
+def test_a_scale_that_is_not_known_is_refused_and_no_file_is_left(
+    cad: Path, cache: Path, options: DraftOptions, reason: str
+) -> None:
+    with pytest.raises(TargetError, match=reason):
+        draft(cad, cad.with_suffix(".yaml"), options, cache=cache)
+    assert not cad.with_suffix(".yaml").exists()
+
+
+def test_symmetries_are_found_and_written(cad: Path, cache: Path) -> None:
+    made = draft(cad, cad.with_suffix(".yaml"), DraftOptions(units="m", origin="centre"), cache=cache)
+    assert [(symmetry.order, symmetry.exact) for symmetry in made.target.symmetries] == [(2, True)]
+    np.testing.assert_allclose(np.abs(made.target.symmetries[0].axis), [0.0, 1.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "orders"), [("hexagonal-body", {6: 1, 2: 6}), ("rocket-stage", {8: 1})])
+def test_the_symmetries_of_a_shipped_target_are_those_that_its_file_declares(
+    name: str, orders: dict[int, int], shipped_by_name: dict[str, Target]
+) -> None:
+    found = [one for one in find_symmetries(shipped_by_name[name]) if one.exact]
+    assert {order: sum(one.order == order for one in found) for order in orders} == orders
+    assert len(found) == sum(orders.values())
+
+
+@pytest.fixture(scope="session")
+def shipped_by_name(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Target]:
+    import rpod_target  # noqa: PLC0415 - for its folder only
+
+    folder = tmp_path_factory.mktemp("coarse")
+    targets = {}
+    for name in ("hexagonal-body", "rocket-stage"):
+        text = (Path(rpod_target.__file__).parent / "targets" / f"{name}.yaml").read_text()
+        (folder / f"{name}.yaml").write_text(text.replace("spacing_m: 0.", "spacing_m: 1."))
+        targets[name] = load_target(folder / f"{name}.yaml", cache=cache)
+    return targets
+
+
+@pytest.mark.parametrize(
+    ("material", "kind"),
+    [
+        (FileMaterial("GoldFoil", None, None, None), "foil, by its name"),
+        (FileMaterial("m1", (0.9, 0.6, 0.1), None, None), "foil, by its colour"),
+        (FileMaterial("m2", (0.1, 0.1, 0.6), None, None), "solar cells, by its colour"),
+        (FileMaterial("m3", (0.5, 0.5, 0.5), None, 0.9), "metal, by its metallic share"),
+        (FileMaterial("m4", (0.9, 0.9, 0.9), None, None), "paint, by its brightness"),
+        (FileMaterial("m5", None, None, None), "unknown: the file gives no colour"),
+    ],
+)
+def test_a_material_is_proposed_from_name_and_colour(material: FileMaterial, kind: str) -> None:
+    assert proposed(material).reason == kind
+
+
+def test_a_large_mesh_is_simplified_within_its_bound() -> None:
+    sphere = np.asarray(trimesh.creation.icosphere(subdivisions=6).triangles)
+    assert len(sphere) > ENOUGH
+    triangles, nearest, told = simplified(sphere, largest_error=0.002)
+    assert told is not None
+    assert len(triangles) == told[0] <= ENOUGH
+    assert told[2] <= 0.002
+    np.testing.assert_allclose(np.linalg.norm(triangles, axis=2), 1.0, atol=0.002)
+    gap = np.linalg.norm(sphere[nearest].mean(axis=1) - triangles.mean(axis=1), axis=1)
+    assert gap.max() < 0.05
+
+
+def test_a_mesh_that_cannot_be_simplified_within_the_bound_keeps_its_triangles() -> None:
+    sphere = np.asarray(trimesh.creation.icosphere(subdivisions=6).triangles)
+    triangles, nearest, told = simplified(sphere, largest_error=1e-9)
+    assert told is None
+    assert triangles is sphere
+    assert nearest.tolist() == list(range(len(sphere)))
