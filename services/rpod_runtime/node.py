@@ -44,6 +44,8 @@ State = Literal["starting", "ready", "running", "finished", "stopping", "failed"
 
 _DIAGNOSTICS_PERIOD_S = 1.0
 _CHANGE_POLL_S = 0.1
+_DISCOVERY_S, _RETRY_S = 2.0, 0.05
+"""Longest time until other sessions know what a service has just declared, and time between two tries."""
 _LINGER_S = 0.3
 """Time that a node stays open after its last message, so that receivers can recover what they missed."""
 
@@ -242,17 +244,21 @@ class Node:
         """
         key = self._keys.control(instance, verb)
         payload = (request or Empty()).model_dump_json()
-        for answer in self._session.get(key, payload=payload, timeout=timeout_s):
-            if answer.err:
-                raise QueryFailedError(key, error_text(answer.err.payload.to_bytes()))
-            if answer.ok:
-                try:
-                    return reply.model_validate_json(answer.ok.payload.to_bytes())
-                except ValidationError as error:
-                    raise QueryFailedError(
-                        key, f"the answer is no {reply.__name__}; does the service have the same version?"
-                    ) from error
-        raise QueryFailedError(key, f"no answer within {timeout_s:g} s; is the service running?")
+        begin_s = time.monotonic()
+        while True:
+            for answer in self._session.get(key, payload=payload, timeout=timeout_s):
+                if answer.err:
+                    raise QueryFailedError(key, error_text(answer.err.payload.to_bytes()))
+                if answer.ok:
+                    try:
+                        return reply.model_validate_json(answer.ok.payload.to_bytes())
+                    except ValidationError as error:
+                        raise QueryFailedError(
+                            key, f"the answer is no {reply.__name__}; does the service have the same version?"
+                        ) from error
+            if time.monotonic() - begin_s > min(_DISCOVERY_S, timeout_s) or self.stop.is_set():
+                raise QueryFailedError(key, f"no answer within {timeout_s:g} s; is the service running?")
+            self.stop.wait(_RETRY_S)  # nobody serves the key, or not yet
 
     def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:
         """Query every service that answers a verb; invalid and missing answers are left out."""

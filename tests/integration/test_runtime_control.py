@@ -2,7 +2,7 @@
 
 import json
 import logging
-from threading import Event, Thread
+from threading import Event, Thread, Timer
 from time import monotonic
 
 import pytest
@@ -16,7 +16,15 @@ from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, run
 from rpod_runtime.node import Node
 from rpod_runtime.session import free_endpoint, open_client, open_router
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
-from rpod_schemas.control import Accepted, Empty, ErrorReply, FaultRequest, LogReply, StatusReply
+from rpod_schemas.control import (
+    Accepted,
+    Empty,
+    ErrorReply,
+    FaultRequest,
+    LogReply,
+    ResetRequest,
+    StatusReply,
+)
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.messages import read_diagnostics
 from rpod_schemas.topics import DIAGNOSTICS, Namespace
@@ -41,6 +49,14 @@ def test_a_service_says_what_it_is(bus):
     assert status.counters["frames/pmd"] == 3
     assert status.configuration["bus"]["connect"] == bus.endpoint
     assert status.target_digest == "abc"
+
+
+def test_a_query_waits_until_a_service_that_starts_is_known(bus):
+    asker, server = bus.node("asker"), bus.node("server")
+    late = Timer(0.3, server.serve, ("reset", ResetRequest, lambda _: Accepted()))
+    late.start()
+    assert asker.ask("server", "reset", Accepted, ResetRequest()).accepted
+    late.join()
 
 
 def test_a_command_that_was_accepted_is_in_the_diagnostics_and_one_that_was_refused_is_not(bus):
