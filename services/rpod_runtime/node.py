@@ -256,8 +256,9 @@ class Node:
                         raise QueryFailedError(
                             key, f"the answer is no {reply.__name__}; does the service have the same version?"
                         ) from error
-            if time.monotonic() - begin_s > min(_DISCOVERY_S, timeout_s) or self.stop.is_set():
-                raise QueryFailedError(key, f"no answer within {timeout_s:g} s; is the service running?")
+            waited_s = time.monotonic() - begin_s
+            if waited_s > min(_DISCOVERY_S, timeout_s) or self.stop.is_set():
+                raise QueryFailedError(key, f"no answer after {waited_s:.1f} s; is the service running?")
             self.stop.wait(_RETRY_S)  # nobody serves the key, or not yet
 
     def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:

@@ -79,7 +79,7 @@ class MassFacts:
 
 @dataclass(frozen=True)
 class MethodFacts:
-    """Whether a method takes the target."""
+    """Whether a method can be made for the target; it is not run."""
 
     sensor: str
     role: str
