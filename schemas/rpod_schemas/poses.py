@@ -19,9 +19,9 @@ def make_pose(*, rotation: Rotation | None = None, translation_m: Any = (0.0, 0.
 
 def pose_of(R: FloatArray, t: FloatArray) -> RigidTransform:
     """Return the pose of a rotation matrix, shape (3, 3), and a translation, shape (3,), as they are."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = R, t
-    return RigidTransform(matrix, normalize=False)
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3], matrix[:3, 3], matrix[3, 3] = R, t, 1.0
+    return RigidTransform(matrix, normalize=False, copy=False)
 
 
 def rotation_matrix(pose: RigidTransform) -> FloatArray:

@@ -25,6 +25,7 @@ from rpod_pose.lidar.scan_likelihood import (
     Assumptions,
     Draws,
     Rays,
+    ScanAgreement,
     ScanStatistics,
     likeliest,
     scan_statistics,
@@ -53,40 +54,25 @@ _DRAWS = Draws(
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
-    """Numbers of rays that agree and disagree with a pose."""
-
-    agreeing: int
-    """Number of returns at the predicted range."""
-    inconsistent: int
-    """Number of returns where none was predicted, or at another range."""
-    missing: float
-    """Number of predicted returns that are missing, above the number expected for their echoes."""
-
-    @property
-    def share(self) -> float:
-        """Share of agreeing rays among those with a measured or predicted return; NaN if there is none."""
-        counted = self.agreeing + self.inconsistent + self.missing
-        return self.agreeing / counted if counted else float("nan")
-
-
-@dataclass(frozen=True, eq=False)
 class ScanFit:
     """Fit of a pose to a scan."""
 
-    log_likelihood: float
+    agreement: ScanAgreement
     deficit: float
     """Expected minus actual log likelihood of the scan."""
     deviation: float
     """Standard deviation of the deficit under the pose."""
-    agreement: Agreement
 
     @classmethod
     def of(cls, statistics: ScanStatistics) -> Self:
         """Return the fit of a pose at which a scan has these statistics."""
-        counts = Agreement(statistics.agreeing, statistics.inconsistent, statistics.missing)
-        deficit = statistics.expected - statistics.log_likelihood
-        return cls(statistics.log_likelihood, deficit, sqrt(statistics.variance), counts)
+        agreement, expected, variance = statistics
+        return cls(agreement, expected - agreement.log_likelihood, sqrt(variance))
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log likelihood of the scan at the pose, relative to that of an empty sky."""
+        return self.agreement.log_likelihood
 
 
 class ScanModel:

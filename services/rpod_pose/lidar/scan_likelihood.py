@@ -66,21 +66,34 @@ class Draws(NamedTuple):
     """Number of best samples of a round that determine the next round's distribution."""
 
 
-class ScanStatistics(NamedTuple):
-    """Statistics of a scan at a pose."""
+class ScanAgreement(NamedTuple):
+    """Agreement of a scan with a pose."""
 
     log_likelihood: float
     """Log likelihood, relative to that of an empty sky."""
-    expected: float
-    """Mean of the log likelihood over the scans that the pose predicts."""
-    variance: float
-    """Variance of the log likelihood over these scans."""
     agreeing: int
     """Number of returns that the predicted face explains better than clutter does."""
     inconsistent: int
     """Number of all other returns."""
     missing: float
     """Number of rays that meet a face and gave no return, above the number expected for their echoes."""
+
+    @property
+    def share(self) -> float:
+        """Share of agreeing rays among those with a measured or predicted return; NaN if there is none."""
+        counted = self.agreeing + self.inconsistent + self.missing
+        return self.agreeing / counted if counted else float("nan")
+
+
+class ScanStatistics(NamedTuple):
+    """Agreement of a scan with a pose, and what the pose predicts of it."""
+
+    agreement: ScanAgreement
+    """Agreement of the scan with the pose."""
+    expected: float
+    """Mean of the log likelihood over the scans that the pose predicts."""
+    variance: float
+    """Variance of the log likelihood over these scans."""
 
 
 class RaySums(NamedTuple):
@@ -120,30 +133,22 @@ def scan_statistics(
     evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
     mean, variance = _expectation(sums, assumed, power)
     missing = _missing(sums, assumed.detection.share[power])
+    likelihood = sums.log_density + evidence
     return ScanStatistics(
-        sums.log_density + evidence, mean, variance, sums.agreeing, sums.inconsistent, missing
+        ScanAgreement(likelihood, sums.agreeing, sums.inconsistent, missing), mean, variance
     )
 
 
 @kernel
-def log_likelihood(
+def scan_agreement(
     range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
-) -> float:
-    """Return the log likelihood of ``scan_statistics`` alone."""
+) -> ScanAgreement:
+    """Return the part of ``scan_statistics`` that needs no expectation, which is faster."""
     cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
     sums = _ray_sums(range_m, R, rays, assumed, False)
-    return sums.log_density + _detected(sums.returned, sums.missing, assumed.detection)[0]
-
-
-@kernel
-def agreement_counts(
-    range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
-) -> tuple[int, int, float]:
-    """Return the counts of ``scan_statistics`` alone: agreeing, inconsistent, missing."""
-    cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
-    sums = _ray_sums(range_m, R, rays, assumed, False)
-    power = _detected(sums.returned, sums.missing, assumed.detection)[1]
-    return sums.agreeing, sums.inconsistent, _missing(sums, assumed.detection.share[power])
+    evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
+    missing = _missing(sums, assumed.detection.share[power])
+    return ScanAgreement(sums.log_density + evidence, sums.agreeing, sums.inconsistent, missing)
 
 
 @kernel
@@ -280,7 +285,7 @@ def likeliest(  # noqa: PLR0917
     """
     normal, elite = draws
     best_R, best_t = R, t
-    best = log_likelihood(range_m, R, t, rays, assumed)
+    best = scan_agreement(range_m, R, t, rays, assumed).log_likelihood
     steps, scores, spread = np.empty(normal.shape[1:]), np.empty(normal.shape[1]), covariance
     for number in range(normal.shape[0]):
         root = np.linalg.cholesky(spread + 1e-12 * np.eye(6))
@@ -288,7 +293,7 @@ def likeliest(  # noqa: PLR0917
         for n in range(normal.shape[1]):
             steps[n] = root @ normal[number, n]
             moved_R, moved_t = turned(centre_R, steps[n, 3:]), centre_t + centre_R @ steps[n, :3]
-            scores[n] = log_likelihood(range_m, moved_R, moved_t, rays, assumed)
+            scores[n] = scan_agreement(range_m, moved_R, moved_t, rays, assumed).log_likelihood
             if scores[n] > best:
                 best, best_R, best_t = scores[n], moved_R, moved_t
         leading = steps[np.argsort(-scores)[:elite]]

@@ -12,8 +12,7 @@ from rpod_pose.lidar.scan_likelihood import (
     Assumptions,
     Rays,
     ScanStatistics,
-    agreement_counts,
-    log_likelihood,
+    scan_agreement,
     scan_statistics,
 )
 from rpod_pose.registration.field_alignment import FieldProblem, field_aligned
@@ -57,10 +56,8 @@ def refined(
 
     The faces alone may move a pose that agrees with the outline away from it.
     """
-    found, rays = aligned(problem, start, range_m, assumed), _rays(problem)
-    if log_likelihood(range_m, start.R, start.t, rays, assumed) <= found.statistics.log_likelihood:
-        return found
-    return ScanRegistration(start, found.faces, scan_statistics(range_m, start.R, start.t, rays, assumed))
+    at_start = scan_agreement(range_m, start.R, start.t, _rays(problem), assumed)
+    return _refined(problem, start, at_start.log_likelihood, range_m, assumed)
 
 
 @kernel
@@ -82,11 +79,25 @@ def tracked(  # noqa: PLR0917
         assumed: statistics of returns.
         near_share: share of agreeing rays from which the prediction counts as close.
     """
-    counts = agreement_counts(range_m, start.R, start.t, _rays(problem), assumed)
-    agreeing, inconsistent, missing = counts
+    likelihood, agreeing, inconsistent, missing = scan_agreement(
+        range_m, start.R, start.t, _rays(problem), assumed
+    )
     if agreeing < near_share * (agreeing + inconsistent + missing):
         start = field_aligned(far.points, start, far.field, far.scales_m)
-    return refined(problem, start, range_m, assumed)
+        return refined(problem, start, range_m, assumed)
+    return _refined(problem, start, likelihood, range_m, assumed)
+
+
+@kernel
+def _refined(
+    problem: FaceProblem, start: PoseArrays, likelihood: float, range_m: FloatArray, assumed: Assumptions
+) -> ScanRegistration:
+    """Return ``refined`` from a start whose log likelihood is known."""
+    found = aligned(problem, start, range_m, assumed)
+    if likelihood <= found.statistics.agreement.log_likelihood:
+        return found
+    statistics = scan_statistics(range_m, start.R, start.t, _rays(problem), assumed)
+    return ScanRegistration(start, found.faces, statistics)
 
 
 @kernel

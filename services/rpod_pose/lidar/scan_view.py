@@ -90,10 +90,7 @@ class ScanView:
         points_m, places, range_m = returns_of(scan.points_m.reshape(-1, 3))
         organised = scan.points_m.shape[:-1] == self.shape
         rays = places if organised else self._nearest_rays(points_m, range_m)
-        image = np.zeros(self.shape)
-        within = rays >= 0
-        image.flat[rays[within]] = range_m[within]
-        return SeenScan(points_m, rays, image)
+        return SeenScan(points_m, rays, range_image(rays, range_m, *self.shape))
 
     def _nearest_rays(self, points_m: FloatArray, range_m: FloatArray) -> NDArray[np.int64]:
         column, beside = _nearest(self.azimuth_rad, np.arctan2(points_m[:, 0], points_m[:, 2]))
@@ -117,6 +114,23 @@ def returns_of(points: Float32Array) -> tuple[FloatArray, NDArray[np.int64], Flo
             places[count], range_m[count] = n, r
             count += 1
     return points[places[:count]].astype(np.float64), places[:count], range_m[:count]
+
+
+@kernel
+def range_image(rays: NDArray[np.int64], range_m: FloatArray, rows: int, columns: int) -> FloatArray:
+    """Return the range of each ray, 0 without a return, shape (rows, columns), m.
+
+    Args:
+        rays: ray of each return, counted row by row, -1 for none, shape (N,).
+        range_m: range of each return, shape (N,), m.
+        rows: rows of the pattern.
+        columns: columns of the pattern.
+    """
+    image = np.zeros(rows * columns)
+    for n in range(rays.size):
+        if rays[n] >= 0:
+            image[rays[n]] = range_m[n]
+    return image.reshape(rows, columns)
 
 
 def spacing_rad(angles_rad: FloatArray) -> float:
