@@ -12,13 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Condition, Event, Thread
 from time import monotonic
-from typing import IO
+from typing import IO, TypeVar
 
 import psutil
 from logs import messages_of
 
 from rpod_schemas.summary import Summary
 from rpod_schemas.topics import TRUTH
+
+T = TypeVar("T")
 
 DEADLINE_S = 120.0
 _PLAYED = 100
@@ -151,9 +153,10 @@ class Finished:
         return Summary.model_validate_json((self.directory / "summary.json").read_text("utf-8"))
 
 
-def until(condition: Callable[[], object]) -> None:
-    """Wait until something holds."""
+def until(condition: Callable[[], T]) -> T:
+    """Wait until something holds; return what the condition gave."""
     deadline_s, pause = monotonic() + DEADLINE_S, Event()
-    while not condition():
+    while not (result := condition()):
         assert monotonic() < deadline_s
         pause.wait(0.02)
+    return result

@@ -4,7 +4,6 @@ import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 from mcap.exceptions import McapError
@@ -18,8 +17,6 @@ from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.logs import COMPLETENESS, COUNTS, Completeness, TopicCount, check_completeness
-
-TIMEOUT_S = 20.0
 
 
 class Desk:
@@ -92,10 +89,3 @@ def completeness(path: Path | str) -> Completeness:
         for number, count in summary.statistics.channel_message_counts.items()
     }
     return check_completeness(metadata(path, COMPLETENESS), metadata(path, COUNTS), messages)
-
-
-def until(condition: Any) -> None:
-    """Wait until something holds."""
-    deadline_s = monotonic() + TIMEOUT_S
-    while not condition():
-        assert monotonic() < deadline_s

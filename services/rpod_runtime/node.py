@@ -243,23 +243,28 @@ class Node:
             QueryFailedError: no answer in time, or an error reply.
         """
         key = self._keys.control(instance, verb)
-        payload = (request or Empty()).model_dump_json()
+        answer = self._first_answer(key, (request or Empty()).model_dump_json(), timeout_s)
+        if answer.ok is None:
+            raise QueryFailedError(
+                key, error_text(answer.err.payload.to_bytes()) if answer.err else "no answer"
+            )
+        try:
+            return reply.model_validate_json(answer.ok.payload.to_bytes())
+        except ValidationError as error:
+            raise QueryFailedError(
+                key, f"the answer is no {reply.__name__}; does the service have the same version?"
+            ) from error
+
+    def _first_answer(self, key: str, payload: str, timeout_s: float) -> zenoh.Reply:
+        """Return the first answer to a query; a service that has just started may not be known yet."""
         begin_s = time.monotonic()
         while True:
             for answer in self._session.get(key, payload=payload, timeout=timeout_s):
-                if answer.err:
-                    raise QueryFailedError(key, error_text(answer.err.payload.to_bytes()))
-                if answer.ok:
-                    try:
-                        return reply.model_validate_json(answer.ok.payload.to_bytes())
-                    except ValidationError as error:
-                        raise QueryFailedError(
-                            key, f"the answer is no {reply.__name__}; does the service have the same version?"
-                        ) from error
+                return answer
             waited_s = time.monotonic() - begin_s
             if waited_s > min(_DISCOVERY_S, timeout_s) or self.stop.is_set():
                 raise QueryFailedError(key, f"no answer after {waited_s:.1f} s; is the service running?")
-            self.stop.wait(_RETRY_S)  # nobody serves the key, or not yet
+            self.stop.wait(_RETRY_S)
 
     def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:
         """Query every service that answers a verb; invalid and missing answers are left out."""

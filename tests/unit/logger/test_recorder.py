@@ -9,7 +9,8 @@ from errno import EIO
 from pathlib import Path
 
 import pytest
-from logger_desk import Desk, completeness, counts, metadata, read, until
+from facility_process import until
+from logger_desk import Desk, completeness, counts, metadata, read
 
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, NotRecordingError
 from rpod_logger.writer import LogFile

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from logger_desk import Desk, completeness, counts, early_metadata, read, readable, until
+from facility_process import until
+from logger_desk import Desk, completeness, counts, early_metadata, read, readable
 from small_disk import small_disk
 
 from rpod_logger.errors import CannotWriteError
