@@ -88,14 +88,11 @@ class JointVerdictConfig(Tuning):
             "noise leaves half of a right pose's edges in their place on emulated frames, 7 m off",
         ),
     ] = 0.47
-    """Least share of edges found near their predicted place, over those expected to be detectable in the
-    noise of the frame. Expected are only places that show a change. One over the square root of their number
-    is added to the share, as an allowance for chance. Noise leaves half of the edges of a right pose, 7 m off
-    with the sun behind the camera."""
+    """Least share of edges found near their place, over those that a rendering of the target shows and that
+    exceed the noise of the frame. One over the square root of their number is added to the share, as an
+    allowance for chance."""
     weak_edge_share: Annotated[Share, BY_HAND] = 0.58
     """Share below which an accepted pose is doubtful; a stream of doubtful frames ends the track."""
-    min_changed_share: Annotated[Share, BY_HAND] = 0.5
-    """Least share of all places of edges that are expected to show a change; without depth, all are."""
     bias_sigmas: Annotated[
         Positive,
         Provenance(

@@ -23,6 +23,8 @@ from rpod_target import Target
 PLUMB_BOB = 5
 HIDDEN_M = 0.03
 """Distance behind the rendered surface around it from which on a model point is hidden."""
+SAMPLES = 2
+"""Rays for each pixel, along rows and columns, in a rendering that shows edges to a tenth of a pixel."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class DepthView:
     camera: Camera
     slopes: FloatArray
     """x/z and y/z of every pixel's ray, undistorted, shape (height, width, 2)."""
+    fine: RayGrid
+    """``SAMPLES`` x ``SAMPLES`` rays for each pixel, in single precision."""
     coarse: RayGrid
     """The rays of every ``stride``-th pixel, from ``offset`` on."""
     stride: int
@@ -108,7 +112,9 @@ def _view(
         }
     )
     x, y, z = RayGrid.pinhole(camera).components
-    return DepthView(camera, np.stack((x / z, y / z), axis=-1), RayGrid.pinhole(downsampled), stride, offset)
+    slopes = np.stack((x / z, y / z), axis=-1)
+    fine = RayGrid.pinhole(camera, SAMPLES).in_single_precision()
+    return DepthView(camera, slopes, fine, RayGrid.pinhole(downsampled), stride, offset)
 
 
 @dataclass(frozen=True, eq=False)

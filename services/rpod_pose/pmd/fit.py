@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, cast_pose
+from rpod_pose.pmd.rendering import RenderingArrays, around
 from rpod_pose.pmd.scene import PmdScene
 from rpod_pose.registration.brightness import albedos, spreads
-from rpod_pose.registration.lie_group import turned
+from rpod_pose.registration.lie_group import PoseArrays, turned
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdModelConfig
 from rpod_schemas.types import Float32Array
@@ -39,6 +40,8 @@ AGREES = 2.0
 """Loss below which a pixel counts as agreeing."""
 DARK = -1.0
 """Logarithm of the least amplitude that is compared."""
+BLURRED_PX = 1.5
+"""Distance over which the outline may light pixels: half a pixel's own width, and one of the 3 x 3 median."""
 MARGIN = 6
 """Rows and columns beside the lit pixels that a pose may reach."""
 GAIN_STRIDE = 3
@@ -71,6 +74,8 @@ class Seen(NamedTuple):
     """Pixels on which depth or amplitude show a surface."""
     blind: NDArray[np.bool_]
     """Pixels that glints saturated."""
+    stride: int
+    """Distance from one coarse pixel to the next, px, at least 1."""
 
 
 class Losses(NamedTuple):
@@ -166,6 +171,7 @@ class PmdFitter:
                 log_amplitude=np.ascontiguousarray(amplitude[block]),
                 lit=np.ascontiguousarray(scene.lit[block]),
                 blind=np.ascontiguousarray(scene.blind[block]),
+                stride=scene.view.stride,
             ),
             Losses(
                 sigma_m=config.sigma_m,
@@ -249,6 +255,7 @@ def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, 
     range_m, owner, loss, sigma_log = canvas
     cast_pose(grid, surface.triangles_m, R, t, True, range_m, owner)
     rays = grid[0]
+    rendered = RenderingArrays(range_m, owner, rays, seen.stride, surface.triangles_m, PoseArrays(R, t))
     gain = _predict(compared, R)
     total, pixels, agreeing = 0.0, 0, 0
     for i in range(range_m.shape[0]):
@@ -258,8 +265,9 @@ def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, 
                 loss[i, j] = 0.0
                 continue
             if k < 0:
-                loss[i, j] = losses.beyond if seen.lit[i, j] else 0.0
-                if seen.lit[i, j]:
+                loss[i, j] = 0.0
+                if seen.lit[i, j] and around(rendered, i, j, BLURRED_PX).hits == 0:
+                    loss[i, j] = losses.beyond
                     pixels += 1
                     total += losses.beyond
                 continue

@@ -10,7 +10,8 @@
 4. The best distinct poses are refined on more points and on the frame's outline.
 
 The best pose is accepted if it explains enough of the frame, and enough of its shape: depth and outline. The
-weights of the hypotheses follow from their losses.
+weights of the hypotheses follow from their losses. If no hypothesis outweighs the others, the tracker checks
+each: its edges may show which of them the frame contradicts.
 
 The real target may have other materials than the target file says. If no pose explains the frame with the
 file's materials, the search is repeated with the shape alone. Then the shape alone must distinguish poses:
@@ -114,23 +115,35 @@ class ViewSearch:
         if not poses:
             reason = "no attitude shows the target to the camera"
             return task.failed(Registration.none(Source.NONE, reason))
-        belief = self._belief(poses[0], criteria)
-        registration = self._registration(task.scene, poses[0], belief)
         logs = np.array([-pose.fit.loss * limits.independent_pixels / poses[0].fit.pixels for pose in poses])
-        sure = softmax(logs)[0] >= self._tuning.verdict.ambiguous_weight
-        if sure and registration.T_sensor_target is not None:
-            registration = self._tracker.track(task.frame, registration.T_sensor_target)
-        if not registration.continues_track or registration.T_sensor_target is None:
-            return task.failed(registration)
-        matrix = registration.T_sensor_target.as_matrix()
-        poses[0] = replace(poses[0], R=matrix[:3, :3], t=matrix[:3, 3])
-        evidence = {**belief.evidence, **registration.belief.evidence}
+        weights, least = softmax(logs), self._tuning.verdict.ambiguous_weight
+        contenders = 1 if weights[0] >= least else int(np.count_nonzero(weights > 1.0 - least))
+        checked = [self._registered(task, pose, criteria) for pose in poses[:contenders]]
+        left = [index for index, registration in enumerate(checked) if registration.continues_track]
+        if not left:
+            return task.failed(checked[0])
+        best = checked[left[0]]
+        left += range(contenders, len(poses))
+        ranked = [poses[index] for index in left]
+        if best.T_sensor_target is not None:
+            matrix = best.T_sensor_target.as_matrix()
+            ranked[0] = replace(ranked[0], R=matrix[:3, :3], t=matrix[:3, 3])
         believed = belief_with_rivals(
-            rivals(poses, logs, self._model.turns.exact),
-            Belief(evidence=evidence),
-            least=self._tuning.verdict.ambiguous_weight,
+            rivals(ranked, logs[left], self._model.turns.exact),
+            Belief(evidence=best.belief.evidence),
+            least=least,
         )
-        return Acquisition(replace(registration, belief=believed), templates=len(task.attitudes))
+        return Acquisition(replace(best, belief=believed), templates=len(task.attitudes))
+
+    def _registered(self, task: _Task, pose: Pose, criteria: Sequence[Criterion]) -> Registration:
+        """Return a pose that the search found, refined and checked by the tracker."""
+        belief = self._belief(pose, criteria)
+        registration = self._registration(task.scene, pose, belief)
+        if not registration.continues_track or registration.T_sensor_target is None:
+            return registration
+        refined = self._tracker.track(task.frame, registration.T_sensor_target)
+        evidence = {**belief.evidence, **refined.belief.evidence}
+        return replace(refined, belief=replace(refined.belief, evidence=evidence))
 
     def _belief(self, pose: Pose, criteria: Sequence[Criterion]) -> Belief:
         """Return the belief in a pose, which must meet every criterion; the first unmet one is the reason."""

@@ -5,25 +5,20 @@ import math
 from rpod_schemas.config.pmd_joint import JointVerdictConfig
 
 
-def edges_in_place(
-    limits: JointVerdictConfig, *, edges: int, expected: float, checked: int, points: int
-) -> float:
-    """Return the share of edges found near their predicted place, plus an allowance for chance.
+def edges_in_place(limits: JointVerdictConfig, *, edges: int, expected: float, checked: int) -> float:
+    """Return the share of the expected edges found near their place, plus an allowance for chance.
 
-    Two faces may be equally bright, so that their edge shows no change: with enough depth, a share of such
-    edges is allowed. The result is 1 if too few places are checked.
+    The result is 1 if too few places are checked.
 
     Args:
         limits: least numbers and shares that are conclusive.
-        edges: number of edges found near their predicted place.
-        expected: expected number of these, given the noise, among the places that show a change.
+        edges: number of edges found near their expected place.
+        expected: expected number of these, given the noise and how well brightness is known.
         checked: number of checked places.
-        points: number of points with depth.
     """
     if checked < limits.min_edges:
         return 1.0
-    changed_share = limits.min_changed_share if points >= limits.min_points else 1.0
-    expected = max(expected, changed_share * checked, 1.0)
+    expected = max(expected, 1.0)
     return edges / expected + 1.0 / math.sqrt(expected)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_pose.pmd.joint.edge_search import EdgeArrays
+from rpod_pose.registration.brightness import spreads
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
 from rpod_target.topology import edges
@@ -29,6 +30,8 @@ class EdgeModel:
     """Unit vectors along the edges, target axes, shape (N, 3)."""
     normals: FloatArray
     """Normals of the faces on both sides, target axes, shape (N, 2, 3); n and -n if there is one face."""
+    spreads: FloatArray
+    """Standard deviations of the logarithms of the faces' albedos, shape (N, 2)."""
 
     @classmethod
     def of(cls, target: Target, *, spacing_m: float) -> "EdgeModel":
@@ -37,7 +40,7 @@ class EdgeModel:
             _edges_of_part(target, np.flatnonzero(target.triangle_part == part))
             for part in range(len(target.parts))
         ]
-        segments_m, normals = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        segments_m, normals, spread = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         lengths_m = np.linalg.norm(segments_m[:, 1] - segments_m[:, 0], axis=1)
         counts = [max(1, ceil(length_m / spacing_m)) for length_m in lengths_m]
         index = np.repeat(np.arange(len(segments_m)), counts)
@@ -45,16 +48,19 @@ class EdgeModel:
         start_m, end_m = segments_m[index, 0], segments_m[index, 1]
         directions = (end_m - start_m) / lengths_m[index, None]
         places_m = (1.0 - share) * start_m + share * end_m
-        return cls(places_m, directions, np.ascontiguousarray(normals[index]))
+        return cls(places_m, directions, np.ascontiguousarray(normals[index]), spread[index])
 
     @property
     def arrays(self) -> EdgeArrays:
         """The samples as the kernels take them."""
-        return EdgeArrays(self.places_m, self.directions, self.normals)
+        return EdgeArrays(self.places_m, self.directions, self.normals, self.spreads)
 
 
-def _edges_of_part(target: Target, triangles: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-    """Return the visible edges of one part, shape (E, 2, 3), and the normals beside them, shape (E, 2, 3)."""
+def _edges_of_part(target: Target, triangles: NDArray[np.intp]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the edges of one part, shape (E, 2, 3), the normals and the spreads beside them.
+
+    Normals have the shape (E, 2, 3), spreads (``EdgeModel.spreads``) the shape (E, 2).
+    """
     segments_m, faces = edges(target.triangles_m[triangles])
     faces = triangles[faces]
     normals, material = target.normals[faces], target.triangle_material[faces]
@@ -62,4 +68,4 @@ def _edges_of_part(target: Target, triangles: NDArray[np.intp]) -> tuple[FloatAr
     cosine = np.einsum("ij,ij->i", normals[:, 0], normals[:, 1])
     visible = (cosine < np.cos(CREASE_RAD)) | (material[:, 0] != material[:, 1])
     visible &= (np.ptp(segments_m, axis=1) != 0.0).any(axis=1)
-    return segments_m[visible], normals[visible]
+    return segments_m[visible], normals[visible], spreads(target)[faces[visible]]

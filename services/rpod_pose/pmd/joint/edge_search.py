@@ -1,24 +1,20 @@
-"""Search of the model's edges in an amplitude image: which are visible, and where each lies.
+"""Search of an edge in an amplitude image: along the projected edge's normal for the steepest change.
 
-An edge sample is visible if one of its faces is, and nothing hides it. From its projection the image is
-searched along the projected edge's normal for the steepest change of amplitude, with a preference for near
-ones, to sub-pixels by a parabola. The distance from the projection is the residual (after T. Drummond, R.
-Cipolla, Real-Time Visual Tracking of Complex Structures, IEEE PAMI 24(7), 2002).
+Near changes are preferred, and the place is found to sub-pixels by a parabola (after T. Drummond, R. Cipolla,
+Real-Time Visual Tracking of Complex Structures, IEEE PAMI 24(7), 2002).
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
-from rpod_pose.registration.lie_group import PoseArrays, in_sensor, in_target
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
-NEAR_M = 0.05
-HIDDEN_SHARE = 0.02
-"""Distance behind the rendered surface around it from which on an edge is hidden, over its range."""
+SHORTEST = 1e-9
+"""Least length of a unit vector along an edge in the image, over the focal length: an edge seen from its end
+has no direction."""
 MOST_REACH = 32
 """Greatest length of a profile in both directions, px."""
 FLAT = 0.02
@@ -50,6 +46,8 @@ class EdgeArrays(NamedTuple):
     """Unit vectors along the edges, target axes, shape (N, 3)."""
     normals: FloatArray
     """Normals of the faces on both sides, target axes, shape (N, 2, 3)."""
+    spreads: FloatArray
+    """Standard deviations of the logarithms of their albedos, shape (N, 2)."""
 
 
 class CoarsePixels(NamedTuple):
@@ -74,6 +72,8 @@ class Patch(NamedTuple):
     """Least change of amplitude over two pixels that counts as an edge."""
     noise: float
     """Standard deviation of a change of amplitude over two pixels."""
+    typical: float
+    """Median amplitude of the target; 0 if nothing is searched."""
 
 
 class Imaged(NamedTuple):
@@ -129,47 +129,22 @@ def imaged(x: float, y: float, lens: Lens) -> Imaged:
 
 
 @kernel
-def showing(
-    edges: EdgeArrays, pose: PoseArrays, lens: Lens, coarse: CoarsePixels, range_m: Float32Array
-) -> NDArray[np.int64]:
-    """Return the indices of the samples that are visible at a pose, shape (M,).
+def across_edge(at: Imaged, towards: tuple[float, float, float], x: float, y: float) -> tuple[float, float]:
+    """Return the unit vector across a projected edge in the image; 0, 0 for an edge seen from its end.
 
     Args:
-        edges: N samples.
-        pose: pose of the target.
-        lens: matrix and distortion of the camera.
-        coarse: positions of the rendered pixels.
-        range_m: rendered range at the pose, shape (rows, columns), m, inf without surface.
+        at: the pixel of a sample of the edge, with its derivatives.
+        towards: direction of the edge, sensor axes.
+        x: slope x / z of the sample.
+        y: slope y / z of the sample.
     """
-    places, normals, R, t = edges.places_m, edges.normals, pose.R, pose.t
-    rows, columns = range_m.shape
-    found, count = np.empty(len(places), np.int64), 0
-    sx, sy, sz = in_target(R, -t[0], -t[1], -t[2])  # the sensor, target axes
-    for n in range(len(places)):
-        x, y, z = places[n, 0], places[n, 1], places[n, 2]
-        vx, vy, vz = sx - x, sy - y, sz - z
-        one = normals[n, 0, 0] * vx + normals[n, 0, 1] * vy + normals[n, 0, 2] * vz > 0.0
-        other = normals[n, 1, 0] * vx + normals[n, 1, 1] * vy + normals[n, 1, 2] * vz > 0.0
-        if not (one or other):
-            continue
-        px, py, pz = in_sensor(R, x, y, z)
-        px, py, pz = px + t[0], py + t[1], pz + t[2]
-        if pz < NEAR_M:
-            continue
-        projected = imaged(px / pz, py / pz, lens)
-        u, v = (
-            (projected.column - coarse.offset) / coarse.stride,
-            (projected.row - coarse.offset) / coarse.stride,
-        )
-        if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):  # also true for NaN and beyond integers
-            continue
-        i, j = int(v), int(u)
-        before = max(range_m[i, j], range_m[i + 1, j], range_m[i, j + 1], range_m[i + 1, j + 1])
-        distance = np.sqrt(px * px + py * py + pz * pz)
-        if distance <= (1.0 + HIDDEN_SHARE) * before:
-            found[count] = n
-            count += 1
-    return found[:count]
+    bx, by, bz = towards
+    mx, my = bx - x * bz, by - y * bz
+    tu, tv = at.column_by_x * mx + at.column_by_y * my, at.row_by_x * mx + at.row_by_y * my
+    length = np.sqrt(tu * tu + tv * tv)
+    if not length > SHORTEST * at.column_by_x:
+        return 0.0, 0.0
+    return -tv / length, tu / length
 
 
 @kernel

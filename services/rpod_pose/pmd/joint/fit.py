@@ -9,20 +9,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
 from rpod_pose.pmd.joint.edge_search import (
-    CoarsePixels,
-    EdgeArrays,
-    Lens,
-    Patch,
     Profile,
+    across_edge,
     imaged,
-    showing,
     steepest,
 )
+from rpod_pose.pmd.joint.expected_edges import Appearance, EdgeSight, Fine, expect_edges
 from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.registration.field_alignment import FieldEvidence, Points, add_field_points
 from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
@@ -43,8 +39,6 @@ SCALE = 0.2
 """Geman-McClure scale of an edge's residual over the reach of its search."""
 BLUNTNESS_PX = 1.4
 """Standard deviation of an edge's position by noise, px, per noise of its change over the change itself."""
-SHORTEST = 1e-9
-"""Least length of an edge in the image, px/m: an edge seen from its end has no direction."""
 NEAREST_M = 0.3
 """Least distance in the weights of edges."""
 
@@ -52,20 +46,8 @@ NEAREST_M = 0.3
 class JointModel(NamedTuple):
     """The target, as the joint fit takes it."""
 
-    triangles_m: FloatArray
-    """Triangles of the target, target axes, shape (T, 3, 3)."""
     field: FieldArrays
-    edges: EdgeArrays
-    """N samples of the target's edges."""
-
-
-class JointView(NamedTuple):
-    """The camera, as the joint fit takes it."""
-
-    grid: GridArrays
-    """Rays of the coarse pixels, shape (rows, columns)."""
-    coarse: CoarsePixels
-    lens: Lens
+    appearance: Appearance
 
 
 class DepthErrors(NamedTuple):
@@ -92,31 +74,20 @@ class EdgeErrors(NamedTuple):
     """Greatest number of samples that count, since neighbours share their errors."""
 
 
-class EdgeSight(NamedTuple):
-    """Edges and the image in which they are searched."""
-
-    edges: EdgeArrays
-    lens: Lens
-    patch: Patch
-    noise_px: float
-    """Standard deviation of an edge's position in the image."""
-
-
 class JointProblem(NamedTuple):
     """Points and edges of a frame to be aligned with the target."""
 
     points: Points
-    patch: Patch
     model: JointModel
-    camera: JointView
+    sight: EdgeSight
+    fine: Fine
+    """Buffers of the rendering."""
     depth_errors: DepthErrors
     edge_errors: EdgeErrors
     schedule: FloatArray
     """Geman-McClure scale of the points, m, and reach of the edges' search, px, by step, shape (S, 2)."""
-    buffers: RenderBuffers
-    """Buffers of the coarse pixels, shape (rows, columns)."""
-    shown: NDArray[np.int64]
-    """Buffer for the number of visible edge samples and their indices, shape (N + 1,)."""
+    rendered: bool
+    """Whether the expected edges are already those of the starting pose."""
 
 
 class EdgeEvidence(NamedTuple):
@@ -127,9 +98,11 @@ class EdgeEvidence(NamedTuple):
     inliers: int
     """Number of samples within the Geman-McClure scale."""
     checked: int
-    """Number of samples whose place in the image could be searched."""
+    """Number of samples more likely seen than not whose place in the image could be searched."""
+    found: int
+    """Number of these within the scale."""
     expected: float
-    """Expected number of samples within the scale at the right pose, among those that show a change."""
+    """Expected number of these within the scale at the right pose."""
 
 
 class JointEvidence(NamedTuple):
@@ -152,53 +125,51 @@ class JointFit(NamedTuple):
 
 
 @kernel
-def add_edge_points(
-    sums: FloatArray,
-    sight: EdgeSight,
-    pose: PoseArrays,
-    shown: NDArray[np.int64],
-    reach: float,
-) -> EdgeEvidence:
+def add_edge_points(sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach: float) -> EdgeEvidence:
     """Add the factors of samples of edges, residuals in px, to the sums, shape (35,); return their evidence.
 
-    The residual is the distance of the steepest change from the projected edge. With (a, d) the unit vector
-    across the edge in the image, U the lens's derivatives by the slopes and z the sample's depth, a step of
-    the sample in sensor axes moves it across the edge by h = (g_x, g_y, -g . s) / z with g = (a, d) U and s
-    the slopes; in target axes that is k = R^T h, the normal of the residual -place is -k.
+    The residual is the distance of the image's steepest change from that of the rendering, which moves with
+    the projected edge. With (a, d) the unit vector across the edge in the image, U the lens's derivatives by
+    the slopes and z the sample's depth, a step of the sample in sensor axes moves it across the edge by
+    h = (g_x, g_y, -g . s) / z with g = (a, d) U and s the slopes; in target axes that is k = R^T h, the
+    normal of the residual -place is -k.
 
     Args:
         sums: information and gradient, input and output.
-        sight: edges, lens, image and noise.
+        sight: edges, those expected, lens, image and noise.
         pose: pose to linearise at.
-        shown: indices of the visible samples, shape (M,).
         reach: half length of the search, px.
     """
-    edges, lens, patch, noise_px = sight
+    edges, lens, patch, expected_edges, noise_px = sight
     places, directions = edges.places_m, edges.directions
     R, t = pose.R, pose.t
-    squares, inliers, checked, expected = 0.0, 0, 0, 0.0
+    squares, inliers, checked, found, expected = 0.0, 0, 0, 0, 0.0
     c2 = (SCALE * reach) ** 2
-    for n in shown:
+    for m in range(expected_edges.length[0]):
+        n = expected_edges.sample[m]
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
         px, py, pz = in_sensor(R, x, y, z)
         px, py, pz = px + t[0], py + t[1], pz + t[2]
         per_z = 1.0 / pz
         sx, sy = px * per_z, py * per_z
         at = imaged(sx, sy, lens)
-        bx, by, bz = in_sensor(R, directions[n, 0], directions[n, 1], directions[n, 2])
-        mx, my = (bx - sx * bz) * per_z, (by - sy * bz) * per_z
-        tu, tv = at.column_by_x * mx + at.column_by_y * my, at.row_by_x * mx + at.row_by_y * my
-        length = np.sqrt(tu * tu + tv * tv)
-        if not length > SHORTEST:
+        towards = in_sensor(R, directions[n, 0], directions[n, 1], directions[n, 2])
+        across, down = across_edge(at, towards, sx, sy)
+        if across == 0.0 and down == 0.0:
             continue
-        across, down = -tv / length, tu / length
-        line = Profile(at.column - patch.column, at.row - patch.row, across, down)
-        place, change = steepest(patch.image, line, reach, patch.least)
-        checked += change >= 0.0
-        if change <= 0.0:
+        shown = expected_edges.place[m]
+        column, row = at.column - patch.column + shown * across, at.row - patch.row + shown * down
+        place, change = steepest(patch.image, Profile(column, row, across, down), reach, patch.least)
+        if change < 0.0:
             continue
-        expected += share_within(SCALE * reach, noise_px, BLUNTNESS_PX * patch.noise / change)
-        e2 = place * place
+        e2, likely = place * place, expected_edges.probability[m]
+        if likely >= 0.5:
+            checked += 1
+            found += change > 0.0 and e2 < c2
+            noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
+            expected += likely * share_within(SCALE * reach, noise_px, noisy_px)
+        if change == 0.0:
+            continue
         gx = across * at.column_by_x + down * at.row_by_x
         gy = across * at.column_by_y + down * at.row_by_y
         kx, ky, kz = in_target(R, gx * per_z, gy * per_z, -(gx * sx + gy * sy) * per_z)
@@ -206,24 +177,13 @@ def add_edge_points(
         if e2 < c2:
             inliers += 1
             squares += e2
-    return EdgeEvidence(squares, inliers, checked, expected)
+    return EdgeEvidence(squares, inliers, checked, found, expected)
 
 
 @kernel
 def share_within(reach: float, own: float, noisy: float) -> float:
     """Return the share of normal errors within +-``reach``, if their variance is own^2 + noisy^2."""
     return math.erf(reach / math.sqrt(2.0 * (own * own + noisy * noisy)))
-
-
-@kernel
-def note_shown(problem: JointProblem, pose: PoseArrays) -> None:
-    """Render the target at a pose into the problem's buffers; store the indices of visible edge samples."""
-    buffers, camera, shown = problem.buffers, problem.camera, problem.shown
-    triangles = problem.model.triangles_m
-    cast_pose(camera.grid, triangles, pose.R, pose.t, True, buffers.range_m, buffers.triangle)
-    seen = showing(problem.model.edges, pose, camera.lens, camera.coarse, buffers.range_m)
-    shown[0] = seen.size
-    shown[1 : 1 + seen.size] = seen
 
 
 @linearises(JointProblem)
@@ -235,22 +195,22 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     as at most ``most_points`` independent points. The sums of the edges are treated in the same way, with a
     smaller weight as long as the search is wide. The bias has a prior of its own.
     """
-    depth, edge_errors, patch = problem.depth_errors, problem.edge_errors, problem.patch
+    depth, edge_errors = problem.depth_errors, problem.edge_errors
+    model, sight = problem.model, problem.sight
     steps, pose = problem.schedule.shape[0], state.pose
-    if step == 0 or step == steps - 2:
-        note_shown(problem, pose)
+    if (step == 0 and not problem.rendered) or step == steps - 2:
+        expect_edges(sight, pose, model.appearance, problem.fine)
     scale, reach = problem.schedule[step]
     total, sums, hold = no_sums(), no_sums(), np.zeros(UNKNOWNS)
-    points = add_field_points(sums, problem.points, state, problem.model.field, scale, True)
+    points = add_field_points(sums, problem.points, state, model.field, scale, True)
     if points.inliers > 0:
         squares, weight = points.squares_m2, points.trusted
         variance = max(squares / weight, depth.noise_m**2) / min(depth.most_points, weight)
         total += sums / (weight * (variance + depth.uneven_m**2 + depth.slack_m**2))
     sums = no_sums()
-    sight = EdgeSight(problem.model.edges, problem.camera.lens, patch, edge_errors.noise_px)
-    edges = add_edge_points(sums, sight, pose, problem.shown[1 : 1 + problem.shown[0]], reach)
+    edges = add_edge_points(sums, sight, pose, reach)
     if edges.inliers > 0:
-        px_per_m = problem.camera.lens.fx / max(pose.t[2], NEAREST_M)
+        px_per_m = sight.lens.fx / max(pose.t[2], NEAREST_M)
         variance = max(edges.squares_px2 / edges.inliers, edge_errors.noise_px**2)
         variance /= min(edge_errors.most_edges, edges.inliers)
         widened = (reach / problem.schedule[steps - 1, 1]) ** 4
@@ -313,17 +273,12 @@ def agreement(
 
 
 @kernel
-def edges_at(
-    sight: EdgeSight, coarse: CoarsePixels, pose: PoseArrays, buffers: RenderBuffers, reach: float
-) -> EdgeEvidence:
-    """Return the statistics of the edge samples that are visible at a rendered pose.
+def edges_at(sight: EdgeSight, pose: PoseArrays, reach: float) -> EdgeEvidence:
+    """Return the statistics of the expected edges at the pose of their rendering.
 
     Args:
-        sight: edges, lens, image and noise.
-        coarse: positions of the rendered pixels.
+        sight: edges, those expected, lens, image and noise.
         pose: pose of the target.
-        buffers: the target rendered at the pose.
         reach: half length of the search, px.
     """
-    shown = showing(sight.edges, pose, sight.lens, coarse, buffers.range_m)
-    return add_edge_points(no_sums(), sight, pose, shown, reach)
+    return add_edge_points(no_sums(), sight, pose, reach)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView
+from rpod_geometry.rays import GridArrays
+from rpod_pose.pmd.depth_view import PLUMB_BOB, SAMPLES, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
@@ -31,7 +32,7 @@ LIT_SHARE = 0.25
 """Least amplitude in the estimate of the noise, over the median amplitude."""
 CHANGE_SIGMAS = 3.0
 """Least change of amplitude that counts as an edge, over its noise."""
-_NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0)
+_NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0, 0.0)
 _Window = tuple[slice, slice]
 """A window of the image: rows and columns."""
 OUTER = 4
@@ -63,6 +64,8 @@ class JointFrame:
     """Weight of each point, 0 to 1, smaller for dark and therefore noisy points, shape (N,)."""
     patch: Patch
     """Smoothed amplitude around the target."""
+    rays: GridArrays
+    """Rays of the patch's pixels, shape (SAMPLES * rows, SAMPLES * columns)."""
 
     @classmethod
     def of(
@@ -94,12 +97,17 @@ class JointFrame:
         typical = float(np.median(strength)) if len(measured) else 1.0
         trust = _trust(sigma_m.ravel()[measured], strength, tuning.depth.noise_m)
         typical = typical if len(measured) >= tuning.verdict.min_points else 0.0
-        patch = _NO_PATCH
+        patch, pixels_around = _NO_PATCH, view.fine.block(slice(0, SAMPLES), slice(0, SAMPLES))
         if frame.amplitude is None:
             shade[:] = np.nan
         else:
             patch = _patch(frame.amplitude, around, typical=typical, config=tuning.edges)
-        return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch)
+            pixels_around = (
+                view.fine.block(*(slice(SAMPLES * line.start, SAMPLES * line.stop) for line in around))
+                if patch.typical
+                else pixels_around
+            )
+        return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch, pixels_around)
 
     @property
     def lens(self) -> Lens:
@@ -167,7 +175,7 @@ def _patch(
     np.minimum(part, config.clip * typical, out=part)
     smooth: NDArray[np.float32] = cv2.GaussianBlur(part, (0, 0), config.blur_px)  # type: ignore[assignment]
     least = max(config.least_contrast * typical, CHANGE_SIGMAS * noise)
-    return Patch(smooth, float(columns.start), float(rows.start), least, noise)
+    return Patch(smooth, float(columns.start), float(rows.start), least, noise, typical)
 
 
 class DepthImages(NamedTuple):

@@ -13,25 +13,31 @@ of the pose names it.
 """
 
 from collections.abc import Iterator
-from math import radians
+from math import prod, radians
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
 from rpod_pose.belief import Belief, contradicted, doubtful
-from rpod_pose.pmd.depth_view import DepthView
+from rpod_pose.pmd.depth_view import SAMPLES, DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
 from rpod_pose.pmd.joint.edge_model import EdgeModel
+from rpod_pose.pmd.joint.expected_edges import (
+    Appearance,
+    EdgeSight,
+    ExpectedEdges,
+    Fine,
+    blur_weights,
+    expect_edges,
+)
 from rpod_pose.pmd.joint.fit import (
     NEAREST_M,
     DepthErrors,
     EdgeErrors,
-    EdgeSight,
     JointModel,
     JointProblem,
-    JointView,
     Measured,
     agreement,
     align,
@@ -71,7 +77,10 @@ class JointTracker:
         self._tuning, self._target = tuning, target
         self._ranges = tuning.depth.calibrated if calibrated else tuning.depth.raw
         edges = EdgeModel.of(target, spacing_m=tuning.edges.spacing_share * target.radius_m)
-        self._model = JointModel(np.ascontiguousarray(target.triangles_m), field_arrays(target), edges.arrays)
+        self._triangles_m = np.ascontiguousarray(target.triangles_m)
+        self._edges = edges.arrays
+        appearance = Appearance.of(target)
+        self._model = JointModel(field_arrays(target), appearance)
         weak = np.repeat((tuning.unobserved_m, radians(tuning.unobserved_deg)), 3)
         self._weak = np.diag(np.append(weak**-2, 0.0))
         scales_m = np.geomspace(tuning.depth.scale_m, tuning.depth.final_scale_m, tuning.iterations)
@@ -90,7 +99,9 @@ class JointTracker:
             config.slack_m,
         )
         self._edge_errors = EdgeErrors(tuning.edges.sigma_px, float(tuning.edges.effective_edges))
-        self._shown = np.zeros(len(edges.places_m) + 1, np.int64)
+        self._expected = ExpectedEdges.room(len(edges.places_m))
+        self._room = np.empty((3, 0), np.float32)
+        self._blur = blur_weights(tuning.edges.blur_px)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
@@ -100,8 +111,9 @@ class JointTracker:
         if isinstance(seen, str):
             return Registration.none(Source.PMD_JOINT, seen)
         registration = Registration.none(Source.PMD_JOINT, "nothing to see")
-        for start, schedule in self._starts(seen, pose):
-            registration = self._registered(seen, start, schedule)
+        for tries, (start, schedule) in enumerate(self._starts(seen, pose)):
+            rendered = tries == 0 and start is pose
+            registration = self._registered(seen, start, schedule, rendered=rendered)
             if registration.continues_track:
                 break
         return registration
@@ -119,18 +131,19 @@ class JointTracker:
             few = Points.equal(np.ascontiguousarray(seen.points_m[::every]))
             yield field_aligned(few, pose, self._coarse, self._far), self._full
 
-    def _registered(self, seen: JointFrame, start: PoseArrays, schedule: FloatArray) -> Registration:
-        tuning, view = self._tuning, seen.view
+    def _registered(
+        self, seen: JointFrame, start: PoseArrays, schedule: FloatArray, *, rendered: bool
+    ) -> Registration:
+        tuning = self._tuning
         problem = JointProblem(
             Points(seen.points_m, seen.trust),
-            seen.patch,
             self._model,
-            JointView(view.coarse.arrays, seen.pixels, seen.lens),
+            self._sight(seen),
+            self._fine(seen),
             self._depth_errors,
             self._edge_errors,
             schedule,
-            self._buffers_of(view),
-            self._shown,
+            rendered,
         )
         (R, t), bias, information, (depth, found) = align(problem, start)
         points, squares = depth.inliers, depth.squares_m2
@@ -139,9 +152,7 @@ class JointTracker:
             reason = f"nothing to see: {points} points on the target, {checked} places of edges"
             return Registration.none(Source.PMD_JOINT, reason)
         inconsistent = self._contradictions(seen, R, t, bias)
-        in_place = edges_in_place(
-            tuning.verdict, edges=edges, expected=expected, checked=checked, points=len(seen.points_m)
-        )
+        in_place = edges_in_place(tuning.verdict, edges=found.found, expected=expected, checked=checked)
         belief = self._belief(inconsistent, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
         to_sensor = np.zeros((6, 6))
         to_sensor[:3, :3] = to_sensor[3:, 3:] = R
@@ -163,29 +174,42 @@ class JointTracker:
         """Return the share of the checked pixels that agree with a predicted pose."""
         tuning, view = self._tuning, seen.view
         measured = Measured(seen.range_m, seen.sigma_m, tuning.near_m, tuning.missing_weight)
-        triangles_m = self._model.triangles_m
-        agreeing, checked = agreement(measured, view.coarse.arrays, triangles_m, pose, self._buffers_of(view))
+        agreeing, checked = agreement(
+            measured, view.coarse.arrays, self._triangles_m, pose, self._buffers_of(view)
+        )
         return agreeing / checked if checked else 0.0
 
     def _in_place(self, seen: JointFrame, pose: PoseArrays) -> float:
-        """Return the share of edges found near their place at a predicted pose, which was just rendered."""
-        tuning = self._tuning
-        sight = EdgeSight(self._model.edges, seen.lens, seen.patch, tuning.edges.sigma_px)
+        """Return the share of the expected edges that are near their place at a predicted pose."""
+        tuning, sight = self._tuning, self._sight(seen)
         wider = float(np.clip(2.0 * self._fills(seen, pose.t), 1.0, MOST_WIDER))
-        reach_px = tuning.edges.final_search_px * wider
-        found = edges_at(sight, seen.pixels, pose, self._buffers_of(seen.view), reach_px)
+        expect_edges(sight, pose, self._model.appearance, self._fine(seen))
+        found = edges_at(sight, pose, tuning.edges.final_search_px * wider)
         if found.checked < tuning.verdict.min_edges:
             return 0.0
-        return found.inliers / max(found.expected, 1.0)
+        return found.found / max(found.expected, 1.0)
+
+    def _sight(self, seen: JointFrame) -> EdgeSight:
+        noise_px = self._edge_errors.noise_px
+        return EdgeSight(self._edges, seen.lens, seen.patch, self._expected, noise_px)
+
+    def _fine(self, seen: JointFrame) -> Fine:
+        """Return buffers for a rendering on the patch's pixels."""
+        rows, columns = seen.rays.components.shape[1:]
+        if self._room.shape[1] < rows * columns:
+            self._room = np.empty((3, rows * columns), np.float32)
+        range_m, triangle, rest = (line[: rows * columns].reshape(rows, columns) for line in self._room)
+        shape = rows // SAMPLES, columns // SAMPLES
+        shade = rest.ravel()[: prod(shape)].reshape(shape)
+        hits = RenderBuffers(range_m, triangle.view(np.int32))
+        return Fine(seen.rays, hits, shade, self._blur, self._tuning.edges.clip)
 
     def _contradictions(
         self, seen: JointFrame, R: FloatArray, t: FloatArray, bias_m: float
     ) -> Contradictions:
         view, buffers = seen.view, self._buffers_of(seen.view)
-        cast_pose(view.coarse.arrays, self._model.triangles_m, R, t, True, *buffers)
-        rendered = Rendering(
-            *buffers, view.coarse, view.stride, view.camera.fx, self._model.triangles_m, R, t
-        )
+        cast_pose(view.coarse.arrays, self._triangles_m, R, t, True, *buffers)
+        rendered = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._triangles_m, R, t)
         images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
         return contradictions(images, rendered, self._tuning.check, typical=seen.typical, bias_m=bias_m)
 

@@ -7,11 +7,8 @@ from hypothesis import strategies as st
 from tests.pmd_frames import CAMERA
 
 from rpod_geometry.lens import distort
-from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_pose.pmd.joint.edge_model import EdgeModel
-from rpod_pose.pmd.joint.edge_search import CoarsePixels, Lens, Profile, imaged, showing, steepest
-from rpod_pose.registration.lie_group import PoseArrays
-from rpod_schemas.poses import make_pose
+from rpod_pose.pmd.joint.edge_search import Lens, Profile, imaged, steepest
 from rpod_target import load_target
 
 HEXAGON, MOCKUP = load_target("hexagonal-body"), load_target("mockup")
@@ -73,14 +70,3 @@ def test_boundaries_between_materials_are_drawn_and_curved_surfaces_are_not() ->
     assert not nose.any()
     one = replace(MOCKUP, triangle_material=np.zeros_like(MOCKUP.triangle_material))
     assert lengths_m(EdgeModel.of(one, spacing_m=0.02), 0.02) < lengths_m(model, 0.02)
-
-
-def test_what_stands_before_an_edge_hides_it() -> None:
-    model, T = EdgeModel.of(HEXAGON, spacing_m=0.02), make_pose(translation_m=(0.0, 0.0, 4.0))
-    grid = RayGrid.pinhole(CAMERA)
-    hits = cast(grid, HEXAGON.triangles_m, T, out=Hits.of(grid))
-    pose = PoseArrays.of(T)
-    seen = showing(model.arrays, pose, PINHOLE, CoarsePixels(1, 0), hits.range_m)
-    facing = ((model.normals @ (-T.translation)) > (model.places_m[:, None] * model.normals).sum(-1)).any(1)
-    assert 0 < len(seen) <= facing.sum() < len(model.places_m)
-    assert not len(showing(model.arrays, pose, PINHOLE, CoarsePixels(1, 0), np.full_like(hits.range_m, 1.0)))
