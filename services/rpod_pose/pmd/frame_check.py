@@ -3,9 +3,9 @@
 The target is rendered at the pose, and every coarse pixel is checked. A range is inconsistent with the pose
 if it differs from everything rendered in and around the pixel, within the tolerated displacement, by more
 than the tolerance and by more than three standard deviations of its own noise, which is estimated from its
-neighbours. A pixel without a range is inconsistent if it is bright and no surface is around it, or if it is
-as dark as the sky where surface is rendered, unless the surface is seen so obliquely that foil would be as
-dark.
+neighbours. A range may be longer where the target reflects light onto itself (``reflections``). A pixel
+without a range is inconsistent if it is bright and no surface is around it, or if it is as dark as the sky
+where surface is rendered, unless the surface is seen so obliquely that foil would be as dark.
 
 At the right pose such pixels are rare and scattered, whatever the noise: they come from the tails of its
 distribution, from mixed pixels and from multiple reflections. With a wrong pose, another body or a mirrored
@@ -42,6 +42,8 @@ NEGLIGIBLE = 3
 LEAST_HITS = 6
 """Least number of the nine rays in and around a pixel that must meet the target for a surface to be missing:
 some may miss the facets of a thin part."""
+NOT_REFLECTED = np.empty(0)
+"""No knowledge of second reflections."""
 GRAZING = 0.2
 """Cosine of incidence below which foil is as dark as the sky."""
 
@@ -122,6 +124,8 @@ class Tolerated(NamedTuple):
     """Length by which all ranges are too long."""
     place_px: float
     """Tolerated displacement in the image."""
+    reflected_m: FloatArray
+    """Length by which a second reflection may lengthen a range, at normal incidence, shape (T,) or (0,)."""
 
 
 class PixelCounts(NamedTuple):
@@ -140,6 +144,7 @@ def contradictions(
     *,
     typical: float,
     bias_m: float = 0.0,
+    reflected_m: FloatArray = NOT_REFLECTED,
 ) -> Contradictions:
     """Return how many of a frame's coarse pixels are inconsistent with a pose.
 
@@ -149,12 +154,14 @@ def contradictions(
         limits: tolerances of the check.
         typical: median amplitude of the target; 0 if it is unknown.
         bias_m: length by which all ranges are too long.
+        reflected_m: length by which light that is reflected twice may lengthen a range at normal incidence,
+            for each triangle, shape (T,); empty if it is not known.
     """
     bright, glinting = (share * typical for share in BRIGHT)
     sky = sky_amplitude(seen.range_m, seen.amplitude, rendered.triangle, typical)
     shades = Shades(sky if sky < DIM * typical else 0.0, max(bright, sky), glinting)
     reach_px = limits.reach_px + limits.place_m * rendered.px_per_m
-    tolerated = Tolerated(limits.tolerance_m, bias_m, reach_px)
+    tolerated = Tolerated(limits.tolerance_m, bias_m, reach_px, reflected_m)
     return Contradictions(*count_inconsistent(seen, rendered.arrays, shades, tolerated, limits.patch_px))
 
 
@@ -204,7 +211,7 @@ def count_inconsistent(
     """
     (range_m, sigma_m, amplitude), nearest_m, owner = seen, rendered.range_m, rendered.triangle
     dark, bright, glinting = shades
-    tolerance, bias, reach = tolerated
+    tolerance, bias, reach, reflected = tolerated
     rows, columns = owner.shape
     full = np.zeros((2, rows + patch, columns + patch), np.int32)
     pixels, inconsistent = 0, 0
@@ -214,9 +221,11 @@ def count_inconsistent(
             if range_m[i, j] > 0.0:
                 measured, slack = range_m[i, j] - bias, max(tolerance, SIGMAS * sigma_m[i, j])
                 pixels += 1
-                if abs(measured - nearest_m[i, j]) <= slack or _is_near(
-                    rendered, (i, j), reach, measured, slack
-                ):
+                if abs(measured - nearest_m[i, j]) <= slack:
+                    continue
+                longer = slack + longer_m(rendered, i, j, reflected)
+                low, high, _ = around(rendered, i, j, reach)
+                if low - slack <= measured <= high + longer:
                     continue
             elif bright < shade < glinting:
                 pixels += 1
@@ -234,12 +243,19 @@ def count_inconsistent(
 
 
 @kernel
-def _is_near(
-    rendered: RenderingArrays, pixel: tuple[int, int], reach: float, range_m: float, slack: float
-) -> bool:
-    """Return whether a range, m, agrees within a slack, m, with anything rendered within ``reach`` px."""
-    low, high, _ = around(rendered, pixel[0], pixel[1], reach)
-    return low - slack <= range_m <= high + slack
+def longer_m(rendered: RenderingArrays, i: int, j: int, reflected_m: FloatArray) -> float:
+    """Return by how much light that is reflected twice may lengthen the range of a coarse pixel, m.
+
+    Args:
+        rendered: the target at the pose.
+        i: row of the coarse pixel.
+        j: column of the coarse pixel.
+        reflected_m: as for ``contradictions``.
+    """
+    triangle = rendered.triangle[i, j]
+    if triangle < 0 or triangle >= reflected_m.size:
+        return 0.0
+    return float(reflected_m[triangle] / max(facing(rendered, i, j), GRAZING))
 
 
 @kernel

@@ -44,6 +44,7 @@ from rpod_pose.pmd.joint.fit import (
     edges_at,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.reflections import reflected_m
 from rpod_pose.pmd.rendering import Rendering
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
@@ -100,6 +101,7 @@ class JointTracker:
         )
         self._edge_errors = EdgeErrors(tuning.edges.sigma_px, float(tuning.edges.effective_edges))
         self._expected = ExpectedEdges.room(len(edges.places_m))
+        self._reflected_m = reflected_m(target)
         self._room = np.empty((3, 0), np.float32)
         self._blur = blur_weights(tuning.edges.blur_px)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}
@@ -211,7 +213,14 @@ class JointTracker:
         cast_pose(view.coarse.arrays, self._triangles_m, R, t, True, *buffers)
         rendered = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._triangles_m, R, t)
         images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
-        return contradictions(images, rendered, self._tuning.check, typical=seen.typical, bias_m=bias_m)
+        return contradictions(
+            images,
+            rendered,
+            self._tuning.check,
+            typical=seen.typical,
+            bias_m=bias_m,
+            reflected_m=self._reflected_m,
+        )
 
     def _fills(self, seen: JointFrame, t: FloatArray) -> float:
         """Return the target's radius over the image's smaller side; above 1 few of its parts are in view."""
