@@ -1,11 +1,10 @@
 """A random satellite: its design, drawn by seed and number, and its files."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -19,11 +18,12 @@ from rpod_target.population.bodies import KINDS, BodyKind, MainBody, main_body
 from rpod_target.population.component import Component, placed
 from rpod_target.population.detail import crinkled, refined, screws
 from rpod_target.population.materials import drawn_materials
+from rpod_target.population.names import POPULATIONS, PopulationName, name_of, parsed
 
-PopulationName = Literal["derive", "report"]
-POPULATIONS: tuple[PopulationName, ...] = get_args(PopulationName)
 SIZES_M = (0.2, 60.0)
 """Least and greatest longest side, m; the logarithm is uniform."""
+SMALL_SIZES_M = (0.2, 3.0)
+"""Limits of the small ones, for a camera that sees a few metres."""
 TRIANGLES = (1_000, 200_000)
 """Least and greatest number of triangles; the logarithm is uniform."""
 _STREAM = 2026
@@ -36,7 +36,6 @@ _PLAIN_SHARE = 0.12
 _NEARLY = 0.9
 """Least share of the area that a symmetry maps onto itself, for it to be declared as a near one."""
 _MOST_SECTIONS = 64
-_NAME = re.compile(r"random-(derive|report)-(\d{1,9})-(\d{1,9})")
 
 
 @dataclass(frozen=True)
@@ -65,32 +64,29 @@ class RandomSatellite:
         return file
 
 
-def name_of(population: PopulationName, seed: int, index: int) -> str:
-    """Return the name of a satellite."""
-    return f"random-{population}-{seed}-{index}"
-
-
 def satellite_of(name: str) -> RandomSatellite | None:
     """Return the satellite of a name; None for any other text."""
-    found = _NAME.fullmatch(name)
-    if found is None:
+    known = parsed(name)
+    if known is None:
         return None
-    population: PopulationName = "derive" if found[1] == "derive" else "report"
-    return random_satellite(population, seed=int(found[2]), index=int(found[3]))
+    return random_satellite(known.population, seed=known.seed, index=known.number, small=known.small)
 
 
 @lru_cache(maxsize=2)
-def random_satellite(population: PopulationName, *, seed: int, index: int) -> RandomSatellite:
+def random_satellite(
+    population: PopulationName, *, seed: int, index: int, small: bool = False
+) -> RandomSatellite:
     """Return a satellite; the same arguments give the same bytes.
 
     Args:
         population: derive, from which limits may be derived, or report, for reported figures only.
         seed: seed of the population.
         index: number of the satellite, from 0.
+        small: whether its longest side is 0.2 to 3 m; all else is as for the one that is not small.
     """
     generator = np.random.default_rng((_STREAM, POPULATIONS.index(population), seed, index))
-    design = _design(generator)
-    return _with_files(name_of(population, seed, index), design, generator)
+    design = _design(generator, SMALL_SIZES_M if small else SIZES_M)
+    return _with_files(name_of(population, seed, index, small=small), design, generator)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +105,7 @@ class _Symmetry(NamedTuple):
     order: int
 
 
-def _design(generator: Generator) -> _Design:
+def _design(generator: Generator, sizes_m: tuple[float, float]) -> _Design:
     kind: BodyKind = KINDS[int(generator.choice(len(KINDS), p=_KIND_SHARES))]
     plain = bool(generator.random() < _PLAIN_SHARE) and kind != "truss"
     arrays = _ARRAYS[int(generator.choice(len(_ARRAYS), p=_ARRAY_SHARES))]
@@ -136,7 +132,7 @@ def _design(generator: Generator) -> _Design:
     components = refined(components, triangles=wanted)
     if not plain:
         components = [crinkled(each, generator) for each in components]
-    return _Design(kind, _sized(components, generator), symmetry, plain)
+    return _Design(kind, _sized(components, generator, sizes_m), symmetry, plain)
 
 
 def _symmetry(body: MainBody, arrays: equipment.Arrays, *, plain: bool, along: float) -> _Symmetry | None:
@@ -188,9 +184,11 @@ def _is_nearly(body: MainBody, components: Sequence[Component]) -> bool:
     return alike >= _NEARLY * sum(each.area for each in components)
 
 
-def _sized(components: Sequence[Component], generator: Generator) -> tuple[Component, ...]:
+def _sized(
+    components: Sequence[Component], generator: Generator, sizes_m: tuple[float, float]
+) -> tuple[Component, ...]:
     """Return the components scaled so that the longest side is random between the limits."""
-    size_m = float(np.exp(generator.uniform(*np.log(SIZES_M))))
+    size_m = float(np.exp(generator.uniform(*np.log(sizes_m))))
     low = np.min([each.mesh.bounds[0] for each in components], axis=0)
     high = np.max([each.mesh.bounds[1] for each in components], axis=0)
     scale = size_m / float((high - low).max())

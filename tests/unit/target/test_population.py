@@ -9,7 +9,7 @@ import yaml
 from rpod_target import TargetError, load_target
 from rpod_target.loading import _read
 from rpod_target.population import MATERIALS, POPULATIONS, name_of, random_satellite, satellite_of
-from rpod_target.population.satellite import SIZES_M, TRIANGLES
+from rpod_target.population.satellite import SIZES_M, SMALL_SIZES_M, TRIANGLES
 from rpod_target.symmetry import find_symmetries
 from rpod_target.visibility import as_tensor, scene_of
 
@@ -128,8 +128,17 @@ def test_a_name_is_that_of_one_satellite_and_other_texts_are_none():
     name = name_of("derive", 7, 3)
     assert satellite_of(name).name == name
     assert satellite_of("random-other-7-3") is None
+    assert satellite_of(name + "-0") is None
     with pytest.raises(TargetError, match="is unknown"):
         load_target("random-other-7-3")
+
+
+def test_a_small_one_is_the_same_satellite_at_another_size():
+    small, large = (random_satellite("derive", seed=7, index=3, small=small) for small in (True, False))
+    assert satellite_of(small.name) == small
+    assert SMALL_SIZES_M[0] <= small.size_m <= SMALL_SIZES_M[1]
+    assert (small.body, small.triangles) == (large.body, large.triangles)
+    assert small.size_m != large.size_m
 
 
 def test_every_parameter_file_is_valid(drawn):
