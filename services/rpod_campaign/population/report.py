@@ -1,7 +1,6 @@
 """``population``: figures of each satellite, and totals with their Wilson intervals."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,8 @@ FAR_OFF_DEG = 10.0
 """Attitude error of an accepted pose that is more than a loss of accuracy, deg."""
 FEW, LEAST_RETURNS = 60, 6
 """Number of returns below which a scan has few, and below which it is not among the few either."""
+LARGE_M = 1.0
+"""Longest side from which on a satellite is at least 40 standard deviations of the LIDAR's range long, m."""
 
 _SUCCESS = pl.when(pl.col("ambiguous")).then(pl.col("truth_among")).otherwise(pl.col("right"))
 _RATES: dict[str, pl.Expr] = {
@@ -28,7 +29,6 @@ _RATES: dict[str, pl.Expr] = {
     "accepted": pl.col("accepted"),
     "wrong_accepted": pl.col("accepted") & ~pl.col("right"),
     "right_rejected": pl.col("right") & ~pl.col("accepted") & ~pl.col("ambiguous"),
-    "right_accepted": pl.col("accepted") & pl.col("right"),
 }
 """Conditions whose trials are counted, by name."""
 
@@ -69,6 +69,9 @@ def totals(results: Results) -> dict[str, Any]:
     groups: dict[str, pl.Expr] = {"all": pl.lit(value=True)}
     if results[0].cell.sensor == "lidar":
         groups["returns_60_or_more"] = pl.col("returns") >= FEW
+        groups["returns_60_or_more_size_1_m_or_more"] = groups["returns_60_or_more"] & (
+            pl.col("size_m") >= LARGE_M
+        )
         groups["returns_6_to_60"] = pl.col("returns").is_between(LEAST_RETURNS, FEW, closed="left")
     return {name: _total(rows.filter(group), results) for name, group in groups.items()}
 
@@ -82,9 +85,9 @@ def _total(rows: pl.DataFrame, results: Results) -> dict[str, Any]:
         "bodies": len(results),
         "trials": seen.height,
         "few_pixels": rows.height - seen.height,
-        **{name: asdict(_count(seen, condition)) for name, condition in _RATES.items()},
-        "right_that_are_accepted": asdict(_count(right, pl.col("accepted"))),
-        "accepted_more_than_10_deg_off": asdict(_count(accepted, pl.col("attitude_deg") > FAR_OFF_DEG)),
+        **{name: _told(_count(seen, condition)) for name, condition in _RATES.items()},
+        "right_that_are_accepted": _told(_count(right, pl.col("accepted"))),
+        "accepted_more_than_10_deg_off": _told(_count(accepted, pl.col("attitude_deg") > FAR_OFF_DEG)),
         **_accuracy(seen),
         "nees_mean_least_body": min(known, default=None),
         "nees_mean_greatest_body": max(known, default=None),
@@ -94,14 +97,25 @@ def _total(rows: pl.DataFrame, results: Results) -> dict[str, Any]:
 
 
 def _accuracy(rows: pl.DataFrame) -> dict[str, float | None]:
-    """Return the errors of the poses that are right and accepted, and their consistency."""
-    good = rows.filter(_RATES["right_accepted"])
+    """Return the errors of the right poses, accepted or not, and their consistency."""
+    good = rows.filter("right")
     known = good.filter(pl.col("nees").is_finite())["nees"]
     return {
         "attitude_deg_rms": _rms(good["attitude_deg"]),
         "position_m_rms": _rms(good["position_m"]),
         "nees_mean": mean(known),
         "nees_share_in_95": mean((known <= NEES_95).cast(pl.Float64)),
+    }
+
+
+def _told(share: Rate) -> dict[str, Any]:
+    """Return a share for JSON."""
+    return {
+        "count": share.count,
+        "of": share.of,
+        "rate": share.value,
+        "wilson_low": share.low,
+        "wilson_high": share.high,
     }
 
 
@@ -123,7 +137,7 @@ def sections(results: Results) -> list[Section]:
     note = (
         f"Right: within {angle_deg:g} deg and {100.0 * share:g} % of the longest side, modulo exact "
         "symmetries. Success: right, or ambiguous with the truth among the hypotheses. Errors and NEES are "
-        "those of right accepted poses. Shares have their 95 % Wilson intervals. "
+        "those of right poses, accepted or not. Shares have their 95 % Wilson intervals. "
     )
     apart = "" if lidar else "Frames with fewer than 200 of the target's pixels with depth are counted apart."
     return [
@@ -138,7 +152,7 @@ def _totals_table(results: Results) -> Table:
             name.replace("_", " "),
             str(total["trials"]),
             str(total["few_pixels"]),
-            *(str(Rate(**total[key])) for key in _SHARES),
+            *(str(rate(total[key]["count"], total[key]["of"])) for key in _SHARES),
             *_texts(total),
         )
         for name, total in totals(results).items()

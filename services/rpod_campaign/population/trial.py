@@ -117,14 +117,16 @@ def run(cell: PopulationCell, seed: int, trial: int) -> dict[str, Any]:
         "returns": taken.returns,
         "seen": taken.seen,
     }
-    begin_s = time.process_time()
     if cell.task == "tracking":
         start = _start(cell, taken.truth, target, seed=seed, trial=trial)
         begin_s = time.process_time()
         tracked = methods.tracker.track(taken.measurement, start)
-        return row | _tracked(cell, tracked, taken.truth, target) | {"took_s": time.process_time() - begin_s}
+        row["took_s"] = time.process_time() - begin_s
+        return row | _tracked(cell, tracked, taken.truth, target)
+    begin_s = time.process_time()
     found = methods.acquirer.acquire(taken.measurement)
-    return row | _acquired(cell, found, taken.truth, target) | {"took_s": time.process_time() - begin_s}
+    row["took_s"] = time.process_time() - begin_s
+    return row | _acquired(cell, found, taken.truth, target)
 
 
 def limits_of(cell: PopulationCell, target: Target) -> Limits:
