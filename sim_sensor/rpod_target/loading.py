@@ -32,6 +32,11 @@ def shipped_targets() -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in _SHIPPED.glob("*.yaml")))
 
 
+def is_shipped(target: Target) -> bool:
+    """Return whether a target is one that is shipped with the package."""
+    return Path(target.source).parent == _SHIPPED
+
+
 def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Target:
     """Return a target, which is built if the cache has none with its digest.
 

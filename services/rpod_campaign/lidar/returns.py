@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import asin, ceil, degrees, radians, sqrt
+from math import asin, ceil, degrees, radians, sin, sqrt
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -13,17 +13,22 @@ from rpod_campaign.lidar.methods import lidar_config
 from rpod_campaign.lidar.scene import CLEARANCE_M, scan_of
 from rpod_geometry.rays import RayGrid, cast
 from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_target import Target
 
 RETURNS = (30.0, 500.0)
 """Least and greatest number of returns of a scan, where none is chosen; the logarithm is uniform."""
+COMMON_RETURNS = (500.0, 250.0, 120.0, 60.0, 30.0)
+"""Mean numbers of returns that give the ranges of a target for which none are given."""
 _STEPS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
 _TYPICAL = 200.0
 """Number of returns that the chosen step gives at the nearest range or beyond."""
 _VIEWS, _PIXELS = 12, 64
 """Number of attitudes, and of pixels along each side of an image, that measure a silhouette."""
+_ATTITUDES = 8
+"""Number of attitudes over which returns are averaged."""
 _ROUNDS = 6
 """Number of corrections of a range."""
 
@@ -106,3 +111,22 @@ def scan_with_returns(
             break
         range_m = next_m
     return pose, scan
+
+
+@lru_cache(maxsize=256)
+def range_of_returns(name: str, returns: float) -> float:
+    """Return the range at which the 2015 paper's LIDAR has so many returns on average, m, with 3 digits.
+
+    It is not less than that at which the target is in the LIDAR's window of 40 deg at any attitude.
+    """
+    target, config = cached_target(name), lidar_config()
+    nearest_m = target.radius_m / sin(radians(0.5 * config.pattern.azimuth_span_deg))
+    emulator = LidarEmulator(config, target, seed=0)
+    attitudes = Rotation.random(_ATTITUDES, rng=np.random.default_rng(0))
+    area_m2 = silhouette_m2(target, target.radius_m)
+    range_m = max(nearest_m, sqrt(area_m2 / returns) / radians(config.pattern.step_deg))
+    for _ in range(_ROUNDS):
+        poses = [make_pose(rotation=turn, translation_m=(0.0, 0.0, range_m)) for turn in attitudes]
+        counts = [len(scan_of(emulator, pose, trial=k).returns_m) for k, pose in enumerate(poses)]
+        range_m = max(nearest_m, range_m * sqrt(max(float(np.mean(counts)) / returns, 0.1)))
+    return float(f"{range_m:.3g}")

@@ -11,6 +11,8 @@ from rpod_campaign.engine.report.charts import rate_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, printed, word
 from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.scores import ambiguous, wrong
 from rpod_campaign.lidar_range.trial import RangeCell, lidar_of
 
 Results = Sequence[CellResult[RangeCell]]
@@ -50,6 +52,8 @@ def summarise(cell: RangeCell, rows: pl.DataFrame) -> dict[str, Any]:
         "wilson_low": share.low,
         "wilson_high": share.high,
         "accepted": int(rows["accepted"].sum()),
+        "wrong_accepted": int((wrong(rows, cached_target(cell.target)) & rows["accepted"]).sum()),
+        **ambiguous(rows),
         "median_s": quantile(rows["acquire_s"], 0.5),
         "p95_s": quantile(rows["acquire_s"], 0.95),
     }

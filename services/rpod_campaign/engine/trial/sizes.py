@@ -1,5 +1,6 @@
 """Lengths relative to a target: its longest side, limits of a right pose, and errors of a start."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,14 @@ class Limits:
         if attitude_deg is None or position_m is None:
             return False
         return attitude_deg < self.attitude_deg and position_m < self.position_m
+
+
+def in_metres(lengths: Sequence[float | str], target: Target) -> tuple[float, ...]:
+    """Return lengths in m; those in the form ``5x`` are multiples of the target's longest side."""
+    size_m = longest_side_m(target)
+    return tuple(
+        float(length[:-1]) * size_m if isinstance(length, str) else float(length) for length in lengths
+    )
 
 
 def longest_side_m(target: Target) -> float:
