@@ -33,23 +33,31 @@ def lit(scenario: Scenario, generator: Generator) -> Scenario:
     return scenario.model_copy(update={"motion": scenario.motion.model_copy(update={"sun": light})})
 
 
-def reaching(scenario: Scenario, target: Target, *, least_filled: float) -> Scenario:
-    """Return a scenario whose camera measures with two frequencies where one is ambiguous.
-
-    Args:
-        scenario: a scenario with a camera.
-        target: the target to see.
-        least_filled: least share of the image's height that the target fills.
-    """
-    camera = camera_of(scenario)
-    farthest_m = _range_m(longest_side_m(target), least_filled, camera.camera)
-    fast = camera.model_copy(update={"profile": "fast"})
+def reaching(scenario: Scenario, farthest_m: float) -> Scenario:
+    """Return a scenario whose camera measures with two frequencies if one is ambiguous at a range, m."""
+    fast = camera_of(scenario).model_copy(update={"profile": "fast"})
     profile = "fast" if farthest_m < _REACH * fast.unambiguous_range_m else "dual"
     document = scenario.model_dump(mode="json")
     for sensor in document["sensors"]:
         if sensor["kind"] == "pmd":
             sensor |= {"profile": profile, "rate_hz": 15.0}
     return check(Scenario, document, source=scenario.name)
+
+
+def ranges_filling(target: Target, camera: PmdConfig) -> tuple[float, float]:
+    """Return the ranges at which a target fills most and least of the image, m.
+
+    Both are unambiguous with two frequencies; a target that is too large for that fills more of the image.
+    """
+    reach_m = _REACH * camera.model_copy(update={"profile": "dual"}).unambiguous_range_m
+    least, most = FILLED
+    far_m = min(range_filling(target, least, camera), reach_m)
+    return min(range_filling(target, most, camera), 0.6 * far_m), far_m
+
+
+def range_filling(target: Target, filled: float, camera: PmdConfig) -> float:
+    """Return the range at which the target's longest side fills a share of the image's height, m."""
+    return _range_m(longest_side_m(target), filled, camera.camera)
 
 
 def framed(

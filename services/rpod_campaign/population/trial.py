@@ -21,7 +21,7 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import pattern_of
 from rpod_campaign.lidar.returns import scan_with_returns, window_of
 from rpod_campaign.lidar.scene import emulator_of
-from rpod_campaign.pmd.framing import LEAST_PIXELS, framed, lit, reaching
+from rpod_campaign.pmd.framing import LEAST_PIXELS, framed, lit, range_filling, reaching
 from rpod_campaign.pmd.methods import DEFAULT, pmd_input
 from rpod_campaign.pmd.scene import Stage, camera_of, scenario_of, still
 from rpod_campaign.pmd.world import World
@@ -223,7 +223,7 @@ def _lidar_bench(cell: PopulationCell, seed: int) -> tuple[LidarEmulator, Method
 def _pmd_bench(cell: PopulationCell) -> tuple[Scenario, Methods]:
     target = cached_target(cell.target)
     shown = scenario_of(cell.document).model_copy(update={"target": cell.target})
-    scenario = reaching(shown, target, least_filled=cell.wanted[0])
+    scenario = reaching(shown, range_filling(target, cell.wanted[0], camera_of(shown)))
     return scenario, ready_methods(pmd_input(DEFAULT, name=camera_of(scenario).name), target)
 
 

@@ -18,7 +18,7 @@ from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.returns import scan_with_returns, silhouette_m2, window_of
 from rpod_campaign.lidar.scene import emulator_of
-from rpod_campaign.pmd.framing import filled_share, framed, reaching
+from rpod_campaign.pmd.framing import filled_share, framed, range_filling, reaching
 from rpod_campaign.pmd.scene import camera_of
 from rpod_campaign.population import trial as population
 from rpod_campaign.population.campaign import CAMPAIGN
@@ -96,8 +96,11 @@ def test_a_target_fills_the_wanted_share_of_the_image(filled):
 
 def test_a_camera_measures_with_two_frequencies_where_one_is_ambiguous():
     target, scenario = cached_target("mockup"), SCENARIOS["mockup-tumbling"]
-    assert camera_of(reaching(scenario, target, least_filled=0.8)).profile == "fast"
-    assert camera_of(reaching(scenario, target, least_filled=0.2)).profile == "dual"
+    camera = camera_of(scenario)
+    profiles = [
+        camera_of(reaching(scenario, range_filling(target, filled, camera))).profile for filled in (0.8, 0.2)
+    ]
+    assert profiles == ["fast", "dual"]
 
 
 def test_a_displaced_pose_is_off_by_the_angle_and_its_middle_by_the_distance():
