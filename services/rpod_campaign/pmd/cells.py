@@ -48,7 +48,8 @@ def scenarios(
             raise ConfigurationError("--scenario", "", f"needs {', '.join(known)}, not {name!r}")
         for target in options.target or (known[short].target,):
             shown = _with_target(known[short], target, ranges)
-            label = short if target == known[short].target else f"{short} with {shown.target}"
+            own = target == known[short].target
+            label = short if own else f"{short} with {cached_target(target).name}"
             for world in options.world:
                 yield in_world(label, world), shown.model_copy(update={"world": world})
 
