@@ -65,7 +65,6 @@ def totals(results: Results) -> dict[str, Any]:
     """Return the figures of all satellites together: of all trials, and by the number of returns."""
     if not results:
         return {}
-    rows = pl.concat([result.rows for result in results])
     groups: dict[str, pl.Expr] = {"all": pl.lit(value=True)}
     if results[0].cell.sensor == "lidar":
         groups["returns_60_or_more"] = pl.col("returns") >= FEW
@@ -73,16 +72,17 @@ def totals(results: Results) -> dict[str, Any]:
             pl.col("size_m") >= LARGE_M
         )
         groups["returns_6_to_60"] = pl.col("returns").is_between(LEAST_RETURNS, FEW, closed="left")
-    return {name: _total(rows.filter(group), results) for name, group in groups.items()}
+    return {name: _total([result.rows.filter(group) for result in results]) for name, group in groups.items()}
 
 
-def _total(rows: pl.DataFrame, results: Results) -> dict[str, Any]:
+def _total(by_satellite: Sequence[pl.DataFrame]) -> dict[str, Any]:
+    rows = pl.concat(by_satellite)
     seen = rows.filter("seen")
     accepted, right = seen.filter("accepted"), seen.filter("right")
-    by_body = [_accuracy(result.rows.filter("seen"))["nees_mean"] for result in results]
-    known = [value for value in by_body if value is not None]
+    means = [_accuracy(each.filter("seen"))["nees_mean"] for each in by_satellite]
+    known = [value for value in means if value is not None]
     return {
-        "bodies": len(results),
+        "bodies": sum(each.height > 0 for each in by_satellite),
         "trials": seen.height,
         "few_pixels": rows.height - seen.height,
         **{name: _told(_count(seen, condition)) for name, condition in _RATES.items()},
