@@ -101,15 +101,20 @@ def scan_with_returns(
     back from afar.
     """
     window, loaded = window_of(target), cached_target(target)
-    range_m = window.range_m(returns)
-    for _ in range(_ROUNDS):
+
+    def taken(range_m: float) -> tuple[RigidTransform, LidarScan]:
         pose = with_middle_at(R_sensor_target, np.array((0.0, 0.0, range_m)), loaded)
-        scan = scan_of(emulator, pose, trial=trial)
+        return pose, scan_of(emulator, pose, trial=trial)
+
+    range_m = window.range_m(returns)
+    pose, scan = taken(range_m)
+    for _ in range(_ROUNDS):
         share = max(len(scan.returns_m) / returns, 0.1)
         next_m = max(window.nearest_m, range_m * sqrt(share))
         if abs(share - 1.0) < 0.1 or next_m == range_m:
             break
         range_m = next_m
+        pose, scan = taken(range_m)
     return pose, scan
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
+from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray
@@ -60,6 +61,12 @@ def facing(point: FloatArray, normal: FloatArray, roll_rad: float = 0.0) -> Floa
     """Return the pose of something that stands at a point with its z axis along a normal, shape (4, 4)."""
     turn = Rotation.align_vectors([normal], [[0.0, 0.0, 1.0]])[0] * Rotation.from_euler("z", roll_rad)
     return pose(point, turn)
+
+
+def places(mesh: trimesh.Trimesh, count: int, generator: Generator) -> tuple[FloatArray, FloatArray]:
+    """Return random places on a surface, and the outward normals there, shape (N, 3) each."""
+    sampled = trimesh.sample.sample_surface(mesh, count, seed=generator)
+    return np.asarray(sampled[0], float), np.asarray(mesh.face_normals[np.asarray(sampled[1])], float)
 
 
 def bar(begin: FloatArray, end: FloatArray, radius: float, sections: int) -> trimesh.Trimesh:

@@ -7,7 +7,7 @@ import trimesh
 from numpy.random import Generator
 
 from rpod_target.population.bodies import MainBody
-from rpod_target.population.component import Component, facing, joined, placed
+from rpod_target.population.component import Component, facing, joined, placed, places
 from rpod_target.population.materials import FOILS
 
 _CRINKLE = 0.12
@@ -23,8 +23,7 @@ def screws(body: MainBody, generator: Generator, *, triangles: int) -> list[Comp
         return []
     radius = 0.02 * body.radius
     one = trimesh.creation.cylinder(radius=radius, height=2.0 * radius, sections=6)
-    points, faces = trimesh.sample.sample_surface(body.core, count, seed=generator)
-    normals = body.core.face_normals[faces]
+    points, normals = places(body.core, count, generator)
     heads = [placed(one, facing(point, normal)) for point, normal in zip(points, normals, strict=True)]
     return [Component("screws", joined(*heads), "steel")]
 

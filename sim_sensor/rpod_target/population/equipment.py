@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target.population.bodies import MainBody
-from rpod_target.population.component import Component, along_x, bar, facing, joined, placed, pose
+from rpod_target.population.component import Component, along_x, bar, facing, joined, placed, places, pose
 from rpod_target.population.materials import BARE, FOILS
 
 Arrays = Literal["none", "one", "two", "asymmetrical"]
@@ -175,5 +175,5 @@ def instrument(number: int, body: MainBody, generator: Generator, *, sections: i
 
 def mount(body: MainBody, generator: Generator) -> tuple[FloatArray, FloatArray]:
     """Return a random place on the body's surface, and the outward normal there, shape (3,) each."""
-    points, faces = trimesh.sample.sample_surface(body.core, 1, seed=generator)
-    return np.asarray(points[0], float), np.asarray(body.core.face_normals[faces[0]], float)
+    points, normals = places(body.core, 1, generator)
+    return points[0], normals[0]
