@@ -16,12 +16,15 @@ from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
-from rpod_target import Target
+from rpod_target import Target, is_shipped
 
 RETURNS = (30.0, 500.0)
 """Least and greatest number of returns of a scan, where none is chosen; the logarithm is uniform."""
 COMMON_RETURNS = (500.0, 250.0, 120.0, 60.0, 30.0)
 """Mean numbers of returns that give the ranges of a target for which none are given."""
+ELLIPSE_M, ELLIPSE_RETURNS = (25.0, 53.0), 120.0
+"""Least and greatest range of the safety ellipse for a shipped target, m; for another one, mean number of
+returns at the least range."""
 _STEPS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
 _TYPICAL = 200.0
 """Number of returns that the chosen step gives at the nearest range or beyond."""
@@ -135,3 +138,12 @@ def range_of_returns(name: str, returns: float) -> float:
         counts = [len(scan_of(emulator, pose, trial=k).returns_m) for k, pose in enumerate(poses)]
         range_m = max(nearest_m, range_m * sqrt(max(float(np.mean(counts)) / returns, 0.1)))
     return float(f"{range_m:.3g}")
+
+
+def ellipse_m(target: str) -> tuple[float, float]:
+    """Return the least and the greatest range of the safety ellipse, m."""
+    least_m, greatest_m = ELLIPSE_M
+    if is_shipped(cached_target(target)):
+        return ELLIPSE_M
+    nearest_m = range_of_returns(target, ELLIPSE_RETURNS)
+    return nearest_m, nearest_m * greatest_m / least_m

@@ -13,9 +13,9 @@ from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, word
 from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
 from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.returns import ELLIPSE_RETURNS
 from rpod_campaign.lidar.scores import wrong
 from rpod_campaign.lidar_tracking.trial import (
-    ELLIPSE_RETURNS,
     FRAMES,
     OFF_DEG,
     OFF_M,

@@ -16,7 +16,7 @@ from rpod_campaign.engine.trial.sizes import longest_side_m
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import lidar_config, pattern_of, tracking_input
-from rpod_campaign.lidar.returns import range_of_returns
+from rpod_campaign.lidar.returns import ellipse_m
 from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
 from rpod_campaign.lidar.scores import SUCCESS_DEG, is_success
 from rpod_motion.motion import Motion, build_motion
@@ -37,9 +37,6 @@ from rpod_target import Target, is_shipped
 OFF_DEG, OFF_M, OFF_SHARE = 5.0, 0.3, 0.03
 """Error of a single scan's start: angle, deg, and distance: m for a shipped target, over the longest side for
 another one."""
-ELLIPSE_M, ELLIPSE_RETURNS = (25.0, 53.0), 120.0
-"""Least and greatest range of the safety ellipse for a shipped target, m; for another one, mean number of
-returns at the least range."""
 FRAMES, SENSOR = 60, "lidar"
 """Number of scans of a sequence, at 1 Hz, and name of the sensor."""
 _START, _TUMBLE = 1, 2
@@ -166,15 +163,6 @@ def tumbling(target: str, rate_deg_s: float, generator: Generator) -> Motion:
         inertia_kg_m2=loaded.inertia_kg_m2,
         duration_s=float(FRAMES),
     )
-
-
-def ellipse_m(target: str) -> tuple[float, float]:
-    """Return the least and the greatest range of the safety ellipse, m."""
-    least_m, greatest_m = ELLIPSE_M
-    if is_shipped(cached_target(target)):
-        return ELLIPSE_M
-    nearest_m = range_of_returns(target, ELLIPSE_RETURNS)
-    return nearest_m, nearest_m * greatest_m / least_m
 
 
 def off_m(target: Target) -> float:

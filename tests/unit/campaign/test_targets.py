@@ -14,10 +14,11 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar import scores
 from rpod_campaign.lidar.cells import ranges_m
 from rpod_campaign.lidar.methods import lidar_config
-from rpod_campaign.lidar.returns import COMMON_RETURNS, range_of_returns
+from rpod_campaign.lidar.returns import COMMON_RETURNS, ELLIPSE_RETURNS, ellipse_m, range_of_returns
 from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
 from rpod_campaign.lidar_acquisition.options import Options as LidarOptions
 from rpod_campaign.lidar_tracking import trial as lidar_tracking
+from rpod_campaign.lidar_trajectory import trial as lidar_trajectory
 from rpod_campaign.pmd import poses
 from rpod_campaign.pmd.framing import FILLED, range_filling
 from rpod_campaign.pmd.scene import camera_of, scenario_of
@@ -100,10 +101,15 @@ def test_the_position_decides_on_success_for_a_target_of_a_file_only(brick):
 
 
 def test_the_ellipse_of_another_target_begins_where_enough_returns_come(brick):
-    assert lidar_tracking.ellipse_m("envisat-bulky") == (25.0, 53.0)
-    least_m, greatest_m = lidar_tracking.ellipse_m(brick)
-    assert least_m == range_of_returns(brick, lidar_tracking.ELLIPSE_RETURNS)
+    assert ellipse_m("envisat-bulky") == (25.0, 53.0)
+    least_m, greatest_m = ellipse_m(brick)
+    assert least_m == range_of_returns(brick, ELLIPSE_RETURNS)
     assert greatest_m > 2.0 * least_m
+    ranges_m = [
+        np.linalg.norm(lidar_trajectory.motion_of(brick).state(50.0 * k).T_chaser_target.translation)
+        for k in range(0, lidar_trajectory.POSITIONS, 10)
+    ]
+    assert [min(ranges_m), max(ranges_m)] == pytest.approx([least_m, greatest_m], rel=0.1)
 
 
 def test_answers_that_name_rivals_are_counted_except_by_symmetry():
