@@ -1,6 +1,7 @@
 """``population``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.lidar.cells import targets
 from rpod_campaign.pmd.cells import scenarios
 from rpod_campaign.pmd.options import PmdOptions
 from rpod_campaign.population import trial
@@ -13,7 +14,7 @@ from rpod_target.population.names import name_of
 def cells(options: Options) -> list[PopulationCell]:
     """Return a cell for each satellite and world. Raises ConfigurationError, which names the option."""
     camera = options.sensor == "pmd"
-    names = options.target or tuple(
+    names = targets(options.target) or tuple(
         name_of(options.population, options.seed, index, small=camera) for index in range(options.bodies)
     )
     wanted = options.filled if camera else options.returns

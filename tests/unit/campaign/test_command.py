@@ -16,6 +16,7 @@ from rpod_campaign.catalogue import BUILT_IN, find, names, options_of
         ("lidar-acquisition", {"ranges": "5y"}, "--ranges: "),
         ("pmd-acquisition", {"target": "hubble"}, "--target: "),
         ("population", {"returns": "30"}, "--returns: "),
+        ("population", {"target": "hubble"}, "--target: "),
         ("population", {"population": "mine"}, "--population: "),
         ("lidar-acquisition", {"steps": "1"}, "--steps: "),
         ("lidar-acquisition", {"trials": "0"}, "--trials: "),

@@ -10,6 +10,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
+from rpod.command_campaign import campaign_command
 from rpod.scenarios import find, shipped
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.trial.poses import errors, nees_of
@@ -168,6 +169,16 @@ def counted(found):
     truth = make_pose(translation_m=(0.0, 0.0, 9.0))
     cell = replace(LIDAR, target="envisat-bulky")
     return population._acquired(cell, found, truth, cached_target(cell.target))
+
+
+def test_the_command_prints_totals_beside_the_cells(tmp_path, capsys):
+    options = {"target": "hexagonal-body", "trials": "1", "returns": "200,300", "task": "tracking"}
+    assert campaign_command("population", options=options, jobs=1, out=tmp_path, as_json=True) == 0
+    printed = json.loads(capsys.readouterr().out)
+    (cell,), totals_ = printed["cells"], printed["totals"]
+    assert (cell["body"], cell["trials"], cell["sensor"]) == ("hexagonal-body", 1, "lidar")
+    assert totals_["all"]["trials"] == 1
+    assert totals_["returns_6_to_60"]["success"]["rate"] is None
 
 
 def test_an_ambiguous_answer_is_a_success_only_with_the_truth_among_several_hypotheses():
