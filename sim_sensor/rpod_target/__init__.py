@@ -5,7 +5,7 @@ and needs Open3D. The result is cached by its digest, so that a service starts i
 """
 
 from rpod_target.errors import TargetError
-from rpod_target.loading import load_target, shipped_targets
+from rpod_target.loading import is_shipped, load_target, shipped_targets
 from rpod_target.target import Albedo, DistanceField, Material, Symmetry, Target
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Symmetry",
     "Target",
     "TargetError",
+    "is_shipped",
     "load_target",
     "shipped_targets",
 ]

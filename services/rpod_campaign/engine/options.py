@@ -13,8 +13,15 @@ from rpod_schemas.config.emulator import WorldName
 
 Trials = Annotated[int, Field(gt=0, description="Number of trials of each cell.")]
 Names = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
+Sizes = Annotated[str, Field(pattern=r"^[0-9]*\.?[0-9]+x$")]
+"""A length in longest sides of the target, such as 5x."""
 Ranges = Annotated[
-    tuple[Positive, ...], Field(min_length=1, description="Ranges of the target's origin from the sensor, m.")
+    tuple[Positive | Sizes, ...],
+    Field(
+        min_length=1,
+        description="Ranges of the target's origin from the sensor: in m, or in its longest sides, such as "
+        "5x. For a target that is no shipped one, they follow from the sensor if they are not given.",
+    ),
 ]
 
 

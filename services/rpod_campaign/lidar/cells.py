@@ -3,11 +3,13 @@
 from collections.abc import Iterator
 
 from rpod_campaign.engine.options import either
+from rpod_campaign.engine.trial.sizes import in_metres
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import METHODS, TEMPLATE_MATCHING, lidar_input
-from rpod_campaign.lidar.options import CENTROID
+from rpod_campaign.lidar.options import CENTROID, LidarOptions
+from rpod_campaign.lidar.returns import COMMON_RETURNS, range_of_returns
 from rpod_schemas.errors import ConfigurationError
-from rpod_target import TargetError
+from rpod_target import TargetError, is_shipped
 
 
 def targets(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -18,6 +20,18 @@ def targets(names: tuple[str, ...]) -> tuple[str, ...]:
         except TargetError as error:
             raise ConfigurationError("--target", "", str(error)) from error
     return names
+
+
+def ranges_m(options: LidarOptions, target: str) -> tuple[float, ...]:
+    """Return the ranges of a campaign's option, m.
+
+    If it is not given, those of a shipped target are the option's default, and those of another target give
+    500 to 30 returns on average.
+    """
+    loaded = cached_target(target)
+    if "ranges" in options.model_fields_set or is_shipped(loaded):
+        return in_metres(getattr(options, "ranges"), loaded)  # noqa: B009 - each campaign has its own default
+    return tuple(dict.fromkeys(range_of_returns(target, returns) for returns in COMMON_RETURNS))
 
 
 def methods(names: tuple[str, ...], known: tuple[str, ...] = METHODS) -> tuple[str, ...]:

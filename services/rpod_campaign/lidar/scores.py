@@ -6,13 +6,15 @@ import polars as pl
 from scipy.spatial.transform import RigidTransform
 
 from rpod_campaign.engine.trial.poses import POSE, errors, numbers
+from rpod_campaign.engine.trial.sizes import Limits, longest_side_m
 from rpod_pose.ports import Acquisition
-from rpod_target import Target
+from rpod_target import Target, is_shipped
 
 SUCCESS_DEG = 3.0
 """Attitude error below which a pose is a success, deg (2015 paper, section 4.2)."""
-RIGHT_M = 0.3
-"""Position error from which on an accepted pose is wrong, whatever its attitude, m."""
+RIGHT_M, RIGHT_SHARE = 0.3, 0.03
+"""Position error from which on an accepted pose is wrong, whatever its attitude: of a shipped target, m, and
+of another one, over its longest side. The position of another target also decides on success."""
 ACQUISITION_SCHEMA: dict[str, Any] = {
     "truth": POSE,
     "found": POSE,
@@ -23,6 +25,7 @@ ACQUISITION_SCHEMA: dict[str, Any] = {
     "verdict": pl.String,
     "reason": pl.String,
     "hypotheses": pl.Int64,
+    "right_hypothesis": pl.Boolean,
     "f_conv_m2": pl.Float64,
     "explained_share": pl.Float64,
     "inliers": pl.Int64,
@@ -32,11 +35,18 @@ ACQUISITION_SCHEMA: dict[str, Any] = {
 }
 
 
-def is_wrong(attitude_deg: float | None, position_m: float | None) -> bool:
-    """Return whether a pose must not be accepted."""
-    if attitude_deg is None or position_m is None:
-        return True
-    return attitude_deg >= SUCCESS_DEG or position_m >= RIGHT_M
+def limits_of(target: Target) -> Limits:
+    """Return the errors from which on an accepted pose is wrong; relative to the size of other targets."""
+    if is_shipped(target):
+        return Limits(SUCCESS_DEG, RIGHT_M)
+    return Limits(SUCCESS_DEG, RIGHT_SHARE * longest_side_m(target))
+
+
+def is_success(attitude_deg: float | None, position_m: float | None, target: Target) -> bool:
+    """Return whether a pose is a success: by its attitude alone, as in the paper, for a shipped target."""
+    if is_shipped(target):
+        return attitude_deg is not None and attitude_deg < SUCCESS_DEG
+    return limits_of(target).are_met(attitude_deg, position_m)
 
 
 def acquisition_row(
@@ -50,11 +60,14 @@ def acquisition_row(
         "found": numbers(acquisition.pose),
         "attitude_error_deg": attitude_deg,
         "position_error_m": position_m,
-        "success": attitude_deg is not None and attitude_deg < SUCCESS_DEG,
+        "success": is_success(attitude_deg, position_m, target),
         "accepted": acquisition.begins_track,
         "verdict": str(acquisition.outcome),
         "reason": acquisition.belief.reason,
         "hypotheses": len(acquisition.hypotheses),
+        "right_hypothesis": any(
+            is_success(*errors(truth, each.pose, target), target) for each in acquisition.hypotheses
+        ),
         "f_conv_m2": registration.cost_m2,
         "explained_share": registration.explained_share,
         "inliers": registration.inliers,
@@ -62,3 +75,21 @@ def acquisition_row(
         "templates": acquisition.templates,
         "excluded_share": acquisition.excluded_share,
     }
+
+
+def ambiguous(rows: pl.DataFrame) -> dict[str, int]:
+    """Return the number of answers that begin no track because rivals are left, and of those with the truth.
+
+    An ambiguity by an exact symmetry begins a track and is not counted.
+    """
+    unsure = rows.filter((pl.col("verdict") == "ambiguous") & ~pl.col("accepted"))
+    return {"ambiguous": unsure.height, "ambiguous_with_truth": int(unsure["right_hypothesis"].sum())}
+
+
+def wrong(rows: pl.DataFrame, target: Target) -> pl.Series:
+    """Return which rows must not be accepted: errors beyond the limits, or no pose."""
+    limits = limits_of(target)
+    off = (pl.col("attitude_error_deg") >= limits.attitude_deg) | (
+        pl.col("position_error_m") >= limits.position_m
+    )
+    return rows.select(off.fill_null(value=True).alias("wrong")).to_series()

@@ -2,7 +2,7 @@
 
 from rpod_campaign.engine.campaign import Campaign
 from rpod_campaign.engine.options import either
-from rpod_campaign.lidar.cells import methods, targets, variants
+from rpod_campaign.lidar.cells import methods, ranges_m, targets, variants
 from rpod_campaign.lidar.options import EQ4, SAMPLING
 from rpod_campaign.lidar_acquisition import trial
 from rpod_campaign.lidar_acquisition.options import Options
@@ -31,7 +31,7 @@ def cells(options: Options) -> list[AcquisitionCell]:
         )
         for eq4 in either(options.eq4, EQ4)
         for sampling in either(options.sampling, SAMPLING)
-        for range_m in options.ranges
+        for range_m in ranges_m(options, target)
         for world in options.world
     ]
 

@@ -1,7 +1,7 @@
 """``lidar-range``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
-from rpod_campaign.lidar.cells import methods, steps_of, targets
+from rpod_campaign.lidar.cells import methods, ranges_m, steps_of, targets
 from rpod_campaign.lidar_range import trial
 from rpod_campaign.lidar_range.options import Options
 from rpod_campaign.lidar_range.report import sections, summarise
@@ -26,7 +26,7 @@ def cells(options: Options) -> list[RangeCell]:
         for step_deg in steps_of(method, options.steps)
         for detection in ("off", "on")
         for scan_step_deg in _scan_steps(options)
-        for range_m in options.ranges
+        for range_m in ranges_m(options, target)
         for world in options.world
     ]
 

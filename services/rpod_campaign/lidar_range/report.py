@@ -11,7 +11,10 @@ from rpod_campaign.engine.report.charts import rate_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, printed, word
 from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.scores import ambiguous, wrong
 from rpod_campaign.lidar_range.trial import RangeCell, lidar_of
+from rpod_target import Target, is_shipped
 
 Results = Sequence[CellResult[RangeCell]]
 OBB_TM_1_DEG = {
@@ -31,15 +34,17 @@ CRITERION_DEG, CRITERION_M = 5.0, 0.2
 """OBB-TM's criterion of success: attitude error, deg, and position error, m."""
 
 
-def close(rows: pl.DataFrame) -> Rate:
-    """Return the share within 5 deg and 0.2 m."""
+def close(rows: pl.DataFrame, target: Target) -> Rate:
+    """Return the share within 5 deg and 0.2 m; for a target that is not shipped, that of successes."""
+    if not is_shipped(target):
+        return rate(int(rows["success"].sum()), rows.height)
     near = (pl.col("attitude_error_deg") < CRITERION_DEG) & (pl.col("position_error_m") < CRITERION_M)
     return rate(int(rows.select(near.fill_null(value=False).sum()).item()), rows.height)
 
 
 def summarise(cell: RangeCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell."""
-    share, lidar = close(rows), lidar_of(cell)
+    share, lidar = close(rows, cached_target(cell.target)), lidar_of(cell)
     return {
         **asdict(cell),
         "window_deg": lidar.pattern.azimuth_span_deg,
@@ -50,6 +55,8 @@ def summarise(cell: RangeCell, rows: pl.DataFrame) -> dict[str, Any]:
         "wilson_low": share.low,
         "wilson_high": share.high,
         "accepted": int(rows["accepted"].sum()),
+        "wrong_accepted": int((wrong(rows, cached_target(cell.target)) & rows["accepted"]).sum()),
+        **ambiguous(rows),
         "median_s": quantile(rows["acquire_s"], 0.5),
         "p95_s": quantile(rows["acquire_s"], 0.95),
     }
@@ -62,7 +69,7 @@ def sections(results: Results) -> list[Section]:
         cell = result.cell
         name = f"{in_world(cell.target, cell.world)}, {cell.method}, {cell.scan_step_deg:g} deg"
         name += f", detection {cell.detection}"
-        lines.setdefault(name, {})[cell.range_m] = close(result.rows)
+        lines.setdefault(name, {})[cell.range_m] = close(result.rows, cached_target(result.cell.target))
     note = (
         f"Success: within {CRITERION_DEG:g} deg and {CRITERION_M:g} m, OBB-TM's criterion, with 95 % Wilson "
         "intervals. Detection off: every ray that meets the target returns, as for OBB-TM. The window has "
@@ -89,7 +96,7 @@ def _table(results: Results) -> Table:
                 number(s["scan_time_s"], ".2f"),
                 word(s["trials"]),
                 number(s["mean_returns"], ".0f"),
-                str(close(result.rows)),
+                str(close(result.rows, cached_target(result.cell.target))),
                 printed(published, cell.range_m),
                 milliseconds(s["median_s"]),
                 milliseconds(s["p95_s"]),

@@ -1,7 +1,7 @@
 """``lidar-robustness``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
-from rpod_campaign.lidar.cells import methods, steps_of, targets
+from rpod_campaign.lidar.cells import methods, ranges_m, steps_of, targets
 from rpod_campaign.lidar_robustness import trial
 from rpod_campaign.lidar_robustness.options import Options
 from rpod_campaign.lidar_robustness.report import sections, summarise
@@ -22,7 +22,7 @@ def cells(options: Options) -> list[RobustnessCell]:
         for target in targets(options.target)
         for method in methods(options.method)
         for step_deg in steps_of(method, options.steps)
-        for range_m in options.ranges
+        for range_m in ranges_m(options, target)
         for disturbance in DISTURBANCES
         for world in options.world
     ]

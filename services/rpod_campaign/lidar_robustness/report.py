@@ -9,6 +9,8 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, number, word
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.scores import ambiguous, wrong
 from rpod_campaign.lidar_acquisition.report import success
 from rpod_campaign.lidar_robustness.trial import NOMINAL, RobustnessCell
 
@@ -24,7 +26,9 @@ def summarise(cell: RobustnessCell, rows: pl.DataFrame) -> dict[str, Any]:
         "success_rate": share.value,
         "wilson_low": share.low,
         "wilson_high": share.high,
+        "wrong_accepted": int((wrong(rows, cached_target(cell.target)) & rows["accepted"]).sum()),
         "right_rejected": int((rows["success"] & ~rows["accepted"]).sum()),
+        **ambiguous(rows),
     }
 
 

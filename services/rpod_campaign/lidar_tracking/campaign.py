@@ -1,7 +1,7 @@
 """``lidar-tracking``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
-from rpod_campaign.lidar.cells import targets
+from rpod_campaign.lidar.cells import ranges_m, targets
 from rpod_campaign.lidar.methods import tracking_input
 from rpod_campaign.lidar_tracking import trial
 from rpod_campaign.lidar_tracking.options import Options
@@ -20,7 +20,7 @@ def cells(options: Options) -> list[TrackingCell]:
         for target in targets(options.target)
         for tracker in options.matcher
         for range_m, rate_deg_s in (
-            *((range_m, None) for range_m in options.ranges),
+            *((range_m, None) for range_m in ranges_m(options, target)),
             *((None, rate_deg_s) for rate_deg_s in _RATES_DEG_S),
         )
         for world in options.world

@@ -12,11 +12,13 @@ from numpy.random import Generator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_campaign.engine.trial.poses import POSE, errors, numbers
+from rpod_campaign.engine.trial.sizes import longest_side_m
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import lidar_config, pattern_of, tracking_input
+from rpod_campaign.lidar.returns import ellipse_m
 from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
-from rpod_campaign.lidar.scores import SUCCESS_DEG
+from rpod_campaign.lidar.scores import SUCCESS_DEG, is_success
 from rpod_motion.motion import Motion, build_motion
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
@@ -28,11 +30,13 @@ from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Mode
+from rpod_schemas.types import BeliefLevel, Mode
 from rpod_sim_sensor.lidar import LidarEmulator
+from rpod_target import Target, is_shipped
 
-OFF_DEG, OFF_M = 5.0, 0.3
-"""Error of a single scan's start: angle, deg, and distance, m."""
+OFF_DEG, OFF_M, OFF_SHARE = 5.0, 0.3, 0.03
+"""Error of a single scan's start: angle, deg, and distance: m for a shipped target, over the longest side for
+another one."""
 FRAMES, SENSOR = 60, "lidar"
 """Number of scans of a sequence, at 1 Hz, and name of the sensor."""
 _START, _TUMBLE = 1, 2
@@ -46,7 +50,7 @@ class TrackingCell:
     target: str
     tracker: str
     range_m: float | None
-    """Range of single scans, m; None for sequences, which follow the safety ellipse of 25 to 53 m."""
+    """Range of single scans, m; None for sequences, which follow the safety ellipse."""
     rate_deg_s: float | None
     """Tumbling rate of sequences, deg/s; None for single scans."""
     world: WorldName = "documented"
@@ -59,6 +63,8 @@ SCHEMA: dict[str, Any] = {
     "attitude_error_deg": pl.Float64,
     "position_error_m": pl.Float64,
     "success": pl.Boolean,
+    "accepted": pl.Boolean,
+    "ambiguous": pl.Boolean,
     "nees": pl.Float64,
     "reason": pl.String,
     "returns": pl.Int64,
@@ -66,6 +72,7 @@ SCHEMA: dict[str, Any] = {
     "frames": pl.Int64,
     "rejected_frames": pl.Int64,
     "lost_frames": pl.Int64,
+    "wrong_frames": pl.Int64,
     "worst_deg": pl.Float64,
 }
 
@@ -82,20 +89,23 @@ def _single(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
         cell.target, range_m=cell.range_m or 0.0, sampling="euler", seed=seed, trial=trial
     ).T_sensor_target
     scan = scan_of(emulator, truth, trial=trial)
-    start = _off(truth, stream(seed, trial, _START))
+    start = _off(truth, stream(seed, trial, _START), cached_target(cell.target))
     begin_s = time.perf_counter()
     registration = methods.tracker.track(scan, start)
     took_s = time.perf_counter() - begin_s
-    found = registration.T_sensor_target
+    found, belief = registration.T_sensor_target, registration.belief
     attitude_deg, position_m = errors(truth, found, cached_target(cell.target))
     return {
         "truth": numbers(truth),
         "found": numbers(found),
         "attitude_error_deg": attitude_deg,
         "position_error_m": position_m,
-        "success": attitude_deg is not None and attitude_deg < SUCCESS_DEG,
+        "success": is_success(attitude_deg, position_m, cached_target(cell.target)),
+        "accepted": found is not None and belief.level is BeliefLevel.ACCEPTED,
+        "ambiguous": belief.level is not BeliefLevel.ACCEPTED
+        and any(not rival.exact for rival in belief.rivals),
         "nees": None if found is None else nees(truth, found, registration.covariance),
-        "reason": registration.belief.reason,
+        "reason": belief.reason,
         "returns": len(scan.returns_m),
         "track_s": took_s,
     }
@@ -116,6 +126,7 @@ def _sequence(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
         "frames": len(frames),
         "rejected_frames": sum(not accepted for _, accepted, _ in frames),
         "lost_frames": sum(mode is not Mode.TRACKING or angle >= SUCCESS_DEG for angle, _, mode in frames),
+        "wrong_frames": sum(accepted and angle >= SUCCESS_DEG for angle, accepted, _ in frames),
         "worst_deg": max(angles_deg),
         "attitude_error_deg": float(np.median(angles_deg)),
     }
@@ -139,9 +150,10 @@ def tumbling(target: str, rate_deg_s: float, generator: Generator) -> Motion:
     """Return a tumble at a rate about a random axis, from a random attitude and place on the ellipse."""
     loaded = cached_target(target)
     axis = Rotation.random(rng=generator).apply((1.0, 0.0, 0.0))
+    least_m, greatest_m = ellipse_m(target)
     config = MotionConfig(
         trajectory=StationKeepingConfig(
-            least_range_m=25.0, greatest_range_m=53.0, phase_deg=generator.uniform(0.0, 360.0)
+            least_range_m=least_m, greatest_range_m=greatest_m, phase_deg=generator.uniform(0.0, 360.0)
         ),
         attitude=TumbleConfig(R_chaser_target=Rotation.random(rng=generator), rate_deg_s=rate_deg_s * axis),
     )
@@ -153,12 +165,17 @@ def tumbling(target: str, rate_deg_s: float, generator: Generator) -> Motion:
     )
 
 
-def _off(truth: RigidTransform, generator: Generator) -> RigidTransform:
-    """Return a pose with an error of 5 deg and 0.3 m in random directions."""
+def off_m(target: Target) -> float:
+    """Return the distance by which a single scan's start is off, m."""
+    return OFF_M if is_shipped(target) else OFF_SHARE * longest_side_m(target)
+
+
+def _off(truth: RigidTransform, generator: Generator, target: Target) -> RigidTransform:
+    """Return a pose with an error of 5 deg and ``off_m`` in random directions."""
     turn, shift = Rotation.random(2, rng=generator).apply((1.0, 0.0, 0.0))
     return make_pose(
         rotation=Rotation.from_rotvec(np.deg2rad(OFF_DEG) * turn) * truth.rotation,
-        translation_m=truth.translation + OFF_M * shift,
+        translation_m=truth.translation + off_m(target) * shift,
     )
 
 

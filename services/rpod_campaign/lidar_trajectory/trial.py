@@ -14,8 +14,9 @@ from scipy.spatial.transform import RigidTransform
 from rpod_campaign.engine.trial.poses import POSE, errors, numbers
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import TimedSearch, lidar_config, lidar_input, pattern_of, template_search
+from rpod_campaign.lidar.returns import ellipse_m
 from rpod_campaign.lidar.scene import emulator_of, scan_of
-from rpod_campaign.lidar.scores import SUCCESS_DEG
+from rpod_campaign.lidar.scores import is_success
 from rpod_motion.motion import Motion, build_motion
 from rpod_pose.methods import methods_of
 from rpod_pose.ports import Registration, Tracker
@@ -115,7 +116,7 @@ def _refined(truth: RigidTransform, registration: Registration | None, target: T
         "found": numbers(pose),
         "attitude_error_deg": attitude_deg,
         "position_error_m": position_m,
-        "success": attitude_deg is not None and attitude_deg < SUCCESS_DEG,
+        "success": is_success(attitude_deg, position_m, target),
         "f_conv_m2": None if registration is None or pose is None else registration.cost_m2,
     }
 
@@ -146,8 +147,11 @@ def _euler_deg(pose: RigidTransform) -> FloatArray:
 def motion_of(target: str) -> Motion:
     """Return the assumed motion of a target over the positions."""
     loaded = cached_target(target)
+    least_m, greatest_m = ellipse_m(target)
+    ellipse = {"least_range_m": least_m, "greatest_range_m": greatest_m}
+    trajectory = MOTION.trajectory.model_copy(update=ellipse)
     return build_motion(
-        MOTION,
+        MOTION.model_copy(update={"trajectory": trajectory}),
         centre_of_mass_m=loaded.centre_of_mass_m,
         inertia_kg_m2=loaded.inertia_kg_m2,
         duration_s=(POSITIONS - 1) * INTERVAL_S,

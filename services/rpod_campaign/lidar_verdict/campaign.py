@@ -1,11 +1,13 @@
 """``lidar-verdict``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
-from rpod_campaign.lidar.cells import methods, steps_of, targets
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.cells import methods, ranges_m, steps_of, targets
 from rpod_campaign.lidar_verdict import trial
 from rpod_campaign.lidar_verdict.options import Options
 from rpod_campaign.lidar_verdict.report import sections, summarise
 from rpod_campaign.lidar_verdict.trial import VerdictCell
+from rpod_target import is_shipped
 
 _OTHERS = ("envisat-slim", "envisat-bulky", "mockup")
 """Targets that are scanned instead: one of another size, and another object."""
@@ -26,9 +28,17 @@ def cells(options: Options) -> list[VerdictCell]:
         for step_deg in steps_of(method, options.steps)
         for target in targets(options.target)
         for scanned in _scanned(method, target)
-        for range_m in options.ranges
+        for range_m in _ranges_m(options, target)
         for world in options.world
     ]
+
+
+def _ranges_m(options: Options, target: str) -> tuple[float, ...]:
+    """Return the ranges for the reference; a target of another size is scanned from others."""
+    if is_shipped(cached_target(target)):
+        return ranges_m(options, target)
+    scale = trial.size_m(trial.REFERENCE) / trial.size_m(target)
+    return tuple(scale * range_m for range_m in ranges_m(options, target))
 
 
 def _scanned(method: str, target: str) -> tuple[str, ...]:

@@ -49,6 +49,8 @@ def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
         "right": int((~wrong).sum()),
         "right_rejected": int((~wrong & ~accepted).sum()),
         "right_ambiguous": int((~wrong & ~accepted & ambiguous).sum()),
+        "success_rate": rate(int((~wrong).sum()), rows.height).value,
+        "ambiguous": int((ambiguous & ~accepted).sum()),
     }
 
 

@@ -14,7 +14,7 @@ import polars as pl
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import MATCHERS, lidar_config, lidar_input, pattern_of
 from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
-from rpod_campaign.lidar.scores import ACQUISITION_SCHEMA, acquisition_row, is_wrong
+from rpod_campaign.lidar.scores import ACQUISITION_SCHEMA, acquisition_row, limits_of
 from rpod_pose.lidar.global_search import GlobalSearch
 from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
@@ -65,7 +65,9 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
     acquisition = judge.judged(scan)
     row = acquisition_row(drawn.T_sensor_target, acquisition, len(scan.returns_m), cached_target(cell.target))
     other = cell.scanned_target != cell.target
-    wrong = other or is_wrong(row["attitude_error_deg"], row["position_error_m"])
+    wrong = other or not limits_of(cached_target(cell.target)).are_met(
+        row["attitude_error_deg"], row["position_error_m"]
+    )
     return {**row, **judge.scores(scan, acquisition), "wrong": wrong, "scanned_range_m": range_m}
 
 

@@ -1,28 +1,41 @@
 """Cells of the camera's campaigns from the options that they share."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rpod_campaign.engine.report.numbers import in_world
+from rpod_campaign.engine.trial.sizes import in_metres
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.pmd.framing import ranges_filling, reaching
 from rpod_campaign.pmd.methods import has_radius, pmd_input
 from rpod_campaign.pmd.options import PmdOptions
+from rpod_campaign.pmd.scene import camera_of
 from rpod_schemas.config.base import check
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
+from rpod_target import TargetError
 
 CALIBRATED_WIGGLING = 0.005
 """Share of the third harmonic h3 that remains after a calibration."""
 _FAMILY = "mockup-"
 
 
-def scenarios(options: PmdOptions) -> Iterator[tuple[str, Scenario]]:
-    """Yield the scenarios with a camera in each world, and their labels.
+def scenarios(
+    options: PmdOptions, *, ranges: Sequence[float | str] | None = None
+) -> Iterator[tuple[str, Scenario]]:
+    """Yield the scenarios with a camera in each world and with each target, and their labels.
 
-    ``mockup-`` may be left out of a name; a label names any world but the documented one.
+    ``mockup-`` may be left out of a name; a label names any world but the documented one, and any target but
+    the scenario's own.
+
+    Args:
+        options: options of the campaign.
+        ranges: ranges between which the target approaches; None for those of the scenario, or for another
+            target those at which it fills 20 to 80 % of the image's height.
 
     Raises:
-        ConfigurationError: a scenario is unknown.
+        ConfigurationError: a scenario is unknown, or a target cannot be loaded.
     """
     known = {
         name.removeprefix(_FAMILY): scenario
@@ -33,9 +46,54 @@ def scenarios(options: PmdOptions) -> Iterator[tuple[str, Scenario]]:
         short = name.removeprefix(_FAMILY)
         if short not in known:
             raise ConfigurationError("--scenario", "", f"needs {', '.join(known)}, not {name!r}")
-        for world in options.world:
-            scenario = known[short].model_copy(update={"world": world})
-            yield in_world(short, world), scenario
+        for target in options.target or (known[short].target,):
+            shown = _with_target(known[short], target, ranges)
+            own = target == known[short].target
+            label = short if own else f"{short} with {cached_target(target).name}"
+            for world in options.world:
+                yield in_world(label, world), shown.model_copy(update={"world": world})
+
+
+def ranges_m(ranges: Sequence[float | str] | None, scenario: Scenario) -> tuple[float, float]:
+    """Return the least and the greatest of some ranges, m.
+
+    Without any, they are those at which the scenario's target fills 80 and 20 % of the image's height.
+    """
+    target = cached_target(scenario.target)
+    if ranges is None:
+        return ranges_filling(target, camera_of(scenario))
+    lengths_m = in_metres(ranges, target)
+    return min(lengths_m), max(lengths_m)
+
+
+def chosen(options: PmdOptions, scenario: Scenario) -> tuple[float | str, ...] | None:
+    """Return the ranges of a campaign's option; None to let another target fill 20 to 80 % of the image."""
+    ranges: tuple[float | str, ...] = getattr(options, "ranges")  # noqa: B009 - not every campaign has it
+    own = options.scenarios[scenario.name].target == scenario.target
+    return ranges if own or "ranges" in options.model_fields_set else None
+
+
+def approaching(scenario: Scenario, range_m: tuple[float, float]) -> Scenario:
+    """Return a scenario with a straight approach from one range to another, m."""
+    document: dict[str, Any] = scenario.model_dump(mode="json")
+    start_m, end_m = range_m
+    document["motion"]["trajectory"] |= {"start_m": [0.0, 0.0, start_m], "end_m": [0.0, 0.0, end_m]}
+    return check(Scenario, document, source=scenario.name)
+
+
+def _with_target(scenario: Scenario, target: str, ranges: Sequence[float | str] | None) -> Scenario:
+    """Return a scenario with another target, or with other ranges, on a straight approach."""
+    if target == scenario.target and ranges is None:
+        return scenario
+    try:
+        cached_target(target)
+    except TargetError as error:
+        raise ConfigurationError("--target", "", str(error)) from error
+    document: dict[str, Any] = scenario.model_dump(mode="json")
+    document["target"], document["estimator"]["initial_pose"] = target, None
+    shown = check(Scenario, document, source=scenario.name)
+    near_m, far_m = ranges_m(ranges, shown)
+    return approaching(reaching(shown, far_m), (far_m, near_m))
 
 
 def methods(

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rpod_campaign.engine.options import Names, Options, Provided, Worlds
+from rpod_campaign.engine.options import Names, Options, Provided, Ranges, Worlds
 from rpod_schemas.config.scenario import Scenario
 
 Methods = Annotated[
@@ -17,6 +17,14 @@ Methods = Annotated[
 Radii = Annotated[
     Annotated[tuple[Annotated[int, Field(gt=0)], ...], Field(min_length=1)] | None,
     Field(description="Radii of the neighbour search of ICP with reverse calibration, pixels."),
+]
+Approach = Annotated[
+    Ranges | None,
+    Field(
+        description="Ranges between which the target approaches: in m, or in its longest sides, such as 5x. "
+        "By default those of the scenario; for another target, those at which it fills 20 to 80 % of the "
+        "image's height."
+    ),
 ]
 Frames = Annotated[
     Literal["keyframes", "full", "both"],
@@ -40,6 +48,8 @@ class PmdOptions(Options):
 
     scenario: Names = ("tumbling",)
     """Scenarios with the camera, by name; 'mockup-' may be left out."""
+    target: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    """Targets instead of that of the scenario: names, or paths of parameter files."""
     world: Worlds = ("documented",)
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)
     """Installed scenarios, by name."""

@@ -11,10 +11,11 @@ import polars as pl
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.scoring.score import OFF_TARGET_M, OFF_TARGET_RAD, find_nees
-from rpod_campaign.engine.trial.poses import POSE, numbers
+from rpod_campaign.engine.trial.poses import POSE, nearest, numbers
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.methods import pmd_input
+from rpod_campaign.pmd.poses import in_proportion, limits_of
 from rpod_campaign.pmd.scene import Shot, Stage, off, scenario_of, times_s, turned
 from rpod_campaign.pmd.world import NOMINAL, World
 from rpod_pose.measurement import Measurement
@@ -24,11 +25,12 @@ from rpod_pose.ports import Methods, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.poses import pose_error
-from rpod_schemas.types import PmdFrame
+from rpod_schemas.types import BeliefLevel, PmdFrame
+from rpod_target import Target
 
 START_DEG, START_M = 2.0, 0.03
-"""Error of the first frame's guess in random directions: angle, deg, and distance, m. The paper takes the
-first pose as known (section 3)."""
+"""Error of the first frame's guess in random directions: angle, deg, and distance for the mock-up, m. The
+paper takes the first pose as known (section 3)."""
 _START = 13
 """Stream of random numbers for the first guess."""
 FRAME = "frame"
@@ -75,6 +77,9 @@ SCHEMA: dict[str, Any] = {
     "sigma_m": pl.Float64,
     "measured": pl.Boolean,
     "off_target": pl.Boolean,
+    "right": pl.Boolean,
+    "believed": pl.Boolean,
+    "ambiguous": pl.Boolean,
     "reason": pl.String,
     "inliers": pl.Int64,
     "iterations": pl.Int64,
@@ -94,6 +99,10 @@ class Answer(NamedTuple):
     reason: str = ""
     inliers: int = 0
     iterations: int = 0
+    believed: bool = False
+    """Whether the method accepts the estimate without a doubt, or the navigator accepts the measurement."""
+    ambiguous: bool = False
+    """Whether other poses explain the frame as well."""
 
 
 class Follower(Protocol):
@@ -106,8 +115,9 @@ class Follower(Protocol):
 
 def run(cell: SequenceCell, seed: int, trial: int) -> list[dict[str, Any]]:
     """Return a row for each frame."""
+    target = cached_target(scenario_of(cell.document).target)
     return [
-        {FRAME: number, **_row(shot, answer), "track_s": took_s, "seed": seed}
+        {FRAME: number, **_row(shot, answer, target), "track_s": took_s, "seed": seed}
         for number, (shot, answer, took_s) in enumerate(followed(cell, seed, trial))
     ]
 
@@ -116,7 +126,8 @@ def followed(cell: SequenceCell, seed: int, trial: int) -> Iterator[tuple[Shot, 
     """Yield each frame, the method's answer, and its processor time, s."""
     scenario = scenario_of(cell.document)
     stage = Stage(scenario, cell.world, seed=seed, trial=trial)
-    first = off(stage.truth(0.0), stream(seed, trial, _START), angle_deg=START_DEG, distance_m=START_M)
+    start_m = in_proportion(START_M, stage.target)
+    first = off(stage.truth(0.0), stream(seed, trial, _START), angle_deg=START_DEG, distance_m=start_m)
     follower = _follower(cell, stage, first)
     for time_s in times_s(scenario, cell.frames):
         shot = stage.take(time_s)
@@ -136,8 +147,18 @@ class _ByTracker:
         measured = found.continues_track
         if measured and found.T_sensor_target is not None:
             self._last = found.T_sensor_target
-        reason = found.belief.reason
-        return Answer(self._last, measured, found.covariance, reason, found.inliers, found.iterations)
+        belief = found.belief
+        return Answer(
+            self._last,
+            measured,
+            found.covariance,
+            belief.reason,
+            found.inliers,
+            found.iterations,
+            believed=measured and belief.level is BeliefLevel.ACCEPTED,
+            ambiguous=belief.level is not BeliefLevel.ACCEPTED
+            and any(not rival.exact for rival in belief.rivals),
+        )
 
 
 class _FromTruth(_ByTracker):
@@ -167,11 +188,22 @@ class _ByNavigator:
         self._state, output = self._navigator.step(self._state, measurement)
         status, odometry = output.status, output.odometry
         if odometry is None:
-            return Answer(self._last, False, np.full((6, 6), np.nan), status.reason, status.inliers)
+            unknown = np.full((6, 6), np.nan)
+            return Answer(
+                self._last, False, unknown, status.reason, status.inliers, ambiguous=status.ambiguous
+            )
         to_sensor = self._mount.inv()
         self._last = to_sensor * odometry.pose
         covariance = turned(odometry.pose_covariance, to_sensor.rotation)
-        return Answer(self._last, True, covariance, status.reason, status.inliers)
+        return Answer(
+            self._last,
+            True,
+            covariance,
+            status.reason,
+            status.inliers,
+            believed=status.accepted,
+            ambiguous=status.ambiguous,
+        )
 
 
 def _follower(cell: SequenceCell, stage: Stage, first: RigidTransform) -> Follower:
@@ -196,8 +228,9 @@ def _input(cell: SequenceCell) -> PmdInput:
     return method.model_copy(update={"calibration": camera.calibration})
 
 
-def _row(shot: Shot, answer: Answer) -> dict[str, Any]:
-    truth, found = shot.T_sensor_target, answer.T_sensor_target
+def _row(shot: Shot, answer: Answer, target: Target) -> dict[str, Any]:
+    found = answer.T_sensor_target
+    truth = nearest(shot.T_sensor_target, found, target)
     attitude_rad, position_m = pose_error(truth, found)
     in_sensor_rad = (found.rotation * truth.rotation.inv()).as_rotvec()
     in_target_m = truth.rotation.inv().apply(position_m)
@@ -207,7 +240,7 @@ def _row(shot: Shot, answer: Answer) -> dict[str, Any]:
         "time_s": shot.time_s,
         "range_m": float(np.linalg.norm(truth.translation)),
         "depth_share": shot.depth_share,
-        "truth": numbers(truth),
+        "truth": numbers(shot.T_sensor_target),
         "found": numbers(found),
         **_components(("roll_deg", "pitch_deg", "yaw_deg"), np.rad2deg(attitude_rad)),
         **_components(("x_m", "y_m", "z_m"), position_m),
@@ -219,7 +252,10 @@ def _row(shot: Shot, answer: Answer) -> dict[str, Any]:
         "sigma_deg": np.rad2deg(_worst_sigma(answer.covariance[3:, 3:])),
         "sigma_m": _worst_sigma(answer.covariance[:3, :3]),
         "measured": answer.measured,
-        "off_target": angle_rad > OFF_TARGET_RAD or distance_m > OFF_TARGET_M,
+        "off_target": angle_rad > OFF_TARGET_RAD or distance_m > in_proportion(OFF_TARGET_M, target),
+        "right": answer.measured and limits_of(target).are_met(float(np.rad2deg(angle_rad)), distance_m),
+        "believed": answer.believed,
+        "ambiguous": answer.ambiguous,
         "reason": answer.reason,
         "inliers": answer.inliers,
         "iterations": answer.iterations,

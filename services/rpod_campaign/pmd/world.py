@@ -6,6 +6,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import PmdFrame
 from rpod_target import Target
@@ -62,6 +63,11 @@ def _misbuilt(triangles_m: FloatArray, shift_m: FloatArray, growth_m: FloatArray
     centre, size = (low + high) / 2.0, high - low
     grown: FloatArray = centre + shift_m + (triangles_m - centre) * (1.0 + growth_m / size)
     return grown
+
+
+def has_material(target: str, material: str) -> bool:
+    """Return whether a target of a name has a material, with which it may be covered."""
+    return any(known.name == material for known in cached_target(target).materials)
 
 
 def _coated(target: Target, material: str) -> Target:

@@ -1,7 +1,7 @@
 """``pmd-acquisition``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
-from rpod_campaign.pmd.cells import methods, scenarios
+from rpod_campaign.pmd.cells import chosen, methods, ranges_m, scenarios
 from rpod_campaign.pmd_acquisition import trial
 from rpod_campaign.pmd_acquisition.options import Options
 from rpod_campaign.pmd_acquisition.report import sections, summarise
@@ -18,13 +18,12 @@ CASES = {
 
 def cells(options: Options) -> list[AcquisitionCell]:
     """Return the cells. Raises ConfigurationError, which names the option."""
-    nearest_m, farthest_m = min(options.ranges), max(options.ranges)
     return [
         AcquisitionCell(
             view=view,
             start=start,
             method=method,
-            range_m=(nearest_m, farthest_m),
+            range_m=ranges_m(chosen(options, scenario), scenario),
             document=scenario.model_dump_json(),
             target=scenario.target,
             world=scenario.world,

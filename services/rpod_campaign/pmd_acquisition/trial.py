@@ -11,7 +11,7 @@ import polars as pl
 from rpod_campaign.engine.trial.poses import POSE, errors, numbers
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.pmd.methods import pmd_input
-from rpod_campaign.pmd.poses import SUCCESS_DEG, SUCCESS_M, drawn
+from rpod_campaign.pmd.poses import drawn, in_proportion, limits_of
 from rpod_campaign.pmd.scene import Stage, off, scenario_of, still
 from rpod_campaign.pmd.world import World
 from rpod_pose.methods import ready_methods
@@ -19,7 +19,7 @@ from rpod_pose.ports import Methods
 from rpod_schemas.config.emulator import WorldName
 
 WIDE_DEG, WIDE_M = 25.0, 0.5
-"""Error of a wide start: angle, deg, and distance, m."""
+"""Error of a wide start: angle, deg, and distance for the mock-up, m."""
 _START = 1
 """Stream of random numbers for the start, beside that of the pose."""
 
@@ -69,13 +69,15 @@ def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
     shot = still(stage, truth, number=trial)
     start = None
     if cell.start == "wide":
-        start = off(truth, stream(seed, trial, _START), angle_deg=WIDE_DEG, distance_m=WIDE_M)
+        wide_m = in_proportion(WIDE_M, stage.target)
+        start = off(truth, stream(seed, trial, _START), angle_deg=WIDE_DEG, distance_m=wide_m)
     begin_s = time.process_time()
     found = (
         methods.acquirer.acquire(shot.frame) if start is None else methods.acquirer.near(shot.frame, start)
     )
     took_s = time.process_time() - begin_s
     attitude_deg, position_m = errors(truth, found.pose, stage.target)
+    limits = limits_of(stage.target)
     return {
         "truth": numbers(truth),
         "start": numbers(start),
@@ -84,20 +86,16 @@ def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
         "depth_share": shot.depth_share,
         "attitude_deg": attitude_deg,
         "position_m": position_m,
-        "success": _is_right(attitude_deg, position_m),
+        "success": limits.are_met(attitude_deg, position_m),
         "accepted": found.begins_track,
         "verdict": str(found.outcome),
         "hypotheses": len(found.hypotheses),
-        "right_hypothesis": any(_is_right(*errors(truth, h.pose, stage.target)) for h in found.hypotheses),
+        "right_hypothesis": any(
+            limits.are_met(*errors(truth, each.pose, stage.target)) for each in found.hypotheses
+        ),
         "reason": found.belief.reason,
         "acquire_s": took_s,
     }
-
-
-def _is_right(attitude_deg: float | None, position_m: float | None) -> bool:
-    if attitude_deg is None or position_m is None:
-        return False
-    return attitude_deg < SUCCESS_DEG and position_m < SUCCESS_M
 
 
 @lru_cache(maxsize=4)

@@ -1,18 +1,17 @@
 """``pmd-robustness``: its cells, and the campaign as one object."""
 
-from typing import Any
-
 from rpod_campaign.engine.campaign import Campaign
 from rpod_campaign.engine.options import either
-from rpod_campaign.pmd.cells import calibrated, methods, scenarios
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.pmd.cells import approaching, calibrated, methods, ranges_m, scenarios
 from rpod_campaign.pmd.options import FRAMES, THROUGH
+from rpod_campaign.pmd.poses import in_proportion
 from rpod_campaign.pmd.report.summary import summarise
 from rpod_campaign.pmd.sequence import FRAME, SequenceCell
 from rpod_campaign.pmd_robustness import trial
 from rpod_campaign.pmd_robustness.options import Options
 from rpod_campaign.pmd_robustness.report import sections
-from rpod_campaign.pmd_robustness.trial import CASES
-from rpod_schemas.config.base import check
+from rpod_campaign.pmd_robustness.trial import CASES, START_M, Case
 from rpod_schemas.config.scenario import Scenario
 
 
@@ -25,7 +24,7 @@ def cells(options: Options) -> list[SequenceCell]:
             radius_px=radius_px,
             frames=frames,
             through=through,
-            document=approaching(calibrated(scenario), CASES[name].range_m).model_dump_json(),
+            document=approaching(calibrated(scenario), _ranges_m(scenario, CASES[name])).model_dump_json(),
             target=scenario.target,
             case=name,
             world=CASES[name].world,
@@ -38,12 +37,13 @@ def cells(options: Options) -> list[SequenceCell]:
     ]
 
 
-def approaching(scenario: Scenario, range_m: tuple[float, float]) -> Scenario:
-    """Return a scenario with a straight approach from one range to another, m."""
-    document: dict[str, Any] = scenario.model_dump(mode="json")
-    start_m, end_m = range_m
-    document["motion"]["trajectory"] |= {"start_m": [0.0, 0.0, start_m], "end_m": [0.0, 0.0, end_m]}
-    return check(Scenario, document, source=scenario.name)
+def _ranges_m(scenario: Scenario, case: Case) -> tuple[float, float]:
+    """Return the ranges of a case at the start and the end, m; in proportion to another target's size."""
+    target = cached_target(scenario.target)
+    reach = ranges_m(None, scenario)[1] / START_M
+    scale = min(in_proportion(1.0, target), max(1.0, reach))
+    start_m, end_m = case.range_m
+    return scale * start_m, scale * end_m
 
 
 CAMPAIGN: Campaign[SequenceCell] = Campaign(

@@ -10,7 +10,7 @@ from rpod_campaign.engine.options import either
 from rpod_campaign.pmd.cells import methods, scenarios
 from rpod_campaign.pmd.options import FRAMES
 from rpod_campaign.pmd.sequence import FRAME
-from rpod_campaign.pmd.world import World
+from rpod_campaign.pmd.world import World, has_material
 from rpod_campaign.pmd_sun import trial
 from rpod_campaign.pmd_sun.options import Options
 from rpod_campaign.pmd_sun.report import sections, summarise
@@ -38,10 +38,11 @@ def cells(options: Options) -> list[SunCell]:
             angle_deg=angle_deg,
             azimuth_deg=azimuth_deg,
         )
-        for name, scenario in scenarios(options)
+        for name, scenario in scenarios(options, ranges=options.ranges)
         for frames in either(options.frames, FRAMES)
         for method, radius_px in methods(options.method, options.radius)
         for coat in options.case
+        if coat == "as-built" or has_material(scenario.target, coat)
         for angle_deg, azimuth_deg in product(_ANGLES_DEG, _AZIMUTHS_DEG)
         if azimuth_deg == 0.0 or 0.0 < angle_deg < 180.0  # once if all azimuths are the same
     ]

@@ -28,7 +28,7 @@ def cells(options: Options) -> list[SequenceCell]:
             target=scenario.target,
             case=depth,
         )
-        for name, scenario in scenarios(options)
+        for name, scenario in scenarios(options, ranges=options.ranges)
         for depth in either(options.depth, DEPTH)
         for frames in either(options.frames, FRAMES)
         for method, radius_px in methods(options.method, options.radius, radii_px=paper.RADII_PX)

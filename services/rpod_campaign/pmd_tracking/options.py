@@ -3,7 +3,7 @@
 from typing import ClassVar, Literal
 
 from rpod_campaign.engine.options import Names, Trials
-from rpod_campaign.pmd.options import Frames, Methods, PmdOptions, Radii, Through
+from rpod_campaign.pmd.options import Approach, Frames, Methods, PmdOptions, Radii, Through
 
 
 class Options(PmdOptions):
@@ -14,6 +14,7 @@ class Options(PmdOptions):
     trials: Trials = 1
     scenario: Names = ("oblique", "tumbling", "approach")
     """Scenarios with the camera, by name; 'mockup-' may be left out."""
+    ranges: Approach = None
     method: Methods = (
         "icp-reverse-calibration",
         "icp-reverse-calibration-plane",

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from rpod_campaign.engine.campaign import Campaign
-from rpod_campaign.pmd.cells import scenarios
-from rpod_campaign.pmd.world import World
+from rpod_campaign.pmd.cells import chosen, ranges_m, scenarios
+from rpod_campaign.pmd.world import World, has_material
 from rpod_campaign.pmd_verdict import trial
 from rpod_campaign.pmd_verdict.options import Options
 from rpod_campaign.pmd_verdict.report import sections, summarise
@@ -48,13 +48,12 @@ CASES: Mapping[str, Case] = {
 
 def cells(options: Options) -> list[VerdictCell]:
     """Return the cells. Raises ConfigurationError, which names the option."""
-    nearest_m, farthest_m = min(options.ranges), max(options.ranges)
     return [
         VerdictCell(
             case=name,
             document=_taken(scenario, CASES[name].profile).model_dump_json(),
             target=CASES[name].target or scenario.target,
-            range_m=(nearest_m, farthest_m),
+            range_m=ranges_m(chosen(options, scenario), scenario),
             world=CASES[name].world,
             flip=CASES[name].flip,
             focal_share=CASES[name].focal_share,
@@ -62,7 +61,13 @@ def cells(options: Options) -> list[VerdictCell]:
         )
         for _, scenario in scenarios(options)
         for name in options.case
+        if CASES[name].target != scenario.target and _can_be(CASES[name], scenario.target)
     ]
+
+
+def _can_be(case: Case, target: str) -> bool:
+    """Return whether a target has the material of a case, if it names one."""
+    return case.world.coat is None or has_material(target, case.world.coat)
 
 
 def _taken(scenario: Scenario, profile: str) -> Scenario:

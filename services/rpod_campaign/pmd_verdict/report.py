@@ -30,6 +30,7 @@ def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
             f"{judge}_right_refused": int((right & ~accepted).sum()),
             f"{judge}_wrong_accepted": int((accepted & ~right).sum()),
         }
+    counts["ambiguous"] = int(rows["ambiguous"].sum())
     counts["tracked_after"] = int(rows["tracked_after"].sum())
     return {**parameters, "spoiled": cell.spoiled, "trials": rows.height, **counts}
 

@@ -19,14 +19,14 @@ from rpod_campaign.engine.trial.poses import POSE, errors, numbers
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.methods import DEFAULT, pmd_input
-from rpod_campaign.pmd.poses import SUCCESS_DEG, SUCCESS_M, drawn
+from rpod_campaign.pmd.poses import drawn, in_proportion, limits_of
 from rpod_campaign.pmd.scene import Stage, camera_of, off, scenario_of, still
 from rpod_campaign.pmd.world import World
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.methods import ready_methods
 from rpod_pose.pmd.frame_check import SeenPixels, contradictions
 from rpod_pose.pmd.rendering import Rendering
-from rpod_pose.ports import Methods
+from rpod_pose.ports import Methods, Outcome
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import SunConfig
 from rpod_schemas.config.pmd_check import PmdCheckConfig
@@ -91,6 +91,7 @@ SCHEMA: dict[str, Any] = {
         )
     },
     "tracked_after": pl.Boolean,
+    "ambiguous": pl.Boolean,
 }
 """Columns of a row.
 
@@ -109,7 +110,8 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
     truth = drawn(looked_for, "all", cell.range_m, stream(seed, trial, _DRAW))
     shot = still(stage, truth, number=trial)
     frame = _spoiled(shot.frame, cell)
-    start = off(truth, stream(seed, trial, _START), angle_deg=OFF_DEG, distance_m=OFF_M)
+    off_m = in_proportion(OFF_M, looked_for)
+    start = off(truth, stream(seed, trial, _START), angle_deg=OFF_DEG, distance_m=off_m)
     found, tracked = methods.acquirer.acquire(frame), methods.tracker.track(frame, start)
     rays = RayGrid.pinhole(stage.camera.camera)
     seen_m = FLIPS[cell.flip](cast(rays, stage.looked_at.triangles_m, truth).range_m)
@@ -119,11 +121,14 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
         "depth_share": shot.depth_share,
     }
     off_found = errors(truth, found.pose, looked_for)
-    row |= _judged("acquisition", found.begins_track, found.belief.reason, off_found)
+    row |= _judged("acquisition", found.begins_track, found.belief.reason, off_found, looked_for)
     refusal = "" if tracked.begins_track else tracked.belief.refusal
-    row |= _judged("tracker", not refusal, refusal, errors(truth, tracked.T_sensor_target, looked_for))
+    row |= _judged(
+        "tracker", not refusal, refusal, errors(truth, tracked.T_sensor_target, looked_for), looked_for
+    )
     refined = None
     row["tracked_after"] = False
+    row["ambiguous"] = found.outcome is Outcome.AMBIGUOUS and not found.begins_track
     if found.pose is not None:
         then = methods.tracker.track(frame, found.pose)
         refined = then.T_sensor_target
@@ -133,13 +138,14 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
     return row
 
 
-def _judged(name: str, accepted: bool, reason: str, off: tuple[float | None, float | None]) -> dict[str, Any]:
+def _judged(
+    name: str, accepted: bool, reason: str, off: tuple[float | None, float | None], target: Target
+) -> dict[str, Any]:
     """Return the columns of the acquisition or of the tracker."""
     attitude_deg, position_m = off
-    near = attitude_deg is not None and attitude_deg < SUCCESS_DEG
     return {
         f"{name}_accepted": accepted,
-        f"{name}_right": near and position_m is not None and position_m < SUCCESS_M,
+        f"{name}_right": limits_of(target).are_met(attitude_deg, position_m),
         f"{name}_reason": reason,
         f"{name}_attitude_deg": attitude_deg,
         f"{name}_position_m": position_m,
@@ -172,8 +178,9 @@ def _alike(seen_m: FloatArray, camera: Camera, target: Target, pose: RigidTransf
     measured_m = np.where(np.isfinite(seen_m), seen_m, np.nan)
     shade = np.where(np.isfinite(seen_m), 1.0, 0.1)
     seen = SeenPixels(measured_m, np.zeros(seen_m.shape), shade)
-    there = contradictions(seen, expected, _EXACT, typical=1.0)
-    return not there.reason(_EXACT)
+    exact = _EXACT.model_copy(update={"tolerance_m": in_proportion(_EXACT.tolerance_m, target)})
+    there = contradictions(seen, expected, exact, typical=1.0)
+    return not there.reason(exact)
 
 
 @lru_cache(maxsize=4)

@@ -1,7 +1,7 @@
 """``template-tau``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
-from rpod_campaign.lidar.cells import targets
+from rpod_campaign.lidar.cells import ranges_m, targets
 from rpod_campaign.template_tau import trial
 from rpod_campaign.template_tau.options import Options
 from rpod_campaign.template_tau.report import sections, summarise
@@ -20,7 +20,7 @@ def cells(options: Options) -> list[TauCell]:
         )
         for target in targets(options.target)
         for step_deg in options.steps
-        for range_m in options.ranges
+        for range_m in ranges_m(options, target)
         for world in options.world
     ]
 

@@ -16,7 +16,7 @@ from rpod_campaign.engine.trial.poses import errors
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import lidar_config, lidar_input, pattern_of
 from rpod_campaign.lidar.scene import emulator_of, random_pose, scan_of
-from rpod_campaign.lidar.scores import SUCCESS_DEG
+from rpod_campaign.lidar.scores import is_success
 from rpod_pose.lidar.paper_2015.tau_sweep import sweep_tau
 from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching, euler_grid
 from rpod_pose.methods import methods_of
@@ -65,8 +65,7 @@ def run(cell: TauCell, seed: int, trial: int) -> list[dict[str, Any]]:
     def succeeds(_: int, template: int) -> bool:
         start = make_pose(rotation=attitudes[template], translation_m=points_m.mean(axis=0))
         found = tracker.track(scan, start).T_sensor_target
-        attitude_deg = errors(drawn.T_sensor_target, found, target)[0]
-        return attitude_deg is not None and attitude_deg < SUCCESS_DEG
+        return is_success(*errors(drawn.T_sensor_target, found, target), target)
 
     swept = sweep_tau([matching.compare(points_m)], succeeds, np.array(cell.taus))
     return [

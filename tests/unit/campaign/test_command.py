@@ -13,6 +13,11 @@ from rpod_campaign.catalogue import BUILT_IN, find, names, options_of
     [
         ("lidar-acquisition", {"ranges": "20,-3"}, "--ranges: "),
         ("lidar-acquisition", {"ranges": ""}, "--ranges: "),
+        ("lidar-acquisition", {"ranges": "5y"}, "--ranges: "),
+        ("pmd-acquisition", {"target": "hubble"}, "--target: "),
+        ("population", {"returns": "30"}, "--returns: "),
+        ("population", {"target": "hubble"}, "--target: "),
+        ("population", {"population": "mine"}, "--population: "),
         ("lidar-acquisition", {"steps": "1"}, "--steps: "),
         ("lidar-acquisition", {"trials": "0"}, "--trials: "),
         ("lidar-acquisition", {"seed": "-1"}, "--seed: "),

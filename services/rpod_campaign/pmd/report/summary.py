@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 
 from rpod_analysis.scoring.score import NEES_95
-from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.campaign import TRIAL, CellResult
 from rpod_campaign.engine.report.statistics import mean, quantile
 from rpod_campaign.pmd.sequence import SequenceCell
 
@@ -21,7 +21,11 @@ OTHER_AXES = (
 
 
 def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return the summary of a sequence; RMS errors include frames that kept the last pose."""
+    """Return the summary of a sequence; RMS errors include frames that kept the last pose.
+
+    ``success_rate``, ``wrong_accepted`` and ``ambiguous`` are over frames. Right is within the limits of an
+    acquisition.
+    """
     known = rows.filter(pl.col("nees").is_finite())["nees"]
     return {
         "scenario": cell.scenario,
@@ -39,6 +43,10 @@ def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:
         "nees_mean": mean(known),
         "nees_share_in_95": mean((known <= NEES_95).cast(pl.Float64)),
         "depth_share": mean(rows["depth_share"]),
+        "trials": rows[TRIAL].n_unique(),
+        "success_rate": mean(rows["right"].cast(pl.Float64)),
+        "wrong_accepted": int((rows["believed"] & ~rows["right"]).sum()),
+        "ambiguous": int(rows["ambiguous"].sum()),
         "sequence": cell.frames,
         "through": cell.through,
         "case": cell.case,
