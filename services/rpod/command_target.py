@@ -63,12 +63,18 @@ def _new_document(made: Draft) -> dict[str, object]:
 
 
 def check_command(
-    file: Path, *, units: str | None, longest_side_m: float | None, out: Path | None, as_json: bool
+    file: Path,
+    *,
+    units: str | None,
+    longest_side_m: float | None,
+    trials: int | None,
+    out: Path | None,
+    as_json: bool,
 ) -> int:
     """Check a target and draw it; return the exit code."""
     try:
         target = _target(file, units=units, longest_side_m=longest_side_m)
-        found = check_target(target)
+        found = check_target(target, trials=trials)
         files = write_page(target, found, out or Path())
     except TargetError as error:
         print(f"rpod target check: {error}", file=sys.stderr)
@@ -118,10 +124,32 @@ def _tell(found: TargetCheck, console: Console) -> None:
     if found.openings:
         console.print(f"openings  {found.openings}; their places are on the page")
     console.print(_accuracy(found))
-    refused = [one for one in found.methods if not one.works]
-    console.print(f"methods   {len(found.methods) - len(refused)} of {len(found.methods)} take the target")
-    for each in refused:
-        console.print(f"          {each.sensor}.{each.name}: {each.reason}", soft_wrap=True, markup=False)
+    console.print(_methods(found))
+    for each in found.methods:
+        if each.reason:
+            console.print(f"{each.sensor}.{each.name}: {each.reason}", soft_wrap=True, markup=False)
+
+
+def _methods(found: TargetCheck) -> Table:
+    table = Table(
+        title="methods tried on emulated frames (* default)",
+        title_justify="left",
+        box=None,
+        padding=(0, 1, 0, 0),
+    )
+    table.add_column("method", no_wrap=True)
+    for name in ("frames", "right", "ambig.", "refused", "wrong", "deg", "mm", "ms"):
+        table.add_column(name, justify="right")
+    for each in found.methods:
+        all_ = each.total
+        table.add_row(
+            f"{each.sensor}.{each.name}{'*' * each.default}",
+            *(str(count) for count in (all_.frames, all_.right, all_.ambiguous, all_.refused, all_.wrong)),
+            "-" if all_.attitude_deg is None else f"{all_.attitude_deg:.2g}",
+            "-" if all_.position_m is None else f"{1e3 * all_.position_m:.2g}",
+            "-" if each.median_ms is None else f"{each.median_ms:.0f}",
+        )
+    return table
 
 
 def _accuracy(found: TargetCheck) -> Table:
