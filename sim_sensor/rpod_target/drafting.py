@@ -73,7 +73,7 @@ def draft(cad: Path, out: Path, options: DraftOptions, *, cache: Path | None = N
     kept = out.read_bytes() if out.exists() else None
     out.write_text(sections.text(()), encoding="utf-8")
     try:
-        target = load_target(out, cache=cache)
+        target = load_target(out, cache=cache, read={sections.file: mesh})
         symmetries = _symmetries(target, told)
         out.write_text(sections.text(symmetries), encoding="utf-8")
         target = load_target(out, cache=cache)
@@ -132,7 +132,7 @@ class _Sections:
 
     def __init__(self, cad: Path, out: Path, mesh: MeshFile, options: DraftOptions, scale: float) -> None:
         self._cad, self._mesh, self._options, self._scale = cad, mesh, options, scale
-        self._file = os.path.relpath(cad.resolve(), out.parent.resolve())
+        self.file = os.path.relpath(cad.resolve(), out.parent.resolve())
         self.told: list[str] = []
         self._labels = _labels([material.name for material in mesh.materials])
         self._translation_m = self._origin()
@@ -205,7 +205,7 @@ class _Sections:
             label = labels[name] if several else _label(self._options.name or self._cad.stem)
             yield f"  - name: {_scalar(label)}"
             yield "    shape: mesh"
-            yield f"    file: {_scalar(self._file)}"
+            yield f"    file: {_scalar(self.file)}"
             if several:
                 yield f"    object: {_scalar(name)}"
             yield f"    metres_per_unit: {self._scale!r}"

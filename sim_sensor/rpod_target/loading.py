@@ -14,7 +14,7 @@ from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import cache as store
 from rpod_target.errors import TargetError
-from rpod_target.mesh_files import companions
+from rpod_target.mesh_files import MeshFile, companions
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
 from rpod_target.target import DistanceField, Material, Symmetry, Target
 
@@ -29,12 +29,15 @@ def shipped_targets() -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in _SHIPPED.glob("*.yaml")))
 
 
-def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Target:
+def load_target(
+    name_or_path: str | Path, *, cache: Path | None = None, read: Mapping[str, MeshFile] | None = None
+) -> Target:
     """Return a target, which is built if the cache has none with its digest.
 
     Args:
         name_or_path: name of a shipped target, or path of a parameter file (YAML, JSON or TOML).
         cache: directory of the built targets; by default $RPOD_CACHE, $XDG_CACHE_HOME/rpod or ~/.cache/rpod.
+        read: mesh files that are read already, by their names in the parameter file.
 
     Raises:
         TargetError: names the file, the field and the reason.
@@ -47,7 +50,7 @@ def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Targe
     file = (cache or store.default_directory()) / f"target-{built}.npz"
     arrays = store.read(file)
     if arrays is None:
-        arrays = _build(parameters, meshes, path)
+        arrays = _build(parameters, meshes, path, read or {})
         with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
             store.write(file, arrays)
     return _assemble(parameters, arrays, source=path, digest=digest)
@@ -128,13 +131,15 @@ def _digest(parameters: TargetParameters, meshes: Mapping[str, bytes]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _build(parameters: TargetParameters, meshes: Mapping[str, bytes], path: Path) -> dict[str, Array]:
+def _build(
+    parameters: TargetParameters, meshes: Mapping[str, bytes], path: Path, read: Mapping[str, MeshFile]
+) -> dict[str, Array]:
     try:
         from rpod_target.building import build_arrays  # noqa: PLC0415 - a warm start must not pay for Open3D
     except ImportError as error:
         reason = f"is not in the cache yet, and building it needs Open3D: install rpod[target] ({error})"
         raise TargetError(path, "", reason) from error
-    return build_arrays(parameters, meshes, source=str(path))
+    return build_arrays(parameters, meshes, source=str(path), read=read)
 
 
 def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source: Path, digest: str) -> Target:

@@ -27,7 +27,7 @@ _USED = re.compile(rb"^\s*usemtl\s+(.+?)\s*$", re.MULTILINE)
 _LIBRARY = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
 _DEFINED = re.compile(rb"^\s*newmtl\s+(.+?)\s*$", re.MULTILINE)
 _OBJECT = re.compile(rb"^\s*o\s+\S", re.MULTILINE)
-_FACE = re.compile(rb"^(?=[ \t]*f[ \t])[^\n]*", re.MULTILINE)
+_FACES = re.compile(rb"(?:^[ \t]*+f[ \t][^\n]*+(?:\n|\Z)){1,65536}+", re.MULTILINE)
 _AFTER_SLASH = re.compile(rb"/[-0-9/]*")
 _TEXTURE = re.compile(rb"^\s*(map_|bump|disp|decal|refl|norm).*$", re.MULTILINE | re.IGNORECASE)
 
@@ -64,7 +64,8 @@ def companions(name: str, content: bytes) -> tuple[str, ...]:
     """Return the names of the files that a mesh file refers to and that are read with it."""
     suffix = _suffix(name)
     if suffix == ".obj":
-        return tuple(dict.fromkeys(found.decode("utf-8", "replace") for found in _LIBRARY.findall(content)))
+        found = _LIBRARY.findall(content) if b"mtllib" in content else []
+        return tuple(dict.fromkeys(name.decode("utf-8", "replace") for name in found))
     if suffix == ".gltf":
         try:
             buffers = json.loads(content).get("buffers", [])
@@ -265,11 +266,12 @@ def _obj_with_materials(content: bytes, beside: Mapping[str, bytes]) -> tuple[by
     """
     library = b"\n".join(_TEXTURE.sub(b"", found) for found in beside.values())
     defined = set(_DEFINED.findall(library))
-    missing = [used for used in dict.fromkeys(_USED.findall(content)) if used not in defined]
+    used = _USED.findall(content) if b"usemtl" in content else []  # a search takes a second of 200 MB
+    missing = [name for name in dict.fromkeys(used) if name not in defined]
     library += b"".join(b"\nnewmtl " + name + b"\n" for name in missing)
     if b"/" in content:
-        content = _FACE.sub(lambda line: _AFTER_SLASH.sub(b"", line[0]), content)
-    body = _LIBRARY.sub(b"", content)
+        content = _FACES.sub(lambda lines: _AFTER_SLASH.sub(b"", lines[0]), content)
+    body = _LIBRARY.sub(b"", content) if b"mtllib" in content else content
     return b"mtllib " + _OWN_LIBRARY.encode() + b"\n" + body, {_OWN_LIBRARY: library}
 
 
