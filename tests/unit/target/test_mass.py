@@ -13,7 +13,7 @@ NOTHING = np.zeros((0, 3, 3))
 
 
 def placed(mesh: trimesh.Trimesh) -> np.ndarray:
-    return TURN.apply(mesh.triangles.reshape(-1, 3)).reshape(-1, 3, 3) + AT_M
+    return TURN.apply(np.array(mesh.triangles).reshape(-1, 3)).reshape(-1, 3, 3) + AT_M
 
 
 def turned(moments: list[float]) -> np.ndarray:
