@@ -19,7 +19,7 @@ from rpod_target.parameters import MeshParameters, PartParameters, PrismParamete
 from rpod_target.target import DistanceField, Material, Symmetry, Target
 
 _SHIPPED = Path(__file__).parent / "targets"
-_BUILDER_VERSION, _MESH_BUILDER_VERSION = 4, 5
+_BUILDER_VERSION, _MESH_BUILDER_VERSION = 4, 6
 """Version of the builder, without and with mesh files, to be increased when the same parameters give other
 arrays."""
 

@@ -6,7 +6,6 @@ area, which a closed surface needs.
 
 import io
 import json
-import re
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -17,19 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
+from rpod_target import obj_text
 
 FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".step", ".stp")
 """Suffixes of the files that can be read."""
 METRIC = (".gltf", ".glb", ".step", ".stp")
 """Suffixes of the formats that are in metres when they are read: glTF by definition, STEP by its own unit."""
 _STEP = (".step", ".stp")
-_USED = re.compile(rb"^\s*usemtl\s+(.+?)\s*$", re.MULTILINE)
-_LIBRARY = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
-_DEFINED = re.compile(rb"^\s*newmtl\s+(.+?)\s*$", re.MULTILINE)
-_OBJECT = re.compile(rb"^\s*o\s+\S", re.MULTILINE)
-_FACES = re.compile(rb"(?:^[ \t]*+f[ \t][^\n]*+(?:\n|\Z)){1,65536}+", re.MULTILINE)
-_AFTER_SLASH = re.compile(rb"/[-0-9/]*")
-_TEXTURE = re.compile(rb"^\s*(map_|bump|disp|decal|refl|norm).*$", re.MULTILINE | re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -64,8 +57,7 @@ def companions(name: str, content: bytes) -> tuple[str, ...]:
     """Return the names of the files that a mesh file refers to and that are read with it."""
     suffix = _suffix(name)
     if suffix == ".obj":
-        found = _LIBRARY.findall(content) if b"mtllib" in content else []
-        return tuple(dict.fromkeys(name.decode("utf-8", "replace") for name in found))
+        return obj_text.libraries(content)
     if suffix == ".gltf":
         try:
             buffers = json.loads(content).get("buffers", [])
@@ -96,7 +88,7 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
     if suffix not in FORMATS:
         raise ValueError(f"is of no known format: give one of {', '.join(FORMATS)}")
     if suffix == ".obj":
-        content, beside = _obj_with_materials(content, beside)
+        content, beside = obj_text.prepared(content, beside)
     pieces = list(_pieces(_scene(suffix, content, beside)))
     if not pieces:
         raise ValueError("contains no triangle: export its surfaces as a mesh")
@@ -151,7 +143,7 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
             raise ValueError("is STEP, which needs the extra: pip install 'rpod[step]'") from error
     options: dict[str, Any] = {}
     if suffix == ".obj":
-        options["split_objects"] = _OBJECT.search(content) is not None
+        options["split_objects"] = obj_text.has_objects(content)
         options["split_groups"] = not options["split_objects"]
     if suffix in _STEP:
         options = {"tol_linear": _STEP_DEFLECTION, "tol_angular": _STEP_ANGLE_RAD, "tol_relative": True}
@@ -256,26 +248,6 @@ def _colour(values: Any) -> tuple[float, float, float] | None:
         array /= 255.0
     red, green, blue = (float(value) for value in np.clip(array, 0.0, 1.0))
     return red, green, blue
-
-
-def _obj_with_materials(content: bytes, beside: Mapping[str, bytes]) -> tuple[bytes, dict[str, bytes]]:
-    """Return an OBJ file and one library in which each used material is defined, without textures.
-
-    The reader forgets the name of a material that no library defines, and splits corners by their texture
-    and normal indices; both are of no use here.
-    """
-    library = b"\n".join(_TEXTURE.sub(b"", found) for found in beside.values())
-    defined = set(_DEFINED.findall(library))
-    used = _USED.findall(content) if b"usemtl" in content else []  # a search takes a second of 200 MB
-    missing = [name for name in dict.fromkeys(used) if name not in defined]
-    library += b"".join(b"\nnewmtl " + name + b"\n" for name in missing)
-    if b"/" in content:
-        content = _FACES.sub(lambda lines: _AFTER_SLASH.sub(b"", lines[0]), content)
-    body = _LIBRARY.sub(b"", content) if b"mtllib" in content else content
-    return b"mtllib " + _OWN_LIBRARY.encode() + b"\n" + body, {_OWN_LIBRARY: library}
-
-
-_OWN_LIBRARY = "materials.mtl"
 
 
 def _suffix(name: str) -> str:
