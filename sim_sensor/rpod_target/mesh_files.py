@@ -31,7 +31,7 @@ class FileMaterial:
 
     name: str
     colour: tuple[float, float, float] | None
-    """Diffuse colour, red, green, blue, 0 to 1; None if the file has none."""
+    """Diffuse colour as a screen shows it (sRGB), red, green, blue, 0 to 1; None if the file has none."""
     specular: float | None
     """Mean specular colour, 0 to 1 (OBJ); None if the file has none."""
     metallic: float | None
@@ -117,6 +117,10 @@ class _Piece:
     material: FileMaterial | None
 
 
+class _MissingError(FileNotFoundError):
+    """A file that is not among the companions."""
+
+
 class _Beside:
     """Gives trimesh the companions of a file, and nothing else of the disk or of the network."""
 
@@ -127,7 +131,7 @@ class _Beside:
         """Return the bytes of a companion. Raises ``OSError``."""
         found = self._files.get(str(name))
         if found is None:
-            raise FileNotFoundError(name)
+            raise _MissingError(name)
         return found
 
     __getitem__ = get
@@ -158,7 +162,7 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
                 maintain_order=True,
                 **options,
             )
-    except FileNotFoundError as error:
+    except _MissingError as error:
         raise ValueError(
             f"refers to {error.args[0]!r}, which is not beside it: copy that file too"
         ) from error
@@ -226,9 +230,8 @@ def _material(material: Any) -> FileMaterial:
     factor = getattr(material, "baseColorFactor", None)
     if hasattr(material, "baseColorFactor"):
         metallic = getattr(material, "metallicFactor", None)
-        return FileMaterial(
-            str(material.name), _colour(factor), None, None if metallic is None else float(metallic)
-        )
+        colour = _as_shown(_colour(factor))
+        return FileMaterial(str(material.name), colour, None, None if metallic is None else float(metallic))
     known = getattr(material, "kwargs", {}) or {}
     described = "kd" in known
     specular = getattr(material, "specular", None)
@@ -247,6 +250,16 @@ def _colour(values: Any) -> tuple[float, float, float] | None:
     if np.asarray(values).dtype.kind in "iu":
         array /= 255.0
     red, green, blue = (float(value) for value in np.clip(array, 0.0, 1.0))
+    return red, green, blue
+
+
+def _as_shown(linear: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+    """Return a linear colour, which glTF has, as sRGB (IEC 61966-2-1), which people choose colours in."""
+    if linear is None:
+        return None
+    red, green, blue = (
+        12.92 * value if value <= 0.0031308 else 1.055 * value ** (1.0 / 2.4) - 0.055 for value in linear
+    )
     return red, green, blue
 
 

@@ -26,8 +26,8 @@ def concave(corners: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
 def triangulated(corners: FloatArray) -> Indices:
     """Return the triangles of a polygon, corners (N, 3), as numbers of its corners, shape (N - 2, 3).
 
-    They face as the polygon does. Corners on a straight side are in triangles without area, so that neighbours
-    keep their shared edges. A polygon that cuts through itself is split as a fan.
+    They face as the polygon does. Corners on a straight side are in triangles without area, so that
+    neighbours keep their shared edges. A polygon that cuts through itself is split as a fan.
     """
     import mapbox_earcut  # noqa: PLC0415 - only files with concave polygons need it
 
