@@ -2,10 +2,10 @@
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import yaml
@@ -18,14 +18,15 @@ from rpod_target.parameters import MaterialParameters
 from rpod_target.proposed_materials import proposed
 from rpod_target.target import Target
 
+if TYPE_CHECKING:  # needs Open3D
+    from rpod_target.symmetry import FoundSymmetry
+
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048, "km": 1e3}
 """Metres in the units that a drawing may have."""
 _MOST_PARTS = 64
 """Number of objects of a file up to which each is a part; more are one part."""
 _ASSUMED_KG_M3 = 50.0
 """Mass over the volume of the bounding box, where no mass is given."""
-_REVOLUTION = 12
-"""Order that is written for a body of revolution."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +59,22 @@ class DraftOptions:
     """Whether a size below 0.05 m or above 500 m is meant."""
 
 
-def draft(cad: Path, out: Path, options: DraftOptions, *, cache: Path | None = None) -> Draft:
+def draft(
+    cad: Path,
+    out: Path,
+    options: DraftOptions,
+    *,
+    cache: Path | None = None,
+    symmetries: "Callable[[Target], Sequence[FoundSymmetry]] | None" = None,
+) -> Draft:
     """Write a target's parameter file from a CAD file, build the target, and find its symmetries.
+
+    Args:
+        cad: the CAD file.
+        out: file to write.
+        options: what the CAD file does not say.
+        cache: directory of the built targets.
+        symmetries: returns the symmetries of a target; by default the exact ones, by its shape alone.
 
     Raises:
         TargetError: the CAD file cannot be read, its unit is not known, or the target cannot be built.
@@ -74,8 +89,8 @@ def draft(cad: Path, out: Path, options: DraftOptions, *, cache: Path | None = N
     out.write_text(sections.text(()), encoding="utf-8")
     try:
         target = load_target(out, cache=cache, read={sections.file: mesh})
-        symmetries = _symmetries(target, told)
-        out.write_text(sections.text(symmetries), encoding="utf-8")
+        lines = _symmetries((symmetries or _by_shape)(target), told)
+        out.write_text(sections.text(lines), encoding="utf-8")
         target = load_target(out, cache=cache)
     except BaseException:
         if kept is None:
@@ -227,11 +242,15 @@ class _Sections:
 _PLAIN = "plain"
 
 
-def _symmetries(target: Target, told: list[str]) -> list[str]:
-    """Return the lines of the symmetries whose axes pass through the origin."""
+def _by_shape(target: Target) -> "Sequence[FoundSymmetry]":
     from rpod_target.symmetry import find_symmetries  # noqa: PLC0415 - needs Open3D
 
-    found = find_symmetries(target)
+    return find_symmetries(target)
+
+
+def _symmetries(found: "Sequence[FoundSymmetry]", told: list[str]) -> list[str]:
+    """Return the lines of the symmetries that matter and whose axes pass through the origin."""
+    found = [one for one in found if one.mistaken]
     aside = [one for one in found if one.beside_origin_m > 0.0]
     if aside:
         told.append(
@@ -242,15 +261,26 @@ def _symmetries(target: Target, told: list[str]) -> list[str]:
     for one in found:
         if one.beside_origin_m > 0.0:
             continue
-        order = one.order or _REVOLUTION
-        note = f"{one.share:.0%} of the surface agrees" if not one.exact else "surfaces and materials agree"
-        if one.order == 0:
-            note = "a body of revolution: " + note
-        exact = ", exact: true" if one.exact else ""
-        lines.append(
-            f"  - {{axis: {[round(value, 9) for value in one.axis]}, order: {order}{exact}}}  # {note}"
-        )
-    return ["# Found by comparing the surface with itself.", "symmetries:", *lines] if lines else []
+        flags = ", exact: true" * one.exact + ", continuous: true" * one.continuous
+        axis = [round(value, 9) for value in one.axis]
+        lines.append(f"  - {{axis: {axis}, order: {one.order}{flags}}}  # {_note(one)}")
+    return (
+        ["# Found by comparing the surface, and what sensors see of it.", "symmetries:", *lines]
+        if lines
+        else []
+    )
+
+
+def _note(one: "FoundSymmetry") -> str:
+    """Return what distinguishes the poses of a symmetry, in which sensor at which range."""
+    if one.exact:
+        return "any turn: no sensor tells the angle" if one.continuous else "surfaces and materials agree"
+    parts = []
+    for sensor in dict.fromkeys(each.sensor for each in one.likeness):
+        mine = [each for each in one.likeness if each.sensor == sensor]
+        alike = [f"{each.range_m:.3g} m" for each in mine if 2 * each.alike >= each.views]
+        parts.append(f"{sensor} mistakes it at {', '.join(alike)}" if alike else f"{sensor} tells it apart")
+    return ("any turn: " if one.continuous else "") + "; ".join(parts)
 
 
 def _labels(names: Sequence[str]) -> dict[str, str]:

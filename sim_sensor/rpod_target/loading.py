@@ -164,7 +164,7 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         inertia_kg_m2=arrays.pop("inertia_kg_m2") if inertia is None else inertia,
         radius_m=float(np.linalg.norm(arrays["triangles_m"], axis=-1).max()),
         symmetries=tuple(
-            Symmetry(axis=tuple(symmetry.axis.tolist()), order=symmetry.order, exact=symmetry.exact)
+            Symmetry(tuple(symmetry.axis.tolist()), symmetry.order, symmetry.exact, symmetry.continuous)
             for symmetry in parameters.symmetries
         ),
         **arrays,

@@ -8,9 +8,10 @@ import numpy as np
 from rpod_analysis.target_check.accuracy import SensorAccuracy, expected_accuracy
 from rpod_analysis.target_check.edges import Edge, straight_edges
 from rpod_analysis.target_check.holes import Opening, openings
+from rpod_analysis.target_check.likeness import judged_symmetries
 from rpod_analysis.target_check.trials import MethodFacts, try_methods
 from rpod_target import Target
-from rpod_target.symmetry import FoundSymmetry, find_symmetries
+from rpod_target.symmetry import FoundSymmetry
 from rpod_target.topology import areas_m2
 
 _LISTED = 20
@@ -128,7 +129,7 @@ def check_target(target: Target, *, trials: int | None = None) -> TargetCheck:
         openings=len(rims),
         longest_openings=tuple(rims[:_LISTED]),
         declared_symmetries=tuple(asdict(one) for one in target.symmetries),
-        found_symmetries=tuple(find_symmetries(target)),
+        found_symmetries=tuple(judged_symmetries(target)),
         mass=_mass(target),
         distance_field=_field(target),
         edges=len(edges),

@@ -9,13 +9,12 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_analysis.target_check.conditions import Condition, conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
 from rpod_pose.ports import Acquisition, Task
 from rpod_schemas.errors import SchemaError
-from rpod_schemas.poses import pose_error
 from rpod_schemas.sensors import Method, SensorKind, methods, sensor_kinds
 from rpod_schemas.types import BeliefLevel, SensorFrame
 from rpod_target import Target
@@ -30,7 +29,10 @@ _SEED = 1
 _RIGHT_DEG, _RIGHT = 4.0, 0.04
 """Errors of a right pose: attitude, deg, and position over the longest side."""
 
-Result = Literal["right", "ambiguous", "refused", "wrong"]
+_FEWEST_RETURNS, _FEWEST_PIXELS = 6, 200
+"""Returns of a scan, and pixels with depth of an image, below which a frame cannot fix a pose."""
+
+Result = Literal["right", "ambiguous", "refused", "wrong", "unseen"]
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ class Tally:
     """Refused frames whose pose was right."""
     wrong: int
     """Poses that were accepted and are not right."""
+    unseen: int
+    """Frames without an accepted pose that hold fewer than 6 returns or 200 pixels of depth."""
     attitude_deg: float | None
     """Median error of the accepted poses' attitudes, deg; None without one."""
     position_m: float | None
@@ -70,7 +74,7 @@ class MethodFacts:
     works: bool | None
     """Whether at least half of the frames are right, or ambiguous with the truth among the hypotheses.
 
-    None if the method was not tried."""
+    Frames in which nothing is seen do not count. None if the method was not tried."""
     reason: str
     """Why the method cannot be made, or else the first reason for which it refused a frame."""
     total: Tally
@@ -167,7 +171,7 @@ def _tried(one: _Tried, frame: SensorFrame | None, condition: Condition, target:
     range_m = float(np.linalg.norm(truth.translation))
     if frame is None:
         text = "the sensor measures nothing"
-        return _Trial(condition.name, range_m, "refused", False, None, None, text, 0.0)
+        return _Trial(condition.name, range_m, "unseen", False, None, None, text, 0.0)
     begin_s = time.perf_counter()
     if one.method.role == "tracking":
         answer = Acquisition(one.made.track(frame, condition.predicted))
@@ -183,7 +187,7 @@ def _tried(one: _Tried, frame: SensorFrame | None, condition: Condition, target:
         result: Result = "right" if right else "wrong"
     else:
         several = len(listed) > 1 and any(_is_right(*each, target) for each in listed)
-        result = "ambiguous" if several else "refused"
+        result = "ambiguous" if several else "refused" if _measured(frame) else "unseen"
     return _Trial(
         condition.name,
         range_m,
@@ -196,15 +200,29 @@ def _tried(one: _Tried, frame: SensorFrame | None, condition: Condition, target:
     )
 
 
+def _measured(frame: SensorFrame) -> bool:
+    """Return whether a frame holds enough of the target for a pose."""
+    if frame.lens is None:
+        return len(frame.returns_m) >= _FEWEST_RETURNS
+    depth = [image.values for image in frame.images if image.scale == "depth"]
+    return not depth or int(np.isfinite(depth[0]).sum()) >= _FEWEST_PIXELS
+
+
 def error_of(found: RigidTransform | None, truth: RigidTransform, target: Target) -> tuple[float, float]:
-    """Return errors of attitude, deg, and position, m, modulo exact symmetries; inf without a pose."""
+    """Return errors of attitude, deg, and position, m, modulo exact symmetries; inf without a pose.
+
+    About a free axis no angle is an error.
+    """
     if found is None:
         return np.inf, np.inf
     same = (truth, *(truth * turn for turn in target.turns(exact=True)))
-    attitude_rad, offset_m = min(
-        (pose_error(pose, found) for pose in same), key=lambda error: float(np.linalg.norm(error[0]))
-    )
-    return float(np.degrees(np.linalg.norm(attitude_rad))), float(np.linalg.norm(offset_m))
+    off = Rotation.concatenate([pose.rotation.inv() * found.rotation for pose in same])
+    angles_rad = off.magnitude()
+    if target.free_axis is not None:  # the angle between the two directions of the axis
+        cosines = off.apply(target.free_axis) @ target.free_axis
+        angles_rad = np.arccos(np.clip(cosines, -1.0, 1.0))
+    offset_m = np.linalg.norm(truth.translation - found.translation)
+    return float(np.degrees(angles_rad.min())), float(offset_m)
 
 
 def _is_right(attitude_deg: float, position_m: float, target: Target) -> bool:
@@ -230,9 +248,9 @@ def _facts(one: _Tried, names: Sequence[str]) -> MethodFacts:
 
 
 def _works(one: _Tried, total: Tally) -> bool | None:
-    if not total.frames:
+    if total.frames == total.unseen:
         return None if one.made is not None else False
-    return total.frames <= 2 * (total.right + total.ambiguous)
+    return total.frames - total.unseen <= 2 * (total.right + total.ambiguous)
 
 
 def _tally(name: str, trials: Sequence[_Trial]) -> Tally:
@@ -248,6 +266,7 @@ def _tally(name: str, trials: Sequence[_Trial]) -> Tally:
         count("refused"),
         sum(trial.result == "refused" and trial.is_right for trial in trials),
         count("wrong"),
+        count("unseen"),
         _median([trial.attitude_deg for trial in trials if trial.attitude_deg is not None]),
         _median([trial.position_m for trial in trials if trial.position_m is not None]),
     )
