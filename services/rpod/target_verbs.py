@@ -42,8 +42,8 @@ def new(
         str,
         typer.Option(
             "--origin",
-            help="Origin of target axes: file, centre (of area), or auto: the file's where it is within the "
-            "bounding box.",
+            help="Origin of target axes: file, centre (of area), or auto: the file's if it lies within the "
+            "bounding box and on the axes of the exact symmetries.",
         ),
     ] = "auto",
     confirm_size: Annotated[

@@ -3,7 +3,7 @@
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -54,7 +54,8 @@ class DraftOptions:
     density_kg_m3: float | None = None
     """Density of the parts' volume, instead of the mass."""
     origin: Literal["auto", "file", "centre"] = "auto"
-    """Origin of target axes: the file's, the centre of area, or the file's within the bounding box only."""
+    """Origin of target axes: the file's, the centre of area, or the file's if it lies within the bounding box
+    and on the axes of the exact symmetries."""
     confirmed_size: bool = False
     """Whether a size below 0.05 m or above 500 m is meant."""
 
@@ -82,15 +83,21 @@ def draft(
     mesh = _read(cad)
     told: list[str] = []
     scale = _scale(cad, mesh, options, told)
-    sections = _Sections(cad, out, mesh, options, scale)
-    told += sections.told
     out.parent.mkdir(parents=True, exist_ok=True)
     kept = out.read_bytes() if out.exists() else None
-    out.write_text(sections.text(()), encoding="utf-8")
-    try:
+
+    def written(options: DraftOptions) -> "tuple[_Sections, list[FoundSymmetry]]":
+        sections = _Sections(cad, out, mesh, options, scale)
+        out.write_text(sections.text(()), encoding="utf-8")
         target = load_target(out, cache=cache, read={sections.file: mesh})
-        lines = _symmetries((symmetries or _by_shape)(target), told)
-        out.write_text(sections.text(lines), encoding="utf-8")
+        return sections, [one for one in (symmetries or _by_shape)(target) if one.mistaken]
+
+    try:
+        sections, found = written(options)
+        if options.origin == "auto" and any(one.exact and one.beside_origin_m > 0.0 for one in found):
+            sections, found = written(replace(options, origin="centre"))
+        told += sections.told
+        out.write_text(sections.text(_symmetries(found, told)), encoding="utf-8")
         target = load_target(out, cache=cache)
     except BaseException:
         if kept is None:
@@ -249,8 +256,7 @@ def _by_shape(target: Target) -> "Sequence[FoundSymmetry]":
 
 
 def _symmetries(found: "Sequence[FoundSymmetry]", told: list[str]) -> list[str]:
-    """Return the lines of the symmetries that matter and whose axes pass through the origin."""
-    found = [one for one in found if one.mistaken]
+    """Return the lines of the symmetries whose axes pass through the origin."""
     aside = [one for one in found if one.beside_origin_m > 0.0]
     if aside:
         told.append(

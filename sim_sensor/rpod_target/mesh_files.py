@@ -117,21 +117,20 @@ class _Piece:
     material: FileMaterial | None
 
 
-class _MissingError(FileNotFoundError):
-    """A file that is not among the companions."""
-
-
 class _Beside:
     """Gives trimesh the companions of a file, and nothing else of the disk or of the network."""
 
     def __init__(self, files: Mapping[str, bytes]) -> None:
         self._files = files
+        self.missing = ""
+        """Name of a file that was asked for and is not among them."""
 
     def get(self, name: str) -> bytes:
         """Return the bytes of a companion. Raises ``OSError``."""
         found = self._files.get(str(name))
         if found is None:
-            raise _MissingError(name)
+            self.missing = str(name)
+            raise FileNotFoundError(name)
         return found
 
     __getitem__ = get
@@ -151,21 +150,23 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
         options["split_groups"] = not options["split_objects"]
     if suffix in _STEP:
         options = {"tol_linear": _STEP_DEFLECTION, "tol_angular": _STEP_ANGLE_RAD, "tol_relative": True}
+    others = _Beside(beside)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return trimesh.load_scene(
                 io.BytesIO(content),
                 file_type=suffix[1:],
-                resolver=_Beside(beside),  # type: ignore[arg-type]
+                resolver=others,  # type: ignore[arg-type]
                 process=False,
                 maintain_order=True,
                 **options,
             )
-    except _MissingError as error:
-        raise ValueError(
-            f"refers to {error.args[0]!r}, which is not beside it: copy that file too"
-        ) from error
+    except FileNotFoundError as error:
+        if not others.missing:
+            raise ValueError(f"cannot be read as {suffix[1:].upper()} ({_one_line(error)})") from error
+        reason = f"refers to {others.missing!r}, which is not beside it: copy that file too"
+        raise ValueError(reason) from error
     except Exception as error:  # a parser of foreign files raises anything
         raise ValueError(f"cannot be read as {suffix[1:].upper()} ({_one_line(error)})") from error
 

@@ -149,3 +149,15 @@ def test_a_cad_file_is_parsed_once(cad: Path, cache: Path, monkeypatch: pytest.M
     again = load_target(made.file, cache=cad.parent / "empty")
     assert parsed == ["sat.obj", "../sat.obj"]
     np.testing.assert_array_equal(again.triangles_m, made.target.triangles_m)
+
+
+def test_the_origin_is_moved_to_where_the_axes_of_symmetry_meet(tmp_path: Path, cache: Path) -> None:
+    body = obj_box(sides=(1.0, 1.0, 2.0), at=(0.1, 0.2, 0.3), first=1, use="grey")
+    (tmp_path / "sat.obj").write_text(body)
+    for origin, orders in (("auto", [2, 2, 4]), ("file", [])):
+        options = DraftOptions(units="m", mass_kg=5.0, origin=origin)
+        made = draft(tmp_path / "sat.obj", tmp_path / f"{origin}.yaml", options, cache=cache)
+        through = sorted(one.order for one in made.target.symmetries if 1.0 in np.abs(one.axis))
+        assert through == orders
+        assert any("cannot be written" in text for text in made.told) == (origin == "file")
+        assert any("the origin is the centre of area" in text for text in made.told) == (origin == "auto")
