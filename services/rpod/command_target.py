@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from rpod_analysis.target_check import TargetCheck, check_target, write_page
+from rpod_analysis.target_check import TargetCheck, check_target, judged_symmetries, write_page
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_target import Target, TargetError, load_target
 from rpod_target.drafting import METRES, Draft, DraftOptions, draft
@@ -19,7 +19,12 @@ from rpod_target.mesh_files import FORMATS, METRIC
 def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: bool) -> int:
     """Write a parameter file from a CAD file; return the exit code."""
     try:
-        made = draft(cad, out or Path(f"{cad.stem}.yaml"), _asked(cad, options, as_json=as_json))
+        made = draft(
+            cad,
+            out or Path(f"{cad.stem}.yaml"),
+            _asked(cad, options, as_json=as_json),
+            symmetries=judged_symmetries,
+        )
     except TargetError as error:
         print(f"rpod target new: {error}", file=sys.stderr)
         return EXIT_USAGE
@@ -56,19 +61,26 @@ def _new_document(made: Draft) -> dict[str, object]:
         "parts": list(made.target.parts),
         "materials": [material.name for material in made.target.materials],
         "symmetries": [
-            {"axis": list(one.axis), "order": one.order, "exact": one.exact} for one in made.target.symmetries
+            {"axis": list(one.axis), "order": one.order, "exact": one.exact, "continuous": one.continuous}
+            for one in made.target.symmetries
         ],
         "told": list(made.told),
     }
 
 
 def check_command(
-    file: Path, *, units: str | None, longest_side_m: float | None, out: Path | None, as_json: bool
+    file: Path,
+    *,
+    units: str | None,
+    longest_side_m: float | None,
+    trials: int | None,
+    out: Path | None,
+    as_json: bool,
 ) -> int:
     """Check a target and draw it; return the exit code."""
     try:
         target = _target(file, units=units, longest_side_m=longest_side_m)
-        found = check_target(target)
+        found = check_target(target, trials=trials)
         files = write_page(target, found, out or Path())
     except TargetError as error:
         print(f"rpod target check: {error}", file=sys.stderr)
@@ -95,7 +107,7 @@ def _target(file: Path, *, units: str | None, longest_side_m: float | None) -> T
         assumed = units is None and longest_side_m is None
         units = "m" if assumed else units
         options = DraftOptions(units=units, longest_side_m=longest_side_m, confirmed_size=True)
-        made = draft(file, Path(folder) / f"{file.stem}.yaml", options)
+        made = draft(file, Path(folder) / f"{file.stem}.yaml", options, symmetries=judged_symmetries)
         told = ("coordinates are taken as metres: no unit is given", *made.told) if assumed else made.told
         return replace(made.target, source=str(file), repairs=told)
 
@@ -113,15 +125,39 @@ def _tell(found: TargetCheck, console: Console) -> None:
         console.print(f"repaired  {text}", soft_wrap=True, markup=False)
     for one in found.found_symmetries:
         axis = ", ".join(f"{value:.3f}" for value in one.axis)
-        order = "any turn" if one.order == 0 else f"order {one.order}"
-        console.print(f"symmetry  about ({axis}): {order}, {'exact' if one.exact else 'near'}", markup=False)
+        turn = "any turn" if one.continuous else f"order {one.order}"
+        kind = "exact" if one.exact else "near" if one.mistaken else "near, told apart"
+        console.print(f"symmetry  about ({axis}): {turn}, {kind}", markup=False)
     if found.openings:
         console.print(f"openings  {found.openings}; their places are on the page")
     console.print(_accuracy(found))
-    refused = [one for one in found.methods if not one.works]
-    console.print(f"methods   {len(found.methods) - len(refused)} of {len(found.methods)} take the target")
-    for each in refused:
-        console.print(f"          {each.sensor}.{each.name}: {each.reason}", soft_wrap=True, markup=False)
+    console.print(_methods(found))
+    for each in found.methods:
+        if each.reason:
+            console.print(f"{each.sensor}.{each.name}: {each.reason}", soft_wrap=True, markup=False)
+
+
+def _methods(found: TargetCheck) -> Table:
+    table = Table(
+        title="methods tried on emulated frames (* default)",
+        title_justify="left",
+        box=None,
+        padding=(0, 1, 0, 0),
+    )
+    table.add_column("method", no_wrap=True)
+    for name in ("frames", "unseen", "right", "ambig.", "refused", "wrong", "deg", "mm", "ms"):
+        table.add_column(name, justify="right")
+    for each in found.methods:
+        all_ = each.total
+        counts = (all_.frames, all_.unseen, all_.right, all_.ambiguous, all_.refused, all_.wrong)
+        table.add_row(
+            f"{each.sensor}.{each.name}{'*' * each.default}",
+            *(str(count) for count in counts),
+            "-" if all_.attitude_deg is None else f"{all_.attitude_deg:.2g}",
+            "-" if all_.position_m is None else f"{1e3 * all_.position_m:.2g}",
+            "-" if each.median_ms is None else f"{each.median_ms:.0f}",
+        )
+    return table
 
 
 def _accuracy(found: TargetCheck) -> Table:

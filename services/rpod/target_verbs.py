@@ -42,8 +42,8 @@ def new(
         str,
         typer.Option(
             "--origin",
-            help="Origin of target axes: file, centre (of area), or auto: the file's where it is within the "
-            "bounding box.",
+            help="Origin of target axes: file, centre (of area), or auto: the file's if it lies within the "
+            "bounding box and on the axes of the exact symmetries.",
         ),
     ] = "auto",
     confirm_size: Annotated[
@@ -81,11 +81,22 @@ def check(
         Path | None,
         typer.Option("--out", help="Folder for the page and its picture; the working folder by default."),
     ] = None,
+    trials: Annotated[
+        int | None,
+        typer.Option(
+            "--trials",
+            help="Frames of each sensor on which methods are tried; by default 12, fewer if they take more "
+            "than 20 s.",
+            min=1,
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
     """Say what rpod makes of a target: size, repairs, symmetries, accuracy, methods; draw it."""
     from rpod.command_target import check_command
 
     raise typer.Exit(
-        check_command(file, units=units, longest_side_m=longest_side_m, out=out, as_json=as_json)
+        check_command(
+            file, units=units, longest_side_m=longest_side_m, trials=trials, out=out, as_json=as_json
+        )
     )

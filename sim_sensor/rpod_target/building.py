@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from rpod_schemas.arrays import Array, FloatArray
 from rpod_target.errors import TargetError
 from rpod_target.interior import Bodies, Body
 from rpod_target.mass import mass_properties
+from rpod_target.mesh_files import MeshFile
 from rpod_target.parameters import MeshParameters, TargetParameters
 from rpod_target.pieces import NUDGE, Piece, Sides, outward, pieces
 from rpod_target.sampling import sample_evenly
@@ -26,7 +28,11 @@ _SMALLEST_M, _LARGEST_M = 0.05, 500.0
 
 
 def build_arrays(
-    parameters: TargetParameters, meshes: Mapping[str, bytes], *, source: str
+    parameters: TargetParameters,
+    meshes: Mapping[str, bytes],
+    *,
+    source: str,
+    read: Mapping[str, MeshFile] = MappingProxyType({}),
 ) -> dict[str, Array]:
     """Return the arrays of a target by the names of ``Target``'s fields, and those of its distance field.
 
@@ -34,12 +40,13 @@ def build_arrays(
         parameters: parameters of the target; all materials that it names exist.
         meshes: the mesh files' contents, and those of the files beside them, by name.
         source: parameter file, for error messages.
+        read: mesh files that are read already, by name.
 
     Raises:
         TargetError: a mesh cannot be read, the target's size is unlikely and not confirmed, or the distance
             field is too large.
     """
-    found = pieces(parameters, meshes, source=source)
+    found = pieces(parameters, meshes, read, source=source)
     triangles_m = np.concatenate([piece.triangles_m for piece in found])
     size_m = float(np.ptp(triangles_m, axis=(0, 1)).max())
     _check_size(parameters, size_m, source=source)

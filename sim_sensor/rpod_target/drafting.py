@@ -2,10 +2,10 @@
 
 import os
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import yaml
@@ -18,14 +18,15 @@ from rpod_target.parameters import MaterialParameters
 from rpod_target.proposed_materials import proposed
 from rpod_target.target import Target
 
+if TYPE_CHECKING:  # needs Open3D
+    from rpod_target.symmetry import FoundSymmetry
+
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048, "km": 1e3}
 """Metres in the units that a drawing may have."""
 _MOST_PARTS = 64
 """Number of objects of a file up to which each is a part; more are one part."""
 _ASSUMED_KG_M3 = 50.0
 """Mass over the volume of the bounding box, where no mass is given."""
-_REVOLUTION = 12
-"""Order that is written for a body of revolution."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +54,28 @@ class DraftOptions:
     density_kg_m3: float | None = None
     """Density of the parts' volume, instead of the mass."""
     origin: Literal["auto", "file", "centre"] = "auto"
-    """Origin of target axes: the file's, the centre of area, or the file's within the bounding box only."""
+    """Origin of target axes: the file's, the centre of area, or the file's if it lies within the bounding box
+    and on the axes of the exact symmetries."""
     confirmed_size: bool = False
     """Whether a size below 0.05 m or above 500 m is meant."""
 
 
-def draft(cad: Path, out: Path, options: DraftOptions, *, cache: Path | None = None) -> Draft:
+def draft(
+    cad: Path,
+    out: Path,
+    options: DraftOptions,
+    *,
+    cache: Path | None = None,
+    symmetries: "Callable[[Target], Sequence[FoundSymmetry]] | None" = None,
+) -> Draft:
     """Write a target's parameter file from a CAD file, build the target, and find its symmetries.
+
+    Args:
+        cad: the CAD file.
+        out: file to write.
+        options: what the CAD file does not say.
+        cache: directory of the built targets.
+        symmetries: returns the symmetries of a target; by default the exact ones, by its shape alone.
 
     Raises:
         TargetError: the CAD file cannot be read, its unit is not known, or the target cannot be built.
@@ -67,15 +83,21 @@ def draft(cad: Path, out: Path, options: DraftOptions, *, cache: Path | None = N
     mesh = _read(cad)
     told: list[str] = []
     scale = _scale(cad, mesh, options, told)
-    sections = _Sections(cad, out, mesh, options, scale)
-    told += sections.told
     out.parent.mkdir(parents=True, exist_ok=True)
     kept = out.read_bytes() if out.exists() else None
-    out.write_text(sections.text(()), encoding="utf-8")
+
+    def written(options: DraftOptions) -> "tuple[_Sections, list[FoundSymmetry]]":
+        sections = _Sections(cad, out, mesh, options, scale)
+        out.write_text(sections.text(()), encoding="utf-8")
+        target = load_target(out, cache=cache, read={sections.file: mesh})
+        return sections, [one for one in (symmetries or _by_shape)(target) if one.mistaken]
+
     try:
-        target = load_target(out, cache=cache)
-        symmetries = _symmetries(target, told)
-        out.write_text(sections.text(symmetries), encoding="utf-8")
+        sections, found = written(options)
+        if options.origin == "auto" and any(one.exact and one.beside_origin_m > 0.0 for one in found):
+            sections, found = written(replace(options, origin="centre"))
+        told += sections.told
+        out.write_text(sections.text(_symmetries(found, told)), encoding="utf-8")
         target = load_target(out, cache=cache)
     except BaseException:
         if kept is None:
@@ -132,7 +154,7 @@ class _Sections:
 
     def __init__(self, cad: Path, out: Path, mesh: MeshFile, options: DraftOptions, scale: float) -> None:
         self._cad, self._mesh, self._options, self._scale = cad, mesh, options, scale
-        self._file = os.path.relpath(cad.resolve(), out.parent.resolve())
+        self.file = os.path.relpath(cad.resolve(), out.parent.resolve())
         self.told: list[str] = []
         self._labels = _labels([material.name for material in mesh.materials])
         self._translation_m = self._origin()
@@ -205,7 +227,7 @@ class _Sections:
             label = labels[name] if several else _label(self._options.name or self._cad.stem)
             yield f"  - name: {_scalar(label)}"
             yield "    shape: mesh"
-            yield f"    file: {_scalar(self._file)}"
+            yield f"    file: {_scalar(self.file)}"
             if several:
                 yield f"    object: {_scalar(name)}"
             yield f"    metres_per_unit: {self._scale!r}"
@@ -227,11 +249,14 @@ class _Sections:
 _PLAIN = "plain"
 
 
-def _symmetries(target: Target, told: list[str]) -> list[str]:
-    """Return the lines of the symmetries whose axes pass through the origin."""
+def _by_shape(target: Target) -> "Sequence[FoundSymmetry]":
     from rpod_target.symmetry import find_symmetries  # noqa: PLC0415 - needs Open3D
 
-    found = find_symmetries(target)
+    return find_symmetries(target)
+
+
+def _symmetries(found: "Sequence[FoundSymmetry]", told: list[str]) -> list[str]:
+    """Return the lines of the symmetries whose axes pass through the origin."""
     aside = [one for one in found if one.beside_origin_m > 0.0]
     if aside:
         told.append(
@@ -242,15 +267,26 @@ def _symmetries(target: Target, told: list[str]) -> list[str]:
     for one in found:
         if one.beside_origin_m > 0.0:
             continue
-        order = one.order or _REVOLUTION
-        note = f"{one.share:.0%} of the surface agrees" if not one.exact else "surfaces and materials agree"
-        if one.order == 0:
-            note = "a body of revolution: " + note
-        exact = ", exact: true" if one.exact else ""
-        lines.append(
-            f"  - {{axis: {[round(value, 9) for value in one.axis]}, order: {order}{exact}}}  # {note}"
-        )
-    return ["# Found by comparing the surface with itself.", "symmetries:", *lines] if lines else []
+        flags = ", exact: true" * one.exact + ", continuous: true" * one.continuous
+        axis = [round(value, 9) for value in one.axis]
+        lines.append(f"  - {{axis: {axis}, order: {one.order}{flags}}}  # {_note(one)}")
+    return (
+        ["# Found by comparing the surface, and what sensors see of it.", "symmetries:", *lines]
+        if lines
+        else []
+    )
+
+
+def _note(one: "FoundSymmetry") -> str:
+    """Return what distinguishes the poses of a symmetry, in which sensor at which range."""
+    if one.exact:
+        return "any turn: no sensor tells the angle" if one.continuous else "surfaces and materials agree"
+    parts = []
+    for sensor in dict.fromkeys(each.sensor for each in one.likeness):
+        mine = [each for each in one.likeness if each.sensor == sensor]
+        alike = [f"{each.range_m:.3g} m" for each in mine if 2 * each.alike >= each.views]
+        parts.append(f"{sensor} mistakes it at {', '.join(alike)}" if alike else f"{sensor} tells it apart")
+    return ("any turn: " if one.continuous else "") + "; ".join(parts)
 
 
 def _labels(names: Sequence[str]) -> dict[str, str]:

@@ -15,14 +15,14 @@ from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import cache as store
 from rpod_target.errors import TargetError
-from rpod_target.mesh_files import companions
+from rpod_target.mesh_files import MeshFile, companions
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
 from rpod_target.target import DistanceField, Material, Symmetry, Target
 
 RANDOM = "random-"
 """Beginning of the names of the random satellites."""
 _SHIPPED = Path(__file__).parent / "targets"
-_BUILDER_VERSION, _MESH_BUILDER_VERSION = 4, 5
+_BUILDER_VERSION, _MESH_BUILDER_VERSION = 4, 6
 """Version of the builder, without and with mesh files, to be increased when the same parameters give other
 arrays."""
 
@@ -37,13 +37,16 @@ def is_shipped(target: Target) -> bool:
     return Path(target.source).parent == _SHIPPED
 
 
-def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Target:
+def load_target(
+    name_or_path: str | Path, *, cache: Path | None = None, read: Mapping[str, MeshFile] | None = None
+) -> Target:
     """Return a target, which is built if the cache has none with its digest.
 
     Args:
         name_or_path: name of a shipped target or of a random satellite (``rpod_target.population``), or
             path of a parameter file (YAML, JSON or TOML).
         cache: directory of the built targets; by default $RPOD_CACHE, $XDG_CACHE_HOME/rpod or ~/.cache/rpod.
+        read: mesh files that are read already, by their names in the parameter file.
 
     Raises:
         TargetError: names the file, the field and the reason.
@@ -54,7 +57,7 @@ def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Targe
     file = (cache or store.default_directory()) / f"target-{built}.npz"
     arrays = store.read(file)
     if arrays is None:
-        arrays = _build(parameters, meshes, path)
+        arrays = _build(parameters, meshes, path, read or {})
         with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
             store.write(file, arrays)
     return _assemble(parameters, arrays, source=path, digest=digest)
@@ -150,13 +153,15 @@ def _digest(parameters: TargetParameters, meshes: Mapping[str, bytes]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _build(parameters: TargetParameters, meshes: Mapping[str, bytes], path: Path) -> dict[str, Array]:
+def _build(
+    parameters: TargetParameters, meshes: Mapping[str, bytes], path: Path, read: Mapping[str, MeshFile]
+) -> dict[str, Array]:
     try:
         from rpod_target.building import build_arrays  # noqa: PLC0415 - a warm start must not pay for Open3D
     except ImportError as error:
         reason = f"is not in the cache yet, and building it needs Open3D: install rpod[target] ({error})"
         raise TargetError(path, "", reason) from error
-    return build_arrays(parameters, meshes, source=str(path))
+    return build_arrays(parameters, meshes, source=str(path), read=read)
 
 
 def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source: Path, digest: str) -> Target:
@@ -181,7 +186,7 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         inertia_kg_m2=arrays.pop("inertia_kg_m2") if inertia is None else inertia,
         radius_m=float(np.linalg.norm(arrays["triangles_m"], axis=-1).max()),
         symmetries=tuple(
-            Symmetry(axis=tuple(symmetry.axis.tolist()), order=symmetry.order, exact=symmetry.exact)
+            Symmetry(tuple(symmetry.axis.tolist()), symmetry.order, symmetry.exact, symmetry.continuous)
             for symmetry in parameters.symmetries
         ),
         **arrays,

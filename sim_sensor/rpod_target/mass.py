@@ -1,11 +1,11 @@
-"""Centre of mass and inertia of a target from its surfaces and one mass or density."""
+"""Centre of mass and inertia of a target from its surfaces and one mass or density, by trimesh."""
 
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from rpod_schemas.arrays import FloatArray
-from rpod_target.topology import areas_m2
+from rpod_target.topology import areas_m2, volume_m3
 
 
 class MassProperties(NamedTuple):
@@ -40,37 +40,22 @@ def mass_properties(
     Raises:
         ValueError: a density is given, and no surface is closed.
     """
-    volume_m3, first, second = _volume_moments(solid_m) if len(solid_m) else (0.0, np.zeros(3), np.eye(3))
+    from trimesh.inertia import points_inertia  # noqa: PLC0415 - only a build needs it
+    from trimesh.triangles import mass_properties as solid_properties  # noqa: PLC0415
+
+    volume = volume_m3(solid_m) if len(solid_m) else 0.0
     if density_kg_m3 is not None:
-        if volume_m3 <= 0.0:
+        if volume <= 0.0:
             raise ValueError("needs a closed surface, and there is none: give mass_kg instead")
-        mass_kg = density_kg_m3 * volume_m3
+        mass_kg = density_kg_m3 * volume
     if mass_kg is None:
         raise ValueError("give mass_kg or density_kg_m3")
-    size = volume_m3
-    if spread == "surface" or volume_m3 <= 0.0:
-        size, first, second = _area_moments(surface_m)
-    centre_m = first / size
-    covariance = second / size - np.outer(centre_m, centre_m)
-    inertia = mass_kg * (np.trace(covariance) * np.eye(3) - covariance)
-    return MassProperties(mass_kg, centre_m, 0.5 * (inertia + inertia.T))
-
-
-def _volume_moments(triangles_m: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Return volume, first and second moment about the origin, as sums over tetrahedra to the origin."""
-    determinant = np.einsum("ij,ij->i", triangles_m[:, 0], np.cross(triangles_m[:, 1], triangles_m[:, 2]))
-    corner_sum = triangles_m.sum(axis=1)
-    first = np.einsum("t,ti->i", determinant, corner_sum) / 24.0
-    second = np.einsum("t,tci,tcj->ij", determinant, triangles_m, triangles_m)
-    second += np.einsum("t,ti,tj->ij", determinant, corner_sum, corner_sum)
-    return float(determinant.sum() / 6.0), first, second / 120.0
-
-
-def _area_moments(triangles_m: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Return area, first and second moment about the origin."""
-    area = areas_m2(triangles_m)
-    corner_sum = triangles_m.sum(axis=1)
-    first = np.einsum("t,ti->i", area, corner_sum) / 3.0
-    second = np.einsum("t,tci,tcj->ij", area, triangles_m, triangles_m)
-    second += np.einsum("t,ti,tj->ij", area, corner_sum, corner_sum)
-    return float(area.sum()), first, second / 12.0
+    if spread == "volume" and volume > 0.0:
+        solid = solid_properties(solid_m, density=mass_kg / volume)
+        return MassProperties(mass_kg, np.asarray(solid.center_mass), np.asarray(solid.inertia))
+    # a third of a triangle's mass in the middle of each side has the moments of the triangle
+    middles_m = 0.5 * (surface_m + np.roll(surface_m, -1, axis=1)).reshape(-1, 3)
+    weights_kg = np.repeat(areas_m2(surface_m), 3)
+    weights_kg *= mass_kg / weights_kg.sum()
+    centre_m = np.asarray(weights_kg @ middles_m / mass_kg)
+    return MassProperties(mass_kg, centre_m, points_inertia(middles_m, weights_kg))

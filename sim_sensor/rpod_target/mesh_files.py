@@ -6,7 +6,6 @@ area, which a closed surface needs.
 
 import io
 import json
-import re
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -17,19 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
+from rpod_target import obj_text
 
 FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".step", ".stp")
 """Suffixes of the files that can be read."""
 METRIC = (".gltf", ".glb", ".step", ".stp")
 """Suffixes of the formats that are in metres when they are read: glTF by definition, STEP by its own unit."""
 _STEP = (".step", ".stp")
-_USED = re.compile(rb"^\s*usemtl\s+(.+?)\s*$", re.MULTILINE)
-_LIBRARY = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
-_DEFINED = re.compile(rb"^\s*newmtl\s+(.+?)\s*$", re.MULTILINE)
-_OBJECT = re.compile(rb"^\s*o\s+\S", re.MULTILINE)
-_FACE = re.compile(rb"^(?=[ \t]*f[ \t])[^\n]*", re.MULTILINE)
-_AFTER_SLASH = re.compile(rb"/[-0-9/]*")
-_TEXTURE = re.compile(rb"^\s*(map_|bump|disp|decal|refl|norm).*$", re.MULTILINE | re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -38,7 +31,7 @@ class FileMaterial:
 
     name: str
     colour: tuple[float, float, float] | None
-    """Diffuse colour, red, green, blue, 0 to 1; None if the file has none."""
+    """Diffuse colour as a screen shows it (sRGB), red, green, blue, 0 to 1; None if the file has none."""
     specular: float | None
     """Mean specular colour, 0 to 1 (OBJ); None if the file has none."""
     metallic: float | None
@@ -64,7 +57,7 @@ def companions(name: str, content: bytes) -> tuple[str, ...]:
     """Return the names of the files that a mesh file refers to and that are read with it."""
     suffix = _suffix(name)
     if suffix == ".obj":
-        return tuple(dict.fromkeys(found.decode("utf-8", "replace") for found in _LIBRARY.findall(content)))
+        return obj_text.libraries(content)
     if suffix == ".gltf":
         try:
             buffers = json.loads(content).get("buffers", [])
@@ -95,7 +88,7 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
     if suffix not in FORMATS:
         raise ValueError(f"is of no known format: give one of {', '.join(FORMATS)}")
     if suffix == ".obj":
-        content, beside = _obj_with_materials(content, beside)
+        content, beside = obj_text.prepared(content, beside)
     pieces = list(_pieces(_scene(suffix, content, beside)))
     if not pieces:
         raise ValueError("contains no triangle: export its surfaces as a mesh")
@@ -129,11 +122,14 @@ class _Beside:
 
     def __init__(self, files: Mapping[str, bytes]) -> None:
         self._files = files
+        self.missing = ""
+        """Name of a file that was asked for and is not among them."""
 
     def get(self, name: str) -> bytes:
         """Return the bytes of a companion. Raises ``OSError``."""
         found = self._files.get(str(name))
         if found is None:
+            self.missing = str(name)
             raise FileNotFoundError(name)
         return found
 
@@ -150,25 +146,27 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
             raise ValueError("is STEP, which needs the extra: pip install 'rpod[step]'") from error
     options: dict[str, Any] = {}
     if suffix == ".obj":
-        options["split_objects"] = _OBJECT.search(content) is not None
+        options["split_objects"] = obj_text.has_objects(content)
         options["split_groups"] = not options["split_objects"]
     if suffix in _STEP:
         options = {"tol_linear": _STEP_DEFLECTION, "tol_angular": _STEP_ANGLE_RAD, "tol_relative": True}
+    others = _Beside(beside)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return trimesh.load_scene(
                 io.BytesIO(content),
                 file_type=suffix[1:],
-                resolver=_Beside(beside),  # type: ignore[arg-type]
+                resolver=others,  # type: ignore[arg-type]
                 process=False,
                 maintain_order=True,
                 **options,
             )
     except FileNotFoundError as error:
-        raise ValueError(
-            f"refers to {error.args[0]!r}, which is not beside it: copy that file too"
-        ) from error
+        if not others.missing:
+            raise ValueError(f"cannot be read as {suffix[1:].upper()} ({_one_line(error)})") from error
+        reason = f"refers to {others.missing!r}, which is not beside it: copy that file too"
+        raise ValueError(reason) from error
     except Exception as error:  # a parser of foreign files raises anything
         raise ValueError(f"cannot be read as {suffix[1:].upper()} ({_one_line(error)})") from error
 
@@ -233,9 +231,8 @@ def _material(material: Any) -> FileMaterial:
     factor = getattr(material, "baseColorFactor", None)
     if hasattr(material, "baseColorFactor"):
         metallic = getattr(material, "metallicFactor", None)
-        return FileMaterial(
-            str(material.name), _colour(factor), None, None if metallic is None else float(metallic)
-        )
+        colour = _as_shown(_colour(factor))
+        return FileMaterial(str(material.name), colour, None, None if metallic is None else float(metallic))
     known = getattr(material, "kwargs", {}) or {}
     described = "kd" in known
     specular = getattr(material, "specular", None)
@@ -257,23 +254,14 @@ def _colour(values: Any) -> tuple[float, float, float] | None:
     return red, green, blue
 
 
-def _obj_with_materials(content: bytes, beside: Mapping[str, bytes]) -> tuple[bytes, dict[str, bytes]]:
-    """Return an OBJ file and one library in which each used material is defined, without textures.
-
-    The reader forgets the name of a material that no library defines, and splits corners by their texture
-    and normal indices; both are of no use here.
-    """
-    library = b"\n".join(_TEXTURE.sub(b"", found) for found in beside.values())
-    defined = set(_DEFINED.findall(library))
-    missing = [used for used in dict.fromkeys(_USED.findall(content)) if used not in defined]
-    library += b"".join(b"\nnewmtl " + name + b"\n" for name in missing)
-    if b"/" in content:
-        content = _FACE.sub(lambda line: _AFTER_SLASH.sub(b"", line[0]), content)
-    body = _LIBRARY.sub(b"", content)
-    return b"mtllib " + _OWN_LIBRARY.encode() + b"\n" + body, {_OWN_LIBRARY: library}
-
-
-_OWN_LIBRARY = "materials.mtl"
+def _as_shown(linear: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+    """Return a linear colour, which glTF has, as sRGB (IEC 61966-2-1), which people choose colours in."""
+    if linear is None:
+        return None
+    red, green, blue = (
+        12.92 * value if value <= 0.0031308 else 1.055 * value ** (1.0 / 2.4) - 0.055 for value in linear
+    )
+    return red, green, blue
 
 
 def _suffix(name: str) -> str:

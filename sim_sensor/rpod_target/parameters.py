@@ -168,6 +168,14 @@ class SymmetryParameters(Config):
     """Order of the symmetry: the rotation is by 360 degrees over the order."""
     exact: bool = False
     """Whether surfaces and materials are the same after it: no measurement distinguishes the two poses."""
+    continuous: bool = False
+    """Whether the same holds for every rotation about the axis, as for a body of revolution: the angle about
+    the axis is free. The order then gives the rotations that are tried one by one."""
+
+    @model_serializer(mode="wrap")
+    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields; without that of later versions, the digest of the file stays as it was."""
+        return _kept(handler(self), {"continuous": False})
 
     @field_validator("axis")
     @classmethod

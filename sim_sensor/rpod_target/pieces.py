@@ -72,13 +72,21 @@ class Sides:
     """Whether the back may be seen, shape (T,)."""
 
 
-def pieces(parameters: TargetParameters, meshes: Mapping[str, bytes], *, source: str) -> list[Piece]:
+def pieces(
+    parameters: TargetParameters, meshes: Mapping[str, bytes], read: Mapping[str, MeshFile], *, source: str
+) -> list[Piece]:
     """Return the surfaces of all parts, in the order of the parts.
+
+    Args:
+        parameters: parameters of the target.
+        meshes: the mesh files' contents, and those of the files beside them, by name.
+        read: mesh files that are read already, by name.
+        source: parameter file, for error messages.
 
     Raises:
         TargetError: a mesh file cannot be read or has no object of a name.
     """
-    files: dict[str, MeshFile] = {}
+    files = dict(read)
     done: set[int] = set()
     found = []
     for index, part in enumerate(parameters.parts):

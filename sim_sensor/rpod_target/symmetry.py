@@ -2,6 +2,7 @@
 
 An axis of symmetry passes through the centre of area. It is a principal axis of the area's second moment or,
 where two of its moments are equal, lies among the faces' normals, their bisectors and their cross products.
+Which of the near ones matter depends on what a sensor resolves; that is not decided here.
 """
 
 from collections.abc import Iterator
@@ -17,17 +18,49 @@ from rpod_target.topology import areas_m2
 from rpod_target.visibility import as_tensor, scene_of
 
 _ORDERS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12)
-_TURNS = np.array([0.137, 0.291, 0.389])
+_HIGH_ORDERS = (*range(64, 12, -1), 11)
+"""Orders that are looked for only about an axis about which any turn is near."""
+TURNS = (0.137, 0.291, 0.389)
 """Shares of a full turn, of no low order, that a body of revolution does not show."""
-_EXACT, _ROUND, _NEAR = 1e-3, 1e-2, 2e-2
-"""Largest distance, over the target's size, of a turned place from the surface: for an exact symmetry, for a
-body of revolution of flat facets, and for a place that agrees nearly."""
-_NEAR_SHARE = 0.9
-"""Least share of the places that agree, at a near symmetry."""
+_EXACT, _NEAR = 1e-3, 2e-2
+"""Largest distance, over the target's size, of a turned place from the surface: for an exact symmetry, the
+largest error of a simplified mesh; for a place that agrees nearly."""
+_SAME = 1e-4
+"""Greatest difference of the largest distances, over the size, of two orders that are equally exact."""
+_NEAR_SHARE = 0.6
+"""Least share of the places that agree nearly, for a turn that is worth a sensor's look."""
+_ALIKE = 0.02
+"""Difference of two shares of 1200 places that is within two standard deviations."""
+_MOST_NEAR = 12
+"""Greatest number of near symmetries, the nearest."""
 _SAME_FACE = 0.9
 """Least cosine between the normals of a turned place and of the surface there."""
+_FEW = 150
+"""Number of places that are compared first: with fewer than ``_SOME`` of them alike, no others are."""
+_SOME = 0.4
+"""Five standard deviations of the share of 150 places below ``_NEAR_SHARE``."""
+_REVOLUTION = 12
+"""Order that stands for a body of revolution."""
 _MOST_NORMALS = 14
-_SAME_AXIS = np.cos(np.deg2rad(2.0))
+_SAME_AXIS, _SAME_NEAR_AXIS = np.cos(np.deg2rad((2.0, 15.0)))
+"""Cosine of the angle below which two axes are one: of candidates, and of near symmetries of one order."""
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """How well one sensor distinguishes the two poses of a near symmetry, at one apparent size."""
+
+    sensor: str
+    condition: str
+    """What decides the range: "30 returns", "20% filled"."""
+    range_m: float
+    """Median range."""
+    views: int
+    """Number of attitudes that were compared."""
+    alike: int
+    """Number of these at which one frame does not distinguish the two poses."""
+    log_likelihood: float
+    """Median of the expected log likelihood by which the right pose wins."""
 
 
 @dataclass(frozen=True)
@@ -37,32 +70,51 @@ class FoundSymmetry:
     axis: tuple[float, float, float]
     """Unit vector along the axis."""
     order: int
-    """Number of turns that make a full one; 0 if any turn does (a body of revolution)."""
+    """Number of turns that make a full one."""
     exact: bool
-    """Whether surfaces and materials are the same after the turn, within a thousandth of the size."""
+    """Whether surfaces and materials are the same after the turn, within a thousandth of the size.
+
+    Where sensors were asked: whether none of them distinguishes the two poses in any view."""
     share: float
-    """Share of the visible surface that agrees after the turn."""
+    """Share of the visible surface whose shape agrees after the turn, whatever its material."""
     beside_origin_m: float
-    """Distance of the axis from the origin, m; a target file can only state axes through the origin."""
+    """Distance of the axis from the origin, m; 0 if it is within what agrees.
+
+    A target file can only state axes through the origin."""
+    through_m: tuple[float, float, float]
+    """Place on the axis, m: the target's centre of area, or the origin."""
+    continuous: bool = False
+    """Whether the same holds for every turn about the axis: a body of revolution."""
+    likeness: tuple[Likeness, ...] = ()
+    """What sensors make of the two poses; empty where none was asked."""
+    mistaken: bool = False
+    """Whether some sensor, at some range, cannot tell the two poses apart in half of the views."""
 
 
 def find_symmetries(target: Target) -> list[FoundSymmetry]:
-    """Return the symmetries of a target: the exact ones first, then by their order."""
+    """Return the exact symmetries of a target, the highest orders first, then the nearest near ones."""
     matcher = _Matcher(target)
-    found: list[FoundSymmetry] = []
-    for axis in _candidates(target):
-        best = _best(matcher, axis)
-        if best is not None:
-            found.append(best)
-    found.sort(key=lambda one: (not one.exact, -(one.order or 1000), -one.share))
-    return _without_flips_of_bodies_of_revolution(found)
+    found = [one for axis in _candidates(target) for one in _about(matcher, axis)]
+    exact = sorted((one for one in found if one.exact), key=lambda one: -one.order)
+    near = sorted((one for one in found if not one.exact), key=lambda one: (not one.continuous, -one.share))
+    return _without_flips_of_bodies_of_revolution([*exact, *_apart(near)[:_MOST_NEAR]])
+
+
+def _apart(near: list[FoundSymmetry]) -> list[FoundSymmetry]:
+    """Return near symmetries without those whose axis is that of a nearer one, a few degrees off."""
+    kept: list[FoundSymmetry] = []
+    for one in near:
+        alike = (other for other in kept if other.continuous == one.continuous and other.order == one.order)
+        if all(abs(float(np.dot(one.axis, other.axis))) < _SAME_NEAR_AXIS for other in alike):
+            kept.append(one)
+    return kept
 
 
 def _without_flips_of_bodies_of_revolution(found: list[FoundSymmetry]) -> list[FoundSymmetry]:
-    """Return one half turn across each axis of revolution instead of all that were tried."""
+    """Return one half turn across an axis of any turn, or of a high order, instead of all that were tried."""
     kept: list[FoundSymmetry] = []
     for one in found:
-        around = [other.axis for other in kept if other.order == 0]
+        around = [other.axis for other in kept if other.continuous or other.order > _ORDERS[-1]]
         across = [axis for axis in around if abs(float(np.dot(axis, one.axis))) < 1e-2]
         if not across or not any(other.order == one.order and other.exact == one.exact for other in kept):
             kept.append(one)
@@ -78,16 +130,25 @@ class _Matcher:
         self._scene = scene_of(target.triangles_m)
         self._target = target
         self._material = self._closest(target.model_points_m, target.model_normals)[2]
+        self._few = slice(None, None, max(1, len(target.model_points_m) // _FEW))
 
     def errors(self, axis: FloatArray, turn: float) -> tuple[float, float]:
-        """Return the largest distance, over the size, and the share of places that agree nearly."""
+        """Return the largest distance, over the size, and the share of places that agree nearly.
+
+        The distance is inf where few places agree.
+        """
+        share = self._errors(axis, turn, self._few)[1]
+        return (np.inf, share) if share < _SOME else self._errors(axis, turn, slice(None))
+
+    def _errors(self, axis: FloatArray, turn: float, which: slice) -> tuple[float, float]:
         rotation = Rotation.from_rotvec(2.0 * np.pi * turn * axis)
-        points_m = rotation.apply(self._target.model_points_m - self.centre_m) + self.centre_m
-        distance, cosine, material = self._closest(points_m, rotation.apply(self._target.model_normals))
-        same = material == self._material
+        points_m = rotation.apply(self._target.model_points_m[which] - self.centre_m) + self.centre_m
+        normals = rotation.apply(self._target.model_normals[which])
+        distance, cosine, material = self._closest(points_m, normals)
+        same = material == self._material[which]
         agrees = (distance < _NEAR) & (cosine > _SAME_FACE)
         worst = float(np.quantile(distance, 0.995)) if (same & agrees).mean() > 0.98 else np.inf
-        return worst, float((agrees & same).mean())
+        return worst, float(agrees.mean())
 
     def _closest(self, points_m: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray, Array]:
         """Return distance over size, cosine and material of the surface nearest to places facing alike."""
@@ -99,27 +160,36 @@ class _Matcher:
         return distance_m / self.size_m, np.abs(cosine), self._target.triangle_material[triangle]
 
 
-def _best(matcher: _Matcher, axis: FloatArray) -> FoundSymmetry | None:
-    """Return the highest exact order of an axis, else its highest near one; None without any."""
-    beside = float(np.linalg.norm(matcher.centre_m - axis * (matcher.centre_m @ axis)))
-    any_turn = [matcher.errors(axis, float(turn)) for turn in _TURNS]
+def _about(matcher: _Matcher, axis: FloatArray) -> Iterator[FoundSymmetry]:
+    """Yield the symmetries about an axis: its highest exact order, and what is near: any turn or an order."""
+    beside_m = float(np.linalg.norm(matcher.centre_m - axis * (matcher.centre_m @ axis)))
+    x, y, z = (float(value) for value in np.round(axis, 9) + 0.0)
+    cx, cy, cz = (float(value) for value in matcher.centre_m)
 
-    def one(order: int, share: float, *, exact: bool) -> FoundSymmetry:
-        x, y, z = (float(value) for value in np.round(axis, 9) + 0.0)
-        return FoundSymmetry(
-            (x, y, z), order, exact, share, 0.0 if beside < 1e-3 * matcher.size_m else beside
-        )
+    def one(order: int, share: float, *, exact: bool, continuous: bool = False) -> FoundSymmetry:
+        aside_m = beside_m if beside_m > (_EXACT if exact else _NEAR) * matcher.size_m else 0.0
+        through_m = (cx, cy, cz) if aside_m else (0.0, 0.0, 0.0)
+        return FoundSymmetry((x, y, z), order, exact, share, aside_m, through_m, continuous, mistaken=exact)
 
-    if max(worst for worst, _ in any_turn) < _ROUND:
-        return one(0, min(share for _, share in any_turn), exact=True)
-    tried = [(order, *matcher.errors(axis, 1.0 / order)) for order in _ORDERS]
-    exact = [each for each in tried if each[1] < _EXACT]
-    near = [each for each in tried if each[2] > _NEAR_SHARE]
-    if exact:
-        return one(exact[-1][0], exact[-1][2], exact=True)
-    if min(share for _, share in any_turn) > _NEAR_SHARE:
-        return one(0, min(share for _, share in any_turn), exact=False)
-    return one(near[-1][0], near[-1][2], exact=False) if near else None
+    any_turn = [matcher.errors(axis, turn) for turn in TURNS]
+    least = min(share for _, share in any_turn)
+    around = least > _NEAR_SHARE
+    asked = (*_HIGH_ORDERS, *_ORDERS[::-1]) if around else _ORDERS[::-1]
+    orders = [(order, *matcher.errors(axis, 1.0 / order)) for order in asked]
+    least_m = min(worst for _, worst, _ in orders)
+    exact = next((each for each in orders if each[1] < min(_EXACT, least_m + _SAME)), None)
+    if max(worst for worst, _ in any_turn) < _EXACT:
+        yield one(_REVOLUTION, least, exact=True, continuous=True)
+        return
+    if exact is not None:
+        yield one(exact[0], exact[2], exact=True)
+    if around:
+        yield one(exact[0] if exact else _REVOLUTION, least, exact=False, continuous=True)
+    elif exact is None:
+        most = max(share for _, _, share in orders)
+        order, _, share = next(each for each in orders if each[2] > most - _ALIKE)
+        if share > _NEAR_SHARE:
+            yield one(order, share, exact=False)
 
 
 def _centre_m(target: Target) -> FloatArray:

@@ -62,6 +62,8 @@ class Symmetry:
     """Order of the symmetry: the rotations are by multiples of 360 degrees over the order."""
     exact: bool = False
     """Whether no measurement distinguishes the target before and after the rotation."""
+    continuous: bool = False
+    """Whether the same holds for every rotation about the axis: the angle about it is free."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +127,12 @@ class Target:
         if self.field is None:
             raise TargetError(self.source, "distance_field", "is missing: load the target from its file")
         return self.field
+
+    @property
+    def free_axis(self) -> FloatArray | None:
+        """Unit vector of the axis about which no measurement tells the angle, shape (3,), or None."""
+        free = [np.array(each.axis) for each in self.symmetries if each.continuous and each.exact]
+        return free[0] if free else None
 
     def turns(self, *, exact: bool = False) -> list[RigidTransform]:
         """Return the rotations of all symmetries, or only of the exact ones, without the identity."""

@@ -8,17 +8,14 @@ import numpy as np
 from rpod_analysis.target_check.accuracy import SensorAccuracy, expected_accuracy
 from rpod_analysis.target_check.edges import Edge, straight_edges
 from rpod_analysis.target_check.holes import Opening, openings
-from rpod_pose.methods import kind_methods
-from rpod_pose.ports import Task
-from rpod_schemas.errors import SchemaError
-from rpod_schemas.sensors import methods, sensor_kind
+from rpod_analysis.target_check.likeness import judged_symmetries
+from rpod_analysis.target_check.trials import MethodFacts, try_methods
 from rpod_target import Target
-from rpod_target.symmetry import FoundSymmetry, find_symmetries
+from rpod_target.symmetry import FoundSymmetry
 from rpod_target.topology import areas_m2
 
 _LISTED = 20
 """Number of openings and edges that are listed one by one, the longest."""
-_KINDS = ("lidar", "pmd")
 
 
 @dataclass(frozen=True)
@@ -78,18 +75,6 @@ class MassFacts:
 
 
 @dataclass(frozen=True)
-class MethodFacts:
-    """Whether a method can be made for the target; it is not run."""
-
-    sensor: str
-    role: str
-    name: str
-    works: bool
-    reason: str
-    """Why it does not; empty if it works."""
-
-
-@dataclass(frozen=True)
 class TargetCheck:
     """Everything that a check finds."""
 
@@ -120,8 +105,12 @@ class TargetCheck:
         return asdict(self)
 
 
-def check_target(target: Target) -> TargetCheck:
+def check_target(target: Target, *, trials: int | None = None) -> TargetCheck:
     """Return what rpod makes of a target.
+
+    Args:
+        target: the target.
+        trials: number of frames of each sensor on which methods are tried; by default as many as take 20 s.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
@@ -140,7 +129,7 @@ def check_target(target: Target) -> TargetCheck:
         openings=len(rims),
         longest_openings=tuple(rims[:_LISTED]),
         declared_symmetries=tuple(asdict(one) for one in target.symmetries),
-        found_symmetries=tuple(find_symmetries(target)),
+        found_symmetries=tuple(judged_symmetries(target)),
         mass=_mass(target),
         distance_field=_field(target),
         edges=len(edges),
@@ -153,7 +142,7 @@ def check_target(target: Target) -> TargetCheck:
             for sensor in accuracy
         },
         accuracy=accuracy,
-        methods=tuple(_method_facts(target)),
+        methods=try_methods(target, trials=trials),
     )
 
 
@@ -214,27 +203,3 @@ def _field(target: Target) -> FieldFacts:
     return FieldFacts(
         field.values.shape, field.spacing_m, field.values.nbytes / 1e6, inside * field.spacing_m**3
     )
-
-
-def _method_facts(target: Target) -> list[MethodFacts]:
-    """Return which methods can be made for the target, each with its default configuration."""
-    found = []
-    for name in _KINDS:
-        kind = sensor_kind(name)
-        emulated: Any = kind.emulated
-        heard: Any = kind.heard
-        sensor = heard().informed_by(emulated())
-        setup = kind_methods(sensor).setup(sensor, None)
-        task = Task(target, sensor, setup)
-        made: dict[str, Any] = {}
-        for each in sorted(methods(name), key=lambda one: one.role != "tracking"):
-            reason = ""
-            try:
-                tracker = made.get(sensor.tracking.kind)
-                uses = task if each.role == "tracking" or tracker is None else task.with_tracker(tracker)
-                config: Any = each.config
-                made[each.name] = each.built(config(), uses)
-            except (SchemaError, ValueError, IndexError) as error:
-                reason = " ".join(str(error).split())
-            found.append(MethodFacts(name, each.role, each.name, not reason, reason))
-    return found

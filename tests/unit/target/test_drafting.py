@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from rpod_target import Target, TargetError, load_target
+from rpod_target import Target, TargetError, drafting, load_target, pieces
 from rpod_target.drafting import DraftOptions, draft
 from rpod_target.mesh_files import FileMaterial
 from rpod_target.proposed_materials import proposed
@@ -135,3 +135,29 @@ def test_a_mesh_that_cannot_be_simplified_within_the_bound_keeps_its_triangles()
     assert told is None
     assert triangles is sphere
     assert nearest.tolist() == list(range(len(sphere)))
+
+
+def test_a_cad_file_is_parsed_once(cad: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed = []
+    for module in (drafting, pieces):
+        read = module.read_mesh_file
+        monkeypatch.setattr(
+            module, "read_mesh_file", lambda name, *rest, read=read: parsed.append(name) or read(name, *rest)
+        )
+    made = draft(cad, cad.parent / "one" / "sat.yaml", DraftOptions(units="m", mass_kg=7.5), cache=cache)
+    assert parsed == ["sat.obj"]
+    again = load_target(made.file, cache=cad.parent / "empty")
+    assert parsed == ["sat.obj", "../sat.obj"]
+    np.testing.assert_array_equal(again.triangles_m, made.target.triangles_m)
+
+
+def test_the_origin_is_moved_to_where_the_axes_of_symmetry_meet(tmp_path: Path, cache: Path) -> None:
+    body = obj_box(sides=(1.0, 1.0, 2.0), at=(0.1, 0.2, 0.3), first=1, use="grey")
+    (tmp_path / "sat.obj").write_text(body)
+    for origin, orders in (("auto", [2, 2, 4]), ("file", [])):
+        options = DraftOptions(units="m", mass_kg=5.0, origin=origin)
+        made = draft(tmp_path / "sat.obj", tmp_path / f"{origin}.yaml", options, cache=cache)
+        through = sorted(one.order for one in made.target.symmetries if 1.0 in np.abs(one.axis))
+        assert through == orders
+        assert any("cannot be written" in text for text in made.told) == (origin == "file")
+        assert any("the origin is the centre of area" in text for text in made.told) == (origin == "auto")

@@ -205,7 +205,7 @@ def test_each_format_is_read_with_all_its_triangles(name: str, tmp_path: Path) -
         assert set(mesh.objects) == {"body", "array"}
         found = {material.name: material for material in mesh.materials}
         assert set(found) == {"gold-foil", "cells"}
-        assert found["cells"].colour == pytest.approx((0.04, 0.08, 0.47), abs=0.01)
+        assert found["cells"].colour == pytest.approx((0.22, 0.31, 0.72), abs=0.01)  # as shown
 
 
 OBJ = """mtllib colours.mtl

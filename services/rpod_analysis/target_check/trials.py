@@ -1,0 +1,276 @@
+"""Methods tried on a target: every installed sensor kind emulates frames, and its methods find the target.
+
+A few frames say whether a method can use the target at all; campaigns measure how well.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_analysis.target_check.conditions import Condition, conditions
+from rpod_analysis.target_check.emulated import EmulatedKind
+from rpod_pose.ports import Acquisition, Task
+from rpod_schemas.errors import SchemaError
+from rpod_schemas.sensors import Method, SensorKind, methods, sensor_kinds
+from rpod_schemas.types import BeliefLevel, SensorFrame
+from rpod_target import Target
+
+TRIALS = 12
+"""Number of frames of each sensor on which its default methods are tried."""
+_OTHERS = 3
+"""Methods that are not a default of their sensor are tried on one frame in so many."""
+_LONGEST_S = 20.0
+"""Processor time of all trials after which no further frame is tried, unless their number is asked for."""
+_SEED = 1
+_RIGHT_DEG, _RIGHT = 4.0, 0.04
+"""Errors of a right pose: attitude, deg, and position over the longest side."""
+
+_FEWEST_RETURNS, _FEWEST_PIXELS = 6, 200
+"""Returns of a scan, and pixels with depth of an image, below which a frame cannot fix a pose."""
+
+Result = Literal["right", "ambiguous", "refused", "wrong", "unseen"]
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What a method said of some frames."""
+
+    condition: str
+    """Condition of the frames, such as "30 returns"."""
+    range_m: float | None
+    """Median range; None without a frame."""
+    frames: int
+    right: int
+    """Poses that were accepted and are within 4 deg and 4 % of the longest side, modulo exact symmetries."""
+    ambiguous: int
+    """Frames with several hypotheses, the truth among them."""
+    refused: int
+    """Frames without an accepted pose and without such hypotheses."""
+    refused_right: int
+    """Refused frames whose pose was right."""
+    wrong: int
+    """Poses that were accepted and are not right."""
+    unseen: int
+    """Frames without an accepted pose that hold fewer than 6 returns or 200 pixels of depth."""
+    attitude_deg: float | None
+    """Median error of the accepted poses' attitudes, deg; None without one."""
+    position_m: float | None
+    """Median error of the accepted poses' positions, m; None without one."""
+
+
+@dataclass(frozen=True)
+class MethodFacts:
+    """What a method with its default configuration makes of the target."""
+
+    sensor: str
+    role: str
+    name: str
+    default: bool
+    """Whether a sensor of the kind uses the method if its configuration names none."""
+    works: bool | None
+    """Whether at least half of the frames are right, or ambiguous with the truth among the hypotheses.
+
+    Frames in which nothing is seen do not count. None if the method was not tried."""
+    reason: str
+    """Why the method cannot be made, or else the first reason for which it refused a frame."""
+    total: Tally
+    by_condition: tuple[Tally, ...]
+    median_ms: float | None
+    """Median processing time of a frame, ms; None without a frame."""
+
+
+@dataclass(frozen=True)
+class _Trial:
+    condition: str
+    range_m: float
+    result: Result
+    is_right: bool
+    attitude_deg: float | None
+    position_m: float | None
+    reason: str
+    took_s: float
+
+
+@dataclass
+class _Tried:
+    """A method, and its trials."""
+
+    method: Method
+    default: bool
+    made: Any = None
+    """The method; None if it cannot be made."""
+    reason: str = ""
+    trials: list[_Trial] = field(default_factory=list)
+
+
+def try_methods(target: Target, *, trials: int | None = None) -> tuple[MethodFacts, ...]:
+    """Return what the methods of all installed sensor kinds make of a target; frames are seeded.
+
+    Args:
+        target: the target to find and track.
+        trials: number of frames of each sensor; by default ``TRIALS``, fewer if they take too long.
+    """
+    kinds = sensor_kinds()
+    until_s = np.inf if trials else time.process_time() + _LONGEST_S
+    found: list[MethodFacts] = []
+    for number, kind in enumerate(kinds):
+        now_s = time.process_time()
+        share_s = (until_s - now_s) / (len(kinds) - number)
+        found += _try_kind(kind, target, trials or TRIALS, until_s=now_s + share_s)
+    return tuple(found)
+
+
+def _try_kind(kind: SensorKind, target: Target, count: int, *, until_s: float) -> list[MethodFacts]:
+    """Return what a kind's methods make of a target: its default methods first, then the others."""
+    emulated = EmulatedKind(kind, target, seed=_SEED)
+    seen = [
+        (each, emulated.frame(each.T_sensor_target, sun_W_m2=each.sun_W_m2, number=number))
+        for number, each in enumerate(conditions(emulated, target, count, seed=_SEED), start=1)
+    ]
+    names = tuple(dict.fromkeys(condition.name for condition, _ in seen))
+    tried = _made(emulated, target)
+    for one in (each for each in tried if each.default and each.made is not None):
+        for number, (condition, frame) in enumerate(seen):
+            if number < len(names) or time.process_time() < until_s:
+                one.trials.append(_tried(one, frame, condition, target))
+    for condition, frame in seen[: -(-count // _OTHERS)]:
+        for one in (each for each in tried if not each.default and each.made is not None):
+            if time.process_time() < until_s:
+                one.trials.append(_tried(one, frame, condition, target))
+            elif not one.trials:
+                one.reason = "not tried: the other methods took the time; ask for more with --trials"
+    return [_facts(one, names) for one in tried]
+
+
+def _made(emulated: EmulatedKind, target: Target) -> list[_Tried]:
+    """Return the kind's methods, ready and warmed up; acquisition by the sensor's default tracker."""
+    heard: Any = emulated.heard
+    defaults = {heard.tracking.kind, heard.acquisition.kind}
+    task = Task(target, heard, emulated.setup)
+    found: list[_Tried] = []
+    for each in sorted(methods(emulated.kind.name), key=lambda one: one.role != "tracking"):
+        one = _Tried(each, each.name in defaults)
+        trackers = {other.method.name: other.made for other in found if other.made is not None}
+        tracker = trackers.get(heard.tracking.kind)
+        uses = task if each.role == "tracking" or tracker is None else task.with_tracker(tracker)
+        config: Any = each.config
+        try:
+            one.made = each.built(config(), uses)
+        except (SchemaError, ValueError, IndexError) as error:
+            one.reason = " ".join(str(error).split())
+        found.append(one)
+    return found
+
+
+def _tried(one: _Tried, frame: SensorFrame | None, condition: Condition, target: Target) -> _Trial:
+    truth = condition.T_sensor_target
+    range_m = float(np.linalg.norm(truth.translation))
+    if frame is None:
+        text = "the sensor measures nothing"
+        return _Trial(condition.name, range_m, "unseen", False, None, None, text, 0.0)
+    begin_s = time.perf_counter()
+    if one.method.role == "tracking":
+        answer = Acquisition(one.made.track(frame, condition.predicted))
+        accepted = answer.pose is not None and answer.belief.level is BeliefLevel.ACCEPTED
+    else:
+        answer = one.made.acquire(frame)
+        accepted = answer.begins_track
+    took_s = time.perf_counter() - begin_s
+    attitude_deg, position_m = error_of(answer.pose, truth, target)
+    right = _is_right(attitude_deg, position_m, target)
+    listed = [error_of(each.pose, truth, target) for each in answer.hypotheses]
+    if accepted:
+        result: Result = "right" if right else "wrong"
+    else:
+        several = len(listed) > 1 and any(_is_right(*each, target) for each in listed)
+        result = "ambiguous" if several else "refused" if _measured(frame) else "unseen"
+    return _Trial(
+        condition.name,
+        range_m,
+        result,
+        right,
+        attitude_deg if accepted else None,
+        position_m if accepted else None,
+        answer.belief.refusal,
+        took_s,
+    )
+
+
+def _measured(frame: SensorFrame) -> bool:
+    """Return whether a frame holds enough of the target for a pose."""
+    if frame.lens is None:
+        return len(frame.returns_m) >= _FEWEST_RETURNS
+    depth = [image.values for image in frame.images if image.scale == "depth"]
+    return not depth or int(np.isfinite(depth[0]).sum()) >= _FEWEST_PIXELS
+
+
+def error_of(found: RigidTransform | None, truth: RigidTransform, target: Target) -> tuple[float, float]:
+    """Return errors of attitude, deg, and position, m, modulo exact symmetries; inf without a pose.
+
+    About a free axis no angle is an error.
+    """
+    if found is None:
+        return np.inf, np.inf
+    same = (truth, *(truth * turn for turn in target.turns(exact=True)))
+    off = Rotation.concatenate([pose.rotation.inv() * found.rotation for pose in same])
+    angles_rad = off.magnitude()
+    if target.free_axis is not None:  # the angle between the two directions of the axis
+        cosines = off.apply(target.free_axis) @ target.free_axis
+        angles_rad = np.arccos(np.clip(cosines, -1.0, 1.0))
+    offset_m = np.linalg.norm(truth.translation - found.translation)
+    return float(np.degrees(angles_rad.min())), float(offset_m)
+
+
+def _is_right(attitude_deg: float, position_m: float, target: Target) -> bool:
+    size_m = float(np.ptp(target.triangles_m, axis=(0, 1)).max())
+    return attitude_deg < _RIGHT_DEG and position_m < _RIGHT * size_m
+
+
+def _facts(one: _Tried, names: Sequence[str]) -> MethodFacts:
+    refusals = [trial.reason for trial in one.trials if trial.result == "refused" and trial.reason]
+    total = _tally("all", one.trials)
+    times_s = [trial.took_s for trial in one.trials if trial.took_s > 0.0]
+    return MethodFacts(
+        one.method.sensor,
+        one.method.role,
+        one.method.name,
+        one.default,
+        _works(one, total),
+        one.reason or (refusals[0] if refusals else ""),
+        total,
+        tuple(_tally(name, [trial for trial in one.trials if trial.condition == name]) for name in names),
+        1e3 * float(np.median(times_s)) if times_s else None,
+    )
+
+
+def _works(one: _Tried, total: Tally) -> bool | None:
+    if total.frames == total.unseen:
+        return None if one.made is not None else False
+    return total.frames - total.unseen <= 2 * (total.right + total.ambiguous)
+
+
+def _tally(name: str, trials: Sequence[_Trial]) -> Tally:
+    def count(result: Result) -> int:
+        return sum(trial.result == result for trial in trials)
+
+    return Tally(
+        name,
+        _median([trial.range_m for trial in trials]),
+        len(trials),
+        count("right"),
+        count("ambiguous"),
+        count("refused"),
+        sum(trial.result == "refused" and trial.is_right for trial in trials),
+        count("wrong"),
+        count("unseen"),
+        _median([trial.attitude_deg for trial in trials if trial.attitude_deg is not None]),
+        _median([trial.position_m for trial in trials if trial.position_m is not None]),
+    )
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if len(values) else None

@@ -1,0 +1,125 @@
+"""Symmetries by what sensors resolve: bodies of revolution, small parts that break them, near ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from scipy.spatial.transform import Rotation
+
+from rpod_analysis.target_check.likeness import judged_symmetries
+from rpod_analysis.target_check.trials import error_of
+from rpod_schemas.poses import make_pose
+from rpod_target import Target, load_target
+from rpod_target.drafting import DraftOptions, draft
+from rpod_target.symmetry import FoundSymmetry
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+def drafted(mesh: trimesh.Trimesh, folder: Path, cache: Path) -> Target:
+    mesh.export(folder / "body.stl")
+    options = DraftOptions(units="m", mass_kg=10.0)
+    return draft(
+        folder / "body.stl", folder / "body.yaml", options, cache=cache, symmetries=judged_symmetries
+    ).target
+
+
+def tank(sections: int) -> trimesh.Trimesh:
+    return trimesh.creation.cylinder(radius=0.5, height=2.0, sections=sections)
+
+
+def nozzle() -> trimesh.Trimesh:
+    cone = trimesh.creation.cone(radius=0.3, height=0.5, sections=48)
+    cone.apply_translation([0.0, 0.0, -1.4])
+    return cone
+
+
+def test_a_cylinder_of_32_facets_has_a_free_axis(tmp_path: Path, cache: Path) -> None:
+    target = drafted(tank(32), tmp_path, cache)
+    assert target.free_axis is not None
+    np.testing.assert_allclose(np.abs(target.free_axis), [0.0, 0.0, 1.0], atol=1e-6)
+    flips = [one for one in target.symmetries if not one.continuous]
+    assert [(one.order, one.exact) for one in flips] == [(2, True)]
+    text = (tmp_path / "body.yaml").read_text()
+    assert "continuous: true" in text
+    assert "any turn: no sensor tells the angle" in text
+
+
+def test_a_rocket_stage_has_a_free_axis_and_two_different_ends(tmp_path: Path, cache: Path) -> None:
+    target = drafted(trimesh.util.concatenate([tank(48), nozzle()]), tmp_path, cache)
+    assert [(one.continuous, one.exact) for one in target.symmetries] == [(True, True)]
+
+
+def test_a_square_tank_has_no_free_axis(tmp_path: Path, cache: Path) -> None:
+    target = drafted(tank(4), tmp_path, cache)
+    assert target.free_axis is None
+    assert max(one.order for one in target.symmetries if one.exact) == 4
+
+
+def test_a_small_box_on_the_side_shows_the_angle_close_by_only(tmp_path: Path, cache: Path) -> None:
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    box.apply_translation([0.53, 0.0, 0.4])
+    target = drafted(trimesh.util.concatenate([tank(48), nozzle(), box]), tmp_path, cache)
+    assert target.free_axis is None
+    (around,) = (one for one in judged_symmetries(target) if one.continuous)
+    assert around.mistaken
+    assert not around.exact
+    assert at(around, "lidar", "30 returns").alike > at(around, "pmd", "80% filled").alike == 0
+    assert [(one.continuous, one.exact) for one in target.symmetries] == [(True, False)]
+    assert "lidar mistakes it at" in (tmp_path / "body.yaml").read_text()
+
+
+def at(one: FoundSymmetry, sensor: str, condition: str):
+    return next(each for each in one.likeness if (each.sensor, each.condition) == (sensor, condition))
+
+
+def test_a_turn_that_every_sensor_tells_apart_is_shown_and_not_written(tmp_path: Path, cache: Path) -> None:
+    wing = trimesh.creation.box((0.05, 0.6, 0.9))
+    wing.apply_translation([0.0, 0.8, 0.3])
+    target = drafted(trimesh.util.concatenate([trimesh.creation.box((1.0, 1.0, 2.0)), wing]), tmp_path, cache)
+    found = judged_symmetries(target)
+    assert any(not one.mistaken for one in found)
+    assert all(one.likeness for one in found)
+    assert not any(one.continuous for one in target.symmetries)
+
+
+def test_a_camera_tells_what_only_brightness_distinguishes(tmp_path: Path, cache: Path) -> None:
+    materials = {
+        name: {"reflectivity": value, "diffuse": value, "f0": 0.02, "roughness": 0.3}
+        for name, value in (("black", 0.05), ("white", 0.8))
+    }
+    part = {"shape": "box", "size_m": [1.0, 0.8, 0.6]}
+    document = {
+        "name": "halves",
+        "mass_kg": 10.0,
+        "materials": materials,
+        "parts": [
+            part | {"name": name, "material": name, "T_target_part": {"translation_m": [x, 0.0, 0.0]}}
+            for name, x in (("black", -0.5), ("white", 0.5))
+        ],
+        "distance_field": {"spacing_m": 0.05, "margin_m": 0.3},
+    }
+    (tmp_path / "halves.yaml").write_text(yaml.safe_dump(document))
+    found = judged_symmetries(load_target(tmp_path / "halves.yaml", cache=cache))
+    (turn,) = (one for one in found if abs(one.axis[2]) > 0.99)
+    assert not turn.exact
+    lidar = [each for each in turn.likeness if each.sensor == "lidar"]
+    assert all(each.alike == each.views for each in lidar)
+    close = at(turn, "pmd", "80% filled")
+    assert 2 * close.alike < close.views
+
+
+def test_about_a_free_axis_no_angle_is_an_error(tmp_path: Path, cache: Path) -> None:
+    target = drafted(trimesh.util.concatenate([tank(48), nozzle()]), tmp_path, cache)
+    truth = make_pose(translation_m=[0.0, 0.0, 6.0])
+    about_z = Rotation.from_rotvec([0.0, 0.0, 0.8])
+    spun = make_pose(translation_m=[0.0, 0.0, 6.0], rotation=about_z)
+    tilt = Rotation.from_rotvec([np.radians(5.0), 0.0, 0.0])
+    tilted = make_pose(translation_m=[0.0, 0.0, 6.1], rotation=tilt * about_z)
+    assert error_of(spun, truth, target)[0] == pytest.approx(0.0, abs=1e-5)
+    assert error_of(tilted, truth, target) == (pytest.approx(5.0), pytest.approx(0.1))
