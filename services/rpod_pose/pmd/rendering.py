@@ -23,6 +23,23 @@ NINE = 9
 """Number of rays: a pixel and its eight neighbours."""
 
 
+class FineRanges(NamedTuple):
+    """Ranges of a rendering with several rays for each pixel, which shows parts thinner than a coarse pixel."""
+
+    range_m: Float32Array
+    """Range along each ray, inf without a hit, shape (rows, columns); empty without such a rendering."""
+    per_px: int
+    """Number of rays for each pixel, along rows and columns."""
+    row: int
+    """Row of the ray in the middle of the first coarse pixel; may be outside."""
+    column: int
+    """Column of that ray."""
+
+
+COARSE_ONLY = FineRanges(np.empty((0, 0), np.float32), 1, 0, 0)
+"""No rays but those of the coarse pixels."""
+
+
 @dataclass(frozen=True, eq=False)
 class Rendering:
     """The target as every coarse pixel sees it, with the data for additional rays between them."""
@@ -43,6 +60,8 @@ class Rendering:
     """R_sensor_target, shape (3, 3)."""
     t: FloatArray
     """Position of the target in the sensor, shape (3,), m."""
+    fine: FineRanges = COARSE_ONLY
+    """The same pose with more rays."""
 
     @property
     def px_per_m(self) -> float:
@@ -53,7 +72,9 @@ class Rendering:
     def arrays(self) -> "RenderingArrays":
         """The rendering as the kernels take it."""
         rays, pose = self.grid.components, PoseArrays(self.R, self.t)
-        return RenderingArrays(self.range_m, self.triangle, rays, self.stride, self.triangles_m, pose)
+        return RenderingArrays(
+            self.range_m, self.triangle, rays, self.stride, self.triangles_m, pose, self.fine
+        )
 
 
 class RenderingArrays(NamedTuple):
@@ -70,6 +91,7 @@ class RenderingArrays(NamedTuple):
     triangles_m: FloatArray
     """Triangles of the target, target axes, shape (T, 3, 3)."""
     pose: PoseArrays
+    fine: FineRanges
 
 
 class Around(NamedTuple):
@@ -93,6 +115,8 @@ def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
         j: column of the coarse pixel.
         reach: distance of the eight rays around it, along rows and columns, px.
     """
+    if rendered.fine.range_m.size:
+        return _around_finely(rendered.fine, rendered.stride, i, j, reach)
     owner, rays, stride, triangles = rendered.triangle, rendered.rays, rendered.stride, rendered.triangles_m
     R, t = rendered.pose
     rows, columns = owner.shape
@@ -118,6 +142,24 @@ def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
     for n in range(NINE):
         if inverse[n] > 0.0:
             low, high, hits = min(low, 1.0 / inverse[n]), max(high, 1.0 / inverse[n]), hits + 1
+    return Around(low, high, hits)
+
+
+@kernel
+def _around_finely(fine: FineRanges, stride: int, i: int, j: int, reach: float) -> Around:
+    """Return the extremes of all fine ranges within ``reach``, and the hits among nine of them."""
+    rows, columns = fine.range_m.shape
+    row, column = fine.row + fine.per_px * stride * i, fine.column + fine.per_px * stride * j
+    width = int(fine.per_px * reach)
+    low, high, hits = np.inf, 0.0, 0
+    for v in range(max(row - width, 0), min(row + width + 1, rows)):
+        for u in range(max(column - width, 0), min(column + width + 1, columns)):
+            range_m = fine.range_m[v, u]
+            if range_m < np.inf:
+                low, high = min(low, range_m), max(high, range_m)
+                hits += (v - row) % max(width, 1) == 0 and (u - column) % max(width, 1) == 0
+    if high > 0.0:
+        hits = max(hits, 1)
     return Around(low, high, hits)
 
 

@@ -45,7 +45,7 @@ from rpod_pose.pmd.joint.fit import (
 )
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.reflections import reflected_m
-from rpod_pose.pmd.rendering import Rendering
+from rpod_pose.pmd.rendering import COARSE_ONLY, FineRanges, Rendering
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
@@ -211,7 +211,10 @@ class JointTracker:
     ) -> Contradictions:
         view, buffers = seen.view, self._buffers_of(seen.view)
         cast_pose(view.coarse.arrays, self._triangles_m, R, t, True, *buffers)
-        rendered = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._triangles_m, R, t)
+        fine = self._fine_ranges(seen, R, t)
+        rendered = Rendering(
+            *buffers, view.coarse, view.stride, view.camera.fx, self._triangles_m, R, t, fine
+        )
         images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
         return contradictions(
             images,
@@ -221,6 +224,16 @@ class JointTracker:
             bias_m=bias_m,
             reflected_m=self._reflected_m,
         )
+
+    def _fine_ranges(self, seen: JointFrame, R: FloatArray, t: FloatArray) -> FineRanges:
+        """Return the ranges of the patch's rays at a pose; none if no edges are searched."""
+        patch, offset = seen.patch, seen.view.offset
+        if not patch.typical:
+            return COARSE_ONLY
+        fine = self._fine(seen)
+        cast_pose(fine.grid, self._triangles_m, R, t, True, *fine.hits)
+        row, column = (SAMPLES * (offset - int(first)) + SAMPLES // 2 for first in (patch.row, patch.column))
+        return FineRanges(fine.hits.range_m, SAMPLES, row, column)
 
     def _fills(self, seen: JointFrame, t: FloatArray) -> float:
         """Return the target's radius over the image's smaller side; above 1 few of its parts are in view."""
