@@ -1,7 +1,7 @@
 """Symmetries of a target, found from its surfaces: axes, orders, and how near each turn is.
 
 An axis of symmetry passes through the centre of area. It is a principal axis of the area's second moment or,
-where two of its moments are equal, lies among the faces' normals, their bisectors and their cross products.
+where two of its moments are equal, lies among the faces' normals, their sums and their cross products.
 Which of the near ones matter depends on what a sensor resolves; that is not decided here.
 """
 
@@ -116,7 +116,7 @@ def _without_flips_of_bodies_of_revolution(found: list[FoundSymmetry]) -> list[F
     for one in found:
         around = [other.axis for other in kept if other.continuous or other.order > _ORDERS[-1]]
         across = [axis for axis in around if abs(float(np.dot(axis, one.axis))) < 1e-2]
-        if not across or not any(other.order == one.order and other.exact == one.exact for other in kept):
+        if not across or not any(other.order == one.order and other.exact >= one.exact for other in kept):
             kept.append(one)
     return kept
 
@@ -206,9 +206,15 @@ def _candidates(target: Target) -> Iterator[FloatArray]:
     normals = _main_normals(target.normals, area)
     first = [*np.eye(3), *np.linalg.eigh(moments)[1].T, *normals]
     pairs = [one + sign * other for one, other in combinations(normals, 2) for sign in (1.0, -1.0)]
+    corners = [
+        one + sign * other + third * last
+        for one, other, last in combinations(normals[:4], 3)
+        for sign in (1.0, -1.0)
+        for third in (1.0, -1.0)
+    ]
     crosses = [np.cross(one, other) for one, other in combinations(normals[:6], 2)]
     known: list[FloatArray] = []
-    for vector in (*first, *pairs, *crosses):
+    for vector in (*first, *pairs, *corners, *crosses):
         length = float(np.linalg.norm(vector))
         if length < 0.1:
             continue

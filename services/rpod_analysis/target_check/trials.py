@@ -173,12 +173,16 @@ def _tried(one: _Tried, frame: SensorFrame | None, condition: Condition, target:
         text = "the sensor measures nothing"
         return _Trial(condition.name, range_m, "unseen", False, None, None, text, 0.0)
     begin_s = time.perf_counter()
-    if one.method.role == "tracking":
-        answer = Acquisition(one.made.track(frame, condition.predicted))
-        accepted = answer.pose is not None and answer.belief.level is BeliefLevel.ACCEPTED
-    else:
-        answer = one.made.acquire(frame)
-        accepted = answer.begins_track
+    try:
+        if one.method.role == "tracking":
+            answer = Acquisition(one.made.track(frame, condition.predicted))
+            accepted = answer.pose is not None and answer.belief.level is BeliefLevel.ACCEPTED
+        else:
+            answer = one.made.acquire(frame)
+            accepted = answer.begins_track
+    except Exception as error:  # noqa: BLE001 - a method must not raise on data; one that does is told
+        text = f"raised {type(error).__name__}: {' '.join(str(error).split())}"
+        return _Trial(condition.name, range_m, "refused", False, None, None, text, 0.0)
     took_s = time.perf_counter() - begin_s
     attitude_deg, position_m = error_of(answer.pose, truth, target)
     right = _is_right(attitude_deg, position_m, target)

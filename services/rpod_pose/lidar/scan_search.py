@@ -198,6 +198,8 @@ class ScanSearch:
     def _turned(self, pose: Pose) -> list[Pose]:
         """Return a pose's near-symmetries and best other rotations, in place and aligned by the centroid."""
         turns = self._model.turns
+        if not len(turns.all):  # each of them is an exact symmetry, as of a cube
+            return []
         turned = (pose.R @ turns.all).astype(np.float32)
         here_m = np.tile(pose.t, (len(turned), 1)).astype(np.float32)
         here = self._comparison.energies(turned, here_m, rounds=0)

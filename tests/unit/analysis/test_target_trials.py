@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_analysis.target_check.conditions import conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
 from rpod_analysis.target_check.trials import error_of, try_methods
+from rpod_pose.methods import methods_of
 from rpod_pose.ports import Registration, Task
 from rpod_schemas import registry
 from rpod_schemas.config.estimator import LidarInput
@@ -166,3 +168,31 @@ def test_an_exact_symmetry_is_no_error(target: Target) -> None:
     assert error_of(half, truth, target)[0] == pytest.approx(180.0)
     same = replace(target, symmetries=(Symmetry((0.0, 0.0, 1.0), 2, exact=True),))
     assert error_of(half, truth, same)[0] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.usefixtures("only_a_probe")
+def test_a_method_that_raises_is_told_as_one_that_refuses(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Guess, "track", lambda self, frame, pose: 1 // 0)  # noqa: ARG005
+    (found,) = (one for one in try_methods(target, trials=3) if one.name == "guess")
+    assert (found.total.refused, found.works) == (3, False)
+    assert found.reason.startswith("raised ZeroDivisionError")
+
+
+def test_a_cube_whose_turns_are_all_declared_is_found(tmp_path: Path) -> None:
+    signs = (1, -1)
+    axes = [((1, 0, 0), 4), ((0, 1, 0), 4), ((0, 0, 1), 4)]
+    axes += [((1, y, z), 3) for y in signs for z in signs]
+    axes += [(axis, 2) for s in signs for axis in ((0, 1, s), (1, 0, s), (1, s, 0))]
+    cube = {"name": "body", "shape": "box", "size_m": [1.0, 1.0, 1.0], "material": "paint"}
+    turns = [{"axis": list(axis), "order": order, "exact": True} for axis, order in axes]
+    (tmp_path / "cube.yaml").write_text(yaml.safe_dump(DOCUMENT | {"parts": [cube], "symmetries": turns}))
+    target = load_target(tmp_path / "cube.yaml", cache=tmp_path)
+    emulated = EmulatedKind(sensor_kind("lidar"), target, seed=1)
+    acquirer = methods_of(emulated.heard, target, emulated.setup).acquirer
+    *_, near = conditions(emulated, target, 3, seed=4)
+    frame = emulated.frame(near.T_sensor_target, sun_W_m2=near.sun_W_m2, number=1)
+    found = acquirer.acquire(frame)
+    assert found.begins_track
+    assert error_of(found.pose, near.T_sensor_target, target)[0] < 4.0

@@ -161,3 +161,11 @@ def test_the_origin_is_moved_to_where_the_axes_of_symmetry_meet(tmp_path: Path, 
         assert through == orders
         assert any("cannot be written" in text for text in made.told) == (origin == "file")
         assert any("the origin is the centre of area" in text for text in made.told) == (origin == "auto")
+
+
+def test_a_cube_has_all_its_thirteen_axes(tmp_path: Path, cache: Path) -> None:
+    cube = obj_box(sides=(1.0, 1.0, 1.0), at=(0.0, 0.0, 0.0), first=1, use="grey")
+    (tmp_path / "cube.obj").write_text(cube)
+    made = draft(tmp_path / "cube.obj", tmp_path / "cube.yaml", DraftOptions(units="m"), cache=cache)
+    assert sorted(one.order for one in made.target.symmetries) == [2] * 6 + [3] * 4 + [4] * 3
+    assert len(made.target.turns(exact=True)) == 23
