@@ -24,7 +24,7 @@ NINE = 9
 
 
 class FineRanges(NamedTuple):
-    """Ranges of a rendering with several rays for each pixel, which shows parts thinner than a coarse pixel."""
+    """Ranges of a rendering with several rays for each pixel, which shows thin parts."""
 
     range_m: Float32Array
     """Range along each ray, inf without a hit, shape (rows, columns); empty without such a rendering."""
