@@ -1,0 +1,490 @@
+"""The outline of the target in a scan: which rays meet it, beside how far away it is.
+
+The ranges of a flat face do not tell where on its plane the target lies. Which rays give a return does. Two
+neighbouring rays of which one meets a near surface and the other does not have the outline between them. It
+is found there by bisection, at the pose that the ranges give. A small motion of the target moves the outline,
+and each ray beside it may change sides: its likelihood is a step in its distance from the outline,
+
+    p(m_j | pose) = p_out + (p_in - p_out) [s_j + a_j . (dtau, dtheta) > 0],
+
+with the probabilities of its measured result if it meets the near surface and if it passes it. Such a
+likelihood has no gradient. Its product with the normal distribution that the ranges give is approximated by a
+normal distribution by expectation propagation (T. Minka, Expectation Propagation for Approximate Bayesian
+Inference, UAI 2001; it is the Bayes point machine of his section 4). This gives the mean of the pose, not
+only a likely one, and its covariance, and the only lengths in it are those of the sensor's rays.
+"""
+
+from math import erf, exp, log, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_geometry.kernels import kernel
+from rpod_geometry.ray_tree import DEPTH, Hit, first_hit, ray_in_target
+from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG
+from rpod_pose.lidar.scan_likelihood import PEAK, STEEPEST, Assumptions, Rays
+from rpod_pose.registration.lie_group import PoseArrays
+from rpod_schemas.arrays import FloatArray
+
+HALVINGS = 9
+"""Number of bisections between two rays: the outline is found within 1/512 of their distance."""
+JUMP = 4.0
+"""Least difference of two ranges, in standard deviations of one, at which a surface ends."""
+SAME_LINE, SAME_PLACE = 0.95, 0.1
+"""Cosine between two normals, and difference of two distances in units of the rays' distance, up to which two
+places of the outline lie on one line for a ray between them."""
+MOST_ODDS = 30.0
+"""Greatest logarithm of the ratio of two likelihoods of one ray."""
+SWEEPS = 8
+"""Largest number of passes of expectation propagation over all rays."""
+SETTLED = 1e-3
+"""Change of the mean, in standard deviations, below which a pass is the last."""
+
+
+class Edge(NamedTuple):
+    """Places of the outline between neighbouring rays."""
+
+    number: int
+    """Number of places, N; the arrays may be longer."""
+    direction: FloatArray
+    """Unit direction of each place in sensor axes, shape (N, 3)."""
+    range_m: FloatArray
+    """Range of the near surface there, shape (N,)."""
+    front: NDArray[np.int64]
+    """Row-major index of the ray that meets the near surface, shape (N,)."""
+    back: NDArray[np.int64]
+    """Row-major index of the ray that passes it, shape (N,)."""
+    faces: NDArray[np.int32]
+    """Face of the near surface, and the face behind it, -1 for none, shape (N, 2)."""
+    of_pair: NDArray[np.int32]
+    """Place between a ray and the next one in its row, and in its column, -1 for none, shape
+    (2, rows, columns)."""
+
+
+class Steps(NamedTuple):
+    """Rays beside the outline, each with a likelihood that is a step in the pose."""
+
+    number: int
+    """Number of rays, E; the arrays may be longer."""
+    rows: FloatArray
+    """Derivatives a of the distance by (dtau, dtheta), shape (E, 6)."""
+    distance_m: FloatArray
+    """Distance s from the outline at the pose, positive inside, shape (E,)."""
+    odds: FloatArray
+    """Logarithm of p_in / p_out, shape (E,)."""
+
+
+class Posterior(NamedTuple):
+    """A normal distribution of a step (dtau, dtheta)."""
+
+    mean: FloatArray
+    """Mean, shape (6,)."""
+    information: FloatArray
+    """Information that the steps add to that of the ranges, shape (6, 6)."""
+    log_evidence: float
+    """Logarithm of the integral of prior times steps, each of whose greatest value is 1."""
+
+
+@kernel
+def outline_steps(
+    range_m: FloatArray, pose: PoseArrays, rays: Rays, assumed: Assumptions, power: int
+) -> Steps:
+    """Return the rays beside the outline.
+
+    Args:
+        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
+        pose: pose of the target in the sensor.
+        rays: rays and target; their buffers hold the target rendered at the pose.
+        assumed: statistics of returns.
+        power: index of the likeliest value in ``detection.HALVES``.
+    """
+    edge = _edge(pose, rays, assumed)
+    columns, most = range_m.shape[1], 2 * edge.number
+    rows, distance, odds = np.empty((most, 6)), np.empty(most), np.empty(most)
+    normals, known, number = np.empty((most, 3)), np.full((range_m.size, 4), -1, np.int32), 0
+    for n in range(edge.number):
+        normal = _normal(edge, n, rays)
+        for inside in range(2):
+            ray = edge.front[n] if inside else edge.back[n]
+            i, j = ray // columns, ray % columns
+            s, apart = 0.0, 0.0
+            for k in range(3):
+                s += edge.range_m[n] * normal[k] * rays.grid.components[k, i, j]
+                apart += (edge.range_m[n] * (rays.grid.components[k, i, j] - edge.direction[n, k])) ** 2
+            if _is_known(known[ray], normals, distance, normal, s, sqrt(apart)):
+                continue
+            here = rays.face[i, j]
+            near = _log_likelihood(range_m[i, j], pose, ray, here if inside else edge.faces[n, 0], rays, assumed, power)
+            far = _log_likelihood(range_m[i, j], pose, ray, edge.faces[n, 1] if inside else here, rays, assumed, power)
+            for slot in range(4):
+                if known[ray, slot] < 0:
+                    known[ray, slot] = number
+                    break
+            normals[number], distance[number] = normal, s
+            odds[number] = min(max(near - far, -MOST_ODDS), MOST_ODDS)
+            _fill_row(rows[number], pose, normal, edge.direction[n], edge.range_m[n])
+            number += 1
+    return Steps(number, rows, distance, odds)
+
+
+@kernel
+def _edge(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Edge:
+    """Return the places where near surfaces end between neighbouring rays, at a rendered pose."""
+    height, width = rays.face.shape
+    most, number = 2 * height * width, 0
+    direction, range_m = np.empty((most, 3)), np.empty(most)
+    front, back = np.empty(most, np.int64), np.empty(most, np.int64)
+    faces, of_pair = np.empty((most, 2), np.int32), np.full((2, height, width), -1, np.int32)
+    origin, stack = np.empty(3), np.empty((DEPTH, 2))
+    for k in range(3):
+        origin[k] = -(pose.R[0, k] * pose.t[0] + pose.R[1, k] * pose.t[1] + pose.R[2, k] * pose.t[2])
+    one, two, middle = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(height):
+        for j in range(width):
+            for way in range(2):
+                ni, nj = i + way, j + 1 - way
+                if ni >= height or nj >= width or (rays.face[i, j] < 0 and rays.face[ni, nj] < 0):
+                    continue
+                if not _may_end(pose, rays, i * width + j, ni * width + nj, assumed):
+                    continue
+                a = Hit(np.float64(rays.range_m[i, j]), np.int64(rays.face[i, j]))
+                b = Hit(np.float64(rays.range_m[ni, nj]), np.int64(rays.face[ni, nj]))
+                for k in range(3):
+                    one[k], two[k] = rays.grid.components[k, i, j], rays.grid.components[k, ni, nj]
+                for _ in range(HALVINGS):
+                    length = 0.0
+                    for k in range(3):
+                        middle[k] = 0.5 * (one[k] + two[k])
+                        length += middle[k] * middle[k]
+                    for k in range(3):
+                        middle[k] /= sqrt(length)
+                    ray = ray_in_target(pose.R, origin, middle[0], middle[1], middle[2])
+                    hit = first_hit(rays.faces.tree, ray, np.inf, stack)
+                    if _apart(hit, a) <= _apart(hit, b):
+                        a = hit
+                        one[:] = middle
+                    else:
+                        b = hit
+                        two[:] = middle
+                if _apart(a, b) < JUMP * assumed.sigma_m:
+                    continue
+                first_is_front = a.range_m < b.range_m
+                near, far = (a, b) if first_is_front else (b, a)
+                for k in range(3):
+                    direction[number, k] = 0.5 * (one[k] + two[k])
+                range_m[number] = near.range_m
+                front[number] = i * width + j if first_is_front else ni * width + nj
+                back[number] = ni * width + nj if first_is_front else i * width + j
+                faces[number, 0], faces[number, 1] = near.triangle, far.triangle
+                of_pair[way, i, j] = number
+                number += 1
+    return Edge(number, direction, range_m, front, back, faces, of_pair)
+
+
+@kernel
+def _apart(one: Hit, two: Hit) -> float:
+    """Return the difference of two ranges, m: 0 between two misses, inf between a hit and a miss."""
+    if one.triangle < 0 or two.triangle < 0:
+        return 0.0 if one.triangle == two.triangle else np.inf
+    return abs(one.range_m - two.range_m)
+
+
+@kernel
+def _may_end(pose: PoseArrays, rays: Rays, one: int, two: int, assumed: Assumptions) -> bool:
+    """Return whether a surface may end between two rays: neither continues the other's plane."""
+    width = rays.face.shape[1]
+    a, b = rays.face[one // width, one % width], rays.face[two // width, two % width]
+    if a < 0 or b < 0:
+        return a != b
+    if a == b:
+        return False
+    limit = JUMP * assumed.sigma_m
+    forth = abs(_on_plane(pose, rays, a, two) - np.float64(rays.range_m[two // width, two % width]))
+    aback = abs(_on_plane(pose, rays, b, one) - np.float64(rays.range_m[one // width, one % width]))
+    return forth > limit and aback > limit
+
+
+@kernel
+def _on_plane(pose: PoseArrays, rays: Rays, face: int, ray: int) -> float:
+    """Return the range at which a ray meets the plane of a face, m; inf if it runs along the plane."""
+    width, across, height = rays.face.shape[1], 0.0, rays.faces.offsets_m[face]
+    i, j = ray // width, ray % width
+    for k in range(3):
+        n = 0.0
+        for c in range(3):
+            n += pose.R[k, c] * rays.faces.normals[face, c]
+        across += n * rays.grid.components[k, i, j]
+        height += n * pose.t[k]
+    found = height / across
+    return found if found > 0.0 else np.inf
+
+
+@kernel
+def _log_likelihood(  # noqa: PLR0917
+    measured_m: float, pose: PoseArrays, ray: int, face: int, rays: Rays, assumed: Assumptions, power: int
+) -> float:
+    """Return the log likelihood of a ray's result if it meets a face, -1 for none.
+
+    Args:
+        measured_m: measured range, 0 without a return.
+        pose: pose of the target in the sensor.
+        ray: row-major index of the ray.
+        face: index of the face.
+        rays: rays and target.
+        assumed: statistics of returns.
+        power: index of the likeliest value in ``detection.HALVES``.
+    """
+    density = assumed.clutter_density
+    if face < 0:
+        return log(density) if measured_m > 0.0 else log(1.0 - assumed.clutter_share)
+    width, cosine = rays.face.shape[1], 0.0
+    i, j = ray // width, ray % width
+    for k in range(3):
+        for c in range(3):
+            cosine -= pose.R[k, c] * rays.faces.normals[face, c] * rays.grid.components[k, i, j]
+    cosine = max(cosine, STEEPEST)
+    r = _on_plane(pose, rays, face, ray)
+    echo = cosine * rays.faces.albedo[face] * (assumed.least_range_m / r) ** 2
+    rung = min(max(int((log(max(echo, 1e-9)) - LEAST_LOG) * RUNGS_PER_LOG), 0), RUNGS - 1)
+    if measured_m <= 0.0:
+        return float(assumed.detection.log_missing[power, rung])
+    lateral_m = assumed.slack_m / cosine
+    variance = assumed.sigma_m * assumed.sigma_m + lateral_m * lateral_m
+    tail = 1.0 + 0.25 * (measured_m - r) * (measured_m - r) / variance
+    near = PEAK / (sqrt(variance * tail) * tail * tail)
+    return float(log(near * exp(assumed.detection.log_share[power, rung]) + density))
+
+
+@kernel
+def _fill_row(row: FloatArray, pose: PoseArrays, normal: FloatArray, place: FloatArray, range_m: float) -> None:
+    """Fill the derivatives of the distance of a ray from the outline by (dtau, dtheta), shape (6,).
+
+    A motion of the target by d along the normal, which points inwards, brings the outline nearer by d.
+
+    Args:
+        row: output.
+        pose: pose of the target in the sensor.
+        normal: inward normal of the outline, sensor axes, shape (3,).
+        place: direction of a place on it, sensor axes, shape (3,).
+        range_m: range of this place.
+    """
+    n, x = np.empty(3), np.empty(3)
+    for c in range(3):
+        n[c], x[c] = 0.0, 0.0
+        for k in range(3):
+            n[c] += pose.R[k, c] * normal[k]
+            x[c] += pose.R[k, c] * (range_m * place[k] - pose.t[k])
+    row[0], row[1], row[2] = -n[0], -n[1], -n[2]
+    row[3], row[4], row[5] = n[1] * x[2] - n[2] * x[1], n[2] * x[0] - n[0] * x[2], n[0] * x[1] - n[1] * x[0]
+
+
+@kernel
+def _is_known(  # noqa: PLR0917
+    slots: NDArray[np.int32],
+    normals: FloatArray,
+    distances: FloatArray,
+    normal: FloatArray,
+    distance: float,
+    apart: float,
+) -> bool:
+    """Return whether a ray has the same line of the outline already, from its other neighbour.
+
+    Args:
+        slots: numbers of the ray's lines so far, -1 for none, shape (4,).
+        normals: normals of all lines, shape (N, 3).
+        distances: distances of all lines, shape (N,), m.
+        normal: normal of the line, shape (3,).
+        distance: distance of the line, m.
+        apart: distance of the ray from the place between the rays, m.
+    """
+    for number in slots:
+        if number < 0:
+            break
+        cosine = normals[number, 0] * normal[0] + normals[number, 1] * normal[1] + normals[number, 2] * normal[2]
+        if cosine > SAME_LINE and abs(distances[number] - distance) < SAME_PLACE * apart:
+            return True
+    return False
+
+
+@kernel
+def _normal(edge: Edge, place: int, rays: Rays) -> FloatArray:
+    """Return the inward normal of the outline at a place, sensor axes, perpendicular to its direction, (3,).
+
+    The outline goes on to a place in each of the two squares of four rays that the place lies between
+    (marching squares). Where the two ways differ, at a corner of the target, the straighter one is taken.
+    """
+    width, here, tangent = rays.face.shape[1], edge.direction[place], np.zeros(3)
+    i, j, way = _pair(edge, place, width)
+    ahead, behind = _next(edge, place, i - 1 + way, j - way), _next(edge, place, i, j)
+    if ahead >= 0 and behind >= 0:
+        one, two = _unit(edge.direction[ahead] - here), _unit(here - edge.direction[behind])
+        if (one * two).sum() > SAME_LINE:
+            tangent = edge.direction[ahead] - edge.direction[behind]
+        elif _straightness(edge, ahead, i - 1 + way, j - way, one) >= _straightness(edge, behind, i, j, -two):
+            tangent = one
+        else:
+            tangent = two
+    elif ahead >= 0:
+        tangent = edge.direction[ahead] - here
+    elif behind >= 0:
+        tangent = here - edge.direction[behind]
+    inwards = np.empty(3)
+    for k in range(3):
+        inwards[k] = (
+            rays.grid.components[k, edge.front[place] // width, edge.front[place] % width]
+            - rays.grid.components[k, edge.back[place] // width, edge.back[place] % width]
+        )
+    normal = np.empty(3)
+    normal[0] = here[1] * tangent[2] - here[2] * tangent[1]
+    normal[1] = here[2] * tangent[0] - here[0] * tangent[2]
+    normal[2] = here[0] * tangent[1] - here[1] * tangent[0]
+    if ahead < 0 and behind < 0:
+        normal = inwards - (inwards * here).sum() * here
+    normal = _unit(normal)
+    return normal if (normal * inwards).sum() >= 0.0 else -normal
+
+
+@kernel
+def _unit(vector: FloatArray) -> FloatArray:
+    """Return a vector divided by its length, shape (3,); zero stays zero."""
+    length = sqrt((vector**2).sum())
+    return vector / length if length > 0.0 else vector
+
+
+@kernel
+def _pair(edge: Edge, place: int, width: int) -> tuple[int, int, int]:
+    """Return row and column of the first ray of a place's pair, and 1 if the other is in the next row."""
+    first = min(edge.front[place], edge.back[place])
+    way = 0 if abs(edge.front[place] - edge.back[place]) == 1 else 1
+    return first // width, first % width, way
+
+
+@kernel
+def _next(edge: Edge, place: int, row: int, column: int) -> int:
+    """Return the place to which the outline goes on in the square of four rays from a row and column on.
+
+    If there are several, it is the one at the most similar range; -1 without any.
+    """
+    height, width = edge.of_pair.shape[1], edge.of_pair.shape[2]
+    if row < 0 or column < 0 or row + 1 >= height or column + 1 >= width:
+        return -1
+    found, least = -1, np.inf
+    for other in (
+        edge.of_pair[0, row, column],
+        edge.of_pair[0, row + 1, column],
+        edge.of_pair[1, row, column],
+        edge.of_pair[1, row, column + 1],
+    ):
+        if other >= 0 and other != place:
+            difference = abs(edge.range_m[other] - edge.range_m[place])
+            if difference < least:
+                found, least = np.int64(other), difference
+    return found
+
+
+@kernel
+def _straightness(edge: Edge, place: int, row: int, column: int, way: FloatArray) -> float:
+    """Return the cosine by which the outline turns after it came to a place; -1 if it ends there.
+
+    Args:
+        edge: all places.
+        place: the place.
+        row: first row of the square that it came through.
+        column: first column of this square.
+        way: unit direction in which it came, sensor axes, shape (3,).
+    """
+    i, j, down = _pair(edge, place, edge.of_pair.shape[2])
+    if row == i and column == j:
+        i, j = i - 1 + down, j - down
+    onward = _next(edge, place, i, j)
+    if onward < 0:
+        return -1.0
+    return float((_unit(edge.direction[onward] - edge.direction[place]) * way).sum())
+
+
+@kernel
+def propagated(
+    steps: Steps, information: FloatArray, gradient: FloatArray, hold: FloatArray, blur_m: float
+) -> Posterior:
+    """Return the posterior of a step (dtau, dtheta) by expectation propagation.
+
+    Args:
+        steps: likelihoods of the rays beside the outline.
+        information: information of the ranges about the step, shape (6, 6).
+        gradient: their gradient at a step of 0, shape (6,).
+        hold: prior information that the step is zero, above 0, shape (6,).
+        blur_m: standard deviation of the place of the outline.
+    """
+    prior = information + np.diag(hold)
+    covariance = np.linalg.inv(prior)
+    mean = covariance @ -gradient
+    precision, shift = np.zeros(steps.number), np.zeros(steps.number)
+    added, evidence = np.zeros((6, 6)), 0.0
+    for sweep in range(SWEEPS):
+        before, evidence = mean.copy(), 0.0
+        for e in range(steps.number):
+            if steps.odds[e] == 0.0:
+                continue
+            row = steps.rows[e]
+            spread = covariance @ row
+            v, m = 0.0, steps.distance_m[e]
+            for k in range(6):
+                v += row[k] * spread[k]
+                m += row[k] * mean[k]
+            rest = 1.0 / v - precision[e]
+            if not rest > 1e-9 / v:
+                continue
+            cavity = 1.0 / rest
+            centre = cavity * (m / v - shift[e])
+            new, moved, log_z = _matched(centre, cavity, steps.odds[e], blur_m)
+            evidence += log_z
+            change, push = new - precision[e], moved - shift[e]
+            precision[e], shift[e] = new, moved
+            gain = 1.0 / (1.0 + change * v)
+            for i in range(6):
+                mean[i] += gain * spread[i] * (push - change * m)
+                for k in range(6):
+                    covariance[i, k] -= change * gain * spread[i] * spread[k]
+        worst = 0.0
+        for k in range(6):
+            worst = max(worst, abs(mean[k] - before[k]) / sqrt(max(covariance[k, k], 1e-300)))
+        if sweep > 0 and worst < SETTLED:
+            break
+    for e in range(steps.number):
+        row = steps.rows[e]
+        for i in range(6):
+            for k in range(6):
+                added[i, k] += precision[e] * row[i] * row[k]
+    return Posterior(mean, added, evidence)
+
+
+@kernel
+def _matched(centre: float, variance: float, odds: float, blur_m: float) -> tuple[float, float, float]:
+    """Return precision and precision times mean of the normal factor that stands for a step.
+
+    Its product with a normal distribution has the same mean and variance as the product with the step
+    p_out + (p_in - p_out) Phi(s / blur), whose greater level is 1; the third number is the logarithm of the
+    latter's integral.
+
+    Args:
+        centre: mean of the distance s without the step, m.
+        variance: variance of this distance, m2.
+        odds: logarithm of p_in / p_out.
+        blur_m: blur.
+    """
+    inside, outside = min(1.0, exp(odds)), min(1.0, exp(-odds))
+    sigma = sqrt(variance + blur_m * blur_m)
+    z = centre / sigma
+    share = 0.5 * (1.0 + erf(z / sqrt(2.0)))
+    total = outside + (inside - outside) * share
+    if not total > 1e-12:
+        total = 1e-12
+    slope = (inside - outside) * exp(-0.5 * z * z) / (sqrt(2.0 * pi) * sigma * total)
+    bend = slope * (slope + z / sigma)
+    precision = bend / max(1.0 - variance * bend, 1e-6)
+    if not precision > 0.0:
+        return 0.0, 0.0, log(total)
+    mean = centre + variance * slope
+    left = variance * (1.0 - variance * bend)
+    return precision, mean / left - centre / variance, log(total)
