@@ -92,10 +92,11 @@ class ProjectiveIcpTuning(Tuning):
     """Standard deviation of the distance of a return beyond the outline, m."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
     """Least number of returns, and of returns on faces, of a registration."""
-    unobserved_m: Annotated[Positive, WIDE_PRIOR] = 1.0
-    """Standard deviation of a position that no face determines, m."""
-    unobserved_deg: Annotated[Positive, WIDE_PRIOR] = 20.0
-    """Standard deviation of a rotation that no face determines, deg."""
+    unobserved_deg: Annotated[
+        Positive, Provenance("physics", "the standard deviation of an angle of which nothing is known")
+    ] = 104.0
+    """Standard deviation of a rotation that neither faces nor outline determine, deg. That of a position is
+    the target's radius."""
     model: ScanModelConfig = ScanModelConfig()
     """Statistics of the scans."""
     verdict: ScanVerdictConfig = ScanVerdictConfig()

@@ -8,13 +8,10 @@ and each ray beside it may change sides: its likelihood is a step in its distanc
     p(m_j | pose) = p_out + (p_in - p_out) [s_j + a_j . (dtau, dtheta) > 0],
 
 with the probabilities of its measured result if it meets the near surface and if it passes it. Such a
-likelihood has no gradient. Its product with the normal distribution that the ranges give is approximated by a
-normal distribution by expectation propagation (T. Minka, Expectation Propagation for Approximate Bayesian
-Inference, UAI 2001; it is the Bayes point machine of his section 4). This gives the mean of the pose, not
-only a likely one, and its covariance, and the only lengths in it are those of the sensor's rays.
+likelihood has no gradient; ``step_posterior`` combines it with what the ranges tell.
 """
 
-from math import erf, exp, log, pi, sqrt
+from math import exp, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -25,10 +22,13 @@ from rpod_geometry.ray_tree import DEPTH, Hit, first_hit, ray_in_target
 from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG
 from rpod_pose.lidar.scan_likelihood import PEAK, STEEPEST, Assumptions, Rays
 from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.step_posterior import Steps
 from rpod_schemas.arrays import FloatArray
 
 HALVINGS = 9
 """Number of bisections between two rays: the outline is found within 1/512 of their distance."""
+FARTHEST = 4
+"""Number of rays on each side of the outline that may contradict it one behind the other."""
 JUMP = 4.0
 """Least difference of two ranges, in standard deviations of one, at which a surface ends."""
 SAME_LINE, SAME_PLACE = 0.95, 0.1
@@ -36,10 +36,6 @@ SAME_LINE, SAME_PLACE = 0.95, 0.1
 places of the outline lie on one line for a ray between them."""
 MOST_ODDS = 30.0
 """Greatest logarithm of the ratio of two likelihoods of one ray."""
-SWEEPS = 8
-"""Largest number of passes of expectation propagation over all rays."""
-SETTLED = 1e-3
-"""Change of the mean, in standard deviations, below which a pass is the last."""
 
 
 class Edge(NamedTuple):
@@ -62,30 +58,6 @@ class Edge(NamedTuple):
     (2, rows, columns)."""
 
 
-class Steps(NamedTuple):
-    """Rays beside the outline, each with a likelihood that is a step in the pose."""
-
-    number: int
-    """Number of rays, E; the arrays may be longer."""
-    rows: FloatArray
-    """Derivatives a of the distance by (dtau, dtheta), shape (E, 6)."""
-    distance_m: FloatArray
-    """Distance s from the outline at the pose, positive inside, shape (E,)."""
-    odds: FloatArray
-    """Logarithm of p_in / p_out, shape (E,)."""
-
-
-class Posterior(NamedTuple):
-    """A normal distribution of a step (dtau, dtheta)."""
-
-    mean: FloatArray
-    """Mean, shape (6,)."""
-    information: FloatArray
-    """Information that the steps add to that of the ranges, shape (6, 6)."""
-    log_evidence: float
-    """Logarithm of the integral of prior times steps, each of whose greatest value is 1."""
-
-
 @kernel
 def outline_steps(
     range_m: FloatArray, pose: PoseArrays, rays: Rays, assumed: Assumptions, power: int
@@ -100,32 +72,57 @@ def outline_steps(
         power: index of the likeliest value in ``detection.HALVES``.
     """
     edge = _edge(pose, rays, assumed)
-    columns, most = range_m.shape[1], 2 * edge.number
+    columns, most = range_m.shape[1], 2 * FARTHEST * edge.number
     rows, distance, odds = np.empty((most, 6)), np.empty(most), np.empty(most)
     normals, known, number = np.empty((most, 3)), np.full((range_m.size, 4), -1, np.int32), 0
     for n in range(edge.number):
         normal = _normal(edge, n, rays)
+        outwards = edge.back[n] - edge.front[n]
         for inside in range(2):
-            ray = edge.front[n] if inside else edge.back[n]
-            i, j = ray // columns, ray % columns
-            s, apart = 0.0, 0.0
-            for k in range(3):
-                s += edge.range_m[n] * normal[k] * rays.grid.components[k, i, j]
-                apart += (edge.range_m[n] * (rays.grid.components[k, i, j] - edge.direction[n, k])) ** 2
-            if _is_known(known[ray], normals, distance, normal, s, sqrt(apart)):
-                continue
-            here = rays.face[i, j]
-            near = _log_likelihood(range_m[i, j], pose, ray, here if inside else edge.faces[n, 0], rays, assumed, power)
-            far = _log_likelihood(range_m[i, j], pose, ray, edge.faces[n, 1] if inside else here, rays, assumed, power)
-            for slot in range(4):
-                if known[ray, slot] < 0:
-                    known[ray, slot] = number
+            for away in range(FARTHEST):
+                ray = edge.front[n] - away * outwards if inside else edge.back[n] + away * outwards
+                if number >= most or not _is_beside(ray, edge.front[n], outwards, rays):
                     break
-            normals[number], distance[number] = normal, s
-            odds[number] = min(max(near - far, -MOST_ODDS), MOST_ODDS)
-            _fill_row(rows[number], pose, normal, edge.direction[n], edge.range_m[n])
-            number += 1
+                i, j = ray // columns, ray % columns
+                s, apart = 0.0, 0.0
+                for k in range(3):
+                    s += edge.range_m[n] * normal[k] * rays.grid.components[k, i, j]
+                    apart += (edge.range_m[n] * (rays.grid.components[k, i, j] - edge.direction[n, k])) ** 2
+                here = rays.face[i, j]
+                faces = (here, edge.faces[n, 1]) if inside else (edge.faces[n, 0], here)
+                near = _log_likelihood(range_m[i, j], pose, ray, faces[0], rays, assumed, power)
+                far = _log_likelihood(range_m[i, j], pose, ray, faces[1], rays, assumed, power)
+                contradicts = near < far if inside else near > far
+                if away > 0 and not contradicts:
+                    break
+                if not _is_known(known[ray], normals, distance, normal, s, sqrt(apart)):
+                    for slot in range(4):
+                        if known[ray, slot] < 0:
+                            known[ray, slot] = number
+                            break
+                    normals[number], distance[number] = normal, s
+                    odds[number] = min(max(near - far, -MOST_ODDS), MOST_ODDS)
+                    _fill_row(rows[number], pose, normal, edge.direction[n], edge.range_m[n])
+                    number += 1
+                if not contradicts:
+                    break
     return Steps(number, rows, distance, odds)
+
+
+@kernel
+def _is_beside(ray: int, start: int, outwards: int, rays: Rays) -> bool:
+    """Return whether a ray lies in the same row or column of the pattern as the one from which it is counted.
+
+    Args:
+        ray: row-major index of the ray.
+        start: row-major index of the other ray.
+        outwards: step from one ray to the next, a row or a column.
+        rays: rays of the pattern.
+    """
+    height, width = rays.face.shape
+    if ray < 0 or ray >= height * width:
+        return False
+    return abs(outwards) == width or ray // width == start // width
 
 
 @kernel
@@ -401,90 +398,3 @@ def _straightness(edge: Edge, place: int, row: int, column: int, way: FloatArray
     if onward < 0:
         return -1.0
     return float((_unit(edge.direction[onward] - edge.direction[place]) * way).sum())
-
-
-@kernel
-def propagated(
-    steps: Steps, information: FloatArray, gradient: FloatArray, hold: FloatArray, blur_m: float
-) -> Posterior:
-    """Return the posterior of a step (dtau, dtheta) by expectation propagation.
-
-    Args:
-        steps: likelihoods of the rays beside the outline.
-        information: information of the ranges about the step, shape (6, 6).
-        gradient: their gradient at a step of 0, shape (6,).
-        hold: prior information that the step is zero, above 0, shape (6,).
-        blur_m: standard deviation of the place of the outline.
-    """
-    prior = information + np.diag(hold)
-    covariance = np.linalg.inv(prior)
-    mean = covariance @ -gradient
-    precision, shift = np.zeros(steps.number), np.zeros(steps.number)
-    added, evidence = np.zeros((6, 6)), 0.0
-    for sweep in range(SWEEPS):
-        before, evidence = mean.copy(), 0.0
-        for e in range(steps.number):
-            if steps.odds[e] == 0.0:
-                continue
-            row = steps.rows[e]
-            spread = covariance @ row
-            v, m = 0.0, steps.distance_m[e]
-            for k in range(6):
-                v += row[k] * spread[k]
-                m += row[k] * mean[k]
-            rest = 1.0 / v - precision[e]
-            if not rest > 1e-9 / v:
-                continue
-            cavity = 1.0 / rest
-            centre = cavity * (m / v - shift[e])
-            new, moved, log_z = _matched(centre, cavity, steps.odds[e], blur_m)
-            evidence += log_z
-            change, push = new - precision[e], moved - shift[e]
-            precision[e], shift[e] = new, moved
-            gain = 1.0 / (1.0 + change * v)
-            for i in range(6):
-                mean[i] += gain * spread[i] * (push - change * m)
-                for k in range(6):
-                    covariance[i, k] -= change * gain * spread[i] * spread[k]
-        worst = 0.0
-        for k in range(6):
-            worst = max(worst, abs(mean[k] - before[k]) / sqrt(max(covariance[k, k], 1e-300)))
-        if sweep > 0 and worst < SETTLED:
-            break
-    for e in range(steps.number):
-        row = steps.rows[e]
-        for i in range(6):
-            for k in range(6):
-                added[i, k] += precision[e] * row[i] * row[k]
-    return Posterior(mean, added, evidence)
-
-
-@kernel
-def _matched(centre: float, variance: float, odds: float, blur_m: float) -> tuple[float, float, float]:
-    """Return precision and precision times mean of the normal factor that stands for a step.
-
-    Its product with a normal distribution has the same mean and variance as the product with the step
-    p_out + (p_in - p_out) Phi(s / blur), whose greater level is 1; the third number is the logarithm of the
-    latter's integral.
-
-    Args:
-        centre: mean of the distance s without the step, m.
-        variance: variance of this distance, m2.
-        odds: logarithm of p_in / p_out.
-        blur_m: blur.
-    """
-    inside, outside = min(1.0, exp(odds)), min(1.0, exp(-odds))
-    sigma = sqrt(variance + blur_m * blur_m)
-    z = centre / sigma
-    share = 0.5 * (1.0 + erf(z / sqrt(2.0)))
-    total = outside + (inside - outside) * share
-    if not total > 1e-12:
-        total = 1e-12
-    slope = (inside - outside) * exp(-0.5 * z * z) / (sqrt(2.0 * pi) * sigma * total)
-    bend = slope * (slope + z / sigma)
-    precision = bend / max(1.0 - variance * bend, 1e-6)
-    if not precision > 0.0:
-        return 0.0, 0.0, log(total)
-    mean = centre + variance * slope
-    left = variance * (1.0 - variance * bend)
-    return precision, mean / left - centre / variance, log(total)

@@ -97,6 +97,21 @@ class FaceFit(NamedTuple):
 
 
 @kernel
+def excess(squares_m2: float, inliers: int, sigma_m: float) -> float:
+    """Return the factor by which residuals vary more than their assumed sigma, at least 1.
+
+    It is the ratio of their variance to the assumed one if the former is larger, for the degrees of freedom
+    that six unknowns leave.
+
+    Args:
+        squares_m2: sum of the inliers' squared distances from their planes.
+        inliers: number of inliers.
+        sigma_m: assumed standard deviation of a range.
+    """
+    return max(1.0, squares_m2 / (max(inliers, 1) * sigma_m * sigma_m)) * inliers / max(inliers - 6, 1)
+
+
+@kernel
 def pose_covariance(information: FloatArray, R: FloatArray) -> FloatArray:
     """Return the covariance of (dp, dtheta) in the sensor's axes, shape (6, 6).
 

@@ -152,6 +152,21 @@ def scan_agreement(
 
 
 @kernel
+def likeliest_power(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions) -> int:
+    """Return the index of the likeliest value in ``detection.HALVES`` at a rendered pose.
+
+    Args:
+        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
+        R: R_sensor_target, shape (3, 3).
+        rays: rays, target and buffers, which hold the target rendered at the pose.
+        assumed: statistics of returns.
+    """
+    sums = _ray_sums(range_m, R, rays, assumed, False)
+    _, power = _detected(sums.returned, sums.missing, assumed.detection)
+    return power
+
+
+@kernel
 def _ray_sums(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions, spread: bool) -> RaySums:
     """Return the sums over the rays, after the target was cast at the pose.
 
