@@ -205,14 +205,15 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
         tree: the target's mesh.
         ray: the ray.
         farthest_m: the range, inf for any.
-        stack: memory for nodes that are yet to be visited, shape (DEPTH, 2).
+        stack: memory for nodes that are yet to be visited, shape (DEPTH + 1, 3).
     """
     boxes, first, count, sides = tree.boxes_m, tree.first, tree.count, tree.sides_m
     ox, oy, oz = ray.origin_m[0], ray.origin_m[1], ray.origin_m[2]
     dx, dy, dz = ray.x, ray.y, ray.z
-    ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
+    inverse = stack[DEPTH]
+    inverse[0], inverse[1], inverse[2] = 1.0 / dx, 1.0 / dy, 1.0 / dz
     nearest, found = farthest_m, -1
-    stack[0, 0], stack[0, 1], waiting = 0, _entry(boxes, 0, ray, (ix, iy, iz), nearest), 1
+    stack[0, 0], stack[0, 1], waiting = 0, _entry(boxes, 0, ray, inverse, nearest), 1
     while waiting > 0:
         waiting -= 1
         if stack[waiting, 1] >= nearest:
@@ -220,8 +221,8 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
         node = int(stack[waiting, 0])
         if count[node] == 0:
             left = first[node]
-            near_left = _entry(boxes, left, ray, (ix, iy, iz), nearest)
-            near_right = _entry(boxes, left + 1, ray, (ix, iy, iz), nearest)
+            near_left = _entry(boxes, left, ray, inverse, nearest)
+            near_right = _entry(boxes, left + 1, ray, inverse, nearest)
             near_child = left if near_left <= near_right else left + 1
             near, far = min(near_left, near_right), max(near_left, near_right)
             if far < nearest:
@@ -255,23 +256,24 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
 
 
 @kernel
-def _entry(
-    boxes: Float32Array, node: int, ray: Ray, inverse: tuple[float, float, float], nearest: float
-) -> float:
+def _entry(boxes: Float32Array, node: int, ray: Ray, inverse: FloatArray, nearest: float) -> float:
     """Return the range at which a ray enters a node's box, m; inf if it does not before ``nearest``.
 
     Args:
         boxes: ``RayTree.boxes_m``.
         node: index of the node.
         ray: the ray.
-        inverse: one over the components of its direction.
+        inverse: one over the components of its direction, shape (3,).
         nearest: range of the nearest triangle so far, m.
     """
-    begin, end = 0.0, nearest
-    for k in range(3):
-        a = (np.float64(boxes[node, k]) - ray.origin_m[k]) * inverse[k]
-        b = (np.float64(boxes[node, 3 + k]) - ray.origin_m[k]) * inverse[k]
-        begin, end = max(begin, min(a, b)), min(end, max(a, b))
+    ax = (boxes[node, 0] - ray.origin_m[0]) * inverse[0]
+    bx = (boxes[node, 3] - ray.origin_m[0]) * inverse[0]
+    ay = (boxes[node, 1] - ray.origin_m[1]) * inverse[1]
+    by = (boxes[node, 4] - ray.origin_m[1]) * inverse[1]
+    az = (boxes[node, 2] - ray.origin_m[2]) * inverse[2]
+    bz = (boxes[node, 5] - ray.origin_m[2]) * inverse[2]
+    begin = max(max(min(ax, bx), min(ay, by)), max(min(az, bz), 0.0))
+    end = min(min(max(ax, bx), max(ay, by)), min(max(az, bz), nearest))
     return begin if begin <= end else np.inf
 
 
@@ -302,7 +304,7 @@ def cast_tree(  # noqa: PLR0917
         radius2 += half * half
         for i in range(3):
             centre[i] += R[i, k] * middle
-    stack = np.empty((DEPTH, 2))
+    stack = np.empty((DEPTH + 1, 3))
     beyond = centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2 - radius2
     for i in range(triangle.shape[0]):
         for j in range(triangle.shape[1]):

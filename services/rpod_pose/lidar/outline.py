@@ -25,8 +25,8 @@ from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.step_posterior import Steps
 from rpod_schemas.arrays import FloatArray
 
-HALVINGS = 9
-"""Number of bisections between two rays: the outline is found within 1/512 of their distance."""
+HALVINGS = 6
+"""Number of bisections between two rays: the outline is found within 1/128 of their distance."""
 FARTHEST = 4
 """Number of rays on each side of the outline that may contradict it one behind the other."""
 JUMP = 4.0
@@ -133,7 +133,7 @@ def _edge(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Edge:
     direction, range_m = np.empty((most, 3)), np.empty(most)
     front, back = np.empty(most, np.int64), np.empty(most, np.int64)
     faces, of_pair = np.empty((most, 2), np.int32), np.full((2, height, width), -1, np.int32)
-    origin, stack = np.empty(3), np.empty((DEPTH, 2))
+    origin, stack = np.empty(3), np.empty((DEPTH + 1, 3))
     for k in range(3):
         origin[k] = -(pose.R[0, k] * pose.t[0] + pose.R[1, k] * pose.t[1] + pose.R[2, k] * pose.t[2])
     one, two, middle = np.empty(3), np.empty(3), np.empty(3)

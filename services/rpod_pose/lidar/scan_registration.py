@@ -36,14 +36,14 @@ from rpod_pose.lidar.scan_likelihood import (
 from rpod_pose.registration.field_alignment import FieldProblem, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.normal_equations import gradient_of, information_of, no_sums
-from rpod_pose.registration.step_posterior import propagated
+from rpod_pose.registration.step_posterior import Steps, propagated
 from rpod_pose.registration.surface_model import cast_faces
 from rpod_schemas.arrays import FloatArray
 
-ROUNDS = 5
+ROUNDS = 4
 """Largest number of times that the outline is found anew."""
-NEAR_MEAN = 0.1
-"""Step, in standard deviations, from which on the pose is taken as the mean."""
+STRAIGHT = 0.125
+"""Motion of the outline, in units of the rays' distance, up to which it stays on the lines that were found."""
 CHANCE = 3.0
 """Drop of the log likelihood from the greatest to that of a typical right pose, for six unknowns."""
 
@@ -166,7 +166,7 @@ def _outlined(  # noqa: PLR0917
     if _deficit(found) <= 0.0 and _determined(found, problem.points_m.shape[0], reach):
         return found
     best = settled(problem, start, range_m, assumed, reach)
-    if _deficit(best) > 0.0:
+    if _deficit(best) > sqrt(best.statistics.variance):
         other = settled(problem, found.pose, range_m, assumed, reach)
         if other.statistics.agreement.log_likelihood > best.statistics.agreement.log_likelihood:
             best = other
@@ -194,6 +194,18 @@ def _determined(found: ScanRegistration, returns: int, reach: Reach) -> bool:
     for k in range(3):
         spread_m2 = max(spread_m2, covariance[k, k], covariance[3 + k, 3 + k] * reach.radius_m**2)
     return spread_m2 <= limit_m * limit_m
+
+
+@kernel
+def _farthest(steps: Steps, step: FloatArray) -> float:
+    """Return how far a step (dtau, dtheta), shape (6,), moves the outline beside any ray, m."""
+    farthest = 0.0
+    for e in range(steps.number):
+        moved = 0.0
+        for k in range(6):
+            moved += steps.rows[e, k] * step[k]
+        farthest = max(farthest, abs(moved))
+    return farthest
 
 
 @kernel
@@ -229,7 +241,7 @@ def settled(  # noqa: PLR0917
         )
         pose = stepped(pose, found.mean)
         information = without_influential(of_ranges, evidence.rows) * whole + found.information
-        if found.mean @ (information + np.diag(held)) @ found.mean < NEAR_MEAN * NEAR_MEAN:
+        if number > 0 and _farthest(steps, found.mean) < STRAIGHT * reach.spacing_rad * sqrt((pose.t**2).sum()):
             break
     statistics = scan_statistics(range_m, pose.R, pose.t, rays, assumed)
     return ScanRegistration(pose, FaceFit(pose, information, squares, inliers), information, statistics)

@@ -17,8 +17,10 @@ from rpod_schemas.arrays import FloatArray
 
 SWEEPS = 8
 """Largest number of passes over all steps."""
-SETTLED = 1e-2
+SETTLED = 3e-2
 """Change of the mean, in standard deviations, below which a pass is the last."""
+CERTAIN = 5.0
+"""Distance from a step, in standard deviations, from which on a measurement that agrees tells nothing."""
 
 
 class Steps(NamedTuple):
@@ -60,18 +62,22 @@ def propagated(
     covariance = np.linalg.inv(prior)
     mean = covariance @ -gradient
     precision, shift = np.zeros(steps.number), np.zeros(steps.number)
-    added = np.zeros((6, 6))
+    added, spread = np.zeros((6, 6)), np.empty(6)
     for sweep in range(SWEEPS):
         before = mean.copy()
         for e in range(steps.number):
             if steps.odds[e] == 0.0:
                 continue
             row = steps.rows[e]
-            spread = covariance @ row
             v, m = 0.0, steps.distance_m[e]
-            for k in range(6):
-                v += row[k] * spread[k]
-                m += row[k] * mean[k]
+            for i in range(6):
+                spread[i] = 0.0
+                for k in range(6):
+                    spread[i] += covariance[i, k] * row[k]
+                v += row[i] * spread[i]
+                m += row[i] * mean[i]
+            if precision[e] == 0.0 and m * steps.odds[e] > 0.0 and m * m > CERTAIN**2 * (v + blur_m * blur_m):
+                continue
             rest = 1.0 / v - precision[e]
             if not rest > 1e-9 / v:
                 continue
