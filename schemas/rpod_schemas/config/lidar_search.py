@@ -6,7 +6,7 @@ from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWNS, WIDE_PRIOR, Provenance, Tuning
+from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWNS, Provenance, Tuning
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -77,6 +77,9 @@ class ProjectiveIcpTuning(Tuning):
     near_share: Annotated[Share, BY_HAND] = 0.95
     """Share of a scan above which a prediction that explains it needs no coarse steps: they let the target
     slide in directions that its faces leave undetermined."""
+    sure_surplus: Annotated[NonNegative, BY_HAND] = 0.3
+    """Excess of the actual over the expected log likelihood for each return from which on the faces alone are
+    sufficient, if they determine all motions."""
     fine_steps: Annotated[Count, BUDGET] = 3
     """Number of fine steps, which align all returns with the faces."""
     widest_m: Annotated[Positive, BY_HAND] = 1.0

@@ -23,7 +23,7 @@ from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG
 from rpod_pose.lidar.scan_likelihood import PEAK, STEEPEST, Assumptions, Rays
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.step_posterior import Steps
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import Array, FloatArray
 
 HALVINGS = 6
 """Number of bisections between two rays: the outline is found within 1/128 of their distance."""
@@ -164,7 +164,7 @@ def _edge(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Edge:
                     else:
                         b = hit
                         two[:] = middle
-                if _apart(a, b) < JUMP * assumed.sigma_m:
+                if _goes_on(pose, rays, a, two, b, assumed) or _goes_on(pose, rays, b, one, a, assumed):
                     continue
                 first_is_front = a.range_m < b.range_m
                 near, far = (a, b) if first_is_front else (b, a)
@@ -203,15 +203,41 @@ def _may_end(pose: PoseArrays, rays: Rays, one: int, two: int, assumed: Assumpti
 
 
 @kernel
+def _goes_on(  # noqa: PLR0917
+    pose: PoseArrays, rays: Rays, hit: Hit, direction: FloatArray, other: Hit, assumed: Assumptions
+) -> bool:
+    """Return whether what a ray met nearby is on the plane of what another ray met, within the noise.
+
+    Args:
+        pose: pose of the target in the sensor.
+        rays: rays and target.
+        hit: what the one ray met.
+        direction: unit direction of the other ray, sensor axes, shape (3,).
+        other: what this ray met.
+        assumed: statistics of returns.
+    """
+    if hit.triangle < 0 or other.triangle < 0:
+        return False
+    expected_m = _along(pose, rays, hit.triangle, direction)
+    return abs(expected_m - other.range_m) < JUMP * assumed.sigma_m
+
+
+@kernel
 def _on_plane(pose: PoseArrays, rays: Rays, face: int, ray: int) -> float:
-    """Return the range at which a ray meets the plane of a face, m; inf if it runs along the plane."""
-    width, across, height = rays.face.shape[1], 0.0, rays.faces.offsets_m[face]
-    i, j = ray // width, ray % width
+    """Return the range at which a ray of the pattern meets the plane of a face, m; inf if it runs along it."""
+    width = rays.face.shape[1]
+    return _along(pose, rays, face, rays.grid.components[:, ray // width, ray % width])
+
+
+@kernel
+def _along(pose: PoseArrays, rays: Rays, face: int, direction: Array) -> float:
+    """Return ``_on_plane`` for any unit direction in sensor axes, shape (3,)."""
+    across, height = 0.0, rays.faces.offsets_m[face]
     for k in range(3):
         n = 0.0
         for c in range(3):
             n += pose.R[k, c] * rays.faces.normals[face, c]
-        across += n * rays.grid.components[k, i, j]
+        across += n * direction[k]
         height += n * pose.t[k]
     found = height / across
     return found if found > 0.0 else np.inf
@@ -254,7 +280,9 @@ def _log_likelihood(  # noqa: PLR0917
 
 
 @kernel
-def _fill_row(row: FloatArray, pose: PoseArrays, normal: FloatArray, place: FloatArray, range_m: float) -> None:
+def _fill_row(
+    row: FloatArray, pose: PoseArrays, normal: FloatArray, place: FloatArray, range_m: float
+) -> None:
     """Fill the derivatives of the distance of a ray from the outline by (dtau, dtheta), shape (6,).
 
     A motion of the target by d along the normal, which points inwards, brings the outline nearer by d.
@@ -298,7 +326,9 @@ def _is_known(  # noqa: PLR0917
     for number in slots:
         if number < 0:
             break
-        cosine = normals[number, 0] * normal[0] + normals[number, 1] * normal[1] + normals[number, 2] * normal[2]
+        cosine = (
+            normals[number, 0] * normal[0] + normals[number, 1] * normal[1] + normals[number, 2] * normal[2]
+        )
         if cosine > SAME_LINE and abs(distances[number] - distance) < SAME_PLACE * apart:
             return True
     return False

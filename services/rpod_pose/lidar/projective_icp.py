@@ -55,7 +55,7 @@ class ProjectiveIcp:
             1.0 / tuning.outline_m,
         )
         spacing = max(spacing_rad(pattern.azimuth_rad), spacing_rad(pattern.elevation_rad))
-        self._reach = Reach(tuning.near_share, spacing, target.radius_m)
+        self._reach = Reach(tuning.near_share, spacing, target.radius_m, tuning.sure_surplus)
         middle_m = np.sqrt(tuning.widest_m * tuning.narrowest_m)
         self._far = np.geomspace(tuning.widest_m, middle_m, tuning.coarse_steps)
         self._near = np.geomspace(middle_m, tuning.narrowest_m, tuning.fine_steps)
@@ -75,7 +75,9 @@ class ProjectiveIcp:
     def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
         """Return the registration from a pose R, t, sensor axes, that is close to the solution."""
         problem, start = self._problem(seen), PoseArrays(R, t)
-        return self._registration(seen, refined(problem, start, seen.range_m, self.model.assumed, self._reach))
+        return self._registration(
+            seen, refined(problem, start, seen.range_m, self.model.assumed, self._reach)
+        )
 
     def _problem(self, seen: SeenScan) -> FaceProblem:
         return FaceProblem(

@@ -152,8 +152,10 @@ def scan_agreement(
 
 
 @kernel
-def likeliest_power(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions) -> int:
-    """Return the index of the likeliest value in ``detection.HALVES`` at a rendered pose.
+def rendered_likelihood(
+    range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions
+) -> tuple[float, int]:
+    """Return the log likelihood of a scan at a rendered pose, and its likeliest index in ``detection.HALVES``.
 
     Args:
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
@@ -162,8 +164,8 @@ def likeliest_power(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Ass
         assumed: statistics of returns.
     """
     sums = _ray_sums(range_m, R, rays, assumed, False)
-    _, power = _detected(sums.returned, sums.missing, assumed.detection)
-    return power
+    evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
+    return sums.log_density + evidence, power
 
 
 @kernel

@@ -29,7 +29,7 @@ from rpod_pose.lidar.scan_likelihood import (
     Assumptions,
     Rays,
     ScanStatistics,
-    likeliest_power,
+    rendered_likelihood,
     scan_agreement,
     scan_statistics,
 )
@@ -40,7 +40,7 @@ from rpod_pose.registration.step_posterior import Steps, propagated
 from rpod_pose.registration.surface_model import cast_faces
 from rpod_schemas.arrays import FloatArray
 
-ROUNDS = 4
+ROUNDS = 5
 """Largest number of times that the outline is found anew."""
 STRAIGHT = 0.125
 """Motion of the outline, in units of the rays' distance, up to which it stays on the lines that were found."""
@@ -57,6 +57,8 @@ class Reach(NamedTuple):
     """Angle between neighbouring rays."""
     radius_m: float
     """Distance of the target's farthest point from its origin."""
+    surplus: float
+    """Excess of the actual over the expected log likelihood for each return, of a scan that is surely right."""
 
 
 class ScanRegistration(NamedTuple):
@@ -96,7 +98,7 @@ def _of_faces(problem: FaceProblem, fit: FaceFit) -> FloatArray:
 
 
 @kernel
-def refined(  # noqa: PLR0917
+def refined(
     problem: FaceProblem, start: PoseArrays, range_m: FloatArray, assumed: Assumptions, reach: Reach
 ) -> ScanRegistration:
     """Return the registration from a pose that is close to the solution.
@@ -112,7 +114,11 @@ def refined(  # noqa: PLR0917
     """
     at_start = scan_agreement(range_m, start.R, start.t, _rays(problem), assumed)
     found = _refined(problem, start, at_start.log_likelihood, range_m, assumed)
-    return _outlined(problem, start, found, range_m, assumed, reach)
+    if _is_sufficient(found, problem, reach):
+        return found
+    return _likelier(
+        settled(problem, start, range_m, assumed, reach), found, problem, range_m, assumed, reach
+    )
 
 
 @kernel
@@ -124,7 +130,10 @@ def tracked(  # noqa: PLR0917
     assumed: Assumptions,
     reach: Reach,
 ) -> ScanRegistration:
-    """Return ``refined`` from a predicted pose; if it is far off, it is aligned in the distance field first.
+    """Return ``refined`` from a predicted pose.
+
+    If the prediction is far off, it is also aligned in the distance field first, and the likelier result is
+    returned.
 
     Args:
         far: some of the returns, the target's distance field, and the scales of the first steps.
@@ -137,41 +146,51 @@ def tracked(  # noqa: PLR0917
     likelihood, agreeing, inconsistent, missing = scan_agreement(
         range_m, start.R, start.t, _rays(problem), assumed
     )
-    if agreeing < reach.near_share * (agreeing + inconsistent + missing):
-        start = field_aligned(far.points, start, far.field, far.scales_m)
-        return refined(problem, start, range_m, assumed, reach)
     found = _refined(problem, start, likelihood, range_m, assumed)
-    return _outlined(problem, start, found, range_m, assumed, reach)
+    near = agreeing >= reach.near_share * (agreeing + inconsistent + missing)
+    if near and _is_sufficient(found, problem, reach):
+        return found
+    best = _likelier(
+        settled(problem, start, range_m, assumed, reach), found, problem, range_m, assumed, reach
+    )
+    if near:
+        return best
+    begin = field_aligned(far.points, start, far.field, far.scales_m)
+    other = aligned(problem, begin, range_m, assumed)
+    return _likelier(best, other, problem, range_m, assumed, reach)
 
 
 @kernel
-def _outlined(  # noqa: PLR0917
+def _likelier(  # noqa: PLR0917
+    best: ScanRegistration,
+    other: ScanRegistration,
     problem: FaceProblem,
-    start: PoseArrays,
-    found: ScanRegistration,
     range_m: FloatArray,
     assumed: Assumptions,
     reach: Reach,
 ) -> ScanRegistration:
-    """Return a registration, improved by the outline where this is necessary.
+    """Return the best registration so far, or the one by the outline from another pose if that is likelier.
 
     Args:
+        best: best registration so far, by the outline.
+        other: registration by the faces alone.
         problem: all returns and the target.
-        start: pose that the registration began with.
-        found: registration by the faces.
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
         assumed: statistics of returns.
         reach: what the outline can tell.
     """
-    if _deficit(found) <= 0.0 and _determined(found, problem.points_m.shape[0], reach):
-        return found
-    best = settled(problem, start, range_m, assumed, reach)
-    if _deficit(best) > sqrt(best.statistics.variance):
-        other = settled(problem, found.pose, range_m, assumed, reach)
-        if other.statistics.agreement.log_likelihood > best.statistics.agreement.log_likelihood:
-            best = other
-    least = found.statistics.agreement.log_likelihood - CHANCE
-    return best if best.statistics.agreement.log_likelihood >= least else found
+    least = best.statistics.agreement.log_likelihood
+    if other.statistics.agreement.log_likelihood < least - CHANCE:
+        return best
+    found = settled(problem, other.pose, range_m, assumed, reach)
+    return found if found.statistics.agreement.log_likelihood > least + CHANCE else best
+
+
+@kernel
+def _is_sufficient(found: ScanRegistration, problem: FaceProblem, reach: Reach) -> bool:
+    """Return whether the scan is surely right, and the faces determine all motions at least as well as the outline."""
+    returns = problem.points_m.shape[0]
+    return _deficit(found) <= -reach.surplus * returns and _determined(found, returns, reach)
 
 
 @kernel
@@ -218,15 +237,21 @@ def _held(pose: PoseArrays, reach: Reach) -> FloatArray:
 
 
 @kernel
-def settled(  # noqa: PLR0917
+def settled(
     problem: FaceProblem, start: PoseArrays, range_m: FloatArray, assumed: Assumptions, reach: Reach
 ) -> ScanRegistration:
     """Return the mean of the pose by ranges and outline, near a given pose; arguments as for ``refined``."""
     rays, pose, information = _rays(problem), start, np.zeros((6, 6))
-    inliers, squares = 0, 0.0
+    inliers, squares, likelihood, kept, step = 0, 0.0, -np.inf, start, np.zeros(6)
+    straight_m = STRAIGHT * reach.spacing_rad * sqrt((start.t**2).sum())
     for number in range(ROUNDS):
         cast_faces(rays.grid, rays.faces, pose.R, pose.t, problem.buffers)
-        power = likeliest_power(range_m, pose.R, rays, assumed)
+        here, power = rendered_likelihood(range_m, pose.R, rays, assumed)
+        if here < likelihood - CHANCE:  # the outline is not straight so far
+            step *= 0.5
+            pose = stepped(kept, step)
+            continue
+        kept, likelihood = pose, max(here, likelihood)
         scale = problem.scales_m[min(number, problem.scales_m.size - 1)]
         evidence = add_face_points(no_sums(), problem, pose, scale)
         if evidence.inliers < FEWEST:
@@ -235,15 +260,21 @@ def settled(  # noqa: PLR0917
         whole = inliers / max(evidence.faded, 1e-6) / excess(squares, inliers, problem.errors.sigma_m)
         of_ranges = information_of(evidence.sums, 6)
         steps = outline_steps(range_m, pose, rays, assumed, power)
-        held = _held(pose, reach)
         found = propagated(
-            steps, of_ranges * whole, gradient_of(evidence.sums, 6) * whole, held, assumed.slack_m
+            steps,
+            of_ranges * whole,
+            gradient_of(evidence.sums, 6) * whole,
+            _held(pose, reach),
+            assumed.slack_m,
         )
-        pose = stepped(pose, found.mean)
         information = without_influential(of_ranges, evidence.rows) * whole + found.information
-        if number > 0 and _farthest(steps, found.mean) < STRAIGHT * reach.spacing_rad * sqrt((pose.t**2).sum()):
+        step = found.mean
+        pose = stepped(pose, step)
+        if number > 0 and _farthest(steps, step) < straight_m:
             break
     statistics = scan_statistics(range_m, pose.R, pose.t, rays, assumed)
+    if statistics.agreement.log_likelihood < likelihood - CHANCE:
+        pose, statistics = kept, scan_statistics(range_m, kept.R, kept.t, rays, assumed)
     return ScanRegistration(pose, FaceFit(pose, information, squares, inliers), information, statistics)
 
 

@@ -36,9 +36,7 @@ class Faces(NamedTuple):
 
 
 @kernel
-def cast_faces(
-    grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray, buffers: RenderBuffers
-) -> None:
+def cast_faces(grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray, buffers: RenderBuffers) -> None:
     """Fill the first hit of every ray, seen from outside, in the way that is faster for so many triangles.
 
     Args:
