@@ -79,9 +79,10 @@ def campaign_command(
     except (CampaignError, OSError) as error:
         return _fail(error, EXIT_FAILURE)
     if as_json:
-        print(
-            json.dumps({"cells": [_plain(result.summary) for result in results]}, indent=2, allow_nan=False)
-        )
+        told: dict[str, Any] = {"cells": [_plain(result.summary) for result in results]}
+        if campaign.totals is not None:
+            told["totals"] = _plain(campaign.totals(results))
+        print(json.dumps(told, indent=2, allow_nan=False))
     else:
         _tell(sections, report, prepared.folder.trials_file)
     return EXIT_OK
@@ -156,9 +157,13 @@ def _tell(sections: Sequence[Section], report: Path, trials: Path) -> None:
 
 
 def _plain(summary: Any) -> dict[str, Any]:
-    """Return a summary for JSON, in which NaN and infinity are null."""
+    """Return a summary for JSON, in which NaN and infinity are null, also in the objects that it holds."""
     return {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        key: _plain(value)
+        if isinstance(value, Mapping)
+        else None
+        if isinstance(value, float) and not math.isfinite(value)
+        else value
         for key, value in summary.items()
     }
 

@@ -28,6 +28,7 @@ BUILT_IN = (
     "pmd-robustness",
     "pmd-acquisition",
     "pmd-verdict",
+    "population",
 )
 """Names of this package's campaigns; the folder of each has the same name, with underscores."""
 

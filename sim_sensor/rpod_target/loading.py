@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from rpod_schemas.arrays import Array
 from rpod_schemas.config.base import check, read_document
@@ -18,6 +19,8 @@ from rpod_target.mesh_files import companions
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
 from rpod_target.target import DistanceField, Material, Symmetry, Target
 
+RANDOM = "random-"
+"""Beginning of the names of the random satellites."""
 _SHIPPED = Path(__file__).parent / "targets"
 _BUILDER_VERSION, _MESH_BUILDER_VERSION = 4, 5
 """Version of the builder, without and with mesh files, to be increased when the same parameters give other
@@ -33,15 +36,14 @@ def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Targe
     """Return a target, which is built if the cache has none with its digest.
 
     Args:
-        name_or_path: name of a shipped target, or path of a parameter file (YAML, JSON or TOML).
+        name_or_path: name of a shipped target or of a random satellite (``rpod_target.population``), or
+            path of a parameter file (YAML, JSON or TOML).
         cache: directory of the built targets; by default $RPOD_CACHE, $XDG_CACHE_HOME/rpod or ~/.cache/rpod.
 
     Raises:
         TargetError: names the file, the field and the reason.
     """
-    path = _parameter_file(name_or_path)
-    parameters = _read_parameters(path)
-    meshes = _read_meshes(parameters, path)
+    path, parameters, meshes = _read(name_or_path)
     digest = _digest(parameters, meshes)
     built = _digest(parameters.model_copy(update={"symmetries": ()}), meshes)  # they change no array
     file = (cache or store.default_directory()) / f"target-{built}.npz"
@@ -51,6 +53,21 @@ def load_target(name_or_path: str | Path, *, cache: Path | None = None) -> Targe
         with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
             store.write(file, arrays)
     return _assemble(parameters, arrays, source=path, digest=digest)
+
+
+def _read(name_or_path: str | Path) -> tuple[Path, TargetParameters, dict[str, bytes]]:
+    """Return source, parameters and mesh files of a target."""
+    if str(name_or_path).startswith(RANDOM):
+        from rpod_target.population import satellite_of  # noqa: PLC0415 - the shipped targets need no trimesh
+
+        satellite = satellite_of(str(name_or_path))
+        if satellite is not None:
+            source = Path(satellite.name)
+            document = yaml.safe_load(satellite.parameters)
+            return source, check(TargetParameters, document, source=source), dict(satellite.meshes)
+    path = _parameter_file(name_or_path)
+    parameters = _read_parameters(path)
+    return path, parameters, _read_meshes(parameters, path)
 
 
 def _parameter_file(name_or_path: str | Path) -> Path:

@@ -44,6 +44,9 @@ class Campaign(Generic[CellT]):
     """Columns of a row and their polars types."""
     summarise: Callable[[CellT, pl.DataFrame], Row]
     sections: Callable[[Sequence[CellResult[CellT]]], Sequence[Section]]
+    totals: Callable[[Sequence[CellResult[CellT]]], Row] | None = None
+    """Function that returns the object ``totals`` in the output of ``--json``; None for a campaign whose
+    cells have nothing in common."""
     most_trials: int | None = field(default=None)
     """Largest number of trials, for a campaign over a fixed sequence; None for no limit."""
     keys: tuple[str, ...] = ()

@@ -4,6 +4,8 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import RigidTransform
 
+from rpod_analysis.scoring.score import find_nees
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_error
 from rpod_target import Target
 
@@ -27,7 +29,27 @@ def errors(
     """
     if found is None:
         return None, None
-    same = (truth, *(truth * turn for turn in target.turns(exact=True)))
-    alike = [pose_error(pose, found) for pose in same]
-    attitude_rad, position_m = min(alike, key=lambda error: float(np.linalg.norm(error[0])))
+    attitude_rad, position_m = pose_error(nearest(truth, found, target), found)
     return float(np.rad2deg(np.linalg.norm(attitude_rad))), float(np.linalg.norm(position_m))
+
+
+def nearest(truth: RigidTransform, found: RigidTransform, target: Target) -> RigidTransform:
+    """Return the pose, among those that equal the truth by an exact symmetry, nearest to a found one."""
+    same = (truth, *(truth * turn for turn in target.turns(exact=True)))
+    return min(same, key=lambda pose: float(np.linalg.norm(pose_error(pose, found)[0])))
+
+
+def nees_of(
+    truth: RigidTransform, found: RigidTransform | None, covariance: FloatArray, target: Target
+) -> float:
+    """Return the normalised squared error of (dp, dtheta) in the sensor's axes (ICD section 1).
+
+    NaN without a pose, or where the covariance is not positive definite. For a target with an exact symmetry,
+    the error is that against the nearest equivalent pose.
+    """
+    if found is None:
+        return float("nan")
+    same = nearest(truth, found, target)
+    turn = (found.rotation * same.rotation.inv()).as_rotvec()
+    error = np.concatenate((found.translation - same.translation, turn))
+    return float(find_nees(error[None], covariance[None])[0])

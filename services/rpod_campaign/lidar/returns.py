@@ -1,0 +1,108 @@
+"""Scans of a target of any size with a wanted number of returns: step, window and range of the LIDAR."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import asin, ceil, degrees, radians, sqrt
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_campaign.engine.trial.sizes import middle_m, with_middle_at
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.methods import lidar_config
+from rpod_campaign.lidar.scene import CLEARANCE_M, scan_of
+from rpod_geometry.rays import RayGrid, cast
+from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.types import Camera, LidarScan
+from rpod_sim_sensor.lidar import LidarEmulator
+from rpod_target import Target
+
+RETURNS = (30.0, 500.0)
+"""Least and greatest number of returns of a scan, where none is chosen; the logarithm is uniform."""
+_STEPS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
+_TYPICAL = 200.0
+"""Number of returns that the chosen step gives at the nearest range or beyond."""
+_VIEWS, _PIXELS = 12, 64
+"""Number of attitudes, and of pixels along each side of an image, that measure a silhouette."""
+_ROUNDS = 6
+"""Number of corrections of a range."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """A scan that holds a target at every range from the nearest on."""
+
+    step_deg: float
+    span_deg: float
+    nearest_m: float
+    """Least range of the target's middle, m: it is in the window, and no surface nearer than 2 m."""
+    silhouette_m2: float
+    """Mean area of the target's silhouette, m2."""
+
+    def range_m(self, returns: float) -> float:
+        """Return the range at which so many rays meet the mean silhouette, m, or the nearest."""
+        return max(self.nearest_m, sqrt(self.silhouette_m2 / returns) / radians(self.step_deg))
+
+    def config(self) -> LidarConfig:
+        """Return the 2015 paper's LIDAR with this window."""
+        return lidar_config(step_deg=self.step_deg, span_deg=self.span_deg)
+
+
+@lru_cache(maxsize=64)
+def window_of(name: str) -> Window:
+    """Return the window for a target: the paper's step of 1 deg, or a finer one for enough returns."""
+    target = cached_target(name)
+    corners_m = target.triangles_m.reshape(-1, 3)
+    radius_m = float(np.linalg.norm(corners_m - middle_m(target), axis=1).max())
+    nearest_m = max(2.0 * radius_m, radius_m + CLEARANCE_M)
+    area_m2 = silhouette_m2(target, radius_m)
+    wanted_deg = degrees(sqrt(area_m2 / _TYPICAL) / nearest_m)
+    step_deg = next((step for step in _STEPS_DEG if step <= wanted_deg), _STEPS_DEG[-1])
+    span_deg = step_deg * 2 * ceil(degrees(asin(radius_m / nearest_m)) / step_deg)
+    return Window(step_deg, span_deg, nearest_m, area_m2)
+
+
+def silhouette_m2(target: Target, radius_m: float) -> float:
+    """Return the mean area of a target's silhouette over attitudes, m2.
+
+    Args:
+        target: the target.
+        radius_m: radius of its bounding sphere about the middle, m.
+    """
+    range_m = 20.0 * radius_m
+    focal = 0.5 * _PIXELS * sqrt(range_m**2 - radius_m**2) / radius_m
+    camera = Camera(
+        width=_PIXELS, height=_PIXELS, fx=focal, fy=focal, cx=0.5 * _PIXELS - 0.5, cy=0.5 * _PIXELS - 0.5
+    )
+    rays, place_m = RayGrid.pinhole(camera), np.array((0.0, 0.0, range_m))
+    met = 0
+    for attitude in Rotation.random(_VIEWS, rng=np.random.default_rng(0)):
+        pose = with_middle_at(attitude, place_m, target)
+        met += int(np.isfinite(cast(rays, target.triangles_m, pose).range_m).sum())
+    return met / _VIEWS * (range_m / focal) ** 2
+
+
+def scan_with_returns(
+    emulator: LidarEmulator,
+    target: str,
+    R_sensor_target: Rotation,
+    *,
+    returns: float,
+    trial: int,
+) -> tuple[RigidTransform, LidarScan]:
+    """Return a pose on the boresight and its scan, with about so many returns where the window allows it.
+
+    The range is corrected by the number of returns at it, since few rays of an inclined or dark surface come
+    back from afar.
+    """
+    window, loaded = window_of(target), cached_target(target)
+    range_m = window.range_m(returns)
+    for _ in range(_ROUNDS):
+        pose = with_middle_at(R_sensor_target, np.array((0.0, 0.0, range_m)), loaded)
+        scan = scan_of(emulator, pose, trial=trial)
+        share = max(len(scan.returns_m) / returns, 0.1)
+        next_m = max(window.nearest_m, range_m * sqrt(share))
+        if abs(share - 1.0) < 0.1 or next_m == range_m:
+            break
+        range_m = next_m
+    return pose, scan

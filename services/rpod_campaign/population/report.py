@@ -1,0 +1,219 @@
+"""``population``: figures of each satellite, and totals with their Wilson intervals."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from rpod_analysis.scoring.score import NEES_95
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.charts import rate_figure
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, percent
+from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
+from rpod_campaign.population.trial import LIDAR_RIGHT, PMD_RIGHT, PopulationCell
+
+Results = Sequence[CellResult[PopulationCell]]
+FAR_OFF_DEG = 10.0
+"""Attitude error of an accepted pose that is more than a loss of accuracy, deg."""
+FEW, LEAST_RETURNS = 60, 6
+"""Number of returns below which a scan has few, and below which it is not among the few either."""
+LARGE_M = 1.0
+"""Longest side from which on a satellite is at least 40 standard deviations of the LIDAR's range long, m."""
+
+_SUCCESS = pl.when(pl.col("ambiguous")).then(pl.col("truth_among")).otherwise(pl.col("right"))
+_RATES: dict[str, pl.Expr] = {
+    "success": _SUCCESS,
+    "ambiguous": pl.col("ambiguous"),
+    "accepted": pl.col("accepted"),
+    "wrong_accepted": pl.col("accepted") & ~pl.col("right"),
+    "right_rejected": pl.col("right") & ~pl.col("accepted") & ~pl.col("ambiguous"),
+}
+"""Conditions whose trials are counted, by name."""
+
+
+def summarise(cell: PopulationCell, rows: pl.DataFrame) -> dict[str, Any]:
+    """Return the summary of a satellite; rates are over the trials whose frame shows enough of it."""
+    seen = rows.filter("seen")
+    success = _count(seen, _SUCCESS)
+    return {
+        "body": cell.target,
+        "kind": rows["kind"][0] if rows.height else "",
+        "sensor": cell.sensor,
+        "task": cell.task,
+        "world": cell.world,
+        "size_m": quantile(rows["size_m"], 0.5),
+        "triangles": int(rows["triangles"][0]) if rows.height else None,
+        "range_m": quantile(seen["range_m"], 0.5),
+        "returns": quantile(seen["returns"], 0.5),
+        "trials": seen.height,
+        "few_pixels": rows.height - seen.height,
+        "success_rate": success.value,
+        "wilson_low": success.low,
+        "wilson_high": success.high,
+        "ambiguous": _count(seen, _RATES["ambiguous"]).count,
+        "ambiguous_rate": _count(seen, _RATES["ambiguous"]).value,
+        "wrong_accepted": _count(seen, _RATES["wrong_accepted"]).count,
+        "right_rejected": _count(seen, _RATES["right_rejected"]).count,
+        **_accuracy(seen),
+        "median_s": quantile(seen["took_s"], 0.5),
+    }
+
+
+def totals(results: Results) -> dict[str, Any]:
+    """Return the figures of all satellites together: of all trials, and by the number of returns."""
+    if not results:
+        return {}
+    rows = pl.concat([result.rows for result in results])
+    groups: dict[str, pl.Expr] = {"all": pl.lit(value=True)}
+    if results[0].cell.sensor == "lidar":
+        groups["returns_60_or_more"] = pl.col("returns") >= FEW
+        groups["returns_60_or_more_size_1_m_or_more"] = groups["returns_60_or_more"] & (
+            pl.col("size_m") >= LARGE_M
+        )
+        groups["returns_6_to_60"] = pl.col("returns").is_between(LEAST_RETURNS, FEW, closed="left")
+    return {name: _total(rows.filter(group), results) for name, group in groups.items()}
+
+
+def _total(rows: pl.DataFrame, results: Results) -> dict[str, Any]:
+    seen = rows.filter("seen")
+    accepted, right = seen.filter("accepted"), seen.filter("right")
+    by_body = [_accuracy(result.rows.filter("seen"))["nees_mean"] for result in results]
+    known = [value for value in by_body if value is not None]
+    return {
+        "bodies": len(results),
+        "trials": seen.height,
+        "few_pixels": rows.height - seen.height,
+        **{name: _told(_count(seen, condition)) for name, condition in _RATES.items()},
+        "right_that_are_accepted": _told(_count(right, pl.col("accepted"))),
+        "accepted_more_than_10_deg_off": _told(_count(accepted, pl.col("attitude_deg") > FAR_OFF_DEG)),
+        **_accuracy(seen),
+        "nees_mean_least_body": min(known, default=None),
+        "nees_mean_greatest_body": max(known, default=None),
+        "median_s": quantile(seen["took_s"], 0.5),
+        "p95_s": quantile(seen["took_s"], 0.95),
+    }
+
+
+def _accuracy(rows: pl.DataFrame) -> dict[str, float | None]:
+    """Return the errors of the right poses, accepted or not, and their consistency."""
+    good = rows.filter("right")
+    known = good.filter(pl.col("nees").is_finite())["nees"]
+    return {
+        "attitude_deg_rms": _rms(good["attitude_deg"]),
+        "position_m_rms": _rms(good["position_m"]),
+        "nees_mean": mean(known),
+        "nees_share_in_95": mean((known <= NEES_95).cast(pl.Float64)),
+    }
+
+
+def _told(share: Rate) -> dict[str, Any]:
+    """Return a share for JSON."""
+    return {
+        "count": share.count,
+        "of": share.of,
+        "rate": share.value,
+        "wilson_low": share.low,
+        "wilson_high": share.high,
+    }
+
+
+def _count(rows: pl.DataFrame, condition: pl.Expr) -> Rate:
+    """Return the share of the rows that meet a condition."""
+    return rate(int(rows.select(condition.fill_null(value=False).sum()).item()), rows.height)
+
+
+def _rms(values: pl.Series) -> float | None:
+    return float(np.sqrt(np.mean(values.to_numpy() ** 2))) if values.len() else None
+
+
+def sections(results: Results) -> list[Section]:
+    """Return the sections of the report."""
+    if not results:
+        return []
+    lidar = results[0].cell.sensor == "lidar"
+    angle_deg, share = LIDAR_RIGHT if lidar else PMD_RIGHT
+    note = (
+        f"Right: within {angle_deg:g} deg and {100.0 * share:g} % of the longest side, modulo exact "
+        "symmetries. Success: right, or ambiguous with the truth among the hypotheses. Errors and NEES are "
+        "those of right poses, accepted or not. Shares have their 95 % Wilson intervals. "
+    )
+    apart = "" if lidar else "Frames with fewer than 200 of the target's pixels with depth are counted apart."
+    return [
+        Section("All satellites", note + apart, (_totals_table(results),)),
+        Section("Each satellite", "", (_bodies_table(results),), (_figure(results),)),
+    ]
+
+
+def _totals_table(results: Results) -> Table:
+    rows = [
+        (
+            name.replace("_", " "),
+            str(total["trials"]),
+            str(total["few_pixels"]),
+            *(str(rate(total[key]["count"], total[key]["of"])) for key in _SHARES),
+            *_texts(total),
+        )
+        for name, total in totals(results).items()
+    ]
+    columns = (
+        *("trials", "counted", "too few pixels", "success", "ambiguous", "wrong accepted"),
+        *("right that are accepted", "accepted more than 10 deg off", *_ACCURACY),
+    )
+    return Table("Totals", columns, tuple(rows))
+
+
+_SHARES = (
+    *("success", "ambiguous", "wrong_accepted", "right_that_are_accepted"),
+    "accepted_more_than_10_deg_off",
+)
+_ACCURACY = ("RMS, deg", "RMS, mm", "mean NEES", "inside 95 %", "median, ms")
+
+
+def _texts(summary: dict[str, Any]) -> tuple[str, ...]:
+    position_m = summary["position_m_rms"]
+    return (
+        number(summary["attitude_deg_rms"], ".2f"),
+        number(None if position_m is None else 1e3 * position_m, ".1f"),
+        number(summary["nees_mean"], ".2f"),
+        percent(summary["nees_share_in_95"]),
+        milliseconds(summary["median_s"]),
+    )
+
+
+def _bodies_table(results: Results) -> Table:
+    rows = []
+    for result in results:
+        s = dict(result.summary)
+        rows.append(
+            (
+                in_world(s["body"], s["world"]),
+                s["kind"] or "-",
+                number(s["size_m"], ".2f"),
+                number(s["triangles"], "d") if s["triangles"] is not None else "-",
+                number(s["range_m"], ".1f"),
+                number(s["returns"], ".0f"),
+                str(s["trials"]),
+                str(s["few_pixels"]),
+                number(s["success_rate"], ".3f"),
+                number(s["ambiguous_rate"], ".3f"),
+                str(s["wrong_accepted"]),
+                str(s["right_rejected"]),
+                *_texts(s),
+            )
+        )
+    columns = (
+        *("satellite", "body", "size, m", "triangles", "range, m", "returns", "counted", "too few pixels"),
+        *("success", "ambiguous", "wrong accepted", "right rejected", *_ACCURACY),
+    )
+    return Table("Satellites", columns, tuple(rows))
+
+
+def _figure(results: Results) -> Any:
+    """Return success over size."""
+    kinds: dict[str, dict[float, Rate]] = {}
+    for result in results:
+        size_m, kind = result.summary["size_m"] or 0.0, result.summary["kind"] or "file"
+        kinds.setdefault(kind, {})[size_m] = _count(result.rows.filter("seen"), _SUCCESS)
+    return rate_figure(kinds, x_title="longest side [m]", y_title="success rate")

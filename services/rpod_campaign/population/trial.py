@@ -1,0 +1,236 @@
+"""A trial of a population: one scan or one frame of a satellite at any attitude, with or without a guess.
+
+The range follows from the number of returns, or from the share of the image that is filled, so that
+satellites of any size compare. A pose is right within limits that are relative to the satellite's size.
+"""
+
+import time
+from dataclasses import dataclass, field
+from functools import lru_cache
+from math import exp, log
+from typing import Any
+
+import numpy as np
+import polars as pl
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_campaign.engine.trial.poses import POSE, errors, nees_of, numbers
+from rpod_campaign.engine.trial.sizes import Limits, displaced, longest_side_m, middle_m
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.methods import pattern_of
+from rpod_campaign.lidar.returns import scan_with_returns, window_of
+from rpod_campaign.lidar.scene import emulator_of
+from rpod_campaign.pmd.framing import LEAST_PIXELS, framed, lit, reaching
+from rpod_campaign.pmd.methods import DEFAULT, pmd_input
+from rpod_campaign.pmd.scene import Stage, camera_of, scenario_of, still
+from rpod_campaign.pmd.world import World
+from rpod_pose.methods import ready_methods
+from rpod_pose.ports import Acquisition, Methods, Outcome, Registration
+from rpod_schemas.config.emulator import WorldName
+from rpod_schemas.config.estimator import LidarInput
+from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.types import BeliefLevel, LidarScan, PmdFrame
+from rpod_sim_sensor.lidar import LidarEmulator
+from rpod_target import Target
+from rpod_target.population import satellite_of
+
+LIDAR_RIGHT, PMD_RIGHT = (3.0, 0.03), (4.0, 0.04)
+"""Largest errors of a right pose: attitude, deg, and position over the longest side."""
+LIDAR_OFF_DEG, LIDAR_OFF = 5.0, 0.03
+"""Error of the prediction of a LIDAR's tracker: angle, deg, and distance over the longest side."""
+PMD_OFF_DEG, PMD_OFF = 2.0, 0.02
+"""Error of the prediction of a camera's tracker: angle, deg, and distance over the range."""
+_DRAW, _START, _SUN = 0, 1, 2
+"""Streams of random numbers."""
+
+
+@dataclass(frozen=True)
+class PopulationCell:
+    """A satellite, a sensor and a task."""
+
+    target: str
+    """Name of the satellite, or path of a target's file."""
+    sensor: str
+    """lidar or pmd."""
+    task: str
+    """acquisition or tracking."""
+    wanted: tuple[float, float]
+    """Least and greatest number of returns, or share of the image's height that is filled."""
+    world: WorldName = "documented"
+    """Physics of the sensor; the method is not told."""
+    document: str = field(default="", repr=False)
+    """JSON of the scenario with the camera; empty for a LIDAR."""
+
+
+SCHEMA: dict[str, Any] = {
+    "truth": POSE,
+    "found": POSE,
+    "kind": pl.String,
+    "size_m": pl.Float64,
+    "triangles": pl.Int64,
+    "range_m": pl.Float64,
+    "returns": pl.Int64,
+    "seen": pl.Boolean,
+    "attitude_deg": pl.Float64,
+    "position_m": pl.Float64,
+    "right": pl.Boolean,
+    "accepted": pl.Boolean,
+    "ambiguous": pl.Boolean,
+    "truth_among": pl.Boolean,
+    "hypotheses": pl.Int64,
+    "reason": pl.String,
+    "nees": pl.Float64,
+    "took_s": pl.Float64,
+}
+"""Columns of a row.
+
+kind: kind of the satellite's body; empty for a target of a file. triangles: of its mesh file, or of a target.
+returns: number of returns, or of the target's pixels with depth. seen: whether these are enough to count the
+trial; a frame with fewer than 200 pixels is counted apart. accepted: a track may begin at the pose, or the
+tracker's pose is believed. ambiguous: the acquisition names rivals and begins no track. truth_among: one of
+its hypotheses is right.
+"""
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """A measurement with its truth."""
+
+    truth: RigidTransform
+    measurement: LidarScan | PmdFrame
+    returns: int
+    seen: bool
+
+
+def run(cell: PopulationCell, seed: int, trial: int) -> dict[str, Any]:
+    """Return the row of one scan or frame."""
+    target = cached_target(cell.target)
+    methods, taken = (_scanned if cell.sensor == "lidar" else _photographed)(cell, seed, trial)
+    kind, triangles = _described(cell.target)
+    row: dict[str, Any] = {
+        "truth": numbers(taken.truth),
+        "kind": kind,
+        "size_m": longest_side_m(target),
+        "triangles": triangles,
+        "range_m": float(np.linalg.norm(taken.truth.apply(middle_m(target)))),
+        "returns": taken.returns,
+        "seen": taken.seen,
+    }
+    if cell.task == "tracking":
+        start = _start(cell, taken.truth, target, seed=seed, trial=trial)
+        begin_s = time.process_time()
+        tracked = methods.tracker.track(taken.measurement, start)
+        row["took_s"] = time.process_time() - begin_s
+        return row | _tracked(cell, tracked, taken.truth, target)
+    begin_s = time.process_time()
+    found = methods.acquirer.acquire(taken.measurement)
+    row["took_s"] = time.process_time() - begin_s
+    return row | _acquired(cell, found, taken.truth, target)
+
+
+def limits_of(cell: PopulationCell, target: Target) -> Limits:
+    """Return the largest errors of a right pose."""
+    angle_deg, share = LIDAR_RIGHT if cell.sensor == "lidar" else PMD_RIGHT
+    return Limits(angle_deg, share * longest_side_m(target))
+
+
+def _acquired(
+    cell: PopulationCell, found: Acquisition, truth: RigidTransform, target: Target
+) -> dict[str, Any]:
+    limits = limits_of(cell, target)
+    hypotheses = found.hypotheses
+    ambiguous = found.outcome is Outcome.AMBIGUOUS and not found.begins_track
+    return {
+        **_scored(limits, found.registration, truth, target),
+        "accepted": found.begins_track,
+        "ambiguous": ambiguous,
+        "truth_among": len(hypotheses) > 1
+        and any(limits.are_met(*errors(truth, each.pose, target)) for each in hypotheses),
+        "hypotheses": len(hypotheses),
+        "reason": found.belief.refusal,
+    }
+
+
+def _tracked(
+    cell: PopulationCell, found: Registration, truth: RigidTransform, target: Target
+) -> dict[str, Any]:
+    believed = found.T_sensor_target is not None and found.belief.level is BeliefLevel.ACCEPTED
+    return {
+        **_scored(limits_of(cell, target), found, truth, target),
+        "accepted": believed,
+        "ambiguous": False,
+        "truth_among": False,
+        "hypotheses": 0,
+        "reason": found.belief.reason,
+    }
+
+
+def _scored(limits: Limits, found: Registration, truth: RigidTransform, target: Target) -> dict[str, Any]:
+    attitude_deg, position_m = errors(truth, found.T_sensor_target, target)
+    return {
+        "found": numbers(found.T_sensor_target),
+        "attitude_deg": attitude_deg,
+        "position_m": position_m,
+        "right": limits.are_met(attitude_deg, position_m),
+        "nees": nees_of(truth, found.T_sensor_target, found.covariance, target),
+    }
+
+
+def _start(
+    cell: PopulationCell, truth: RigidTransform, target: Target, *, seed: int, trial: int
+) -> RigidTransform:
+    """Return the tracker's prediction."""
+    if cell.sensor == "lidar":
+        angle_deg, distance_m = LIDAR_OFF_DEG, LIDAR_OFF * longest_side_m(target)
+    else:
+        angle_deg = PMD_OFF_DEG
+        distance_m = PMD_OFF * float(np.linalg.norm(truth.apply(middle_m(target))))
+    generator = stream(seed, trial, _START)
+    return displaced(truth, generator, angle_deg=angle_deg, distance_m=distance_m, target=target)
+
+
+def _scanned(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, _Taken]:
+    """Return methods and scan; the logarithm of the number of returns is uniform between the limits."""
+    emulator, methods = _lidar_bench(cell, seed)
+    generator = stream(seed, trial, _DRAW)
+    attitude = Rotation.random(rng=generator)
+    least, greatest = cell.wanted
+    returns = exp(generator.uniform(log(least), log(greatest)))
+    truth, scan = scan_with_returns(emulator, cell.target, attitude, returns=returns, trial=trial)
+    return methods, _Taken(truth, scan, len(scan.returns_m), seen=True)
+
+
+def _photographed(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, _Taken]:
+    """Return methods and frame, in any light."""
+    scenario, methods = _pmd_bench(cell)
+    target = cached_target(cell.target)
+    stage = Stage(lit(scenario, stream(seed, trial, _SUN)), World(), seed=seed, trial=trial)
+    truth = framed(target, stage.camera, filled=cell.wanted, generator=stream(seed, trial, _DRAW))
+    shot = still(stage, truth, number=trial)
+    pixels = int(np.isfinite(shot.frame.depth_m[shot.seen]).sum())
+    return methods, _Taken(truth, shot.frame, pixels, seen=pixels >= LEAST_PIXELS)
+
+
+@lru_cache(maxsize=4)
+def _lidar_bench(cell: PopulationCell, seed: int) -> tuple[LidarEmulator, Methods]:
+    lidar = window_of(cell.target).config()
+    methods = ready_methods(LidarInput(), cached_target(cell.target), pattern_of(lidar))
+    return emulator_of(cell.target, lidar, seed, world=cell.world), methods
+
+
+@lru_cache(maxsize=4)
+def _pmd_bench(cell: PopulationCell) -> tuple[Scenario, Methods]:
+    target = cached_target(cell.target)
+    shown = scenario_of(cell.document).model_copy(update={"target": cell.target})
+    scenario = reaching(shown, target, least_filled=cell.wanted[0])
+    return scenario, ready_methods(pmd_input(DEFAULT, name=camera_of(scenario).name), target)
+
+
+@lru_cache(maxsize=64)
+def _described(name: str) -> tuple[str, int]:
+    """Return kind of body and number of triangles: of the satellite's mesh file, or of another target."""
+    satellite = satellite_of(name)
+    if satellite is None:
+        return "", len(cached_target(name).triangles_m)
+    return satellite.body, satellite.triangles
