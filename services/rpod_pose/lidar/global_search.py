@@ -20,7 +20,7 @@ from math import log, sqrt
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.belief import contradicted
+from rpod_pose.belief import contradicted, undetermined
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_search import FINE_SCALES_M, Model, Pose, Scanner, ScanSearch
@@ -122,7 +122,7 @@ class GlobalSearch:
         if stride not in self._scanners:
             view = self._tracker.view if stride == 1 else self._tracker.view.every(stride)
             self._scanners[stride] = Scanner.of(
-                view, self._config, self._model.surface, sigma_range_m=self._sigma_range_m
+                view, self._config, self._model.surface, sigma_range_m=self._sigma_range_m, radius_m=self._radius_m
             )
         return ScanSearch(self._config, self._model, self._scanners[stride], seen)
 
@@ -137,12 +137,17 @@ class GlobalSearch:
         if not poses:
             nothing = Registration.none(Source.LIDAR, "no attitude shows the target to the sensor")
             return Acquisition(nothing, templates=templates)
+        if search.seen.returns < self._tuning.sufficient_returns:
+            poses = sorted(poses, key=lambda pose: -pose.log_mass(self._radius_m))
         registration = self._tracker.finish(whole, poses[0].R, poses[0].t)
         belief = search.belief(poses[0])
         if registration.T_sensor_target is None or not registration.belief.continues_track:
             belief = registration.belief if belief.continues_track else belief
         if registration.T_sensor_target is not None and belief.continues_track:
-            logs = np.array([pose.fit.log_likelihood for pose in poses])
+            logs = np.array([pose.log_mass(self._radius_m) for pose in poses])
+            if search.seen.returns < self._tuning.sufficient_returns:
+                vague = undetermined(registration.covariance, max_sigma_m=np.inf, max_sigma_deg=self._tuning.max_sigma_deg)
+                belief = replace(belief, insufficient=belief.insufficient or vague)
             belief = belief_with_rivals(
                 rivals(poses, logs, self._model.turns.exact), belief, least=self._tuning.ambiguous_weight
             )

@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, pose_covariance
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.lidar.scan_registration import Reach, ScanRegistration, refined, tracked
-from rpod_pose.lidar.scan_view import ScanView, SeenScan, spacing_rad
+from rpod_pose.lidar.scan_registration import ScanRegistration, reach_of, refined, tracked
+from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Registration
 from rpod_pose.registration.field_alignment import FieldProblem, Points
 from rpod_pose.registration.lie_group import PoseArrays
@@ -54,8 +54,7 @@ class ProjectiveIcp:
             tuning.steep_cosine**2,
             1.0 / tuning.outline_m,
         )
-        spacing = max(spacing_rad(pattern.azimuth_rad), spacing_rad(pattern.elevation_rad))
-        self._reach = Reach(tuning.near_share, spacing, target.radius_m, tuning.sure_surplus)
+        self._reach = reach_of(self.view, config, target.radius_m)
         middle_m = np.sqrt(tuning.widest_m * tuning.narrowest_m)
         self._far = np.geomspace(tuning.widest_m, middle_m, tuning.coarse_steps)
         self._near = np.geomspace(middle_m, tuning.narrowest_m, tuning.fine_steps)

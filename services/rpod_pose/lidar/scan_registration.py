@@ -33,12 +33,14 @@ from rpod_pose.lidar.scan_likelihood import (
     scan_agreement,
     scan_statistics,
 )
+from rpod_pose.lidar.scan_view import ScanView, spacing_rad
 from rpod_pose.registration.field_alignment import FieldProblem, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.normal_equations import gradient_of, information_of, no_sums
 from rpod_pose.registration.step_posterior import Steps, propagated
 from rpod_pose.registration.surface_model import cast_faces
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
 
 ROUNDS = 5
 """Largest number of times that the outline is found anew."""
@@ -72,6 +74,12 @@ class ScanRegistration(NamedTuple):
     """Information about (dtau, dtheta) at the pose, by the ranges and the outline, shape (6, 6)."""
     statistics: ScanStatistics
     """Statistics of the scan at the pose."""
+
+
+def reach_of(view: ScanView, config: ProjectiveIcpConfig, radius_m: float) -> Reach:
+    """Return the reach of a tracker with a scan pattern on a target whose farthest point is at a radius, m."""
+    spacing = max(spacing_rad(view.azimuth_rad), spacing_rad(view.elevation_rad))
+    return Reach(config.tuning.near_share, spacing, radius_m, config.tuning.sure_surplus)
 
 
 @kernel

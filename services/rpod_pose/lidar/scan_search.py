@@ -11,7 +11,7 @@ from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
-from rpod_pose.lidar.scan_registration import aligned
+from rpod_pose.lidar.scan_registration import CHANCE, Reach, aligned, reach_of, settled
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays
@@ -33,11 +33,8 @@ HALFWAY = 4.0
 """Greatest deficit per return of a pose that a refinement on the outline may still correct."""
 GAIN = 5.0
 """Gain of log likelihood after which a pose's near-symmetries are tried again."""
-OUTLINE_M, OUTLINE_RAD = 0.3, 0.1
-"""Prior standard deviations in the refinement on the outline of motions that the faces do not determine."""
-STRETCH = 1.5
-"""Factor on the standard deviations of motions that the faces determine, in this refinement: a few returns
-may be on the wrong faces."""
+OF_NOTHING_RAD = np.deg2rad(104.0)
+"""Standard deviation of an angle of which nothing is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +47,19 @@ class Pose:
     information: FloatArray
     """Information about (dtau, dtheta) as in ``normal_equations``, shape (6, 6)."""
 
+    def log_mass(self, radius_m: float) -> float:
+        """Return the logarithm of the pose's share of the posterior, up to a constant (Laplace's method).
+
+        It is the log likelihood plus the logarithm of the volume of the uncertainty: among two poses that
+        explain a scan alike, the one that has to be met less exactly is more probable.
+
+        Args:
+            radius_m: distance of the target's farthest point from its origin.
+        """
+        loosest: FloatArray = np.repeat((radius_m, OF_NOTHING_RAD), 3)
+        information = self.information + np.diag(loosest**-2)
+        return self.fit.log_likelihood - 0.5 * float(np.linalg.slogdet(information)[1])
+
 
 @dataclass(frozen=True, eq=False)
 class Scanner:
@@ -58,15 +68,23 @@ class Scanner:
     view: ScanView
     distances: ReturnDistances
     statistics: ScanModel
+    reach: Reach
 
     @classmethod
     def of(
-        cls, view: ScanView, config: GlobalSearchConfig, surface: SurfaceModel, *, sigma_range_m: float
+        cls,
+        view: ScanView,
+        config: GlobalSearchConfig,
+        surface: SurfaceModel,
+        *,
+        sigma_range_m: float,
+        radius_m: float,
     ) -> Self:
         """Return the scanner of a view; the sigma of a range is 0 if the sensor does not state it."""
         model, verdict = config.tracking.tuning.model, config.tracking.tuning.verdict
         statistics = ScanModel(model, verdict, view, surface, sigma_range_m=sigma_range_m)
-        return cls(view, ReturnDistances.of(view), statistics)
+        reach = reach_of(view, config.tracking, radius_m)
+        return cls(view, ReturnDistances.of(view), statistics, reach)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,16 +143,26 @@ class ScanSearch:
                 break
             chosen = self._finished(chosen)
             turned.append(chosen)
-            found += [chosen, *self._turned(chosen)]
-        best = self._distinct(found)[: tuning.finished]
+            found += [chosen, *self._turned(chosen, tuning.turns)]
+        few = self.seen.returns < tuning.sufficient_returns
+        best = self._distinct(found)[: tuning.few_finished if few else tuning.finished]
         finished = self._distinct([self._improved(pose, FINE_SCALES_M) for pose in best])
         if not finished:
             return finished
-        least = finished[0].fit.log_likelihood - tuning.rival_log_likelihood
-        rivals = [pose for pose in finished if pose.fit.log_likelihood >= least]
-        if len(rivals) == 1 and self.seen.returns >= tuning.sufficient_returns:
+        likely = self._likely(finished)
+        if len(likely) == 1 and not few:
             return finished
-        return self._distinct([*map(self._outline_refined, rivals), *finished[len(rivals) :]])
+        every = self._distinct([*map(self._outline_refined, likely), *finished[len(likely) :]])
+        if few:
+            turned_ = self._likely(self._distinct([*every, *self._turned(every[0], tuning.few_turns)]))
+            fresh = [pose for pose in turned_ if not any(pose is other for other in every)]
+            every = self._distinct([*every, *map(self._outline_refined, fresh)])
+        return every
+
+    def _likely(self, ranked: Sequence[Pose]) -> list[Pose]:
+        """Return the poses about as likely as the first, of poses with the likeliest first."""
+        least = ranked[0].fit.log_likelihood - self._tuning.rival_log_likelihood
+        return [pose for pose in ranked if pose.fit.log_likelihood >= least]
 
     def _finished(self, pose: Pose) -> Pose:
         """Return a pose fully refined, so that its near-symmetries start from an accurate pose."""
@@ -160,8 +188,14 @@ class ScanSearch:
 
     def face_aligned(self, R: FloatArray, t: FloatArray, scales_m: FloatArray) -> Pose:
         """Return a pose after one step to the faces for each Geman-McClure scale, shape (steps,)."""
+        problem = self._problem(scales_m)
+        statistics = self._scanner.statistics
+        found = aligned(problem, PoseArrays(R, t), self.seen.range_m, statistics.assumed)
+        return Pose(*found.pose, ScanFit.of(found.statistics), found.faces.information)
+
+    def _problem(self, scales_m: FloatArray) -> FaceProblem:
         view, model = self._scanner.view, self._config.tracking.tuning.model
-        problem = FaceProblem(
+        return FaceProblem(
             self.seen.points_m,
             self.seen.rays,
             view.grid.arrays,
@@ -171,9 +205,6 @@ class ScanSearch:
             scales_m,
             view.hits.arrays,
         )
-        statistics = self._scanner.statistics
-        found = aligned(problem, PoseArrays(R, t), self.seen.range_m, statistics.assumed)
-        return Pose(*found.pose, ScanFit.of(found.statistics), found.faces.information)
 
     def _unrefined(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a pose as it is, with its fit, without information from any alignment."""
@@ -195,7 +226,7 @@ class ScanSearch:
             returns >= self._tuning.sure_returns and pose.fit.deficit <= -self._tuning.sure_surplus * returns
         )
 
-    def _turned(self, pose: Pose) -> list[Pose]:
+    def _turned(self, pose: Pose, count: int) -> list[Pose]:
         """Return a pose's near-symmetries and best other rotations, in place and aligned by the centroid."""
         turns = self._model.turns
         turned = (pose.R @ turns.all).astype(np.float32)
@@ -205,7 +236,7 @@ class ScanSearch:
         anew, anew_m = self._comparison.centroid_aligned(turned)
         energy = self._comparison.energies(anew, anew_m, rounds=2).reshape(len(turned), -1)
         best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
-        order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[: self._tuning.turns]
+        order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[:count]
         return [
             self._improved(self._unrefined(pose.R @ turns.all[index], pose.t), FACE_SCALES_M)
             if index < len(turned)
@@ -224,10 +255,13 @@ class ScanSearch:
         """Return a pose refined on the outline too; unchanged if no return lies on a ray of the pattern."""
         if not self.seen.range_m.any():  # all returns lie beside the pattern
             return pose
-        held: FloatArray = np.repeat((OUTLINE_M, OUTLINE_RAD), 3)
-        covariance = np.linalg.inv(pose.information / STRETCH**2 + np.diag(held**-2)).astype(np.float64)
-        R, t = self._scanner.statistics.outline_refined(self.seen, pose.R, pose.t, covariance)
-        return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), pose.information)
+        scanner = self._scanner
+        problem, start = self._problem(FINE_SCALES_M), PoseArrays(pose.R, pose.t)
+        found = settled(problem, start, self.seen.range_m, scanner.statistics.assumed, scanner.reach)
+        fit = ScanFit.of(found.statistics)
+        if fit.log_likelihood < pose.fit.log_likelihood - CHANCE:
+            return replace(pose, information=found.information)
+        return Pose(*found.pose, fit, found.information)
 
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, without those close to a likelier one."""
