@@ -189,6 +189,12 @@ class GlobalSearchTuning(Tuning):
     """Least number of returns of a scan that is searched."""
     ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
     """Weight of the best hypothesis below which the result is ambiguous."""
+    few_weight: Annotated[
+        float,
+        Field(gt=0.5, lt=1),
+        Provenance("physics", "the share of accepted poses that may be wrong"),
+    ] = 0.995
+    """Weight of the best hypothesis below which the result is ambiguous if returns are few."""
     near_deg: Annotated[Positive, BY_HAND] = 45.0
     """Largest angle of an attitude from a roughly known pose, deg, in a search near that pose."""
 

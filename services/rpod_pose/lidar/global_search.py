@@ -23,6 +23,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_pose.belief import contradicted, undetermined
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.lidar.scan_registration import CHANCE
 from rpod_pose.lidar.scan_search import FINE_SCALES_M, Model, Pose, Scanner, ScanSearch
 from rpod_pose.lidar.scan_view import SeenScan
 from rpod_pose.ports import Acquisition, Registration
@@ -144,11 +145,15 @@ class GlobalSearch:
         if registration.T_sensor_target is None or not registration.belief.continues_track:
             belief = registration.belief if belief.continues_track else belief
         if registration.T_sensor_target is not None and belief.continues_track:
+            few = search.seen.returns < self._tuning.sufficient_returns
             logs = np.array([pose.log_mass(self._radius_m) for pose in poses])
-            if search.seen.returns < self._tuning.sufficient_returns:
+            least = self._tuning.ambiguous_weight
+            if few:  # each rival may be as far below its own mode as a right pose is
+                logs[1:] = np.minimum(logs[1:] + CHANCE, logs[0])
+                least = self._tuning.few_weight
                 vague = undetermined(registration.covariance, max_sigma_m=np.inf, max_sigma_deg=self._tuning.max_sigma_deg)
                 belief = replace(belief, insufficient=belief.insufficient or vague)
             belief = belief_with_rivals(
-                rivals(poses, logs, self._model.turns.exact), belief, least=self._tuning.ambiguous_weight
+                rivals(poses, logs, self._model.turns.exact), belief, least=least
             )
         return Acquisition(replace(registration, belief=belief), templates=templates)

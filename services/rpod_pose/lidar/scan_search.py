@@ -154,9 +154,10 @@ class ScanSearch:
             return finished
         every = self._distinct([*map(self._outline_refined, likely), *finished[len(likely) :]])
         if few:
-            turned_ = self._likely(self._distinct([*every, *self._turned(every[0], tuning.few_turns)]))
-            fresh = [pose for pose in turned_ if not any(pose is other for other in every)]
-            every = self._distinct([*every, *map(self._outline_refined, fresh)])
+            turned_ = self._likely([every[0], *self._turned(every[0], tuning.few_turns)])[1:]
+            every = self._distinct([*every, *map(self._outline_refined, turned_)])
+            rivals = self._likely(every)
+            every = self._distinct([*map(self._outline_refined, rivals), *every])
         return every
 
     def _likely(self, ranked: Sequence[Pose]) -> list[Pose]:
