@@ -178,6 +178,8 @@ class GlobalSearchTuning(Tuning):
     be known before one is believed."""
     few_turns: Annotated[Count, BUDGET] = 32
     """Number of turns of the best pose that are tried at the end if returns are few."""
+    few_closures: Annotated[Count, BUDGET] = 3
+    """Largest number of times that this is done, since a turn may be likelier than the pose before it."""
     max_sigma_deg: Annotated[
         Positive, Provenance("physics", "an error of 10 deg has then a probability below 0.5 %")
     ] = 3.5

@@ -33,6 +33,8 @@ HALFWAY = 4.0
 """Greatest deficit per return of a pose that a refinement on the outline may still correct."""
 GAIN = 5.0
 """Gain of log likelihood after which a pose's near-symmetries are tried again."""
+STRETCH = 3.0
+"""Factor on the standard deviations of a pose from which its neighbourhood is sampled."""
 OF_NOTHING_RAD = np.deg2rad(104.0)
 """Standard deviation of an angle of which nothing is known."""
 
@@ -153,12 +155,23 @@ class ScanSearch:
         if len(likely) == 1 and not few:
             return finished
         every = self._distinct([*map(self._outline_refined, likely), *finished[len(likely) :]])
-        if few:
-            turned_ = self._likely([every[0], *self._turned(every[0], tuning.few_turns)])[1:]
-            every = self._distinct([*every, *map(self._outline_refined, turned_)])
-            rivals = self._likely(every)
-            every = self._distinct([*map(self._outline_refined, rivals), *every])
+        return self._closed(every) if few else every
+
+    def _closed(self, ranked: list[Pose]) -> list[Pose]:
+        """Return the poses, likeliest first, with all turns of the best one refined as far as it is itself."""
+        best = self._polished(ranked[0])
+        every = [best, *ranked[1:]]
+        for _ in range(self._tuning.few_closures):
+            turned = self._likely([best, *self._turned(best, self._tuning.few_turns)])[1:]
+            every = self._distinct([best, *map(self._polished, turned), *every])
+            if every[0] is best:
+                break
+            best = every[0]
         return every
+
+    def _polished(self, pose: Pose) -> Pose:
+        """Return a pose after all refinements."""
+        return self._outline_refined(self._sampled(self._outline_refined(pose)))
 
     def _likely(self, ranked: Sequence[Pose]) -> list[Pose]:
         """Return the poses about as likely as the first, of poses with the likeliest first."""
@@ -263,6 +276,16 @@ class ScanSearch:
         if fit.log_likelihood < pose.fit.log_likelihood - CHANCE:
             return replace(pose, information=found.information)
         return Pose(*found.pose, fit, found.information)
+
+    def _sampled(self, pose: Pose) -> Pose:
+        """Return the likeliest pose among samples of a pose's neighbourhood, which has other optima."""
+        if not self.seen.range_m.any():
+            return pose
+        strip_m = self._scanner.reach.spacing_rad * float(np.linalg.norm(pose.t))
+        held: FloatArray = np.repeat((strip_m, strip_m / self._scanner.reach.radius_m), 3)
+        covariance = np.linalg.inv(pose.information / STRETCH**2 + np.diag(held**-2)).astype(np.float64)
+        R, t = self._scanner.statistics.outline_refined(self.seen, pose.R, pose.t, covariance)
+        return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), pose.information)
 
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, without those close to a likelier one."""
