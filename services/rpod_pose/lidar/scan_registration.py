@@ -198,7 +198,8 @@ def _likelier(  # noqa: PLR0917
 def _is_sufficient(found: ScanRegistration, problem: FaceProblem, reach: Reach) -> bool:
     """Return whether the scan is surely right, and the faces determine all motions at least as well as the outline."""
     returns = problem.points_m.shape[0]
-    return _deficit(found) <= -reach.surplus * returns and _determined(found, returns, reach)
+    likely = _deficit(found) <= -reach.surplus * returns
+    return likely and np.isfinite(found.information).all() and _determined(found, returns, reach)
 
 
 @kernel
@@ -267,6 +268,8 @@ def settled(
         inliers, squares = evidence.inliers, evidence.squares_m2
         whole = inliers / max(evidence.faded, 1e-6) / excess(squares, inliers, problem.errors.sigma_m)
         of_ranges = information_of(evidence.sums, 6)
+        if not np.isfinite(of_ranges).all():
+            break
         steps = outline_steps(range_m, pose, rays, assumed, power)
         found = propagated(
             steps,
@@ -275,6 +278,8 @@ def settled(
             _held(pose, reach),
             assumed.slack_m,
         )
+        if not np.isfinite(found.mean).all():
+            break
         information = without_influential(of_ranges, evidence.rows) * whole + found.information
         step = found.mean
         pose = stepped(pose, step)

@@ -79,7 +79,7 @@ def propagated(
             if precision[e] == 0.0 and m * steps.odds[e] > 0.0 and m * m > CERTAIN**2 * (v + blur_m * blur_m):
                 continue
             rest = 1.0 / v - precision[e]
-            if not rest > 1e-9 / v:
+            if not (v > 0.0 and rest > 1e-9 / v):
                 continue
             cavity = 1.0 / rest
             centre = cavity * (m / v - shift[e])
@@ -127,9 +127,7 @@ def _matched(centre: float, variance: float, odds: float, blur_m: float) -> tupl
         total = 1e-12
     slope = (inside - outside) * exp(-0.5 * z * z) / (sqrt(2.0 * pi) * sigma * total)
     bend = slope * (slope + z / sigma)
-    precision = bend / max(1.0 - variance * bend, 1e-6)
-    if not precision > 0.0:
+    left = max(1.0 - variance * bend, 1e-6)
+    if not 0.0 < bend < np.inf:
         return 0.0, 0.0
-    mean = centre + variance * slope
-    left = variance * (1.0 - variance * bend)
-    return precision, mean / left - centre / variance
+    return bend / left, (centre + variance * slope) / (variance * left) - centre / variance
