@@ -25,7 +25,7 @@ LEAF = 4
 DEPTH = 96
 """Length of the stack of nodes that a ray has yet to visit."""
 BESIDE = 1e-7
-"""Tolerance of the barycentric coordinates, so that no ray passes between two triangles that share an edge."""
+"""Tolerance of the barycentric coordinates, so that no ray passes between two neighbouring triangles."""
 
 
 class RayTree(NamedTuple):
@@ -121,7 +121,7 @@ def _built(triangles: FloatArray) -> _Nodes:
             if 0.5 * (low[order[n], axis] + high[order[n], axis]) < place:
                 order[n], order[middle] = order[middle], order[n]
                 middle += 1
-        if middle == begin or middle == end:  # noqa: PLR1714 - does not compile otherwise
+        if (middle - begin) * (end - middle) == 0:
             continue
         for child in range(2):
             first[nodes + child] = middle if child else begin
@@ -207,11 +207,9 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
         farthest_m: the range, inf for any.
         stack: memory for nodes that are yet to be visited, shape (DEPTH + 1, 3).
     """
-    boxes, first, count, sides = tree.boxes_m, tree.first, tree.count, tree.sides_m
-    ox, oy, oz = ray.origin_m[0], ray.origin_m[1], ray.origin_m[2]
-    dx, dy, dz = ray.x, ray.y, ray.z
+    boxes, first, count = tree.boxes_m, tree.first, tree.count
     inverse = stack[DEPTH]
-    inverse[0], inverse[1], inverse[2] = 1.0 / dx, 1.0 / dy, 1.0 / dz
+    inverse[0], inverse[1], inverse[2] = 1.0 / ray.x, 1.0 / ray.y, 1.0 / ray.z
     nearest, found = farthest_m, -1
     stack[0, 0], stack[0, 1], waiting = 0, _entry(boxes, 0, ray, inverse, nearest), 1
     while waiting > 0:
@@ -233,26 +231,36 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
                 waiting += 1
             continue
         for n in range(first[node], first[node] + count[node]):
-            ax, ay, az = sides[n, 1, 0], sides[n, 1, 1], sides[n, 1, 2]
-            bx, by, bz = sides[n, 2, 0], sides[n, 2, 1], sides[n, 2, 2]
-            px, py, pz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
-            det = ax * px + ay * py + az * pz
-            if not det > 0.0:  # seen from behind, or edge-on
-                continue
-            sx, sy, sz = ox - sides[n, 0, 0], oy - sides[n, 0, 1], oz - sides[n, 0, 2]
-            u = sx * px + sy * py + sz * pz
-            if u < -BESIDE * det or u > (1.0 + BESIDE) * det:
-                continue
-            qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
-            v = dx * qx + dy * qy + dz * qz
-            if v < -BESIDE * det or u + v > (1.0 + BESIDE) * det:
-                continue
-            along = (bx * qx + by * qy + bz * qz) / det
-            if 0.0 < along < nearest:
+            along = _met(tree.sides_m[n], ray)
+            if along < nearest:
                 nearest, found = along, n
     if found < 0:
         return Hit(np.inf, -1)
     return Hit(nearest, np.int64(tree.triangle[found]))
+
+
+@kernel
+def _met(sides: FloatArray, ray: Ray) -> float:
+    """Return the range at which a ray meets a triangle from its outer side, m; inf if it does not.
+
+    Args:
+        sides: first corner and two sides from it, shape (3, 3), m.
+        ray: the ray.
+    """
+    ax, ay, az = sides[1, 0], sides[1, 1], sides[1, 2]
+    bx, by, bz = sides[2, 0], sides[2, 1], sides[2, 2]
+    px, py, pz = ray.y * bz - ray.z * by, ray.z * bx - ray.x * bz, ray.x * by - ray.y * bx
+    det = ax * px + ay * py + az * pz
+    if not det > 0.0:  # seen from behind, or edge-on
+        return np.inf
+    sx, sy, sz = ray.origin_m[0] - sides[0, 0], ray.origin_m[1] - sides[0, 1], ray.origin_m[2] - sides[0, 2]
+    u = sx * px + sy * py + sz * pz
+    qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
+    v = ray.x * qx + ray.y * qy + ray.z * qz
+    if min(u, v) < -BESIDE * det or u + v > (1.0 + BESIDE) * det:
+        return np.inf
+    along = (bx * qx + by * qy + bz * qz) / det
+    return along if along > 0.0 else np.inf
 
 
 @kernel
@@ -272,8 +280,8 @@ def _entry(boxes: Float32Array, node: int, ray: Ray, inverse: FloatArray, neares
     by = (boxes[node, 4] - ray.origin_m[1]) * inverse[1]
     az = (boxes[node, 2] - ray.origin_m[2]) * inverse[2]
     bz = (boxes[node, 5] - ray.origin_m[2]) * inverse[2]
-    begin = max(max(min(ax, bx), min(ay, by)), max(min(az, bz), 0.0))
-    end = min(min(max(ax, bx), max(ay, by)), min(max(az, bz), nearest))
+    begin = max(min(ax, bx), min(ay, by), min(az, bz), 0.0)
+    end = min(max(ax, bx), max(ay, by), max(az, bz), nearest)
     return begin if begin <= end else np.inf
 
 

@@ -174,8 +174,8 @@ class GlobalSearchTuning(Tuning):
     finished: Annotated[Count, BY_HAND] = 4
     """Number of best distinct poses that are refined to the end."""
     few_finished: Annotated[Count, BUDGET] = 12
-    """Number of best distinct poses that are refined to the end if returns are few: all that may be right must
-    be known before one is believed."""
+    """Number of best distinct poses that are refined to the end if returns are few: all that may be right
+    must be known before one is believed."""
     few_turns: Annotated[Count, BUDGET] = 32
     """Number of turns of the best pose that are tried at the end if returns are few."""
     few_closures: Annotated[Count, BUDGET] = 3
@@ -183,8 +183,7 @@ class GlobalSearchTuning(Tuning):
     max_sigma_deg: Annotated[
         Positive, Provenance("physics", "an error of 10 deg has then a probability below 0.5 %")
     ] = 3.5
-    """Largest standard deviation of the attitude about its worst axis of an accepted pose, deg, if returns are
-    few."""
+    """Largest standard deviation of an accepted attitude about its worst axis, deg, if returns are few."""
     distinct_deg: Annotated[NonNegative, BY_HAND] = 5.0
     """Angle between two attitudes, deg, below which their poses are the same."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6

@@ -123,7 +123,11 @@ class GlobalSearch:
         if stride not in self._scanners:
             view = self._tracker.view if stride == 1 else self._tracker.view.every(stride)
             self._scanners[stride] = Scanner.of(
-                view, self._config, self._model.surface, sigma_range_m=self._sigma_range_m, radius_m=self._radius_m
+                view,
+                self._config,
+                self._model.surface,
+                sigma_range_m=self._sigma_range_m,
+                radius_m=self._radius_m,
             )
         return ScanSearch(self._config, self._model, self._scanners[stride], seen)
 
@@ -151,9 +155,9 @@ class GlobalSearch:
             if few:  # each rival may be as far below its own mode as a right pose is
                 logs[1:] = np.minimum(logs[1:] + CHANCE, logs[0])
                 least = self._tuning.few_weight
-                vague = undetermined(registration.covariance, max_sigma_m=np.inf, max_sigma_deg=self._tuning.max_sigma_deg)
+                vague = undetermined(
+                    registration.covariance, max_sigma_m=np.inf, max_sigma_deg=self._tuning.max_sigma_deg
+                )
                 belief = replace(belief, insufficient=belief.insufficient or vague)
-            belief = belief_with_rivals(
-                rivals(poses, logs, self._model.turns.exact), belief, least=least
-            )
+            belief = belief_with_rivals(rivals(poses, logs, self._model.turns.exact), belief, least=least)
         return Acquisition(replace(registration, belief=belief), templates=templates)

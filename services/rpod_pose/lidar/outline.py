@@ -58,6 +58,42 @@ class Edge(NamedTuple):
     (2, rows, columns)."""
 
 
+class Scene(NamedTuple):
+    """A scan and a pose at which it is looked at."""
+
+    range_m: FloatArray
+    """Measured range of each ray, 0 without a return, shape (rows, columns)."""
+    pose: PoseArrays
+    """Pose of the target in the sensor."""
+    rays: Rays
+    """Rays and target; their buffers hold the target rendered at the pose."""
+    assumed: Assumptions
+    """Statistics of returns."""
+    power: int
+    """Index of the likeliest value in ``detection.HALVES``."""
+
+
+class Found(NamedTuple):
+    """Steps as they are found."""
+
+    number: NDArray[np.int64]
+    """Their number so far, shape (1,)."""
+    steps: Steps
+    normals: FloatArray
+    """Inward normal of the outline at each of them, shape (E, 3)."""
+    of_ray: NDArray[np.int32]
+    """Steps of each ray, -1 for none, shape (rays, 4)."""
+
+
+class Crossing(NamedTuple):
+    """What lies on both sides of the outline between two rays."""
+
+    one: Hit
+    two: Hit
+    share: float
+    """Place of the outline between the two rays, 0 to 1; negative if there is none."""
+
+
 @kernel
 def outline_steps(
     range_m: FloatArray, pose: PoseArrays, rays: Rays, assumed: Assumptions, power: int
@@ -72,41 +108,86 @@ def outline_steps(
         power: index of the likeliest value in ``detection.HALVES``.
     """
     edge = _edge(pose, rays, assumed)
-    columns, most = range_m.shape[1], 2 * FARTHEST * edge.number
-    rows, distance, odds = np.empty((most, 6)), np.empty(most), np.empty(most)
-    normals, known, number = np.empty((most, 3)), np.full((range_m.size, 4), -1, np.int32), 0
+    most = 2 * FARTHEST * edge.number
+    found = Found(
+        np.zeros(1, np.int64),
+        Steps(most, np.empty((most, 6)), np.empty(most), np.empty(most)),
+        np.empty((most, 3)),
+        np.full((range_m.size, 4), -1, np.int32),
+    )
+    scene = Scene(range_m, pose, rays, assumed, power)
     for n in range(edge.number):
         normal = _normal(edge, n, rays)
         outwards = edge.back[n] - edge.front[n]
         for inside in range(2):
+            first = edge.front[n] if inside else edge.back[n]
+            onwards = -outwards if inside else outwards
             for away in range(FARTHEST):
-                ray = edge.front[n] - away * outwards if inside else edge.back[n] + away * outwards
-                if number >= most or not _is_beside(ray, edge.front[n], outwards, rays):
+                ray = first + away * onwards
+                if not _is_beside(ray, first, outwards, rays):
                     break
-                i, j = ray // columns, ray % columns
-                s, apart = 0.0, 0.0
-                for k in range(3):
-                    s += edge.range_m[n] * normal[k] * rays.grid.components[k, i, j]
-                    apart += (edge.range_m[n] * (rays.grid.components[k, i, j] - edge.direction[n, k])) ** 2
-                here = rays.face[i, j]
-                faces = (here, edge.faces[n, 1]) if inside else (edge.faces[n, 0], here)
-                near = _log_likelihood(range_m[i, j], pose, ray, faces[0], rays, assumed, power)
-                far = _log_likelihood(range_m[i, j], pose, ray, faces[1], rays, assumed, power)
-                contradicts = near < far if inside else near > far
-                if away > 0 and not contradicts:
-                    break
-                if not _is_known(known[ray], normals, distance, normal, s, sqrt(apart)):
-                    for slot in range(4):
-                        if known[ray, slot] < 0:
-                            known[ray, slot] = number
-                            break
-                    normals[number], distance[number] = normal, s
-                    odds[number] = min(max(near - far, -MOST_ODDS), MOST_ODDS)
-                    _fill_row(rows[number], pose, normal, edge.direction[n], edge.range_m[n])
-                    number += 1
+                odds = _odds(scene, edge, n, ray, inside)
+                contradicts = odds < 0.0 if inside else odds > 0.0
+                if away == 0 or contradicts:
+                    _add(found, scene, edge, n, ray, normal, odds)
                 if not contradicts:
                     break
-    return Steps(number, rows, distance, odds)
+    number, steps = found.number[0], found.steps
+    return Steps(number, steps.rows[:number], steps.distance_m[:number], steps.odds[:number])
+
+
+@kernel
+def _odds(scene: Scene, edge: Edge, place: int, ray: int, inside: int) -> float:
+    """Return the log ratio of the likelihoods of a ray's result if it meets the near surface and if not.
+
+    Args:
+        scene: scan and pose.
+        edge: places of the outline.
+        place: place that the ray is beside.
+        ray: row-major index of the ray.
+        inside: 1 for a ray that meets the near surface at the pose, 0 for one that passes it.
+    """
+    width = scene.range_m.shape[1]
+    here = scene.rays.face[ray // width, ray % width]
+    near = _log_likelihood(scene, ray, here if inside else edge.faces[place, 0])
+    far = _log_likelihood(scene, ray, edge.faces[place, 1] if inside else here)
+    return min(max(near - far, -MOST_ODDS), MOST_ODDS)
+
+
+@kernel
+def _add(  # noqa: PLR0917
+    found: Found, scene: Scene, edge: Edge, place: int, ray: int, normal: FloatArray, odds: float
+) -> None:
+    """Add a ray beside a place of the outline to the steps, unless the same line of the outline has it.
+
+    Args:
+        found: steps so far, input and output.
+        scene: scan and pose.
+        edge: places of the outline.
+        place: the place.
+        ray: row-major index of the ray.
+        normal: inward normal of the outline at the place, shape (3,).
+        odds: ``_odds`` of the ray.
+    """
+    width, components, r = scene.range_m.shape[1], scene.rays.grid.components, edge.range_m[place]
+    i, j, s, apart = ray // width, ray % width, 0.0, 0.0
+    for k in range(3):
+        s += r * normal[k] * components[k, i, j]
+        apart += (r * (components[k, i, j] - edge.direction[place, k])) ** 2
+    slot = 0
+    while slot < 4 and found.of_ray[ray, slot] >= 0:
+        known = found.of_ray[ray, slot]
+        cosine = (found.normals[known] * normal).sum()
+        if cosine > SAME_LINE and abs(found.steps.distance_m[known] - s) < SAME_PLACE * sqrt(apart):
+            return
+        slot += 1
+    number = found.number[0]
+    if slot < 4:
+        found.of_ray[ray, slot] = number
+    found.normals[number] = normal
+    found.steps.distance_m[number], found.steps.odds[number] = s, odds
+    _fill_row(found.steps.rows[number], scene.pose, normal, edge.direction[place], r)
+    found.number[0] = number + 1
 
 
 @kernel
@@ -130,53 +211,86 @@ def _edge(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Edge:
     """Return the places where near surfaces end between neighbouring rays, at a rendered pose."""
     height, width = rays.face.shape
     most, number = 2 * height * width, 0
-    direction, range_m = np.empty((most, 3)), np.empty(most)
-    front, back = np.empty(most, np.int64), np.empty(most, np.int64)
-    faces, of_pair = np.empty((most, 2), np.int32), np.full((2, height, width), -1, np.int32)
-    origin, stack = np.empty(3), np.empty((DEPTH + 1, 3))
+    edge = Edge(
+        most,
+        np.empty((most, 3)),
+        np.empty(most),
+        np.empty(most, np.int64),
+        np.empty(most, np.int64),
+        np.empty((most, 2), np.int32),
+        np.full((2, height, width), -1, np.int32),
+    )
+    stack = np.empty((DEPTH + 1, 3))
+    for one in range(height * width):
+        for way in range(2):
+            two = one + (width if way else 1)
+            beyond = two >= height * width if way else two % width == 0
+            if beyond or not _may_end(pose, rays, one, two, assumed):
+                continue
+            crossing = _crossing(pose, rays, one, two, assumed, stack)
+            if crossing.share < 0.0:
+                continue
+            first_is_front = crossing.one.range_m < crossing.two.range_m
+            near, far = crossing.one, crossing.two
+            if not first_is_front:
+                near, far = far, near
+            for k in range(3):
+                a = rays.grid.components[k, one // width, one % width]
+                b = rays.grid.components[k, two // width, two % width]
+                edge.direction[number, k] = a + crossing.share * (b - a)
+            edge.direction[number] /= sqrt((edge.direction[number] ** 2).sum())
+            edge.range_m[number] = near.range_m
+            edge.front[number], edge.back[number] = (one, two) if first_is_front else (two, one)
+            edge.faces[number, 0], edge.faces[number, 1] = near.triangle, far.triangle
+            edge.of_pair[way, one // width, one % width] = number
+            number += 1
+    return Edge(number, edge.direction, edge.range_m, edge.front, edge.back, edge.faces, edge.of_pair)
+
+
+@kernel
+def _crossing(  # noqa: PLR0917
+    pose: PoseArrays, rays: Rays, one: int, two: int, assumed: Assumptions, stack: FloatArray
+) -> Crossing:
+    """Return where the outline is between two neighbouring rays, by bisection.
+
+    Args:
+        pose: pose of the target in the sensor.
+        rays: rays and target; their buffers hold the target rendered at the pose.
+        one: row-major index of the first ray.
+        two: row-major index of the other ray.
+        assumed: statistics of returns.
+        stack: memory of ``first_hit``.
+    """
+    width, origin, middle, ends = rays.face.shape[1], np.empty(3), np.empty(3), np.empty((2, 3))
+    low, high = 0.0, 1.0
     for k in range(3):
         origin[k] = -(pose.R[0, k] * pose.t[0] + pose.R[1, k] * pose.t[1] + pose.R[2, k] * pose.t[2])
-    one, two, middle = np.empty(3), np.empty(3), np.empty(3)
-    for i in range(height):
-        for j in range(width):
-            for way in range(2):
-                ni, nj = i + way, j + 1 - way
-                if ni >= height or nj >= width or (rays.face[i, j] < 0 and rays.face[ni, nj] < 0):
-                    continue
-                if not _may_end(pose, rays, i * width + j, ni * width + nj, assumed):
-                    continue
-                a = Hit(np.float64(rays.range_m[i, j]), np.int64(rays.face[i, j]))
-                b = Hit(np.float64(rays.range_m[ni, nj]), np.int64(rays.face[ni, nj]))
-                for k in range(3):
-                    one[k], two[k] = rays.grid.components[k, i, j], rays.grid.components[k, ni, nj]
-                for _ in range(HALVINGS):
-                    length = 0.0
-                    for k in range(3):
-                        middle[k] = 0.5 * (one[k] + two[k])
-                        length += middle[k] * middle[k]
-                    for k in range(3):
-                        middle[k] /= sqrt(length)
-                    ray = ray_in_target(pose.R, origin, middle[0], middle[1], middle[2])
-                    hit = first_hit(rays.faces.tree, ray, np.inf, stack)
-                    if _apart(hit, a) <= _apart(hit, b):
-                        a = hit
-                        one[:] = middle
-                    else:
-                        b = hit
-                        two[:] = middle
-                if _goes_on(pose, rays, a, two, b, assumed) or _goes_on(pose, rays, b, one, a, assumed):
-                    continue
-                first_is_front = a.range_m < b.range_m
-                near, far = (a, b) if first_is_front else (b, a)
-                for k in range(3):
-                    direction[number, k] = 0.5 * (one[k] + two[k])
-                range_m[number] = near.range_m
-                front[number] = i * width + j if first_is_front else ni * width + nj
-                back[number] = ni * width + nj if first_is_front else i * width + j
-                faces[number, 0], faces[number, 1] = near.triangle, far.triangle
-                of_pair[way, i, j] = number
-                number += 1
-    return Edge(number, direction, range_m, front, back, faces, of_pair)
+        ends[0, k] = rays.grid.components[k, one // width, one % width]
+        ends[1, k] = rays.grid.components[k, two // width, two % width]
+    a, b = _hit(rays, one), _hit(rays, two)
+    for _ in range(HALVINGS):
+        share = 0.5 * (low + high)
+        middle = ends[0] + share * (ends[1] - ends[0])
+        middle /= sqrt((middle**2).sum())
+        ray = ray_in_target(pose.R, origin, middle[0], middle[1], middle[2])
+        hit = first_hit(rays.faces.tree, ray, np.inf, stack)
+        if _apart(hit, a) <= _apart(hit, b):
+            a, low = hit, share
+        else:
+            b, high = hit, share
+    if _goes_on(pose, rays, a, ends[0] + high * (ends[1] - ends[0]), b, assumed):
+        return Crossing(a, b, -1.0)
+    if _goes_on(pose, rays, b, ends[0] + low * (ends[1] - ends[0]), a, assumed):
+        return Crossing(a, b, -1.0)
+    return Crossing(a, b, 0.5 * (low + high))
+
+
+@kernel
+def _hit(rays: Rays, ray: int) -> Hit:
+    """Return what a ray of the pattern, a row-major index, meets at the rendered pose."""
+    width = rays.face.shape[1]
+    i, j = ray // width, ray % width
+    return Hit(np.float64(rays.range_m[i, j]), np.int64(rays.face[i, j]))
 
 
 @kernel
@@ -224,7 +338,7 @@ def _goes_on(  # noqa: PLR0917
 
 @kernel
 def _on_plane(pose: PoseArrays, rays: Rays, face: int, ray: int) -> float:
-    """Return the range at which a ray of the pattern meets the plane of a face, m; inf if it runs along it."""
+    """Return the range at which a ray, a row-major index, meets a face's plane, m; inf if it does not."""
     width = rays.face.shape[1]
     return _along(pose, rays, face, rays.grid.components[:, ray // width, ray % width])
 
@@ -244,25 +358,13 @@ def _along(pose: PoseArrays, rays: Rays, face: int, direction: Array) -> float:
 
 
 @kernel
-def _log_likelihood(  # noqa: PLR0917
-    measured_m: float, pose: PoseArrays, ray: int, face: int, rays: Rays, assumed: Assumptions, power: int
-) -> float:
-    """Return the log likelihood of a ray's result if it meets a face, -1 for none.
-
-    Args:
-        measured_m: measured range, 0 without a return.
-        pose: pose of the target in the sensor.
-        ray: row-major index of the ray.
-        face: index of the face.
-        rays: rays and target.
-        assumed: statistics of returns.
-        power: index of the likeliest value in ``detection.HALVES``.
-    """
-    density = assumed.clutter_density
+def _log_likelihood(scene: Scene, ray: int, face: int) -> float:
+    """Return the log likelihood of a ray's result, by its row-major index, if it meets a face, -1 for none."""
+    rays, pose, assumed, width = scene.rays, scene.pose, scene.assumed, scene.range_m.shape[1]
+    i, j, density, cosine = ray // width, ray % width, assumed.clutter_density, 0.0
+    m = scene.range_m[i, j]
     if face < 0:
-        return log(density) if measured_m > 0.0 else log(1.0 - assumed.clutter_share)
-    width, cosine = rays.face.shape[1], 0.0
-    i, j = ray // width, ray % width
+        return log(density) if m > 0.0 else log(1.0 - assumed.clutter_share)
     for k in range(3):
         for c in range(3):
             cosine -= pose.R[k, c] * rays.faces.normals[face, c] * rays.grid.components[k, i, j]
@@ -270,13 +372,13 @@ def _log_likelihood(  # noqa: PLR0917
     r = _on_plane(pose, rays, face, ray)
     echo = cosine * rays.faces.albedo[face] * (assumed.least_range_m / r) ** 2
     rung = min(max(int((log(max(echo, 1e-9)) - LEAST_LOG) * RUNGS_PER_LOG), 0), RUNGS - 1)
-    if measured_m <= 0.0:
-        return float(assumed.detection.log_missing[power, rung])
+    if m <= 0.0:
+        return float(assumed.detection.log_missing[scene.power, rung])
     lateral_m = assumed.slack_m / cosine
     variance = assumed.sigma_m * assumed.sigma_m + lateral_m * lateral_m
-    tail = 1.0 + 0.25 * (measured_m - r) * (measured_m - r) / variance
+    tail = 1.0 + 0.25 * (m - r) * (m - r) / variance
     near = PEAK / (sqrt(variance * tail) * tail * tail)
-    return float(log(near * exp(assumed.detection.log_share[power, rung]) + density))
+    return float(log(near * exp(assumed.detection.log_share[scene.power, rung]) + density))
 
 
 @kernel
@@ -302,36 +404,6 @@ def _fill_row(
             x[c] += pose.R[k, c] * (range_m * place[k] - pose.t[k])
     row[0], row[1], row[2] = -n[0], -n[1], -n[2]
     row[3], row[4], row[5] = n[1] * x[2] - n[2] * x[1], n[2] * x[0] - n[0] * x[2], n[0] * x[1] - n[1] * x[0]
-
-
-@kernel
-def _is_known(  # noqa: PLR0917
-    slots: NDArray[np.int32],
-    normals: FloatArray,
-    distances: FloatArray,
-    normal: FloatArray,
-    distance: float,
-    apart: float,
-) -> bool:
-    """Return whether a ray has the same line of the outline already, from its other neighbour.
-
-    Args:
-        slots: numbers of the ray's lines so far, -1 for none, shape (4,).
-        normals: normals of all lines, shape (N, 3).
-        distances: distances of all lines, shape (N,), m.
-        normal: normal of the line, shape (3,).
-        distance: distance of the line, m.
-        apart: distance of the ray from the place between the rays, m.
-    """
-    for number in slots:
-        if number < 0:
-            break
-        cosine = (
-            normals[number, 0] * normal[0] + normals[number, 1] * normal[1] + normals[number, 2] * normal[2]
-        )
-        if cosine > SAME_LINE and abs(distances[number] - distance) < SAME_PLACE * apart:
-            return True
-    return False
 
 
 @kernel

@@ -155,7 +155,7 @@ def scan_agreement(
 def rendered_likelihood(
     range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions
 ) -> tuple[float, int]:
-    """Return the log likelihood of a scan at a rendered pose, and its likeliest index in ``detection.HALVES``.
+    """Return a scan's log likelihood at a rendered pose, and the likeliest index in ``detection.HALVES``.
 
     Args:
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).

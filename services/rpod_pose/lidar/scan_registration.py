@@ -45,7 +45,7 @@ from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
 ROUNDS = 5
 """Largest number of times that the outline is found anew."""
 STRAIGHT = 0.125
-"""Motion of the outline, in units of the rays' distance, up to which it stays on the lines that were found."""
+"""Motion of the outline, in units of the rays' distance, up to which it stays on the lines found."""
 CHANCE = 3.0
 """Drop of the log likelihood from the greatest to that of a typical right pose, for six unknowns."""
 
@@ -60,7 +60,7 @@ class Reach(NamedTuple):
     radius_m: float
     """Distance of the target's farthest point from its origin."""
     surplus: float
-    """Excess of the actual over the expected log likelihood for each return, of a scan that is surely right."""
+    """Excess of the actual over the expected log likelihood for each return, if a pose is surely right."""
 
 
 class ScanRegistration(NamedTuple):
@@ -77,7 +77,7 @@ class ScanRegistration(NamedTuple):
 
 
 def reach_of(view: ScanView, config: ProjectiveIcpConfig, radius_m: float) -> Reach:
-    """Return the reach of a tracker with a scan pattern on a target whose farthest point is at a radius, m."""
+    """Return the reach of a tracker with a scan pattern, for a target of a radius, m."""
     spacing = max(spacing_rad(view.azimuth_rad), spacing_rad(view.elevation_rad))
     return Reach(config.tuning.near_share, spacing, radius_m, config.tuning.sure_surplus)
 
@@ -196,7 +196,7 @@ def _likelier(  # noqa: PLR0917
 
 @kernel
 def _is_sufficient(found: ScanRegistration, problem: FaceProblem, reach: Reach) -> bool:
-    """Return whether the scan is surely right, and the faces determine all motions at least as well as the outline."""
+    """Return whether the pose is surely right, and the faces determine it as well as the outline could."""
     returns = problem.points_m.shape[0]
     likely = _deficit(found) <= -reach.surplus * returns
     return likely and np.isfinite(found.information).all() and _determined(found, returns, reach)

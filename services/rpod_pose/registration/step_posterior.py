@@ -36,6 +36,15 @@ class Steps(NamedTuple):
     """Logarithm of p_in / p_out, shape (E,)."""
 
 
+class Normal(NamedTuple):
+    """A normal distribution of a step (dtau, dtheta), which is updated in place."""
+
+    mean: FloatArray
+    """Mean, shape (6,)."""
+    covariance: FloatArray
+    """Covariance, shape (6, 6)."""
+
+
 class Posterior(NamedTuple):
     """A normal distribution of a step (dtau, dtheta)."""
 
@@ -58,44 +67,19 @@ def propagated(
         hold: prior information that the step is zero, above 0, shape (6,).
         blur_m: standard deviation of the place of the outline.
     """
-    prior = information + np.diag(hold)
-    covariance = np.linalg.inv(prior)
+    covariance = np.linalg.inv(information + np.diag(hold))
     mean = covariance @ -gradient
     precision, shift = np.zeros(steps.number), np.zeros(steps.number)
-    added, spread = np.zeros((6, 6)), np.empty(6)
     for sweep in range(SWEEPS):
         before = mean.copy()
         for e in range(steps.number):
-            if steps.odds[e] == 0.0:
-                continue
-            row = steps.rows[e]
-            v, m = 0.0, steps.distance_m[e]
-            for i in range(6):
-                spread[i] = 0.0
-                for k in range(6):
-                    spread[i] += covariance[i, k] * row[k]
-                v += row[i] * spread[i]
-                m += row[i] * mean[i]
-            if precision[e] == 0.0 and m * steps.odds[e] > 0.0 and m * m > CERTAIN**2 * (v + blur_m * blur_m):
-                continue
-            rest = 1.0 / v - precision[e]
-            if not (v > 0.0 and rest > 1e-9 / v):
-                continue
-            cavity = 1.0 / rest
-            centre = cavity * (m / v - shift[e])
-            new, moved = _matched(centre, cavity, steps.odds[e], blur_m)
-            change, push = new - precision[e], moved - shift[e]
-            precision[e], shift[e] = new, moved
-            gain = 1.0 / (1.0 + change * v)
-            for i in range(6):
-                mean[i] += gain * spread[i] * (push - change * m)
-                for k in range(6):
-                    covariance[i, k] -= change * gain * spread[i] * spread[k]
+            _assimilate(steps, e, Normal(mean, covariance), precision, shift, blur_m)
         worst = 0.0
         for k in range(6):
             worst = max(worst, abs(mean[k] - before[k]) / sqrt(max(covariance[k, k], 1e-300)))
         if sweep > 0 and worst < SETTLED:
             break
+    added = np.zeros((6, 6))
     for e in range(steps.number):
         row = steps.rows[e]
         for i in range(6):
@@ -105,12 +89,48 @@ def propagated(
 
 
 @kernel
+def _assimilate(  # noqa: PLR0917
+    steps: Steps, e: int, state: Normal, precision: FloatArray, shift: FloatArray, blur_m: float
+) -> None:
+    """Replace the normal factor that stands for one step, and update the distribution.
+
+    Args:
+        steps: all steps.
+        e: index of the step.
+        state: distribution by all factors, input and output.
+        precision: precision of the factors, shape (E,), input and output.
+        shift: precision times mean of the factors, shape (E,), input and output.
+        blur_m: standard deviation of the place of a step.
+    """
+    mean, covariance, row, spread = state.mean, state.covariance, steps.rows[e], np.empty(6)
+    v, m = 0.0, steps.distance_m[e]
+    for i in range(6):
+        spread[i] = 0.0
+        for k in range(6):
+            spread[i] += covariance[i, k] * row[k]
+        v += row[i] * spread[i]
+        m += row[i] * mean[i]
+    sure = m * steps.odds[e] > 0.0 and m * m > CERTAIN**2 * (v + blur_m * blur_m)
+    rest = 1.0 / v - precision[e]
+    if (sure and precision[e] == 0.0) or not (v > 0.0 and rest > 1e-9 / v):
+        return
+    new, moved = _matched((m / v - shift[e]) / rest, 1.0 / rest, steps.odds[e], blur_m)
+    change, push = new - precision[e], moved - shift[e]
+    precision[e], shift[e] = new, moved
+    gain = 1.0 / (1.0 + change * v)
+    for i in range(6):
+        mean[i] += gain * spread[i] * (push - change * m)
+        for k in range(6):
+            covariance[i, k] -= change * gain * spread[i] * spread[k]
+
+
+@kernel
 def _matched(centre: float, variance: float, odds: float, blur_m: float) -> tuple[float, float]:
     """Return precision and precision times mean of the normal factor that stands for a step.
 
     Its product with a normal distribution has the same mean and variance as the product with the step
-    p_out + (p_in - p_out) Phi(s / blur), whose greater level is 1. A step that makes the distribution wider, as
-    one that almost certainly does not hold, counts as no information.
+    p_out + (p_in - p_out) Phi(s / blur), whose greater level is 1. A step that makes the distribution wider,
+    as one that almost certainly does not hold, counts as no information.
 
     Args:
         centre: mean of the distance s without the step, m.
