@@ -35,7 +35,7 @@ class RayTree(NamedTuple):
     """Least and greatest corner of each node's box, target axes, shape (nodes, 6)."""
     first: NDArray[np.int32]
     """Left child of an inner node, whose right child follows it; first triangle of a leaf, shape (nodes,)."""
-    count: NDArray[np.int32]
+    held: NDArray[np.int32]
     """Number of triangles of a leaf, 0 for an inner node, shape (nodes,)."""
     sides_m: FloatArray
     """First corner and two sides from it of the triangles in the leaves' order, shape (T, 3, 3)."""
@@ -80,7 +80,7 @@ class _Nodes(NamedTuple):
 
     boxes_m: Float32Array
     first: NDArray[np.int32]
-    count: NDArray[np.int32]
+    held: NDArray[np.int32]
     order: NDArray[np.int32]
 
 
@@ -207,7 +207,7 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
         farthest_m: the range, inf for any.
         stack: memory for nodes that are yet to be visited, shape (DEPTH + 1, 3).
     """
-    boxes, first, count = tree.boxes_m, tree.first, tree.count
+    boxes, first, held = tree.boxes_m, tree.first, tree.held
     inverse = stack[DEPTH]
     inverse[0], inverse[1], inverse[2] = 1.0 / ray.x, 1.0 / ray.y, 1.0 / ray.z
     nearest, found = farthest_m, -1
@@ -217,7 +217,7 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
         if stack[waiting, 1] >= nearest:
             continue
         node = int(stack[waiting, 0])
-        if count[node] == 0:
+        if held[node] == 0:
             left = first[node]
             near_left = _entry(boxes, left, ray, inverse, nearest)
             near_right = _entry(boxes, left + 1, ray, inverse, nearest)
@@ -230,13 +230,13 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
                 stack[waiting, 0], stack[waiting, 1] = near_child, near
                 waiting += 1
             continue
-        for n in range(first[node], first[node] + count[node]):
+        for n in range(first[node], first[node] + held[node]):
             along = _met(tree.sides_m[n], ray)
             if along < nearest:
                 nearest, found = along, n
     if found < 0:
         return Hit(np.inf, -1)
-    return Hit(nearest, np.int64(tree.triangle[found]))
+    return Hit(nearest, int(tree.triangle[found]))
 
 
 @kernel

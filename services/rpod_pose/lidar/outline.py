@@ -203,7 +203,7 @@ def _is_beside(ray: int, start: int, outwards: int, rays: Rays) -> bool:
     height, width = rays.face.shape
     if ray < 0 or ray >= height * width:
         return False
-    return abs(outwards) == width or ray // width == start // width
+    return bool(abs(outwards) == width or ray // width == start // width)
 
 
 @kernel
@@ -290,7 +290,7 @@ def _hit(rays: Rays, ray: int) -> Hit:
     """Return what a ray of the pattern, a row-major index, meets at the rendered pose."""
     width = rays.face.shape[1]
     i, j = ray // width, ray % width
-    return Hit(np.float64(rays.range_m[i, j]), np.int64(rays.face[i, j]))
+    return Hit(np.float64(rays.range_m[i, j]), int(rays.face[i, j]))
 
 
 @kernel
@@ -307,13 +307,13 @@ def _may_end(pose: PoseArrays, rays: Rays, one: int, two: int, assumed: Assumpti
     width = rays.face.shape[1]
     a, b = rays.face[one // width, one % width], rays.face[two // width, two % width]
     if a < 0 or b < 0:
-        return a != b
+        return bool(a != b)
     if a == b:
         return False
     limit = JUMP * assumed.sigma_m
     forth = abs(_on_plane(pose, rays, a, two) - np.float64(rays.range_m[two // width, two % width]))
     aback = abs(_on_plane(pose, rays, b, one) - np.float64(rays.range_m[one // width, one % width]))
-    return forth > limit and aback > limit
+    return bool(forth > limit and aback > limit)
 
 
 @kernel
@@ -359,7 +359,7 @@ def _along(pose: PoseArrays, rays: Rays, face: int, direction: Array) -> float:
 
 @kernel
 def _log_likelihood(scene: Scene, ray: int, face: int) -> float:
-    """Return the log likelihood of a ray's result, by its row-major index, if it meets a face, -1 for none."""
+    """Return the log likelihood of a ray's result, by its row-major index, if it meets a face (-1: none)."""
     rays, pose, assumed, width = scene.rays, scene.pose, scene.assumed, scene.range_m.shape[1]
     i, j, density, cosine = ray // width, ray % width, assumed.clutter_density, 0.0
     m = scene.range_m[i, j]
@@ -478,7 +478,7 @@ def _next(edge: Edge, place: int, row: int, column: int) -> int:
         if other >= 0 and other != place:
             difference = abs(edge.range_m[other] - edge.range_m[place])
             if difference < least:
-                found, least = np.int64(other), difference
+                found, least = int(other), difference
     return found
 
 

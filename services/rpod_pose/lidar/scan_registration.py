@@ -199,7 +199,8 @@ def _is_sufficient(found: ScanRegistration, problem: FaceProblem, reach: Reach) 
     """Return whether the pose is surely right, and the faces determine it as well as the outline could."""
     returns = problem.points_m.shape[0]
     likely = _deficit(found) <= -reach.surplus * returns
-    return likely and np.isfinite(found.information).all() and _determined(found, returns, reach)
+    finite = np.isfinite(found.information).all()
+    return bool(likely and finite and _determined(found, returns, reach))
 
 
 @kernel

@@ -158,7 +158,7 @@ class ScanSearch:
         return self._closed(every) if few else every
 
     def _closed(self, ranked: list[Pose]) -> list[Pose]:
-        """Return the poses, likeliest first, and all turns of the best one, refined as far as it is itself."""
+        """Return the poses, likeliest first, and all turns of the best one, refined as far as it is."""
         best = self._polished(ranked[0])
         every = [best, *ranked[1:]]
         for _ in range(self._tuning.few_closures):

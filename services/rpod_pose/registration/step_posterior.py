@@ -67,8 +67,8 @@ def propagated(
         hold: prior information that the step is zero, above 0, shape (6,).
         blur_m: standard deviation of the place of the outline.
     """
-    covariance = np.linalg.inv(information + np.diag(hold))
-    mean = covariance @ -gradient
+    covariance: FloatArray = np.linalg.inv(information + np.diag(hold)).astype(np.float64)
+    mean: FloatArray = covariance @ -gradient
     precision, shift = np.zeros(steps.number), np.zeros(steps.number)
     for sweep in range(SWEEPS):
         before = mean.copy()
