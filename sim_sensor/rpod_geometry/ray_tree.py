@@ -236,7 +236,7 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
                 nearest, found = along, n
     if found < 0:
         return Hit(np.inf, -1)
-    return Hit(nearest, int(tree.triangle[found]))
+    return Hit(nearest, int(np.int64(tree.triangle[found])))
 
 
 @kernel

@@ -82,17 +82,18 @@ class ProjectiveIcpTuning(Tuning):
     sufficient, if they determine all motions."""
     fine_steps: Annotated[Count, BUDGET] = 3
     """Number of fine steps, which align all returns with the faces."""
-    widest_m: Annotated[Positive, BY_HAND] = 1.0
-    """Distance above which a return is an outlier in the first step, m."""
-    narrowest_m: Annotated[
-        Positive, Provenance("paper", "2015 paper, Table 1: outliers of four times sigma_RANGE, 25 mm")
-    ] = 0.1
-    """Distance above which a return is an outlier in the last step, m; it covers 4-sigma outliers."""
+    widest_share: Annotated[Positive, BY_HAND] = 0.05
+    """Distance above which a return is an outlier in the first step, as a share of the target's radius; never
+    below that of the last step."""
+    narrowest_sigmas: Annotated[
+        Positive, Provenance("paper", "2015 paper, Table 1: outliers of four times sigma_RANGE")
+    ] = 4.0
+    """Distance above which a return is an outlier in the last step, in standard deviations of a range."""
     steep_cosine: Annotated[float, Field(ge=0, le=1), BY_HAND] = 0.55
     """Cosine of incidence on a face below which outliers are found by their distance from its plane, not by
     that along the ray: otherwise a small error of its position would reject all returns of a steep face."""
-    outline_m: Annotated[Positive, BY_HAND] = 0.05
-    """Standard deviation of the distance of a return beyond the outline, m."""
+    outline_sigmas: Annotated[Positive, BY_HAND] = 2.0
+    """Standard deviation of the distance of a return beyond the outline, in those of a range."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
     """Least number of returns, and of returns on faces, of a registration."""
     unobserved_deg: Annotated[
@@ -145,8 +146,10 @@ class GlobalSearchTuning(Tuning):
     with fewer than ``sure_returns`` begin with the second."""
     model_points: Annotated[Count, BUDGET] = 240
     """Number of surface points that represent the target while attitudes are compared."""
-    truncation_m: Annotated[Positive, BY_HAND] = 1.5
-    """Distance above which the cost is constant, m."""
+    truncation_share: Annotated[Positive, BY_HAND] = 0.07
+    """Distance above which the cost is constant, as a share of the target's radius."""
+    truncation_sigmas: Annotated[Positive, BY_HAND] = 6.0
+    """Least value of this distance, in standard deviations of a range."""
     coarse_points: Annotated[Count, BUDGET] = 128
     """Number of returns with which candidates are coarsely aligned."""
     coarse_steps: Annotated[Count, BUDGET] = 6

@@ -24,7 +24,7 @@ from rpod_pose.belief import contradicted, undetermined
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_registration import CHANCE
-from rpod_pose.lidar.scan_search import FINE_SCALES_M, Model, Pose, Scanner, ScanSearch
+from rpod_pose.lidar.scan_search import Model, Pose, Scanner, ScanSearch
 from rpod_pose.lidar.scan_view import SeenScan
 from rpod_pose.ports import Acquisition, Registration
 from rpod_pose.search.attitude_grid import attitudes_of, within
@@ -54,11 +54,15 @@ class GlobalSearch:
         self._radius_m, self._sigma_range_m = target.radius_m, pattern.sigma_range_m
         self._tracker = ProjectiveIcp(config.tracking, target, pattern)
         surface = self._tracker.surface
+        sigma_m = self._tracker.model.sigma_range_m
+        self._truncation_m = max(
+            self._tuning.truncation_share * target.radius_m, self._tuning.truncation_sigmas * sigma_m
+        )
         views = ViewModel.of(
             target,
             surface.coarse_field,
             count=self._tuning.model_points,
-            truncation_m=self._tuning.truncation_m,
+            truncation_m=self._truncation_m,
         )
         self._model = Model(views, surface, Turns.of(target))
         self._scanners: dict[int, Scanner] = {}
@@ -81,9 +85,7 @@ class GlobalSearch:
         if whole.returns < self._tuning.min_points:
             return self._too_few(whole)
         search = self._search_in(whole)
-        given = search.face_aligned(
-            T_sensor_target.rotation.as_matrix(), T_sensor_target.translation, FINE_SCALES_M
-        )
+        given = search.fine_aligned(T_sensor_target.rotation.as_matrix(), T_sensor_target.translation)
         poses = search.completed([given], siblings=1)
         least = poses[0].fit.log_likelihood + log(NEGLIGIBLE)
         rivals = [pose for pose in poses if pose.fit.log_likelihood >= least]
@@ -129,7 +131,7 @@ class GlobalSearch:
                 sigma_range_m=self._sigma_range_m,
                 radius_m=self._radius_m,
             )
-        return ScanSearch(self._config, self._model, self._scanners[stride], seen)
+        return ScanSearch(self._config, self._model, self._scanners[stride], seen, self._truncation_m)
 
     def _too_few(self, seen: SeenScan) -> Acquisition:
         reason = f"{seen.returns} returns, {self._tuning.min_points} needed"

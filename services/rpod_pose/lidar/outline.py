@@ -290,7 +290,7 @@ def _hit(rays: Rays, ray: int) -> Hit:
     """Return what a ray of the pattern, a row-major index, meets at the rendered pose."""
     width = rays.face.shape[1]
     i, j = ray // width, ray % width
-    return Hit(np.float64(rays.range_m[i, j]), int(rays.face[i, j]))
+    return Hit(np.float64(rays.range_m[i, j]), int(np.int64(rays.face[i, j])))
 
 
 @kernel
@@ -478,7 +478,7 @@ def _next(edge: Edge, place: int, row: int, column: int) -> int:
         if other >= 0 and other != place:
             difference = abs(edge.range_m[other] - edge.range_m[place])
             if difference < least:
-                found, least = int(other), difference
+                found, least = int(np.int64(other)), difference
     return found
 
 

@@ -52,12 +52,14 @@ class ProjectiveIcp:
             self.model.sigma_range_m,
             tuning.model.slack_m,
             tuning.steep_cosine**2,
-            1.0 / tuning.outline_m,
+            1.0 / (tuning.outline_sigmas * self.model.sigma_range_m),
         )
         self._reach = reach_of(self.view, config, target.radius_m)
-        middle_m = np.sqrt(tuning.widest_m * tuning.narrowest_m)
-        self._far = np.geomspace(tuning.widest_m, middle_m, tuning.coarse_steps)
-        self._near = np.geomspace(middle_m, tuning.narrowest_m, tuning.fine_steps)
+        narrowest_m = tuning.narrowest_sigmas * self.model.sigma_range_m
+        widest_m = max(tuning.widest_share * target.radius_m, narrowest_m)
+        middle_m = np.sqrt(widest_m * narrowest_m)
+        self._far = np.geomspace(widest_m, middle_m, tuning.coarse_steps)
+        self._near = np.geomspace(middle_m, narrowest_m, tuning.fine_steps)
 
     def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the scan gives none."""

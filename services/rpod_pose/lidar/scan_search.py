@@ -23,12 +23,12 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, SearchLevelConfig
 from rpod_schemas.types import Float32Array
 
-FIELD_SCALES_M = 1.0, 0.15
-"""Geman-McClure scales of the first and the last step that aligns a candidate in the distance field."""
-FACE_SCALES_M = np.array([0.5, 0.3, 0.2])
-"""Geman-McClure scales of a candidate's steps to the faces."""
-FINE_SCALES_M = np.array([0.2, 0.1, 0.1])
-"""Geman-McClure scales of the last steps, for the best candidates."""
+FIELD_SIGMAS = 6.0
+"""Least Geman-McClure scale of the steps in the distance field, in standard deviations of a range."""
+FACE_SIGMAS = np.array([20.0, 12.0, 8.0])
+"""Geman-McClure scales of a candidate's steps to the faces, in the same unit."""
+FINE_SIGMAS = np.array([8.0, 4.0, 4.0])
+"""Geman-McClure scales of the last steps, for the best candidates, in the same unit."""
 HALFWAY = 4.0
 """Greatest deficit per return of a pose that a refinement on the outline may still correct."""
 GAIN = 5.0
@@ -101,7 +101,14 @@ class Model:
 class ScanSearch:
     """Searches one scan."""
 
-    def __init__(self, config: GlobalSearchConfig, model: Model, scanner: Scanner, seen: SeenScan) -> None:
+    def __init__(
+        self,
+        config: GlobalSearchConfig,
+        model: Model,
+        scanner: Scanner,
+        seen: SeenScan,
+        truncation_m: float,
+    ) -> None:
         self._config, self._tuning = config, config.tuning
         self._model, self._scanner, self.seen = model, scanner, seen
         self._comparison = Comparison(
@@ -110,11 +117,15 @@ class ScanSearch:
             seen.points_m.mean(axis=0),
             scanner.distances.image(seen),
             scanner.statistics.expected_shares,
-            self._tuning.truncation_m,
+            truncation_m,
             truncated=seen.cut_off,
         )
         self._few = Points.equal(seen.downsampled(self._tuning.coarse_points))
-        self._far_m = np.geomspace(*FIELD_SCALES_M, self._tuning.coarse_steps)
+        sigma_m = scanner.statistics.sigma_range_m
+        least_m = FIELD_SIGMAS * sigma_m
+        widest_m = max(config.tracking.tuning.widest_share * scanner.reach.radius_m, least_m)
+        self._far_m = np.geomspace(widest_m, least_m, self._tuning.coarse_steps)
+        self._rough_m, self._fine_m = FACE_SIGMAS * sigma_m, FINE_SIGMAS * sigma_m
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
         """Return distinct poses, likeliest first; empty if the sensor sees the target at no attitude.
@@ -148,7 +159,7 @@ class ScanSearch:
             found += [chosen, *self._turned(chosen, tuning.turns)]
         few = self.seen.returns < tuning.sufficient_returns
         best = self._distinct(found)[: tuning.few_finished if few else tuning.finished]
-        finished = self._distinct([self._improved(pose, FINE_SCALES_M) for pose in best])
+        finished = self._distinct([self._improved(pose, self._fine_m) for pose in best])
         if not finished:
             return finished
         likely = self._likely(finished)
@@ -180,7 +191,7 @@ class ScanSearch:
 
     def _finished(self, pose: Pose) -> Pose:
         """Return a pose fully refined, so that its near-symmetries start from an accurate pose."""
-        pose = self._improved(pose, FINE_SCALES_M)
+        pose = self._improved(pose, self._fine_m)
         halfway = 0.0 < pose.fit.deficit < HALFWAY * self.seen.returns
         few = (
             self.seen.returns < self._tuning.sufficient_returns
@@ -206,6 +217,10 @@ class ScanSearch:
         statistics = self._scanner.statistics
         found = aligned(problem, PoseArrays(R, t), self.seen.range_m, statistics.assumed)
         return Pose(*found.pose, ScanFit.of(found.statistics), found.faces.information)
+
+    def fine_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
+        """Return a pose after the last steps to the faces."""
+        return self.face_aligned(R, t, self._fine_m)
 
     def _problem(self, scales_m: FloatArray) -> FaceProblem:
         view, model = self._scanner.view, self._config.tracking.tuning.model
@@ -252,7 +267,7 @@ class ScanSearch:
         best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
         order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[:count]
         return [
-            self._improved(self._unrefined(pose.R @ turns.all[index], pose.t), FACE_SCALES_M)
+            self._improved(self._unrefined(pose.R @ turns.all[index], pose.t), self._rough_m)
             if index < len(turned)
             else self._field_aligned(
                 pose.R @ turns.all[index - len(turned)], best_m[index - len(turned)].astype(np.float64)
@@ -263,14 +278,14 @@ class ScanSearch:
     def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a rough pose aligned with the scan."""
         rough = field_aligned(self._few, PoseArrays(R, t), self._model.surface.coarse_field, self._far_m)
-        return self.face_aligned(*rough, FACE_SCALES_M)
+        return self.face_aligned(*rough, self._rough_m)
 
     def _outline_refined(self, pose: Pose) -> Pose:
         """Return a pose refined on the outline too; unchanged if no return lies on a ray of the pattern."""
         if not self.seen.range_m.any():  # all returns lie beside the pattern
             return pose
         scanner = self._scanner
-        problem, start = self._problem(FINE_SCALES_M), PoseArrays(pose.R, pose.t)
+        problem, start = self._problem(self._fine_m), PoseArrays(pose.R, pose.t)
         found = settled(problem, start, self.seen.range_m, scanner.statistics.assumed, scanner.reach)
         fit = ScanFit.of(found.statistics)
         if fit.log_likelihood < pose.fit.log_likelihood - CHANCE:
