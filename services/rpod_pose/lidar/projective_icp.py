@@ -1,8 +1,8 @@
 """Tracking in scans by casting the target at a predicted pose: projective point-to-plane ICP.
 
 A few steps in the target's distance field, on some of the returns, bring the pose near the solution; a few
-steps to the faces, on all returns, refine it (``scan_alignment``). The likelihood of the scan at the pose is
-the self-check (``scan_fit``).
+steps to the faces, on all returns, refine it (``scan_alignment``). Where the faces leave a motion open, the
+outline determines it (``outline``). The likelihood of the scan at the pose is the self-check (``scan_fit``).
 """
 
 from math import radians
