@@ -158,14 +158,17 @@ def tracked(  # noqa: PLR0917
     near = agreeing >= reach.near_share * (agreeing + inconsistent + missing)
     if near and _is_sufficient(found, problem, reach):
         return found
-    best = _likelier(
-        settled(problem, start, range_m, assumed, reach), found, problem, range_m, assumed, reach
-    )
     if near:
-        return best
+        best = settled(problem, start, range_m, assumed, reach)
+        return _likelier(best, found, problem, range_m, assumed, reach)
     begin = field_aligned(far.points, start, far.field, far.scales_m)
     other = aligned(problem, begin, range_m, assumed)
-    return _likelier(best, other, problem, range_m, assumed, reach)
+    if other.statistics.agreement.log_likelihood < found.statistics.agreement.log_likelihood:
+        found, other = other, found
+    if _is_sufficient(other, problem, reach):
+        return other
+    best = settled(problem, other.pose, range_m, assumed, reach)
+    return _likelier(best, found, problem, range_m, assumed, reach)
 
 
 @kernel

@@ -289,7 +289,7 @@ def test_what_a_few_returns_leave_undetermined_is_not_believed():
     T = random_pose(1, 150.0)
     acquisition = search().acquire(scan_at(T, frame=1))
     assert not acquisition.begins_track
-    assert "the attitude is undetermined" in acquisition.belief.refusal
+    assert "the attitude is undetermined" in acquisition.belief.insufficient
 
 
 @pytest.mark.parametrize("target", ["mockup", "hexagonal-body"])
