@@ -6,7 +6,7 @@ from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWNS, WIDE_PRIOR, Provenance, Tuning
+from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWNS, Provenance, Tuning
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -77,25 +77,30 @@ class ProjectiveIcpTuning(Tuning):
     near_share: Annotated[Share, BY_HAND] = 0.95
     """Share of a scan above which a prediction that explains it needs no coarse steps: they let the target
     slide in directions that its faces leave undetermined."""
+    sure_surplus: Annotated[NonNegative, BY_HAND] = 0.3
+    """Excess of the actual over the expected log likelihood for each return from which on the faces alone are
+    sufficient, if they determine all motions."""
     fine_steps: Annotated[Count, BUDGET] = 3
     """Number of fine steps, which align all returns with the faces."""
-    widest_m: Annotated[Positive, BY_HAND] = 1.0
-    """Distance above which a return is an outlier in the first step, m."""
-    narrowest_m: Annotated[
-        Positive, Provenance("paper", "2015 paper, Table 1: outliers of four times sigma_RANGE, 25 mm")
-    ] = 0.1
-    """Distance above which a return is an outlier in the last step, m; it covers 4-sigma outliers."""
+    widest_share: Annotated[Positive, BY_HAND] = 0.05
+    """Distance above which a return is an outlier in the first step, as a share of the target's radius; never
+    below that of the last step."""
+    narrowest_sigmas: Annotated[
+        Positive, Provenance("paper", "2015 paper, Table 1: outliers of four times sigma_RANGE")
+    ] = 4.0
+    """Distance above which a return is an outlier in the last step, in standard deviations of a range."""
     steep_cosine: Annotated[float, Field(ge=0, le=1), BY_HAND] = 0.55
     """Cosine of incidence on a face below which outliers are found by their distance from its plane, not by
     that along the ray: otherwise a small error of its position would reject all returns of a steep face."""
-    outline_m: Annotated[Positive, BY_HAND] = 0.05
-    """Standard deviation of the distance of a return beyond the outline, m."""
+    outline_sigmas: Annotated[Positive, BY_HAND] = 2.0
+    """Standard deviation of the distance of a return beyond the outline, in those of a range."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
     """Least number of returns, and of returns on faces, of a registration."""
-    unobserved_m: Annotated[Positive, WIDE_PRIOR] = 1.0
-    """Standard deviation of a position that no face determines, m."""
-    unobserved_deg: Annotated[Positive, WIDE_PRIOR] = 20.0
-    """Standard deviation of a rotation that no face determines, deg."""
+    unobserved_deg: Annotated[
+        Positive, Provenance("physics", "the standard deviation of an angle of which nothing is known")
+    ] = 104.0
+    """Standard deviation of a rotation that neither faces nor outline determine, deg. That of a position is
+    the target's radius."""
     model: ScanModelConfig = ScanModelConfig()
     """Statistics of the scans."""
     verdict: ScanVerdictConfig = ScanVerdictConfig()
@@ -141,8 +146,10 @@ class GlobalSearchTuning(Tuning):
     with fewer than ``sure_returns`` begin with the second."""
     model_points: Annotated[Count, BUDGET] = 240
     """Number of surface points that represent the target while attitudes are compared."""
-    truncation_m: Annotated[Positive, BY_HAND] = 1.5
-    """Distance above which the cost is constant, m."""
+    truncation_share: Annotated[Positive, BY_HAND] = 0.07
+    """Distance above which the cost is constant, as a share of the target's radius."""
+    truncation_sigmas: Annotated[Positive, BY_HAND] = 6.0
+    """Least value of this distance, in standard deviations of a range."""
     coarse_points: Annotated[Count, BUDGET] = 128
     """Number of returns with which candidates are coarsely aligned."""
     coarse_steps: Annotated[Count, BUDGET] = 6
@@ -169,12 +176,29 @@ class GlobalSearchTuning(Tuning):
     near-symmetries."""
     finished: Annotated[Count, BY_HAND] = 4
     """Number of best distinct poses that are refined to the end."""
+    few_finished: Annotated[Count, BUDGET] = 12
+    """Number of best distinct poses that are refined to the end if returns are few: all that may be right
+    must be known before one is believed."""
+    few_turns: Annotated[Count, BUDGET] = 32
+    """Number of turns of the best pose that are tried at the end if returns are few."""
+    few_closures: Annotated[Count, BUDGET] = 3
+    """Largest number of times that this is done, since a turn may be likelier than the pose before it."""
+    max_sigma_deg: Annotated[
+        Positive, Provenance("physics", "an error of 10 deg has then a probability below 0.5 %")
+    ] = 3.5
+    """Largest standard deviation of an accepted attitude about its worst axis, deg, if returns are few."""
     distinct_deg: Annotated[NonNegative, BY_HAND] = 5.0
     """Angle between two attitudes, deg, below which their poses are the same."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
     """Least number of returns of a scan that is searched."""
     ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
     """Weight of the best hypothesis below which the result is ambiguous."""
+    few_weight: Annotated[
+        float,
+        Field(gt=0.5, lt=1),
+        Provenance("physics", "the share of accepted poses that may be wrong"),
+    ] = 0.995
+    """Weight of the best hypothesis below which the result is ambiguous if returns are few."""
     near_deg: Annotated[Positive, BY_HAND] = 45.0
     """Largest angle of an attitude from a roughly known pose, deg, in a search near that pose."""
 

@@ -6,8 +6,8 @@
    missed (``scan_fit``). If returns are many, the first pose that explains them beyond question ends this
    step.
 3. Poses that the best may be mistaken for are tried too: its near-symmetries and quarter turns about its
-   axes. If returns are few, the pose is refined on the outline in the directions that the returns leave
-   undetermined.
+   axes. If returns are few, all turns of the best pose are refined on the outline as far as it is itself, and
+   the poses are weighed by their posterior mass.
 4. If the scan is less likely than the best pose itself expects, the search is repeated with more attitudes.
 
 The belief in the pose needs no other pose for comparison: it compares the scan's likelihood with the
@@ -20,10 +20,11 @@ from math import log, sqrt
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.belief import contradicted
+from rpod_pose.belief import contradicted, undetermined
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.lidar.scan_search import FINE_SCALES_M, Model, Pose, Scanner, ScanSearch
+from rpod_pose.lidar.scan_registration import CHANCE
+from rpod_pose.lidar.scan_search import Model, Pose, Scanner, ScanSearch
 from rpod_pose.lidar.scan_view import SeenScan
 from rpod_pose.ports import Acquisition, Registration
 from rpod_pose.search.attitude_grid import attitudes_of, within
@@ -53,11 +54,15 @@ class GlobalSearch:
         self._radius_m, self._sigma_range_m = target.radius_m, pattern.sigma_range_m
         self._tracker = ProjectiveIcp(config.tracking, target, pattern)
         surface = self._tracker.surface
+        sigma_m = self._tracker.model.sigma_range_m
+        self._truncation_m = max(
+            self._tuning.truncation_share * target.radius_m, self._tuning.truncation_sigmas * sigma_m
+        )
         views = ViewModel.of(
             target,
             surface.coarse_field,
             count=self._tuning.model_points,
-            truncation_m=self._tuning.truncation_m,
+            truncation_m=self._truncation_m,
         )
         self._model = Model(views, surface, Turns.of(target))
         self._scanners: dict[int, Scanner] = {}
@@ -80,9 +85,7 @@ class GlobalSearch:
         if whole.returns < self._tuning.min_points:
             return self._too_few(whole)
         search = self._search_in(whole)
-        given = search.face_aligned(
-            T_sensor_target.rotation.as_matrix(), T_sensor_target.translation, FINE_SCALES_M
-        )
+        given = search.fine_aligned(T_sensor_target.rotation.as_matrix(), T_sensor_target.translation)
         poses = search.completed([given], siblings=1)
         least = poses[0].fit.log_likelihood + log(NEGLIGIBLE)
         rivals = [pose for pose in poses if pose.fit.log_likelihood >= least]
@@ -122,9 +125,13 @@ class GlobalSearch:
         if stride not in self._scanners:
             view = self._tracker.view if stride == 1 else self._tracker.view.every(stride)
             self._scanners[stride] = Scanner.of(
-                view, self._config, self._model.surface, sigma_range_m=self._sigma_range_m
+                view,
+                self._config,
+                self._model.surface,
+                sigma_range_m=self._sigma_range_m,
+                radius_m=self._radius_m,
             )
-        return ScanSearch(self._config, self._model, self._scanners[stride], seen)
+        return ScanSearch(self._config, self._model, self._scanners[stride], seen, self._truncation_m)
 
     def _too_few(self, seen: SeenScan) -> Acquisition:
         reason = f"{seen.returns} returns, {self._tuning.min_points} needed"
@@ -137,13 +144,22 @@ class GlobalSearch:
         if not poses:
             nothing = Registration.none(Source.LIDAR, "no attitude shows the target to the sensor")
             return Acquisition(nothing, templates=templates)
+        if search.seen.returns < self._tuning.sufficient_returns:
+            poses = sorted(poses, key=lambda pose: -pose.log_mass(self._radius_m))
         registration = self._tracker.finish(whole, poses[0].R, poses[0].t)
         belief = search.belief(poses[0])
         if registration.T_sensor_target is None or not registration.belief.continues_track:
             belief = registration.belief if belief.continues_track else belief
         if registration.T_sensor_target is not None and belief.continues_track:
-            logs = np.array([pose.fit.log_likelihood for pose in poses])
-            belief = belief_with_rivals(
-                rivals(poses, logs, self._model.turns.exact), belief, least=self._tuning.ambiguous_weight
-            )
+            few = search.seen.returns < self._tuning.sufficient_returns
+            logs = np.array([pose.log_mass(self._radius_m) for pose in poses])
+            least = self._tuning.ambiguous_weight
+            if few:  # each rival may be as far below its own mode as a right pose is
+                logs[1:] = np.minimum(logs[1:] + CHANCE, logs[0])
+                least = self._tuning.few_weight
+                vague = undetermined(
+                    registration.covariance, max_sigma_m=np.inf, max_sigma_deg=self._tuning.max_sigma_deg
+                )
+                belief = replace(belief, insufficient=belief.insufficient or vague)
+            belief = belief_with_rivals(rivals(poses, logs, self._model.turns.exact), belief, least=least)
         return Acquisition(replace(registration, belief=belief), templates=templates)

@@ -1,8 +1,8 @@
 """Tracking in scans by casting the target at a predicted pose: projective point-to-plane ICP.
 
 A few steps in the target's distance field, on some of the returns, bring the pose near the solution; a few
-steps to the faces, on all returns, refine it (``scan_alignment``). The likelihood of the scan at the pose is
-the self-check (``scan_fit``).
+steps to the faces, on all returns, refine it (``scan_alignment``). Where the faces leave a motion open, the
+outline determines it (``outline``). The likelihood of the scan at the pose is the self-check (``scan_fit``).
 """
 
 from math import radians
@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, pose_covariance
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.lidar.scan_registration import ScanRegistration, refined, tracked
+from rpod_pose.lidar.scan_registration import ScanRegistration, reach_of, refined, tracked
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Registration
 from rpod_pose.registration.field_alignment import FieldProblem, Points
@@ -41,7 +41,7 @@ class ProjectiveIcp:
     def __init__(self, config: ProjectiveIcpConfig, target: Target, pattern: ScanPattern) -> None:
         tuning = config.tuning
         self._tuning = tuning
-        weak = np.repeat((tuning.unobserved_m, radians(tuning.unobserved_deg)), 3)
+        weak = np.repeat((target.radius_m, radians(tuning.unobserved_deg)), 3)
         self._weak = np.diag(weak**-2)
         self.view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad)
         self.surface = SurfaceModel.of(target)
@@ -52,11 +52,14 @@ class ProjectiveIcp:
             self.model.sigma_range_m,
             tuning.model.slack_m,
             tuning.steep_cosine**2,
-            1.0 / tuning.outline_m,
+            1.0 / (tuning.outline_sigmas * self.model.sigma_range_m),
         )
-        middle_m = np.sqrt(tuning.widest_m * tuning.narrowest_m)
-        self._far = np.geomspace(tuning.widest_m, middle_m, tuning.coarse_steps)
-        self._near = np.geomspace(middle_m, tuning.narrowest_m, tuning.fine_steps)
+        self._reach = reach_of(self.view, config, target.radius_m)
+        narrowest_m = tuning.narrowest_sigmas * self.model.sigma_range_m
+        widest_m = max(tuning.widest_share * target.radius_m, narrowest_m)
+        middle_m = np.sqrt(widest_m * narrowest_m)
+        self._far = np.geomspace(widest_m, middle_m, tuning.coarse_steps)
+        self._near = np.geomspace(middle_m, narrowest_m, tuning.fine_steps)
 
     def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the scan gives none."""
@@ -65,15 +68,17 @@ class ProjectiveIcp:
             return _failed(f"{seen.returns} returns, {self._tuning.min_points} needed")
         points = Points.equal(seen.downsampled(self._tuning.points))
         far = FieldProblem(points, self.surface.coarse_field, self._far)
-        start, share = PoseArrays.of(T_sensor_target), self._tuning.near_share
+        start = PoseArrays.of(T_sensor_target)
         return self._registration(
-            seen, tracked(far, self._problem(seen), start, seen.range_m, self.model.assumed, share)
+            seen, tracked(far, self._problem(seen), start, seen.range_m, self.model.assumed, self._reach)
         )
 
     def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
         """Return the registration from a pose R, t, sensor axes, that is close to the solution."""
         problem, start = self._problem(seen), PoseArrays(R, t)
-        return self._registration(seen, refined(problem, start, seen.range_m, self.model.assumed))
+        return self._registration(
+            seen, refined(problem, start, seen.range_m, self.model.assumed, self._reach)
+        )
 
     def _problem(self, seen: SeenScan) -> FaceProblem:
         return FaceProblem(
@@ -100,20 +105,9 @@ class ProjectiveIcp:
             inliers=inliers,
             inlier_share=inliers / seen.returns,
             explained_share=fit.agreement.share,
-            covariance=self._covariance(found.faces.information, squares / inliers, inliers, R),
+            covariance=pose_covariance(found.information + self._weak, R),
             iterations=len(self._far) + len(self._near),
         )
-
-    def _covariance(self, information: FloatArray, cost_m2: float, inliers: int, R: FloatArray) -> FloatArray:
-        """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6).
-
-        It is the covariance of the normal equations, times the ratio of the residuals' variance to the
-        assumed one if the former is larger, for the degrees of freedom that six unknowns leave.
-        """
-        excess = max(1.0, cost_m2 / self.model.sigma_range_m**2)
-        excess *= inliers / max(inliers - 6, 1)
-        covariance: FloatArray = pose_covariance(information / excess + self._weak, R)
-        return covariance
 
 
 def _failed(reason: str) -> Registration:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
-from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
+from rpod_geometry.rays import GridArrays, RenderBuffers
 from rpod_pose.registration.distance_field import FieldArrays, distance_and_gradient
 from rpod_pose.registration.field_alignment import REACH_M, REACH_RAD
 from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
@@ -25,7 +25,7 @@ from rpod_pose.registration.normal_equations import (
     information_of,
     no_sums,
 )
-from rpod_pose.registration.surface_model import Faces
+from rpod_pose.registration.surface_model import Faces, cast_faces
 from rpod_schemas.arrays import FloatArray
 
 FEWEST = 3
@@ -94,6 +94,21 @@ class FaceFit(NamedTuple):
     """Sum of the squared distances of the last step's inliers from their planes."""
     inliers: int
     """Number of returns within the last Geman-McClure scale."""
+
+
+@kernel
+def excess(squares_m2: float, inliers: int, sigma_m: float) -> float:
+    """Return the factor by which residuals vary more than their assumed sigma, at least 1.
+
+    It is the ratio of their variance to the assumed one if the former is larger, for the degrees of freedom
+    that six unknowns leave.
+
+    Args:
+        squares_m2: sum of the inliers' squared distances from their planes.
+        inliers: number of inliers.
+        sigma_m: assumed standard deviation of a range.
+    """
+    return max(1.0, squares_m2 / (max(inliers, 1) * sigma_m * sigma_m)) * inliers / max(inliers - 6, 1)
 
 
 @kernel
@@ -197,9 +212,7 @@ def add_face_points(
 def face_equations(problem: FaceProblem, state: State, step: int) -> Linear[FaceEvidence]:
     """Return the normal equations of a scan at a pose: each return belongs to the face that its ray meets."""
     pose, buffers = state.pose, problem.buffers
-    cast_pose(
-        problem.grid, problem.faces.triangles_m, pose.R, pose.t, True, buffers.range_m, buffers.triangle
-    )
+    cast_faces(problem.grid, problem.faces, pose.R, pose.t, buffers)
     outline, hold = no_sums(), np.ones(UNKNOWNS)
     evidence = add_face_points(outline, problem, pose, problem.scales_m[step])
     hold[:3] = REACH_M**-2

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
-from rpod_geometry.rays import cast
 from rpod_pose.belief import Belief, contradicted
 from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
 from rpod_pose.lidar.scan_likelihood import (
@@ -31,10 +30,9 @@ from rpod_pose.lidar.scan_likelihood import (
     scan_statistics,
 )
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
-from rpod_pose.registration.surface_model import SurfaceModel
+from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
-from rpod_schemas.poses import pose_of
 
 LEAST_DEVIATION = 3.0
 """Least standard deviation of a deficit, for scans in which almost nothing is random."""
@@ -156,7 +154,7 @@ class ScanModel:
             covariance: covariance of (dtau, dtheta) as in ``normal_equations``, shape (6, 6).
         """
         hits = self._view.hits
-        cast(self._view.grid, self._rays.faces[0], pose_of(R, t), out=hits)
+        cast_faces(self._view.grid.arrays, self._rays.faces, R, t, hits.arrays)
         rows, columns = _around((seen.range_m > 0.0) | (hits.triangle >= 0))
         measured = np.ascontiguousarray(seen.range_m[rows, columns])
         rays = Rays(

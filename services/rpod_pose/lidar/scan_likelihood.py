@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
-from rpod_geometry.rays import GridArrays, cast_pose
+from rpod_geometry.rays import GridArrays, RenderBuffers
 from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG, Detection
 from rpod_pose.registration.lie_group import turned
-from rpod_pose.registration.surface_model import Faces
+from rpod_pose.registration.surface_model import Faces, cast_faces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
@@ -128,7 +128,7 @@ def scan_statistics(
         rays: rays, target and buffers.
         assumed: statistics of returns.
     """
-    cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
+    cast_faces(rays.grid, rays.faces, R, t, RenderBuffers(rays.range_m, rays.face))
     sums = _ray_sums(range_m, R, rays, assumed, True)
     evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
     mean, variance = _expectation(sums, assumed, power)
@@ -144,11 +144,28 @@ def scan_agreement(
     range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
 ) -> ScanAgreement:
     """Return the part of ``scan_statistics`` that needs no expectation, which is faster."""
-    cast_pose(rays.grid, rays.faces[0], R, t, True, rays.range_m, rays.face)
+    cast_faces(rays.grid, rays.faces, R, t, RenderBuffers(rays.range_m, rays.face))
     sums = _ray_sums(range_m, R, rays, assumed, False)
     evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
     missing = _missing(sums, assumed.detection.share[power])
     return ScanAgreement(sums.log_density + evidence, sums.agreeing, sums.inconsistent, missing)
+
+
+@kernel
+def rendered_likelihood(
+    range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions
+) -> tuple[float, int]:
+    """Return a scan's log likelihood at a rendered pose, and the likeliest index in ``detection.HALVES``.
+
+    Args:
+        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
+        R: R_sensor_target, shape (3, 3).
+        rays: rays, target and buffers, which hold the target rendered at the pose.
+        assumed: statistics of returns.
+    """
+    sums = _ray_sums(range_m, R, rays, assumed, False)
+    evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
+    return sums.log_density + evidence, power
 
 
 @kernel
@@ -162,7 +179,7 @@ def _ray_sums(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptio
         assumed: statistics of returns.
         spread: whether ``log_variance`` is computed, which only the expectation needs.
     """
-    directions, (_, normals, _, albedo) = rays.grid[0], rays.faces
+    directions, normals, albedo = rays.grid.components, rays.faces.normals, rays.faces.albedo
     density, sigma2 = assumed.clutter_density, assumed.sigma_m * assumed.sigma_m
     log_clear = np.log(1.0 - assumed.clutter_share)
     log_empty = np.log(density) - log_clear

@@ -1,23 +1,66 @@
 """Registration of a scan in one call: alignment with the target, and how well the pose explains the scan.
 
+The ranges are aligned with the target's faces first. Where they leave a motion less determined than the
+outline can, or where the scan is less likely than the pose itself expects, the outline is used too
+(``outline``): the pose becomes the mean, and the information that of the posterior by all rays, returns and
+misses alike.
+
 Python takes about a microsecond for each array that it gives to a kernel. These kernels therefore do in one
 call what belongs together.
 """
 
+from math import sqrt
 from typing import NamedTuple
 
+import numpy as np
+
 from rpod_geometry.kernels import kernel
-from rpod_pose.lidar.scan_alignment import FaceFit, FaceProblem, face_aligned
+from rpod_pose.lidar.outline import outline_steps
+from rpod_pose.lidar.scan_alignment import (
+    FEWEST,
+    FaceFit,
+    FaceProblem,
+    add_face_points,
+    excess,
+    face_aligned,
+    without_influential,
+)
 from rpod_pose.lidar.scan_likelihood import (
     Assumptions,
     Rays,
     ScanStatistics,
+    rendered_likelihood,
     scan_agreement,
     scan_statistics,
 )
+from rpod_pose.lidar.scan_view import ScanView, spacing_rad
 from rpod_pose.registration.field_alignment import FieldProblem, field_aligned
-from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.lie_group import PoseArrays, stepped
+from rpod_pose.registration.normal_equations import gradient_of, information_of, no_sums
+from rpod_pose.registration.step_posterior import Steps, propagated
+from rpod_pose.registration.surface_model import cast_faces
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+
+ROUNDS = 5
+"""Largest number of times that the outline is found anew."""
+STRAIGHT = 0.125
+"""Motion of the outline, in units of the rays' distance, up to which it stays on the lines found."""
+CHANCE = 3.0
+"""Drop of the log likelihood from the greatest to that of a typical right pose, for six unknowns."""
+
+
+class Reach(NamedTuple):
+    """How far a predicted pose may be off, and what the outline can tell."""
+
+    near_share: float
+    """Share of agreeing rays from which a prediction counts as close."""
+    spacing_rad: float
+    """Angle between neighbouring rays."""
+    radius_m: float
+    """Distance of the target's farthest point from its origin."""
+    surplus: float
+    """Excess of the actual over the expected log likelihood for each return, if a pose is surely right."""
 
 
 class ScanRegistration(NamedTuple):
@@ -27,8 +70,16 @@ class ScanRegistration(NamedTuple):
     """Pose of the target in the sensor."""
     faces: FaceFit
     """Alignment with the faces; its pose is another one if it was refused."""
+    information: FloatArray
+    """Information about (dtau, dtheta) at the pose, by the ranges and the outline, shape (6, 6)."""
     statistics: ScanStatistics
     """Statistics of the scan at the pose."""
+
+
+def reach_of(view: ScanView, config: ProjectiveIcpConfig, radius_m: float) -> Reach:
+    """Return the reach of a tracker with a scan pattern, for a target of a radius, m."""
+    spacing = max(spacing_rad(view.azimuth_rad), spacing_rad(view.elevation_rad))
+    return Reach(config.tuning.near_share, spacing, radius_m, config.tuning.sure_surplus)
 
 
 @kernel
@@ -45,19 +96,37 @@ def aligned(
     """
     fit = face_aligned(problem, start)
     statistics = scan_statistics(range_m, fit.pose.R, fit.pose.t, _rays(problem), assumed)
-    return ScanRegistration(fit.pose, fit, statistics)
+    return ScanRegistration(fit.pose, fit, _of_faces(problem, fit), statistics)
+
+
+@kernel
+def _of_faces(problem: FaceProblem, fit: FaceFit) -> FloatArray:
+    """Return the information of an alignment with the faces, for the residuals' actual variance, (6, 6)."""
+    return fit.information / excess(fit.squares_m2, fit.inliers, problem.errors.sigma_m)
 
 
 @kernel
 def refined(
-    problem: FaceProblem, start: PoseArrays, range_m: FloatArray, assumed: Assumptions
+    problem: FaceProblem, start: PoseArrays, range_m: FloatArray, assumed: Assumptions, reach: Reach
 ) -> ScanRegistration:
-    """Return ``aligned``, with the start as the pose if that explains the scan better.
+    """Return the registration from a pose that is close to the solution.
 
-    The faces alone may move a pose that agrees with the outline away from it.
+    The faces alone may move a pose that agrees with the outline away from it. The start is then kept.
+
+    Args:
+        problem: all returns and the target.
+        start: pose of the target in the sensor.
+        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
+        assumed: statistics of returns.
+        reach: what the outline can tell.
     """
     at_start = scan_agreement(range_m, start.R, start.t, _rays(problem), assumed)
-    return _refined(problem, start, at_start.log_likelihood, range_m, assumed)
+    found = _refined(problem, start, at_start.log_likelihood, range_m, assumed)
+    if _is_sufficient(found, problem, reach):
+        return found
+    return _likelier(
+        settled(problem, start, range_m, assumed, reach), found, problem, range_m, assumed, reach
+    )
 
 
 @kernel
@@ -67,9 +136,12 @@ def tracked(  # noqa: PLR0917
     start: PoseArrays,
     range_m: FloatArray,
     assumed: Assumptions,
-    near_share: float,
+    reach: Reach,
 ) -> ScanRegistration:
-    """Return ``refined`` from a predicted pose; if it is far off, it is aligned in the distance field first.
+    """Return ``refined`` from a predicted pose.
+
+    If the prediction is far off, it is also aligned in the distance field first, and the likelier result is
+    returned.
 
     Args:
         far: some of the returns, the target's distance field, and the scales of the first steps.
@@ -77,15 +149,150 @@ def tracked(  # noqa: PLR0917
         start: predicted pose of the target in the sensor.
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
         assumed: statistics of returns.
-        near_share: share of agreeing rays from which the prediction counts as close.
+        reach: how far the prediction may be off.
     """
     likelihood, agreeing, inconsistent, missing = scan_agreement(
         range_m, start.R, start.t, _rays(problem), assumed
     )
-    if agreeing < near_share * (agreeing + inconsistent + missing):
-        start = field_aligned(far.points, start, far.field, far.scales_m)
-        return refined(problem, start, range_m, assumed)
-    return _refined(problem, start, likelihood, range_m, assumed)
+    found = _refined(problem, start, likelihood, range_m, assumed)
+    near = agreeing >= reach.near_share * (agreeing + inconsistent + missing)
+    if near and _is_sufficient(found, problem, reach):
+        return found
+    if near:
+        best = settled(problem, start, range_m, assumed, reach)
+        return _likelier(best, found, problem, range_m, assumed, reach)
+    begin = field_aligned(far.points, start, far.field, far.scales_m)
+    other = aligned(problem, begin, range_m, assumed)
+    if other.statistics.agreement.log_likelihood < found.statistics.agreement.log_likelihood:
+        found, other = other, found
+    if _is_sufficient(other, problem, reach):
+        return other
+    best = settled(problem, other.pose, range_m, assumed, reach)
+    return _likelier(best, found, problem, range_m, assumed, reach)
+
+
+@kernel
+def _likelier(  # noqa: PLR0917
+    best: ScanRegistration,
+    other: ScanRegistration,
+    problem: FaceProblem,
+    range_m: FloatArray,
+    assumed: Assumptions,
+    reach: Reach,
+) -> ScanRegistration:
+    """Return the best registration so far, or the one by the outline from another pose if that is likelier.
+
+    Args:
+        best: best registration so far, by the outline.
+        other: registration by the faces alone.
+        problem: all returns and the target.
+        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
+        assumed: statistics of returns.
+        reach: what the outline can tell.
+    """
+    least = best.statistics.agreement.log_likelihood
+    if other.statistics.agreement.log_likelihood < least - CHANCE:
+        return best
+    found = settled(problem, other.pose, range_m, assumed, reach)
+    return found if found.statistics.agreement.log_likelihood > least + CHANCE else best
+
+
+@kernel
+def _is_sufficient(found: ScanRegistration, problem: FaceProblem, reach: Reach) -> bool:
+    """Return whether the pose is surely right, and the faces determine it as well as the outline could."""
+    returns = problem.points_m.shape[0]
+    likely = _deficit(found) <= -reach.surplus * returns
+    finite = np.isfinite(found.information).all()
+    return bool(likely and finite and _determined(found, returns, reach))
+
+
+@kernel
+def _deficit(found: ScanRegistration) -> float:
+    """Return by how much the scan is less likely than the pose expects."""
+    return found.statistics.expected - found.statistics.agreement.log_likelihood
+
+
+@kernel
+def _determined(found: ScanRegistration, returns: int, reach: Reach) -> bool:
+    """Return whether the faces determine all motions better than the outline could.
+
+    About 4 sqrt(returns) rays are beside an outline. Each place of it is bounded by two of them, in a strip
+    of the rays' distance, and the narrowest of n strips is the n-th part of one.
+    """
+    pose, strip_m = found.pose, reach.spacing_rad * sqrt((found.pose.t**2).sum())
+    limit_m = strip_m / (2.0 * sqrt(max(returns, 1)))
+    covariance = np.linalg.inv(found.information + np.diag(_held(pose, reach)) * 1e-6)
+    spread_m2 = 0.0
+    for k in range(3):
+        spread_m2 = max(spread_m2, covariance[k, k], covariance[3 + k, 3 + k] * reach.radius_m**2)
+    return spread_m2 <= limit_m * limit_m
+
+
+@kernel
+def _farthest(steps: Steps, step: FloatArray) -> float:
+    """Return how far a step (dtau, dtheta), shape (6,), moves the outline beside any ray, m."""
+    farthest = 0.0
+    for e in range(steps.number):
+        moved = 0.0
+        for k in range(6):
+            moved += steps.rows[e, k] * step[k]
+        farthest = max(farthest, abs(moved))
+    return farthest
+
+
+@kernel
+def _held(pose: PoseArrays, reach: Reach) -> FloatArray:
+    """Return the information that a step (dtau, dtheta) moves no point farther than to the next ray, (6,)."""
+    held, strip_m = np.empty(6), reach.spacing_rad * sqrt((pose.t**2).sum())
+    held[:3] = strip_m**-2
+    held[3:] = (strip_m / reach.radius_m) ** -2
+    return held
+
+
+@kernel
+def settled(
+    problem: FaceProblem, start: PoseArrays, range_m: FloatArray, assumed: Assumptions, reach: Reach
+) -> ScanRegistration:
+    """Return the mean of the pose by ranges and outline, near a given pose; arguments as for ``refined``."""
+    rays, pose, information = _rays(problem), start, np.zeros((6, 6))
+    inliers, squares, likelihood, kept, step = 0, 0.0, -np.inf, start, np.zeros(6)
+    straight_m = STRAIGHT * reach.spacing_rad * sqrt((start.t**2).sum())
+    for number in range(ROUNDS):
+        cast_faces(rays.grid, rays.faces, pose.R, pose.t, problem.buffers)
+        here, power = rendered_likelihood(range_m, pose.R, rays, assumed)
+        if here < likelihood - CHANCE:  # the outline is not straight so far
+            step *= 0.5
+            pose = stepped(kept, step)
+            continue
+        kept, likelihood = pose, max(here, likelihood)
+        scale = problem.scales_m[min(number, problem.scales_m.size - 1)]
+        evidence = add_face_points(no_sums(), problem, pose, scale)
+        if evidence.inliers < FEWEST:
+            break
+        inliers, squares = evidence.inliers, evidence.squares_m2
+        whole = inliers / max(evidence.faded, 1e-6) / excess(squares, inliers, problem.errors.sigma_m)
+        of_ranges = information_of(evidence.sums, 6)
+        if not np.isfinite(of_ranges).all():
+            break
+        steps = outline_steps(range_m, pose, rays, assumed, power)
+        found = propagated(
+            steps,
+            of_ranges * whole,
+            gradient_of(evidence.sums, 6) * whole,
+            _held(pose, reach),
+            assumed.slack_m,
+        )
+        if not np.isfinite(found.mean).all():
+            break
+        information = without_influential(of_ranges, evidence.rows) * whole + found.information
+        step = found.mean
+        pose = stepped(pose, step)
+        if number > 0 and _farthest(steps, step) < straight_m:
+            break
+    statistics = scan_statistics(range_m, pose.R, pose.t, rays, assumed)
+    if statistics.agreement.log_likelihood < likelihood - CHANCE:
+        pose, statistics = kept, scan_statistics(range_m, kept.R, kept.t, rays, assumed)
+    return ScanRegistration(pose, FaceFit(pose, information, squares, inliers), information, statistics)
 
 
 @kernel
@@ -97,7 +304,7 @@ def _refined(
     if likelihood <= found.statistics.agreement.log_likelihood:
         return found
     statistics = scan_statistics(range_m, start.R, start.t, _rays(problem), assumed)
-    return ScanRegistration(start, found.faces, statistics)
+    return ScanRegistration(start, found.faces, found.information, statistics)
 
 
 @kernel

@@ -11,7 +11,7 @@ from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
-from rpod_pose.lidar.scan_registration import aligned
+from rpod_pose.lidar.scan_registration import CHANCE, Reach, aligned, reach_of, settled
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays
@@ -23,21 +23,20 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, SearchLevelConfig
 from rpod_schemas.types import Float32Array
 
-FIELD_SCALES_M = 1.0, 0.15
-"""Geman-McClure scales of the first and the last step that aligns a candidate in the distance field."""
-FACE_SCALES_M = np.array([0.5, 0.3, 0.2])
-"""Geman-McClure scales of a candidate's steps to the faces."""
-FINE_SCALES_M = np.array([0.2, 0.1, 0.1])
-"""Geman-McClure scales of the last steps, for the best candidates."""
+FIELD_SIGMAS = 6.0
+"""Least Geman-McClure scale of the steps in the distance field, in standard deviations of a range."""
+FACE_SIGMAS = np.array([20.0, 12.0, 8.0])
+"""Geman-McClure scales of a candidate's steps to the faces, in the same unit."""
+FINE_SIGMAS = np.array([8.0, 4.0, 4.0])
+"""Geman-McClure scales of the last steps, for the best candidates, in the same unit."""
 HALFWAY = 4.0
 """Greatest deficit per return of a pose that a refinement on the outline may still correct."""
 GAIN = 5.0
 """Gain of log likelihood after which a pose's near-symmetries are tried again."""
-OUTLINE_M, OUTLINE_RAD = 0.3, 0.1
-"""Prior standard deviations in the refinement on the outline of motions that the faces do not determine."""
-STRETCH = 1.5
-"""Factor on the standard deviations of motions that the faces determine, in this refinement: a few returns
-may be on the wrong faces."""
+STRETCH = 3.0
+"""Factor on the standard deviations of a pose from which its neighbourhood is sampled."""
+OF_NOTHING_RAD = np.deg2rad(104.0)
+"""Standard deviation of an angle of which nothing is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +49,19 @@ class Pose:
     information: FloatArray
     """Information about (dtau, dtheta) as in ``normal_equations``, shape (6, 6)."""
 
+    def log_mass(self, radius_m: float) -> float:
+        """Return the logarithm of the pose's share of the posterior, up to a constant (Laplace's method).
+
+        It is the log likelihood plus the logarithm of the volume of the uncertainty: among two poses that
+        explain a scan alike, the one that has to be met less exactly is more probable.
+
+        Args:
+            radius_m: distance of the target's farthest point from its origin.
+        """
+        loosest: FloatArray = np.repeat((radius_m, OF_NOTHING_RAD), 3)
+        information = self.information + np.diag(loosest**-2)
+        return self.fit.log_likelihood - 0.5 * float(np.linalg.slogdet(information)[1])
+
 
 @dataclass(frozen=True, eq=False)
 class Scanner:
@@ -58,15 +70,23 @@ class Scanner:
     view: ScanView
     distances: ReturnDistances
     statistics: ScanModel
+    reach: Reach
 
     @classmethod
     def of(
-        cls, view: ScanView, config: GlobalSearchConfig, surface: SurfaceModel, *, sigma_range_m: float
+        cls,
+        view: ScanView,
+        config: GlobalSearchConfig,
+        surface: SurfaceModel,
+        *,
+        sigma_range_m: float,
+        radius_m: float,
     ) -> Self:
         """Return the scanner of a view; the sigma of a range is 0 if the sensor does not state it."""
         model, verdict = config.tracking.tuning.model, config.tracking.tuning.verdict
         statistics = ScanModel(model, verdict, view, surface, sigma_range_m=sigma_range_m)
-        return cls(view, ReturnDistances.of(view), statistics)
+        reach = reach_of(view, config.tracking, radius_m)
+        return cls(view, ReturnDistances.of(view), statistics, reach)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +101,14 @@ class Model:
 class ScanSearch:
     """Searches one scan."""
 
-    def __init__(self, config: GlobalSearchConfig, model: Model, scanner: Scanner, seen: SeenScan) -> None:
+    def __init__(
+        self,
+        config: GlobalSearchConfig,
+        model: Model,
+        scanner: Scanner,
+        seen: SeenScan,
+        truncation_m: float,
+    ) -> None:
         self._config, self._tuning = config, config.tuning
         self._model, self._scanner, self.seen = model, scanner, seen
         self._comparison = Comparison(
@@ -90,11 +117,15 @@ class ScanSearch:
             seen.points_m.mean(axis=0),
             scanner.distances.image(seen),
             scanner.statistics.expected_shares,
-            self._tuning.truncation_m,
+            truncation_m,
             truncated=seen.cut_off,
         )
         self._few = Points.equal(seen.downsampled(self._tuning.coarse_points))
-        self._far_m = np.geomspace(*FIELD_SCALES_M, self._tuning.coarse_steps)
+        sigma_m = scanner.statistics.sigma_range_m
+        least_m = FIELD_SIGMAS * sigma_m
+        widest_m = max(config.tracking.tuning.widest_share * scanner.reach.radius_m, least_m)
+        self._far_m = np.geomspace(widest_m, least_m, self._tuning.coarse_steps)
+        self._rough_m, self._fine_m = FACE_SIGMAS * sigma_m, FINE_SIGMAS * sigma_m
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
         """Return distinct poses, likeliest first; empty if the sensor sees the target at no attitude.
@@ -125,20 +156,42 @@ class ScanSearch:
                 break
             chosen = self._finished(chosen)
             turned.append(chosen)
-            found += [chosen, *self._turned(chosen)]
-        best = self._distinct(found)[: tuning.finished]
-        finished = self._distinct([self._improved(pose, FINE_SCALES_M) for pose in best])
+            found += [chosen, *self._turned(chosen, tuning.turns)]
+        few = self.seen.returns < tuning.sufficient_returns
+        best = self._distinct(found)[: tuning.few_finished if few else tuning.finished]
+        finished = self._distinct([self._improved(pose, self._fine_m) for pose in best])
         if not finished:
             return finished
-        least = finished[0].fit.log_likelihood - tuning.rival_log_likelihood
-        rivals = [pose for pose in finished if pose.fit.log_likelihood >= least]
-        if len(rivals) == 1 and self.seen.returns >= tuning.sufficient_returns:
+        likely = self._likely(finished)
+        if len(likely) == 1 and not few:
             return finished
-        return self._distinct([*map(self._outline_refined, rivals), *finished[len(rivals) :]])
+        every = self._distinct([*map(self._outline_refined, likely), *finished[len(likely) :]])
+        return self._closed(every) if few else every
+
+    def _closed(self, ranked: list[Pose]) -> list[Pose]:
+        """Return the poses, likeliest first, and all turns of the best one, refined as far as it is."""
+        best = self._polished(ranked[0])
+        every = [best, *ranked[1:]]
+        for _ in range(self._tuning.few_closures):
+            turned = self._likely([best, *self._turned(best, self._tuning.few_turns)])[1:]
+            every = self._distinct([best, *map(self._polished, turned), *every])
+            if every[0] is best:
+                break
+            best = every[0]
+        return every
+
+    def _polished(self, pose: Pose) -> Pose:
+        """Return a pose after all refinements."""
+        return self._outline_refined(self._sampled(self._outline_refined(pose)))
+
+    def _likely(self, ranked: Sequence[Pose]) -> list[Pose]:
+        """Return the poses about as likely as the first, of poses with the likeliest first."""
+        least = ranked[0].fit.log_likelihood - self._tuning.rival_log_likelihood
+        return [pose for pose in ranked if pose.fit.log_likelihood >= least]
 
     def _finished(self, pose: Pose) -> Pose:
         """Return a pose fully refined, so that its near-symmetries start from an accurate pose."""
-        pose = self._improved(pose, FINE_SCALES_M)
+        pose = self._improved(pose, self._fine_m)
         halfway = 0.0 < pose.fit.deficit < HALFWAY * self.seen.returns
         few = (
             self.seen.returns < self._tuning.sufficient_returns
@@ -160,8 +213,18 @@ class ScanSearch:
 
     def face_aligned(self, R: FloatArray, t: FloatArray, scales_m: FloatArray) -> Pose:
         """Return a pose after one step to the faces for each Geman-McClure scale, shape (steps,)."""
+        problem = self._problem(scales_m)
+        statistics = self._scanner.statistics
+        found = aligned(problem, PoseArrays(R, t), self.seen.range_m, statistics.assumed)
+        return Pose(*found.pose, ScanFit.of(found.statistics), found.faces.information)
+
+    def fine_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
+        """Return a pose after the last steps to the faces."""
+        return self.face_aligned(R, t, self._fine_m)
+
+    def _problem(self, scales_m: FloatArray) -> FaceProblem:
         view, model = self._scanner.view, self._config.tracking.tuning.model
-        problem = FaceProblem(
+        return FaceProblem(
             self.seen.points_m,
             self.seen.rays,
             view.grid.arrays,
@@ -171,9 +234,6 @@ class ScanSearch:
             scales_m,
             view.hits.arrays,
         )
-        statistics = self._scanner.statistics
-        found = aligned(problem, PoseArrays(R, t), self.seen.range_m, statistics.assumed)
-        return Pose(*found.pose, ScanFit.of(found.statistics), found.faces.information)
 
     def _unrefined(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a pose as it is, with its fit, without information from any alignment."""
@@ -195,7 +255,7 @@ class ScanSearch:
             returns >= self._tuning.sure_returns and pose.fit.deficit <= -self._tuning.sure_surplus * returns
         )
 
-    def _turned(self, pose: Pose) -> list[Pose]:
+    def _turned(self, pose: Pose, count: int) -> list[Pose]:
         """Return a pose's near-symmetries and best other rotations, in place and aligned by the centroid."""
         turns = self._model.turns
         if not len(turns.all):  # each of them is an exact symmetry, as of a cube
@@ -207,9 +267,9 @@ class ScanSearch:
         anew, anew_m = self._comparison.centroid_aligned(turned)
         energy = self._comparison.energies(anew, anew_m, rounds=2).reshape(len(turned), -1)
         best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
-        order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[: self._tuning.turns]
+        order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[:count]
         return [
-            self._improved(self._unrefined(pose.R @ turns.all[index], pose.t), FACE_SCALES_M)
+            self._improved(self._unrefined(pose.R @ turns.all[index], pose.t), self._rough_m)
             if index < len(turned)
             else self._field_aligned(
                 pose.R @ turns.all[index - len(turned)], best_m[index - len(turned)].astype(np.float64)
@@ -220,13 +280,26 @@ class ScanSearch:
     def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a rough pose aligned with the scan."""
         rough = field_aligned(self._few, PoseArrays(R, t), self._model.surface.coarse_field, self._far_m)
-        return self.face_aligned(*rough, FACE_SCALES_M)
+        return self.face_aligned(*rough, self._rough_m)
 
     def _outline_refined(self, pose: Pose) -> Pose:
         """Return a pose refined on the outline too; unchanged if no return lies on a ray of the pattern."""
         if not self.seen.range_m.any():  # all returns lie beside the pattern
             return pose
-        held: FloatArray = np.repeat((OUTLINE_M, OUTLINE_RAD), 3)
+        scanner = self._scanner
+        problem, start = self._problem(self._fine_m), PoseArrays(pose.R, pose.t)
+        found = settled(problem, start, self.seen.range_m, scanner.statistics.assumed, scanner.reach)
+        fit = ScanFit.of(found.statistics)
+        if fit.log_likelihood < pose.fit.log_likelihood - CHANCE:
+            return replace(pose, information=found.information)
+        return Pose(*found.pose, fit, found.information)
+
+    def _sampled(self, pose: Pose) -> Pose:
+        """Return the likeliest pose among samples of a pose's neighbourhood, which has other optima."""
+        if not self.seen.range_m.any():
+            return pose
+        strip_m = self._scanner.reach.spacing_rad * float(np.linalg.norm(pose.t))
+        held: FloatArray = np.repeat((strip_m, strip_m / self._scanner.reach.radius_m), 3)
         covariance = np.linalg.inv(pose.information / STRETCH**2 + np.diag(held**-2)).astype(np.float64)
         R, t = self._scanner.statistics.outline_refined(self.seen, pose.R, pose.t, covariance)
         return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), pose.information)

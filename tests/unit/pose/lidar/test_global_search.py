@@ -16,10 +16,12 @@ from lidar_scans import (
     scan_of,
     search,
     strange_scans,
+    tracker,
 )
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.lidar import acquire
+from rpod_pose.lidar.scan_search import Pose
 from rpod_pose.ports import Outcome
 from rpod_pose.search.turns import Turns
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
@@ -281,3 +283,35 @@ def test_one_call_acquires_what_a_configured_search_does():
         one, other = acquire(scan, load(BULKY), LIDAR.info()), search().acquire(scan)
         assert_accepted(one, T)
         np.testing.assert_array_equal(one.pose.as_matrix(), other.pose.as_matrix())
+
+
+def test_what_a_few_returns_leave_undetermined_is_not_believed():
+    T = random_pose(1, 150.0)
+    acquisition = search().acquire(scan_at(T, frame=1))
+    assert not acquisition.begins_track
+    assert "the attitude is undetermined" in acquisition.belief.insufficient
+
+
+@pytest.mark.parametrize("target", ["mockup", "hexagonal-body"])
+def test_from_a_few_returns_a_pose_is_believed_only_if_it_is_right_and_else_it_is_among_the_hypotheses(
+    target,
+):
+    listed = 0
+    for seed in range(10):
+        T = random_pose(seed, 12.0)
+        acquisition = search(target).acquire(scan_at(T, target, frame=seed))
+        off_deg = [errors(T, hypothesis.pose)[0] for hypothesis in acquisition.hypotheses]
+        if acquisition.begins_track:
+            assert min(off_deg) < 10.0
+        listed += min(off_deg) < 10.0
+    assert listed >= 9
+
+
+def test_of_two_poses_that_explain_a_scan_alike_the_less_exact_one_is_more_probable():
+    fit = tracker().model.fit(
+        tracker().view.seen(scan_at(random_pose(0))), np.eye(3), np.array((0.0, 0.0, 20.0))
+    )
+    exact, vague = (Pose(np.eye(3), np.zeros(3), fit, scale * np.eye(6)) for scale in (1e6, 1e4))
+    assert vague.log_mass(10.0) - exact.log_mass(10.0) == pytest.approx(3.0 * np.log(100.0), abs=0.01)
+    nothing = Pose(np.eye(3), np.zeros(3), fit, np.zeros((6, 6)))
+    assert np.isfinite(nothing.log_mass(10.0))

@@ -1,0 +1,153 @@
+"""Posterior of a pose from a normal distribution and from likelihoods that are steps.
+
+A ray beside the outline of a target tells on which side of it the outline is, and no more: its likelihood is
+a step in the pose, p_out + (p_in - p_out) [s + a . (dtau, dtheta) > 0]. Many of them bound the pose from all
+sides. Their product with a normal distribution is approximated by a normal distribution by expectation
+propagation (T. Minka, Expectation Propagation for Approximate Bayesian Inference, UAI 2001; section 4, the
+Bayes point machine). It gives the mean of the pose, not only a likely one, and its covariance.
+"""
+
+from math import erf, exp, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from rpod_geometry.kernels import kernel
+from rpod_schemas.arrays import FloatArray
+
+SWEEPS = 8
+"""Largest number of passes over all steps."""
+SETTLED = 3e-2
+"""Change of the mean, in standard deviations, below which a pass is the last."""
+CERTAIN = 5.0
+"""Distance from a step, in standard deviations, from which on a measurement that agrees tells nothing."""
+
+
+class Steps(NamedTuple):
+    """Measurements, such as rays beside an outline, whose likelihoods are steps in the pose."""
+
+    number: int
+    """Number of measurements, E; the arrays may be longer."""
+    rows: FloatArray
+    """Derivatives a of the distance by (dtau, dtheta), shape (E, 6)."""
+    distance_m: FloatArray
+    """Distance s from the step at the pose, positive inside, shape (E,)."""
+    odds: FloatArray
+    """Logarithm of p_in / p_out, shape (E,)."""
+
+
+class Normal(NamedTuple):
+    """A normal distribution of a step (dtau, dtheta), which is updated in place."""
+
+    mean: FloatArray
+    """Mean, shape (6,)."""
+    covariance: FloatArray
+    """Covariance, shape (6, 6)."""
+
+
+class Posterior(NamedTuple):
+    """A normal distribution of a step (dtau, dtheta)."""
+
+    mean: FloatArray
+    """Mean, shape (6,)."""
+    information: FloatArray
+    """Information that the steps add to that of the ranges, shape (6, 6)."""
+
+
+@kernel
+def propagated(
+    steps: Steps, information: FloatArray, gradient: FloatArray, hold: FloatArray, blur_m: float
+) -> Posterior:
+    """Return the posterior of a step (dtau, dtheta) by expectation propagation.
+
+    Args:
+        steps: likelihoods of the rays beside the outline.
+        information: information of the ranges about the step, shape (6, 6).
+        gradient: their gradient at a step of 0, shape (6,).
+        hold: prior information that the step is zero, above 0, shape (6,).
+        blur_m: standard deviation of the place of the outline.
+    """
+    covariance: FloatArray = np.linalg.inv(information + np.diag(hold)).astype(np.float64)
+    mean: FloatArray = covariance @ -gradient
+    precision, shift = np.zeros(steps.number), np.zeros(steps.number)
+    for sweep in range(SWEEPS):
+        before = mean.copy()
+        for e in range(steps.number):
+            _assimilate(steps, e, Normal(mean, covariance), precision, shift, blur_m)
+        worst = 0.0
+        for k in range(6):
+            worst = max(worst, abs(mean[k] - before[k]) / sqrt(max(covariance[k, k], 1e-300)))
+        if sweep > 0 and worst < SETTLED:
+            break
+    added = np.zeros((6, 6))
+    for e in range(steps.number):
+        row = steps.rows[e]
+        for i in range(6):
+            for k in range(6):
+                added[i, k] += precision[e] * row[i] * row[k]
+    return Posterior(mean, added)
+
+
+@kernel
+def _assimilate(  # noqa: PLR0917
+    steps: Steps, e: int, state: Normal, precision: FloatArray, shift: FloatArray, blur_m: float
+) -> None:
+    """Replace the normal factor that stands for one step, and update the distribution.
+
+    Args:
+        steps: all steps.
+        e: index of the step.
+        state: distribution by all factors, input and output.
+        precision: precision of the factors, shape (E,), input and output.
+        shift: precision times mean of the factors, shape (E,), input and output.
+        blur_m: standard deviation of the place of a step.
+    """
+    mean, covariance, row, spread = state.mean, state.covariance, steps.rows[e], np.empty(6)
+    v, m = 0.0, steps.distance_m[e]
+    for i in range(6):
+        spread[i] = 0.0
+        for k in range(6):
+            spread[i] += covariance[i, k] * row[k]
+        v += row[i] * spread[i]
+        m += row[i] * mean[i]
+    sure = m * steps.odds[e] > 0.0 and m * m > CERTAIN**2 * (v + blur_m * blur_m)
+    rest = 1.0 / v - precision[e]
+    if (sure and precision[e] == 0.0) or not (v > 0.0 and rest > 1e-9 / v):
+        return
+    new, moved = _matched((m / v - shift[e]) / rest, 1.0 / rest, steps.odds[e], blur_m)
+    change, push = new - precision[e], moved - shift[e]
+    precision[e], shift[e] = new, moved
+    gain = 1.0 / (1.0 + change * v)
+    for i in range(6):
+        mean[i] += gain * spread[i] * (push - change * m)
+        for k in range(6):
+            covariance[i, k] -= change * gain * spread[i] * spread[k]
+
+
+@kernel
+def _matched(centre: float, variance: float, odds: float, blur_m: float) -> tuple[float, float]:
+    """Return precision and precision times mean of the normal factor that stands for a step.
+
+    Its product with a normal distribution has the same mean and variance as the product with the step
+    p_out + (p_in - p_out) Phi(s / blur), whose greater level is 1. A step that makes the distribution wider,
+    as one that almost certainly does not hold, counts as no information.
+
+    Args:
+        centre: mean of the distance s without the step, m.
+        variance: variance of this distance, m2.
+        odds: logarithm of p_in / p_out.
+        blur_m: blur.
+    """
+    inside, outside = min(1.0, exp(odds)), min(1.0, exp(-odds))
+    sigma = sqrt(variance + blur_m * blur_m)
+    z = centre / sigma
+    share = 0.5 * (1.0 + erf(z / sqrt(2.0)))
+    total = outside + (inside - outside) * share
+    if not total > 1e-12:
+        total = 1e-12
+    slope = (inside - outside) * exp(-0.5 * z * z) / (sqrt(2.0 * pi) * sigma * total)
+    bend = slope * (slope + z / sigma)
+    left = max(1.0 - variance * bend, 1e-6)
+    if not 0.0 < bend < np.inf:
+        return 0.0, 0.0
+    return bend / left, (centre + variance * slope) / (variance * left) - centre / variance
