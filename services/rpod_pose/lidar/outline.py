@@ -148,9 +148,9 @@ def _odds(scene: Scene, edge: Edge, place: int, ray: int, inside: int) -> float:
         inside: 1 for a ray that meets the near surface at the pose, 0 for one that passes it.
     """
     width = scene.range_m.shape[1]
-    here = scene.rays.face[ray // width, ray % width]
-    near = _log_likelihood(scene, ray, here if inside else edge.faces[place, 0])
-    far = _log_likelihood(scene, ray, edge.faces[place, 1] if inside else here)
+    here = int(np.int64(scene.rays.face[ray // width, ray % width]))
+    near = _log_likelihood(scene, ray, here if inside else int(np.int64(edge.faces[place, 0])))
+    far = _log_likelihood(scene, ray, int(np.int64(edge.faces[place, 1])) if inside else here)
     return min(max(near - far, -MOST_ODDS), MOST_ODDS)
 
 
@@ -305,7 +305,8 @@ def _apart(one: Hit, two: Hit) -> float:
 def _may_end(pose: PoseArrays, rays: Rays, one: int, two: int, assumed: Assumptions) -> bool:
     """Return whether a surface may end between two rays: neither continues the other's plane."""
     width = rays.face.shape[1]
-    a, b = rays.face[one // width, one % width], rays.face[two // width, two % width]
+    a = int(np.int64(rays.face[one // width, one % width]))
+    b = int(np.int64(rays.face[two // width, two % width]))
     if a < 0 or b < 0:
         return bool(a != b)
     if a == b:
