@@ -23,8 +23,6 @@ from rpod_target import Target
 PLUMB_BOB = 5
 HIDDEN_M = 0.03
 """Distance behind the rendered surface around it from which on a model point is hidden."""
-SAMPLES = 2
-"""Rays for each pixel, along rows and columns, in a rendering that shows edges to a tenth of a pixel."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +42,8 @@ class DepthView:
     camera: Camera
     slopes: FloatArray
     """x/z and y/z of every pixel's ray, undistorted, shape (height, width, 2)."""
-    fine: RayGrid
-    """``SAMPLES`` x ``SAMPLES`` rays for each pixel, in single precision."""
+    fine: tuple[RayGrid, ...]
+    """The rays of all pixels, in single precision: one for each, and 2 x 2."""
     coarse: RayGrid
     """The rays of every ``stride``-th pixel, from ``offset`` on."""
     stride: int
@@ -113,7 +111,7 @@ def _view(
     )
     x, y, z = RayGrid.pinhole(camera).components
     slopes = np.stack((x / z, y / z), axis=-1)
-    fine = RayGrid.pinhole(camera, SAMPLES).in_single_precision()
+    fine = tuple(RayGrid.pinhole(camera, per_px).in_single_precision() for per_px in (1, 2))
     return DepthView(camera, slopes, fine, RayGrid.pinhole(downsampled), stride, offset)
 
 

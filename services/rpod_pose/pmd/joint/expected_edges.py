@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
-from rpod_pose.pmd.depth_view import SAMPLES
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
     Lens,
@@ -68,19 +67,23 @@ class Appearance(NamedTuple):
     """Outward unit normals, target axes, shape (T, 3)."""
     albedo: FloatArray
     """Median albedo of each triangle's class, shape (T,)."""
+    radius_m: float
+    """Radius of the bounding sphere about the origin."""
 
     @classmethod
     def of(cls, target: Target) -> "Appearance":
         """Return the appearance of a target."""
         triangles_m, normals = (np.ascontiguousarray(part) for part in (target.triangles_m, target.normals))
-        return cls(triangles_m, normals, albedos(target))
+        return cls(triangles_m, normals, albedos(target), target.radius_m)
 
 
 class Fine(NamedTuple):
     """The camera's own pixels around the target, and the buffers of a rendering on them."""
 
     grid: GridArrays
-    """Rays of the patch's pixels, shape (SAMPLES * rows, SAMPLES * columns)."""
+    """Rays of the patch's pixels, shape (per_px * rows, per_px * columns)."""
+    per_px: int
+    """Number of rays for each pixel, along rows and columns."""
     hits: RenderBuffers
     """First hits, same shape."""
     shade: Float32Array
@@ -94,6 +97,8 @@ class Fine(NamedTuple):
 class ExpectedEdges(NamedTuple):
     """Samples that the image may show."""
 
+    pose: FloatArray
+    """R and t of the rendering, shape (4, 3); NaN before the first."""
     length: NDArray[np.int64]
     """Their number, shape (1,)."""
     sample: NDArray[np.int64]
@@ -109,7 +114,7 @@ class ExpectedEdges(NamedTuple):
     def room(cls, samples: int) -> "ExpectedEdges":
         """Return room for a model's samples."""
         numbers = (np.empty(samples) for _ in range(3))
-        return cls(np.zeros(1, np.int64), np.empty(samples, np.int64), *numbers)
+        return cls(np.full((4, 3), np.nan), np.zeros(1, np.int64), np.empty(samples, np.int64), *numbers)
 
 
 class EdgeSight(NamedTuple):
@@ -136,6 +141,7 @@ def expect_edges(sight: EdgeSight, pose: PoseArrays, appearance: Appearance, fin
     """
     edges, lens, patch, expected = sight.edges, sight.lens, sight.patch, sight.expected
     expected.length[0] = 0
+    expected.pose[:3], expected.pose[3] = pose.R, pose.t
     rows, columns = fine.shade.shape
     if min(rows, columns) <= 2 * BLUR_REACH or patch.typical <= 0.0:
         return
@@ -160,9 +166,7 @@ def expect_edges(sight: EdgeSight, pose: PoseArrays, appearance: Appearance, fin
         if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):  # also true for NaN and beyond integers
             continue
         i, j = int(v), int(u)
-        pixel_m = (1.0 + 1.0 / lens.fx) * fine.hits.range_m[
-            SAMPLES * i : SAMPLES * (i + 2), SAMPLES * j : SAMPLES * (j + 2)
-        ].max()
+        pixel_m = (1.0 + 1.0 / lens.fx) * nearby_m(fine, i, j)
         if math.sqrt(x * x + y * y + z * z) > pixel_m:  # a pixel's width behind all four
             continue
         towards = in_sensor(R, edges.directions[n, 0], edges.directions[n, 1], edges.directions[n, 2])
@@ -184,6 +188,22 @@ def expect_edges(sight: EdgeSight, pose: PoseArrays, appearance: Appearance, fin
         expected.change[count] = change
         count += 1
     expected.length[0] = count
+
+
+@kernel
+def moved_px(sight: EdgeSight, pose: PoseArrays, radius_m: float) -> float:
+    """Return how far a target has moved in the image since its rendering, px; NaN before the first."""
+    before, t = sight.expected.pose, pose.t
+    turned = np.sqrt(np.square(pose.R - before[:3]).sum() / 2.0)  # 2 sin(angle / 2)
+    shifted_m = np.sqrt(np.square(t - before[3]).sum())
+    return float(sight.lens.fx * (shifted_m + turned * radius_m) / max(t[2], NEAR_M))
+
+
+@kernel
+def nearby_m(fine: Fine, i: int, j: int) -> float:
+    """Return the greatest range, m, of four pixels from row i and column j on; inf for sky."""
+    n = fine.per_px
+    return float(fine.hits.range_m[n * i : n * (i + 2), n * j : n * (j + 2)].max())
 
 
 @kernel
@@ -209,42 +229,48 @@ def rendered(appearance: Appearance, pose: PoseArrays, fine: Fine) -> float:
     """Render the target's smoothed brightness at a pose; return its median, 0 if nothing is in view."""
     hits = fine.hits
     cast_pose(fine.grid, appearance.triangles_m, pose.R, pose.t, True, hits.range_m, hits.triangle)
-    typical = shaded(appearance, pose.R, fine)
+    typical = shaded(appearance, pose, fine)
     smoothed(fine)
     return typical
 
 
 @kernel
-def shaded(appearance: Appearance, R: FloatArray, fine: Fine) -> float:
-    """Fill the brightness of a rendering, clipped, and return its median before clipping; 0 if it is empty.
+def shaded(appearance: Appearance, pose: PoseArrays, fine: Fine) -> float:
+    """Fill the brightness of a rendering, clipped; return its median before clipping, 0 if it is empty.
 
-    Lambert's law with light from the camera: albedo times the cosine of incidence over the squared range.
+    Lambert's law with light from the camera: albedo times the cosine of incidence over the squared range, in
+    the middle of each triangle. Within a triangle it changes slowly, so that it makes no edges.
 
     Args:
         appearance: the target.
-        R: R_sensor_target, shape (3, 3).
+        pose: pose of the target.
         fine: the rendering; input and output.
     """
-    rays, shade, hits = fine.grid.components, fine.shade, fine.hits
+    shade, triangle, per_px = fine.shade, fine.hits.triangle, fine.per_px
     rows, columns = shade.shape
+    light = np.zeros(len(appearance.albedo) + 1, np.float32)  # the last, index -1, is that of the sky
+    sx, sy, sz = in_target(pose.R, -pose.t[0], -pose.t[1], -pose.t[2])
+    for k in range(len(appearance.albedo)):
+        corners, normal = appearance.triangles_m[k], appearance.normals[k]
+        x = sx - (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
+        y = sy - (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
+        z = sz - (corners[0, 2] + corners[1, 2] + corners[2, 2]) / 3.0
+        squares = x * x + y * y + z * z
+        cosine = abs(normal[0] * x + normal[1] * y + normal[2] * z) / math.sqrt(squares)
+        light[k] = appearance.albedo[k] * cosine / (squares * per_px * per_px)
+    for i in range(rows):
+        for j in range(columns):
+            total = np.float32(0.0)
+            for v in range(per_px * i, per_px * (i + 1)):
+                for u in range(per_px * j, per_px * (j + 1)):
+                    total += light[triangle[v, u]]
+            shade[i, j] = total
     step = rows * columns // TYPICAL_SAMPLES + 1
     few, count = np.empty(rows * columns // step + 1), 0
-    shade[:] = 0.0
-    for i in range(hits.triangle.shape[0]):
-        for j in range(hits.triangle.shape[1]):
-            k = hits.triangle[i, j]
-            if k < 0:
-                continue
-            x, y, z = in_sensor(
-                R, appearance.normals[k, 0], appearance.normals[k, 1], appearance.normals[k, 2]
-            )
-            cosine = abs(x * rays[0, i, j] + y * rays[1, i, j] + z * rays[2, i, j])
-            light = appearance.albedo[k] * cosine / (hits.range_m[i, j] * hits.range_m[i, j])
-            shade[i // SAMPLES, j // SAMPLES] += light / SAMPLES**2
     for pixel in range(0, rows * columns, step):
-        light = shade[pixel // columns, pixel % columns]
-        if light > 0.0:
-            few[count] = light
+        here = shade[pixel // columns, pixel % columns]
+        if here > 0.0:
+            few[count] = here
             count += 1
     typical = float(np.median(few[:count])) if count else 0.0
     most = np.float32(fine.clip * typical)

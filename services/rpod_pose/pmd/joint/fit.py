@@ -18,7 +18,7 @@ from rpod_pose.pmd.joint.edge_search import (
     imaged,
     steepest,
 )
-from rpod_pose.pmd.joint.expected_edges import Appearance, EdgeSight, Fine, expect_edges
+from rpod_pose.pmd.joint.expected_edges import Appearance, EdgeSight, Fine, expect_edges, moved_px
 from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.registration.field_alignment import FieldEvidence, Points, add_field_points
 from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
@@ -35,6 +35,8 @@ from rpod_schemas.arrays import FloatArray
 
 REACH_M, REACH_RAD = 0.5, 0.2
 """Prior standard deviations of a step."""
+STILL_PX = 0.5
+"""Motion in the image up to which the expected edges stay as they are rendered: half a pixel."""
 SCALE = 0.2
 """Geman-McClure scale of an edge's residual over the reach of its search."""
 BLUNTNESS_PX = 1.4
@@ -198,7 +200,8 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     depth, edge_errors = problem.depth_errors, problem.edge_errors
     model, sight = problem.model, problem.sight
     steps, pose = problem.schedule.shape[0], state.pose
-    if (step == 0 and not problem.rendered) or step == steps - 2:
+    stale = not moved_px(sight, pose, model.appearance.radius_m) < STILL_PX
+    if (step == 0 and not problem.rendered) or (step == steps - 2 and stale):
         expect_edges(sight, pose, model.appearance, problem.fine)
     scale, reach = problem.schedule[step]
     total, sums, hold = no_sums(), no_sums(), np.zeros(UNKNOWNS)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays
-from rpod_pose.pmd.depth_view import PLUMB_BOB, SAMPLES, DepthView
+from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
@@ -26,6 +26,9 @@ STRIDES_PX = 3, 8
 """Least and greatest distance of two points in the image."""
 SPARSE = 4
 """Stride of the pixels in the image's mean and in the count of depth pixels."""
+FINE_PX = 70_000
+"""Number of pixels of the patch up to which the rendering has 2 x 2 rays for each, which finds edges to a
+tenth of a pixel; beyond, a pixel is small on the target."""
 MIN_PATCH = 3
 """Least number of rows and columns in which edges are searched."""
 LIT_SHARE = 0.25
@@ -65,7 +68,9 @@ class JointFrame:
     patch: Patch
     """Smoothed amplitude around the target."""
     rays: GridArrays
-    """Rays of the patch's pixels, shape (SAMPLES * rows, SAMPLES * columns)."""
+    """Rays of the patch's pixels, shape (per_px * rows, per_px * columns)."""
+    per_px: int
+    """Number of these rays for each pixel, along rows and columns."""
 
     @classmethod
     def of(
@@ -97,17 +102,17 @@ class JointFrame:
         typical = float(np.median(strength)) if len(measured) else 1.0
         trust = _trust(sigma_m.ravel()[measured], strength, tuning.depth.noise_m)
         typical = typical if len(measured) >= tuning.verdict.min_points else 0.0
-        patch, pixels_around = _NO_PATCH, view.fine.block(slice(0, SAMPLES), slice(0, SAMPLES))
+        patch = _NO_PATCH
         if frame.amplitude is None:
             shade[:] = np.nan
         else:
             patch = _patch(frame.amplitude, around, typical=typical, config=tuning.edges)
-            pixels_around = (
-                view.fine.block(*(slice(SAMPLES * line.start, SAMPLES * line.stop) for line in around))
-                if patch.typical
-                else pixels_around
-            )
-        return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch, pixels_around)
+        per_px = 2 if patch.image.size <= FINE_PX else 1
+        lines = around if patch.typical else (slice(0, 1), slice(0, 1))
+        pixels_around = view.fine[per_px - 1].block(
+            *(slice(per_px * one.start, per_px * one.stop) for one in lines)
+        )
+        return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch, pixels_around, per_px)
 
     @property
     def lens(self) -> Lens:

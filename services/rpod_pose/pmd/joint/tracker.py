@@ -13,6 +13,8 @@ of the pose names it.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from math import prod, radians
 
 import numpy as np
@@ -20,7 +22,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
 from rpod_pose.belief import Belief, contradicted, doubtful
-from rpod_pose.pmd.depth_view import SAMPLES, DepthView
+from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
 from rpod_pose.pmd.joint.edge_model import EdgeModel
@@ -201,29 +203,24 @@ class JointTracker:
         if self._room.shape[1] < rows * columns:
             self._room = np.empty((3, rows * columns), np.float32)
         range_m, triangle, rest = (line[: rows * columns].reshape(rows, columns) for line in self._room)
-        shape = rows // SAMPLES, columns // SAMPLES
+        shape = rows // seen.per_px, columns // seen.per_px
         shade = rest.ravel()[: prod(shape)].reshape(shape)
         hits = RenderBuffers(range_m, triangle.view(np.int32))
-        return Fine(seen.rays, hits, shade, self._blur, self._tuning.edges.clip)
+        return Fine(seen.rays, seen.per_px, hits, shade, self._blur, self._tuning.edges.clip)
 
     def _contradictions(
         self, seen: JointFrame, R: FloatArray, t: FloatArray, bias_m: float
     ) -> Contradictions:
-        view, buffers = seen.view, self._buffers_of(seen.view)
+        """Return the pixels inconsistent with a pose; with more rays where too many are."""
+        view, buffers, limits = seen.view, self._buffers_of(seen.view), self._tuning.check
         cast_pose(view.coarse.arrays, self._triangles_m, R, t, True, *buffers)
-        fine = self._fine_ranges(seen, R, t)
-        rendered = Rendering(
-            *buffers, view.coarse, view.stride, view.camera.fx, self._triangles_m, R, t, fine
-        )
         images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
-        return contradictions(
-            images,
-            rendered,
-            self._tuning.check,
-            typical=seen.typical,
-            bias_m=bias_m,
-            reflected_m=self._reflected_m,
-        )
+        coarse = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._triangles_m, R, t)
+        check = partial(contradictions, typical=seen.typical, bias_m=bias_m, reflected_m=self._reflected_m)
+        found = check(images, coarse, limits)
+        if not found.reason(limits):
+            return found
+        return check(images, replace(coarse, fine=self._fine_ranges(seen, R, t)), limits)
 
     def _fine_ranges(self, seen: JointFrame, R: FloatArray, t: FloatArray) -> FineRanges:
         """Return the ranges of the patch's rays at a pose; none if no edges are searched."""
@@ -232,8 +229,9 @@ class JointTracker:
             return COARSE_ONLY
         fine = self._fine(seen)
         cast_pose(fine.grid, self._triangles_m, R, t, True, *fine.hits)
-        row, column = (SAMPLES * (offset - int(first)) + SAMPLES // 2 for first in (patch.row, patch.column))
-        return FineRanges(fine.hits.range_m, SAMPLES, row, column)
+        n = seen.per_px
+        row, column = (n * (offset - int(first)) + n // 2 for first in (patch.row, patch.column))
+        return FineRanges(fine.hits.range_m, n, row, column)
 
     def _fills(self, seen: JointFrame, t: FloatArray) -> float:
         """Return the target's radius over the image's smaller side; above 1 few of its parts are in view."""
