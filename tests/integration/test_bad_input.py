@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from live_bus import TIMEOUT_S, Bus, collect, daemon, first
 from pmd_frames import depth_frame
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_estimator.daemon import run
+from rpod_geometry.rays import RayGrid, cast
 from rpod_runtime import Inbox
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import EstimatorConfig, NavigatorConfig, PmdInput
@@ -36,7 +37,7 @@ from rpod_schemas.topics import (
 )
 from rpod_schemas.types import Camera, EstimatorStatus, Mode, Source
 from rpod_schemas.wire import Attachment
-from rpod_target import load_target
+from rpod_target import Target, load_target
 
 KEYS = Namespace()
 CAMERA = Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5)
@@ -46,6 +47,15 @@ T_CHASER_TARGET = make_pose(
     rotation=Rotation.from_euler("ZYX", [12.0, 65.0, 5.0], degrees=True), translation_m=[0.05, 0.0, 5.0]
 )
 MILLISECOND_NS = 1_000_000
+
+
+def lit_from_the_camera(target: Target, T_sensor_target: RigidTransform) -> np.ndarray:
+    """Return the amplitude of a Lambertian body before a dark sky, shape (rows, columns)."""
+    rays = RayGrid.pinhole(CAMERA)
+    shown = cast(rays, target.triangles_m, T_sensor_target).triangle
+    normals = T_sensor_target.rotation.apply(target.normals)[shown]
+    cosine = np.abs(np.einsum("ijk,ijk->ij", normals, rays.directions))
+    return np.where(shown < 0, 5, 800 * cosine).astype(np.uint16)
 
 
 class Lab:
@@ -63,7 +73,7 @@ class Lab:
         self.parts = {topic: camera.publisher(topic.of("pmd")) for topic in (CAMERA_INFO, DEPTH, AMPLITUDE)}
         target = load_target("mockup")
         self.frame = depth_frame(target, MOUNT.inv() * T_CHASER_TARGET, noise_m=0.005, camera=CAMERA)
-        self.amplitude = np.where(np.isnan(self.frame.depth_m), 5, 800).astype(np.uint16)
+        self.amplitude = lit_from_the_camera(target, MOUNT.inv() * T_CHASER_TARGET)
 
     def messages(self, stamp_ns: int, frame_id: str = "pmd_optical") -> dict:
         return {

@@ -41,6 +41,8 @@ NEAR_M = 0.05
 """Least z of a sample that is projected."""
 OWN_PX = 1.0
 """Greatest distance of a change of the rendering that still belongs to the edge: a pixel's width."""
+ALIASED_PX = 0.25
+"""Displacement below which an edge lies on itself: rays half a pixel apart show it no better."""
 CELL_PX = 1
 """Side of the cells of the image in which one edge of each direction counts: closer ones are one change."""
 DIRECTIONS = 4
@@ -181,7 +183,7 @@ def expect_edges(sight: EdgeSight, pose: PoseArrays, appearance: Appearance, fin
         change = gain * shown.change if own else LEAST_RATIO * patch.least
         deviation = math.hypot(spread, patch.noise / change)
         expected.sample[count] = n
-        expected.place[count] = shown.place if own else 0.0
+        expected.place[count] = shown.place if own and abs(shown.place) > ALIASED_PX else 0.0
         expected.probability[count] = 0.5 * math.erfc(
             math.log(patch.least / change) / math.sqrt(2.0) / deviation
         )
