@@ -306,7 +306,12 @@ def test_a_frame_of_an_unknown_frame_of_reference_is_refused(lab):
 def test_an_image_without_the_target_is_rejected_and_the_prediction_goes_on(lab, depth_m):
     stamp_ns = time.time_ns()
     image = np.full((CAMERA.height, CAMERA.width), depth_m, np.float32)
-    lab.send(lab.messages(stamp_ns) | {DEPTH: write_image(stamp_ns, "pmd_optical", image, "32FC1")})
+    dark = np.full(image.shape, 5, np.uint16)
+    empty = {
+        DEPTH: write_image(stamp_ns, "pmd_optical", image, "32FC1"),
+        AMPLITUDE: write_image(stamp_ns, "pmd_optical", dark, "mono16"),
+    }
+    lab.send(lab.messages(stamp_ns) | empty)
     status = lab.status(stamp_ns)
     assert not status.accepted
     assert status.reason
