@@ -27,7 +27,7 @@ class Sky:
 
     def __init__(self, triangles_m: FloatArray) -> None:
         self._scene = scene_of(triangles_m)
-        self._directions = _sphere(_DIRECTIONS)
+        self._directions = sphere(_DIRECTIONS)
 
     def share(self, points_m: NDArray[np.floating]) -> FloatArray:
         """Return the share of all directions that see each point, (N, 3); shape (N,)."""
@@ -55,7 +55,7 @@ class Sky:
             spanned = np.cross(some[:, 1] - some[:, 0], some[:, 2] - some[:, 0])
             normals = spanned / np.linalg.norm(spanned, axis=1, keepdims=True)
             cosine = normals @ self._directions.T
-            points_m = np.einsum("kc,tcd->tkd", _inner_points(count), some)
+            points_m = np.einsum("kc,tcd->tkd", inner_points(count), some)
             rays = np.empty((len(some), count, _DIRECTIONS, 6), np.float32)
             for side, sign in enumerate((1.0, -1.0)):
                 rays[..., :3] = (points_m + sign * nudge_m * normals[:, None])[:, :, None]
@@ -87,7 +87,7 @@ def as_tensor(points_m: NDArray[np.floating]) -> Any:  # mypy sees Open3D's tens
     return o3d.core.Tensor.from_numpy(np.ascontiguousarray(points_m, dtype=np.float32))
 
 
-def _sphere(count: int) -> FloatArray:
+def sphere(count: int) -> FloatArray:
     """Return unit vectors spread evenly over the sphere by the golden angle, shape (count, 3)."""
     z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count) + 0.1  # no direction along an axis
@@ -95,7 +95,7 @@ def _sphere(count: int) -> FloatArray:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
 
 
-def _inner_points(count: int) -> FloatArray:
+def inner_points(count: int) -> FloatArray:
     """Return weights of the three corners for places spread over a triangle, shape (count, 3)."""
     if count == 1:
         return np.full((1, 3), 1.0 / 3.0)

@@ -42,8 +42,6 @@ class DepthView:
     camera: Camera
     slopes: FloatArray
     """x/z and y/z of every pixel's ray, undistorted, shape (height, width, 2)."""
-    fine: tuple[RayGrid, ...]
-    """The rays of all pixels, in single precision: one for each, and 2 x 2."""
     coarse: RayGrid
     """The rays of every ``stride``-th pixel, from ``offset`` on."""
     stride: int
@@ -56,8 +54,11 @@ class DepthView:
         Raises:
             rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted.
         """
-        intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
-        return _view((camera.width, camera.height), intrinsics, tuple(camera.distortion), stride)
+        return _view(*_key(camera), stride)
+
+    def rays(self, per_px: int) -> RayGrid:
+        """Return ``per_px`` x ``per_px`` rays for each pixel of the image, in single precision."""
+        return _rays(*_key(self.camera), per_px)
 
     def project(self, points_m: FloatArray) -> FloatArray:
         """Return the pixels, column and row, of points in sensor axes with z > 0, shape (N, 2)."""
@@ -88,16 +89,31 @@ class DepthView:
         return behind
 
 
-@lru_cache(maxsize=8)
-def _view(
-    size: tuple[int, int],
-    intrinsics: tuple[float, float, float, float],
-    distortion: tuple[float, ...],
-    stride: int,
-) -> DepthView:
+_Size = tuple[int, int]
+_Intrinsics = tuple[float, float, float, float]
+
+
+def _key(camera: Camera) -> tuple[_Size, _Intrinsics, tuple[float, ...]]:
+    """Return what determines a camera's rays, to look them up by."""
+    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+    return (camera.width, camera.height), intrinsics, tuple(camera.distortion)
+
+
+def _camera(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...]) -> Camera:
     (width, height), (fx, fy, cx, cy) = size, intrinsics
     lens = np.resize((*distortion, *np.zeros(PLUMB_BOB)), PLUMB_BOB)
-    camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
+    return Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
+
+
+@lru_cache(maxsize=2)
+def _rays(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...], per_px: int) -> RayGrid:
+    return RayGrid.pinhole(_camera(size, intrinsics, distortion), per_px).in_single_precision()
+
+
+@lru_cache(maxsize=8)
+def _view(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...], stride: int) -> DepthView:
+    camera = _camera(size, intrinsics, distortion)
+    (width, height), (fx, fy, cx, cy) = size, intrinsics
     offset = min(stride // 2, width - 1, height - 1)
     downsampled = camera.model_copy(  # not a camera of a message, so the limits of messages do not apply
         update={
@@ -111,8 +127,7 @@ def _view(
     )
     x, y, z = RayGrid.pinhole(camera).components
     slopes = np.stack((x / z, y / z), axis=-1)
-    fine = tuple(RayGrid.pinhole(camera, per_px).in_single_precision() for per_px in (1, 2))
-    return DepthView(camera, slopes, fine, RayGrid.pinhole(downsampled), stride, offset)
+    return DepthView(camera, slopes, RayGrid.pinhole(downsampled), stride, offset)
 
 
 @dataclass(frozen=True, eq=False)

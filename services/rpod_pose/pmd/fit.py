@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, cast_pose
-from rpod_pose.pmd.rendering import COARSE_ONLY, FineRanges, RenderingArrays, around
+from rpod_pose.pmd.rendering import RenderingArrays, around
 from rpod_pose.pmd.scene import PmdScene
 from rpod_pose.registration.brightness import albedos, spreads
 from rpod_pose.registration.lie_group import PoseArrays, turned
@@ -121,7 +121,6 @@ class Comparison(NamedTuple):
     seen: Seen
     losses: Losses
     canvas: Canvas
-    fine: FineRanges = COARSE_ONLY
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,13 +251,11 @@ def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, 
         R: R_sensor_target, shape (3, 3).
         t: position of the target in the sensor, shape (3,), m.
     """
-    surface, grid, seen, losses, canvas, _ = compared
+    surface, grid, seen, losses, canvas = compared
     range_m, owner, loss, sigma_log = canvas
     cast_pose(grid, surface.triangles_m, R, t, True, range_m, owner)
     rays = grid[0]
-    rendered = RenderingArrays(
-        range_m, owner, rays, seen.stride, surface.triangles_m, PoseArrays(R, t), compared.fine
-    )
+    rendered = RenderingArrays(range_m, owner, rays, seen.stride, surface.triangles_m, PoseArrays(R, t))
     gain = _predict(compared, R)
     total, pixels, agreeing = 0.0, 0, 0
     for i in range(range_m.shape[0]):
@@ -317,7 +314,7 @@ def _predict(compared: Comparison, R: FloatArray) -> float:
     The expectation is Lambert's: albedo cos(theta) / range^2. The gain is a median, weighted by the inverse
     variance of each pixel's log albedo.
     """
-    surface, grid, seen, _, canvas, _ = compared
+    surface, grid, seen, _, canvas = compared
     range_m, owner, predicted, sigma_log = canvas
     rays = grid[0]
     ratios, weights = np.empty(owner.size // GAIN_STRIDE + 1), np.empty(owner.size // GAIN_STRIDE + 1)

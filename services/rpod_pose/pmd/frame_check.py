@@ -21,7 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.rendering import Rendering, RenderingArrays, around, facing
+from rpod_pose.pmd.rendering import (
+    COARSE_ONLY,
+    Around,
+    FineRanges,
+    Rendering,
+    RenderingArrays,
+    around,
+    around_finely,
+    facing,
+)
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_check import PmdCheckConfig
 from rpod_schemas.types import Float32Array
@@ -128,6 +137,15 @@ class Tolerated(NamedTuple):
     """Length by which a second reflection may lengthen a range, at normal incidence, shape (T,) or (0,)."""
 
 
+class Shown(NamedTuple):
+    """The target at a pose."""
+
+    coarse: RenderingArrays
+    """On the coarse pixels."""
+    fine: FineRanges
+    """With more rays, where they are known."""
+
+
 class PixelCounts(NamedTuple):
     """Numbers of pixels that are inconsistent with a pose: the fields of ``Contradictions``."""
 
@@ -145,6 +163,7 @@ def contradictions(
     typical: float,
     bias_m: float = 0.0,
     reflected_m: FloatArray = NOT_REFLECTED,
+    fine: FineRanges = COARSE_ONLY,
 ) -> Contradictions:
     """Return how many of a frame's coarse pixels are inconsistent with a pose.
 
@@ -156,13 +175,15 @@ def contradictions(
         bias_m: length by which all ranges are too long.
         reflected_m: length by which light that is reflected twice may lengthen a range at normal incidence,
             for each triangle, shape (T,); empty if it is not known.
+        fine: the same pose with more rays, which shows thin parts.
     """
     bright, glinting = (share * typical for share in BRIGHT)
     sky = sky_amplitude(seen.range_m, seen.amplitude, rendered.triangle, typical)
     shades = Shades(sky if sky < DIM * typical else 0.0, max(bright, sky), glinting)
     reach_px = limits.reach_px + limits.place_m * rendered.px_per_m
     tolerated = Tolerated(limits.tolerance_m, bias_m, reach_px, reflected_m)
-    return Contradictions(*count_inconsistent(seen, rendered.arrays, shades, tolerated, limits.patch_px))
+    shown = Shown(rendered.arrays, fine)
+    return Contradictions(*count_inconsistent(seen, shown, shades, tolerated, limits.patch_px))
 
 
 @kernel
@@ -196,7 +217,7 @@ def sky_amplitude(
 
 @kernel
 def count_inconsistent(
-    seen: SeenPixels, rendered: RenderingArrays, shades: Shades, tolerated: Tolerated, patch: int
+    seen: SeenPixels, shown: Shown, shades: Shades, tolerated: Tolerated, patch: int
 ) -> PixelCounts:
     """Return the numbers of checked pixels and of inconsistent ones, and the greatest numbers in one patch.
 
@@ -204,12 +225,13 @@ def count_inconsistent(
 
     Args:
         seen: the frame's coarse pixels.
-        rendered: the target at the pose, on the same pixels.
+        shown: the target at the pose, on the same pixels and with more rays.
         shades: limits of amplitude between dark and bright.
         tolerated: tolerated errors.
         patch: side of a patch, px, at least 1.
     """
-    (range_m, sigma_m, amplitude), nearest_m, owner = seen, rendered.range_m, rendered.triangle
+    range_m, sigma_m, amplitude = seen
+    nearest_m, owner = shown.coarse.range_m, shown.coarse.triangle
     dark, bright, glinting = shades
     tolerance, bias, reach, reflected = tolerated
     rows, columns = owner.shape
@@ -223,15 +245,15 @@ def count_inconsistent(
                 pixels += 1
                 if abs(measured - nearest_m[i, j]) <= slack:
                     continue
-                longer = slack + longer_m(rendered, i, j, reflected)
-                low, high, _ = around(rendered, i, j, reach)
+                longer = slack + longer_m(shown.coarse, i, j, reflected)
+                low, high, _ = _around(shown, i, j, reach)
                 if low - slack <= measured <= high + longer:
                     continue
             elif bright < shade < glinting:
                 pixels += 1
-                if owner[i, j] >= 0 or around(rendered, i, j, reach)[2] > 0:
+                if owner[i, j] >= 0 or _around(shown, i, j, reach).hits > 0:
                     continue
-            elif 0.0 < shade <= dark and owner[i, j] >= 0 and _should_show(rendered, i, j, reach):
+            elif 0.0 < shade <= dark and owner[i, j] >= 0 and _should_show(shown, i, j, reach):
                 pixels += 1
                 is_missing = True
             else:
@@ -259,6 +281,14 @@ def longer_m(rendered: RenderingArrays, i: int, j: int, reflected_m: FloatArray)
 
 
 @kernel
-def _should_show(rendered: RenderingArrays, i: int, j: int, reach: float) -> bool:
+def _should_show(shown: Shown, i: int, j: int, reach: float) -> bool:
     """Return whether a pixel lies inside a surface that would be brighter than the sky in any material."""
-    return facing(rendered, i, j) >= GRAZING and around(rendered, i, j, reach)[2] >= LEAST_HITS
+    return facing(shown.coarse, i, j) >= GRAZING and _around(shown, i, j, reach).hits >= LEAST_HITS
+
+
+@kernel
+def _around(shown: Shown, i: int, j: int, reach: float) -> Around:
+    """Return the ranges in and around a coarse pixel, by the fine rays if there are any."""
+    if shown.fine.range_m.size:
+        return around_finely(shown.fine, shown.coarse.stride, i, j, reach)
+    return around(shown.coarse, i, j, reach)

@@ -11,11 +11,10 @@ F d / cos(theta).
 
 import numpy as np
 import open3d as o3d
-from scipy.stats import qmc
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
-from rpod_target.visibility import scene_of
+from rpod_target.visibility import inner_points, scene_of, sphere
 
 DIRECTIONS = 32
 """Number of directions from each place."""
@@ -23,6 +22,8 @@ PLACES = 100_000
 """Number of places on the target; each triangle has one at least."""
 MOST_PLACES = 16
 """Greatest number of places on a triangle."""
+MOST_RAYS = 2_000_000
+"""Number of rays that are cast at a time."""
 NUDGE_SHARE = 1e-4
 """Distance off the surface at which the rays start, over the target's radius."""
 
@@ -32,34 +33,17 @@ def reflected_m(target: Target) -> FloatArray:
     triangles_m, normals = target.triangles_m, target.normals
     count = int(np.clip(PLACES // max(len(triangles_m), 1), 1, MOST_PLACES))
     scene, nudge_m = scene_of(triangles_m), NUDGE_SHARE * target.radius_m
-    inner = _barycentric(count)
-    directions = _towards(normals)
-    most_m = np.zeros(len(triangles_m))
-    rays = np.empty((len(triangles_m), DIRECTIONS, 6), np.float32)
-    rays[..., 3:] = directions
-    for weights in inner:
-        places_m = np.einsum("c,tcd->td", weights, triangles_m) + nudge_m * normals
-        rays[..., :3] = places_m[:, None]
+    directions, inner, most_m = sphere(DIRECTIONS), inner_points(count), np.zeros(len(triangles_m))
+    size = max(1, MOST_RAYS // (DIRECTIONS * count))
+    for start in range(0, len(triangles_m), size):
+        some = slice(start, start + size)
+        places_m = np.einsum("kc,tcd->tkd", inner, triangles_m[some]) + nudge_m * normals[some, None]
+        cosine = normals[some] @ directions.T
+        rays = np.empty((*places_m.shape[:2], DIRECTIONS, 6), np.float32)
+        rays[..., :3] = places_m[:, :, None]
+        rays[..., 3:] = (np.sign(cosine)[..., None] * directions)[:, None]  # all before the surface
         distance_m = scene.cast_rays(o3d.core.Tensor.from_numpy(rays))["t_hit"].numpy()
-        most_m = np.maximum(most_m, np.where(np.isfinite(distance_m), distance_m, 0.0).mean(axis=1))
+        weights = np.abs(cosine) / np.abs(cosine).sum(axis=1, keepdims=True)
+        met_m = np.where(np.isfinite(distance_m), distance_m, 0.0)
+        most_m[some] = np.einsum("tkd,td->tk", met_m, weights).max(axis=1)
     return most_m
-
-
-def _barycentric(count: int) -> FloatArray:
-    """Return weights of the corners for places spread evenly over a triangle, shape (count, 3)."""
-    u, v = qmc.Halton(2, scramble=False).random(count + 1)[1:].T if count > 1 else np.full((2, 1), 0.5)
-    root = np.sqrt(u)
-    return np.column_stack((1.0 - root, root * (1.0 - v), root * v))
-
-
-def _towards(normals: FloatArray) -> FloatArray:
-    """Return directions about each normal, denser by the cosine (Lambert), shape (T, DIRECTIONS, 3)."""
-    u, v = qmc.Halton(2, scramble=False).random(DIRECTIONS + 1)[1:].T
-    radius, turn = np.sqrt(u), 2.0 * np.pi * v
-    local = np.column_stack((radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - u)))
-    helper = np.eye(3)[np.abs(normals).argmin(axis=1)]
-    first = np.cross(normals, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    axes = np.stack((first, np.cross(normals, first), normals), axis=1)
-    every: FloatArray = np.einsum("dk,tkc->tdc", local, axes)
-    return every

@@ -60,8 +60,6 @@ class Rendering:
     """R_sensor_target, shape (3, 3)."""
     t: FloatArray
     """Position of the target in the sensor, shape (3,), m."""
-    fine: FineRanges = COARSE_ONLY
-    """The same pose with more rays."""
 
     @property
     def px_per_m(self) -> float:
@@ -72,9 +70,7 @@ class Rendering:
     def arrays(self) -> "RenderingArrays":
         """The rendering as the kernels take it."""
         rays, pose = self.grid.components, PoseArrays(self.R, self.t)
-        return RenderingArrays(
-            self.range_m, self.triangle, rays, self.stride, self.triangles_m, pose, self.fine
-        )
+        return RenderingArrays(self.range_m, self.triangle, rays, self.stride, self.triangles_m, pose)
 
 
 class RenderingArrays(NamedTuple):
@@ -91,7 +87,6 @@ class RenderingArrays(NamedTuple):
     triangles_m: FloatArray
     """Triangles of the target, target axes, shape (T, 3, 3)."""
     pose: PoseArrays
-    fine: FineRanges
 
 
 class Around(NamedTuple):
@@ -115,8 +110,6 @@ def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
         j: column of the coarse pixel.
         reach: distance of the eight rays around it, along rows and columns, px.
     """
-    if rendered.fine.range_m.size:
-        return _around_finely(rendered.fine, rendered.stride, i, j, reach)
     owner, rays, stride, triangles = rendered.triangle, rendered.rays, rendered.stride, rendered.triangles_m
     R, t = rendered.pose
     rows, columns = owner.shape
@@ -146,8 +139,16 @@ def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
 
 
 @kernel
-def _around_finely(fine: FineRanges, stride: int, i: int, j: int, reach: float) -> Around:
-    """Return the extremes of all fine ranges within ``reach``, and the hits among nine of them."""
+def around_finely(fine: FineRanges, stride: int, i: int, j: int, reach: float) -> Around:
+    """Return the extremes of all fine ranges within ``reach``, and the hits among nine of them.
+
+    Args:
+        fine: ranges of the fine rays.
+        stride: distance from one coarse pixel to the next, px.
+        i: row of the coarse pixel.
+        j: column of the coarse pixel.
+        reach: distance within which ranges count, along rows and columns, px.
+    """
     rows, columns = fine.range_m.shape
     row, column = fine.row + fine.per_px * stride * i, fine.column + fine.per_px * stride * j
     width = int(fine.per_px * reach)

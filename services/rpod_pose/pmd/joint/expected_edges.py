@@ -34,6 +34,7 @@ from rpod_pose.pmd.joint.edge_search import (
 from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.lie_group import PoseArrays, in_sensor, in_target
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd_joint import JointEdgeConfig
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
@@ -43,21 +44,12 @@ OWN_PX = 1.0
 """Greatest distance of a change of the rendering that still belongs to the edge: a pixel's width."""
 ALIASED_PX = 0.25
 """Displacement below which an edge lies on itself: rays half a pixel apart show it no better."""
-CELL_PX = 1
-"""Side of the cells of the image in which one edge of each direction counts: closer ones are one change."""
 DIRECTIONS = 4
-"""Number of directions of edges that are told apart in a cell."""
+"""Number of directions of edges that are told apart in a pixel: closer ones are one change."""
 LEAST_RATIO = 0.3
 """Least change of a rendering over the least change that counts: a fainter one says nothing of the place."""
 TYPICAL_SAMPLES = 1000
 """Number of pixels from which the rendering's median brightness is estimated."""
-BLUR_REACH = 3
-"""Half length of the smoothing's kernel, px."""
-
-
-def blur_weights(deviation_px: float) -> FloatArray:
-    """Return the weights of a Gaussian smoothing, shape (2 * BLUR_REACH + 1,)."""
-    return np.asarray(cv2.getGaussianKernel(2 * BLUR_REACH + 1, deviation_px), np.float64).ravel()
 
 
 class Appearance(NamedTuple):
@@ -79,83 +71,100 @@ class Appearance(NamedTuple):
         return cls(triangles_m, normals, albedos(target), target.radius_m)
 
 
-class Fine(NamedTuple):
-    """The camera's own pixels around the target, and the buffers of a rendering on them."""
+class Shown(NamedTuple):
+    """The target rendered at a pose on the pixels of the patch."""
 
-    grid: GridArrays
-    """Rays of the patch's pixels, shape (per_px * rows, per_px * columns)."""
+    pose: PoseArrays
+    range_m: Float32Array
+    """Range along each ray, inf without a hit, shape (per_px * rows, per_px * columns)."""
     per_px: int
     """Number of rays for each pixel, along rows and columns."""
-    hits: RenderBuffers
-    """First hits, same shape."""
     shade: Float32Array
     """Smoothed brightness, shape (rows, columns)."""
-    blur: FloatArray
-    """Weights of the smoothing, shape (2 * BLUR_REACH + 1,)."""
-    clip: float
-    """Brightness at which the rendering is clipped, over its median, as in the image."""
+    typical: float
+    """Median brightness before smoothing; 0 if nothing is in view."""
+
+
+class PatchRenderer:
+    """Renders the target on the pixels of a patch.
+
+    Args:
+        target: the target.
+        config: how the image is clipped and smoothed, so that the rendering is too.
+    """
+
+    def __init__(self, target: Target, config: JointEdgeConfig) -> None:
+        self._appearance, self._config = Appearance.of(target), config
+        self._room = np.empty((2, 0), np.float32)
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the target's bounding sphere about its origin."""
+        return self._appearance.radius_m
+
+    def cast(self, rays: GridArrays, pose: PoseArrays) -> RenderBuffers:
+        """Return the first hits of a patch's rays at a pose, valid until the next call."""
+        rows, columns = rays.components.shape[1:]
+        if self._room.shape[1] < rows * columns:
+            self._room = np.empty((2, rows * columns), np.float32)
+        range_m, triangle = (line[: rows * columns].reshape(rows, columns) for line in self._room)
+        hits = RenderBuffers(range_m, triangle.view(np.int32))
+        cast_pose(rays, self._appearance.triangles_m, pose.R, pose.t, True, *hits)
+        return hits
+
+    def render(self, rays: GridArrays, per_px: int, pose: PoseArrays) -> Shown:
+        """Return the target at a pose; its ranges are valid until the next call.
+
+        Args:
+            rays: rays of the patch's pixels, shape (per_px * rows, per_px * columns).
+            per_px: number of rays for each pixel, along rows and columns.
+            pose: pose of the target.
+        """
+        hits = self.cast(rays, pose)
+        shade = shaded(self._appearance, pose, hits.triangle, per_px)
+        few = shade.ravel()[:: shade.size // TYPICAL_SAMPLES + 1]
+        few = few[few > 0.0]
+        typical = float(np.median(few)) if few.size else 0.0
+        np.minimum(shade, self._config.clip * typical, out=shade)
+        cv2.GaussianBlur(shade, (0, 0), self._config.blur_px, dst=shade)
+        return Shown(pose, hits.range_m, per_px, shade, typical)
 
 
 class ExpectedEdges(NamedTuple):
-    """Samples that the image may show."""
+    """Samples that the image may show; each array has the shape (N,)."""
 
-    pose: FloatArray
-    """R and t of the rendering, shape (4, 3); NaN before the first."""
-    length: NDArray[np.int64]
-    """Their number, shape (1,)."""
+    pose: PoseArrays
+    """Pose of the rendering."""
     sample: NDArray[np.int64]
-    """Their indices in the model, shape (N,); the first ``length`` are valid, as below."""
+    """Their indices in the model."""
     place: FloatArray
-    """Distance from the projected edge to the rendering's change, along the profile, px, shape (N,)."""
+    """Distance from the projected edge to the rendering's change, along the profile, px."""
     probability: FloatArray
-    """Probability that the image shows the change, shape (N,)."""
+    """Probability that the image shows the change."""
     change: FloatArray
-    """Expected change of amplitude over two pixels, shape (N,)."""
-
-    @classmethod
-    def room(cls, samples: int) -> "ExpectedEdges":
-        """Return room for a model's samples."""
-        numbers = (np.empty(samples) for _ in range(3))
-        return cls(np.full((4, 3), np.nan), np.zeros(1, np.int64), np.empty(samples, np.int64), *numbers)
-
-
-class EdgeSight(NamedTuple):
-    """Edges and the image in which they are searched."""
-
-    edges: EdgeArrays
-    lens: Lens
-    patch: Patch
-    expected: ExpectedEdges
-    """The samples that the image may show, by a rendering near the pose."""
-    noise_px: float
-    """Standard deviation of an edge's position in the image."""
+    """Expected change of amplitude over two pixels."""
 
 
 @kernel
-def expect_edges(sight: EdgeSight, pose: PoseArrays, appearance: Appearance, fine: Fine) -> None:
-    """Render the target at a pose and fill ``sight.expected`` with the samples that it does not hide.
+def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> ExpectedEdges:
+    """Return the samples of edges that a rendering does not hide.
 
     Args:
-        sight: edges, image and lens; the expected edges are output.
-        pose: pose of the target.
-        appearance: the target.
-        fine: pixels of the patch; input and output.
+        edges: the model's samples.
+        lens: the camera.
+        patch: the image around the target.
+        shown: the target rendered on the patch's pixels.
     """
-    edges, lens, patch, expected = sight.edges, sight.lens, sight.patch, sight.expected
-    expected.length[0] = 0
-    expected.pose[:3], expected.pose[3] = pose.R, pose.t
-    rows, columns = fine.shade.shape
-    if min(rows, columns) <= 2 * BLUR_REACH or patch.typical <= 0.0:
-        return
-    typical = rendered(appearance, pose, fine)
-    if typical <= 0.0:
-        return
-    taken = np.zeros((rows // CELL_PX + 1, columns // CELL_PX + 1, DIRECTIONS), np.bool_)
-    gain, count = patch.typical / typical, 0
+    shade, (R, t) = shown.shade, shown.pose
+    rows, columns = shade.shape
+    most = len(edges.places_m) if shown.typical > 0.0 and patch.typical > 0.0 else 0
+    sample, count = np.empty(most, np.int64), 0
+    place, probability, expected_change = np.empty(most), np.empty(most), np.empty(most)
+    taken = np.zeros((rows, columns, DIRECTIONS), np.bool_)
+    gain = patch.typical / shown.typical if most else 1.0
     faintest = LEAST_RATIO * patch.least / gain
-    R, t = pose
     sensor = in_target(R, -t[0], -t[1], -t[2])
-    for n in range(len(edges.places_m)):
+    for n in range(most):
         spread = seen_spread(edges, n, sensor)
         if spread < 0.0:
             continue
@@ -168,44 +177,42 @@ def expect_edges(sight: EdgeSight, pose: PoseArrays, appearance: Appearance, fin
         if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):  # also true for NaN and beyond integers
             continue
         i, j = int(v), int(u)
-        pixel_m = (1.0 + 1.0 / lens.fx) * nearby_m(fine, i, j)
+        pixel_m = (1.0 + 1.0 / lens.fx) * nearby_m(shown, i, j)
         if math.sqrt(x * x + y * y + z * z) > pixel_m:  # a pixel's width behind all four
             continue
         towards = in_sensor(R, edges.directions[n, 0], edges.directions[n, 1], edges.directions[n, 2])
         across, down = across_edge(at, towards, x / z, y / z)
         way = int(DIRECTIONS * (math.atan2(down, across) / math.pi + 1.0)) % DIRECTIONS
-        cell = (i // CELL_PX, j // CELL_PX, way)
-        if taken[cell]:
+        if taken[i, j, way]:
             continue
-        taken[cell] = True
-        shown = steepest(fine.shade, Profile(u, v, across, down), OWN_PX, faintest)
-        own = shown.change > 0.0 and abs(shown.place) <= OWN_PX
-        change = gain * shown.change if own else LEAST_RATIO * patch.least
+        taken[i, j, way] = True
+        seen = steepest(shade, Profile(u, v, across, down), OWN_PX, faintest)
+        own = seen.change > 0.0 and abs(seen.place) <= OWN_PX
+        change = gain * seen.change if own else LEAST_RATIO * patch.least
         deviation = math.hypot(spread, patch.noise / change)
-        expected.sample[count] = n
-        expected.place[count] = shown.place if own and abs(shown.place) > ALIASED_PX else 0.0
-        expected.probability[count] = 0.5 * math.erfc(
-            math.log(patch.least / change) / math.sqrt(2.0) / deviation
-        )
-        expected.change[count] = change
+        sample[count] = n
+        place[count] = seen.place if own and abs(seen.place) > ALIASED_PX else 0.0
+        probability[count] = 0.5 * math.erfc(math.log(patch.least / change) / math.sqrt(2.0) / deviation)
+        expected_change[count] = change
         count += 1
-    expected.length[0] = count
+    return ExpectedEdges(
+        shown.pose, sample[:count], place[:count], probability[:count], expected_change[:count]
+    )
 
 
 @kernel
-def moved_px(sight: EdgeSight, pose: PoseArrays, radius_m: float) -> float:
-    """Return how far a target has moved in the image since its rendering, px; NaN before the first."""
-    before, t = sight.expected.pose, pose.t
-    turned = np.sqrt(np.square(pose.R - before[:3]).sum() / 2.0)  # 2 sin(angle / 2)
-    shifted_m = np.sqrt(np.square(t - before[3]).sum())
-    return float(sight.lens.fx * (shifted_m + turned * radius_m) / max(t[2], NEAR_M))
+def moved_px(before: PoseArrays, pose: PoseArrays, radius_m: float, focal_px: float) -> float:
+    """Return how far a target of a given radius moves in the image from one pose to another, px at most."""
+    turned = np.sqrt(np.square(pose.R - before.R).sum() / 2.0)  # 2 sin(angle / 2)
+    shifted_m = np.sqrt(np.square(pose.t - before.t).sum())
+    return float(focal_px * (shifted_m + turned * radius_m) / max(pose.t[2], NEAR_M))
 
 
 @kernel
-def nearby_m(fine: Fine, i: int, j: int) -> float:
+def nearby_m(shown: Shown, i: int, j: int) -> float:
     """Return the greatest range, m, of four pixels from row i and column j on; inf for sky."""
-    n = fine.per_px
-    return float(fine.hits.range_m[n * i : n * (i + 2), n * j : n * (j + 2)].max())
+    n = shown.per_px
+    return float(shown.range_m[n * i : n * (i + 2), n * j : n * (j + 2)].max())
 
 
 @kernel
@@ -227,18 +234,10 @@ def seen_spread(edges: EdgeArrays, sample: int, sensor: tuple[float, float, floa
 
 
 @kernel
-def rendered(appearance: Appearance, pose: PoseArrays, fine: Fine) -> float:
-    """Render the target's smoothed brightness at a pose; return its median, 0 if nothing is in view."""
-    hits = fine.hits
-    cast_pose(fine.grid, appearance.triangles_m, pose.R, pose.t, True, hits.range_m, hits.triangle)
-    typical = shaded(appearance, pose, fine)
-    smoothed(fine)
-    return typical
-
-
-@kernel
-def shaded(appearance: Appearance, pose: PoseArrays, fine: Fine) -> float:
-    """Fill the brightness of a rendering, clipped; return its median before clipping, 0 if it is empty.
+def shaded(
+    appearance: Appearance, pose: PoseArrays, triangle: NDArray[np.int32], per_px: int
+) -> Float32Array:
+    """Return the brightness of a rendering, shape (rows, columns).
 
     Lambert's law with light from the camera: albedo times the cosine of incidence over the squared range, in
     the middle of each triangle. Within a triangle it changes slowly, so that it makes no edges.
@@ -246,10 +245,11 @@ def shaded(appearance: Appearance, pose: PoseArrays, fine: Fine) -> float:
     Args:
         appearance: the target.
         pose: pose of the target.
-        fine: the rendering; input and output.
+        triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
+        per_px: number of rays for each pixel, along rows and columns.
     """
-    shade, triangle, per_px = fine.shade, fine.hits.triangle, fine.per_px
-    rows, columns = shade.shape
+    rows, columns = triangle.shape[0] // per_px, triangle.shape[1] // per_px
+    shade = np.empty((rows, columns), np.float32)
     light = np.zeros(len(appearance.albedo) + 1, np.float32)  # the last, index -1, is that of the sky
     sx, sy, sz = in_target(pose.R, -pose.t[0], -pose.t[1], -pose.t[2])
     for k in range(len(appearance.albedo)):
@@ -267,39 +267,4 @@ def shaded(appearance: Appearance, pose: PoseArrays, fine: Fine) -> float:
                 for u in range(per_px * j, per_px * (j + 1)):
                     total += light[triangle[v, u]]
             shade[i, j] = total
-    step = rows * columns // TYPICAL_SAMPLES + 1
-    few, count = np.empty(rows * columns // step + 1), 0
-    for pixel in range(0, rows * columns, step):
-        here = shade[pixel // columns, pixel % columns]
-        if here > 0.0:
-            few[count] = here
-            count += 1
-    typical = float(np.median(few[:count])) if count else 0.0
-    most = np.float32(fine.clip * typical)
-    for i in range(rows):
-        for j in range(columns):
-            shade[i, j] = min(shade[i, j], most)
-    return typical
-
-
-@kernel
-def smoothed(fine: Fine) -> None:
-    """Smooth the brightness in place along rows, then along columns; a border stays as it is."""
-    shade, weights = fine.shade, fine.blur.astype(np.float32)
-    rows, columns = shade.shape
-    line = np.empty_like(shade)
-    for i in range(rows):
-        for j in range(columns):
-            line[i, j] = shade[i, j]
-        for j in range(BLUR_REACH, columns - BLUR_REACH):
-            total = np.float32(0.0)
-            for k in range(2 * BLUR_REACH + 1):
-                total += weights[k] * shade[i, j + k - BLUR_REACH]
-            line[i, j] = total
-    for i in range(BLUR_REACH, rows - BLUR_REACH):
-        for j in range(columns):
-            shade[i, j] = 0.0
-        for k in range(2 * BLUR_REACH + 1):
-            weight = weights[k]
-            for j in range(columns):
-                shade[i, j] += weight * line[i + k - BLUR_REACH, j]
+    return shade

@@ -13,12 +13,15 @@ import numpy as np
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
 from rpod_pose.pmd.joint.edge_search import (
+    EdgeArrays,
+    Lens,
+    Patch,
     Profile,
     across_edge,
     imaged,
     steepest,
 )
-from rpod_pose.pmd.joint.expected_edges import Appearance, EdgeSight, Fine, expect_edges, moved_px
+from rpod_pose.pmd.joint.expected_edges import ExpectedEdges
 from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.registration.field_alignment import FieldEvidence, Points, add_field_points
 from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
@@ -35,8 +38,6 @@ from rpod_schemas.arrays import FloatArray
 
 REACH_M, REACH_RAD = 0.5, 0.2
 """Prior standard deviations of a step."""
-STILL_PX = 0.5
-"""Motion in the image up to which the expected edges stay as they are rendered: half a pixel."""
 SCALE = 0.2
 """Geman-McClure scale of an edge's residual over the reach of its search."""
 BLUNTNESS_PX = 1.4
@@ -45,11 +46,14 @@ NEAREST_M = 0.3
 """Least distance in the weights of edges."""
 
 
-class JointModel(NamedTuple):
-    """The target, as the joint fit takes it."""
+class EdgeSight(NamedTuple):
+    """Edges and the image in which they are searched."""
 
-    field: FieldArrays
-    appearance: Appearance
+    edges: EdgeArrays
+    lens: Lens
+    patch: Patch
+    expected: ExpectedEdges
+    """The samples that the image may show, by a rendering near the pose."""
 
 
 class DepthErrors(NamedTuple):
@@ -74,22 +78,20 @@ class EdgeErrors(NamedTuple):
     """Least standard deviation of an edge's position in the image."""
     most_edges: float
     """Greatest number of samples that count, since neighbours share their errors."""
+    reach_px: float
+    """Half length of the search in the last steps; edges count less while it is longer."""
 
 
 class JointProblem(NamedTuple):
     """Points and edges of a frame to be aligned with the target."""
 
     points: Points
-    model: JointModel
+    field: FieldArrays
     sight: EdgeSight
-    fine: Fine
-    """Buffers of the rendering."""
     depth_errors: DepthErrors
     edge_errors: EdgeErrors
     schedule: FloatArray
     """Geman-McClure scale of the points, m, and reach of the edges' search, px, by step, shape (S, 2)."""
-    rendered: bool
-    """Whether the expected edges are already those of the starting pose."""
 
 
 class EdgeEvidence(NamedTuple):
@@ -117,9 +119,7 @@ class JointEvidence(NamedTuple):
 class JointFit(NamedTuple):
     """A pose aligned with a frame."""
 
-    pose: PoseArrays
-    bias_m: float
-    """Length by which all ranges are too long."""
+    state: State
     information: FloatArray
     """Information about (dtau, dtheta, bias) in the last step, shape (7, 7)."""
     evidence: JointEvidence
@@ -127,7 +127,9 @@ class JointFit(NamedTuple):
 
 
 @kernel
-def add_edge_points(sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach: float) -> EdgeEvidence:
+def add_edge_points(
+    sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach: float, noise_px: float
+) -> EdgeEvidence:
     """Add the factors of samples of edges, residuals in px, to the sums, shape (35,); return their evidence.
 
     The residual is the distance of the image's steepest change from that of the rendering, which moves with
@@ -138,16 +140,17 @@ def add_edge_points(sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach:
 
     Args:
         sums: information and gradient, input and output.
-        sight: edges, those expected, lens, image and noise.
+        sight: edges, those expected, lens and image.
         pose: pose to linearise at.
         reach: half length of the search, px.
+        noise_px: standard deviation of an edge's position in the image.
     """
-    edges, lens, patch, expected_edges, noise_px = sight
+    edges, lens, patch, expected_edges = sight
     places, directions = edges.places_m, edges.directions
     R, t = pose.R, pose.t
     squares, inliers, checked, found, expected = 0.0, 0, 0, 0, 0.0
     c2 = (SCALE * reach) ** 2
-    for m in range(expected_edges.length[0]):
+    for m in range(len(expected_edges.sample)):
         n = expected_edges.sample[m]
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
         px, py, pz = in_sensor(R, x, y, z)
@@ -198,25 +201,21 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     smaller weight as long as the search is wide. The bias has a prior of its own.
     """
     depth, edge_errors = problem.depth_errors, problem.edge_errors
-    model, sight = problem.model, problem.sight
-    steps, pose = problem.schedule.shape[0], state.pose
-    stale = not moved_px(sight, pose, model.appearance.radius_m) < STILL_PX
-    if (step == 0 and not problem.rendered) or (step == steps - 2 and stale):
-        expect_edges(sight, pose, model.appearance, problem.fine)
+    sight, pose = problem.sight, state.pose
     scale, reach = problem.schedule[step]
     total, sums, hold = no_sums(), no_sums(), np.zeros(UNKNOWNS)
-    points = add_field_points(sums, problem.points, state, model.field, scale, True)
+    points = add_field_points(sums, problem.points, state, problem.field, scale, True)
     if points.inliers > 0:
         squares, weight = points.squares_m2, points.trusted
         variance = max(squares / weight, depth.noise_m**2) / min(depth.most_points, weight)
         total += sums / (weight * (variance + depth.uneven_m**2 + depth.slack_m**2))
     sums = no_sums()
-    edges = add_edge_points(sums, sight, pose, reach)
+    edges = add_edge_points(sums, sight, pose, reach, edge_errors.noise_px)
     if edges.inliers > 0:
         px_per_m = sight.lens.fx / max(pose.t[2], NEAREST_M)
         variance = max(edges.squares_px2 / edges.inliers, edge_errors.noise_px**2)
         variance /= min(edge_errors.most_edges, edges.inliers)
-        widened = (reach / problem.schedule[steps - 1, 1]) ** 4
+        widened = (reach / edge_errors.reach_px) ** 4
         total += sums / (edges.inliers * widened * (variance + (depth.slack_m * px_per_m) ** 2))
     total[SUMS - 2] += 1.0 / depth.bias_m**2
     total[SUMS - 1] += state.bias_m / depth.bias_m**2
@@ -226,11 +225,10 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
 
 
 @kernel
-def align(problem: JointProblem, pose: PoseArrays) -> JointFit:
+def align(problem: JointProblem, start: State) -> JointFit:
     """Return the pose after one step for each row of the problem's schedule."""
-    fit = minimised(problem, State(pose, 0.0), problem.schedule.shape[0])
-    information = information_of(fit.linear.sums, UNKNOWNS)
-    return JointFit(fit.state.pose, fit.state.bias_m, information, fit.linear.evidence)
+    fit = minimised(problem, start, problem.schedule.shape[0])
+    return JointFit(fit.state, information_of(fit.linear.sums, UNKNOWNS), fit.linear.evidence)
 
 
 class Measured(NamedTuple):
@@ -273,15 +271,3 @@ def agreement(
             if owner[i, j] >= 0 and abs(m - range_m[i, j]) < tolerance:
                 agreeing += 1.0
     return agreeing, checked
-
-
-@kernel
-def edges_at(sight: EdgeSight, pose: PoseArrays, reach: float) -> EdgeEvidence:
-    """Return the statistics of the expected edges at the pose of their rendering.
-
-    Args:
-        sight: edges, those expected, lens, image and noise.
-        pose: pose of the target.
-        reach: half length of the search, px.
-    """
-    return add_edge_points(no_sums(), sight, pose, reach)

@@ -109,7 +109,7 @@ class JointFrame:
             patch = _patch(frame.amplitude, around, typical=typical, config=tuning.edges)
         per_px = 2 if patch.image.size <= FINE_PX else 1
         lines = around if patch.typical else (slice(0, 1), slice(0, 1))
-        pixels_around = view.fine[per_px - 1].block(
+        pixels_around = view.rays(per_px).block(
             *(slice(per_px * one.start, per_px * one.stop) for one in lines)
         )
         return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch, pixels_around, per_px)

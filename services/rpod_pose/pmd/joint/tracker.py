@@ -13,9 +13,8 @@ of the pose names it.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
-from math import prod, radians
+from math import radians
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -26,32 +25,28 @@ from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
 from rpod_pose.pmd.joint.edge_model import EdgeModel
-from rpod_pose.pmd.joint.expected_edges import (
-    Appearance,
-    EdgeSight,
-    ExpectedEdges,
-    Fine,
-    blur_weights,
-    expect_edges,
-)
+from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
 from rpod_pose.pmd.joint.fit import (
     NEAREST_M,
     DepthErrors,
     EdgeErrors,
-    JointModel,
+    EdgeSight,
+    JointFit,
     JointProblem,
     Measured,
+    add_edge_points,
     agreement,
     align,
-    edges_at,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.reflections import reflected_m
-from rpod_pose.pmd.rendering import COARSE_ONLY, FineRanges, Rendering
+from rpod_pose.pmd.rendering import FineRanges, Rendering
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
+from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.normal_equations import no_sums
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_joint import JointConfig
@@ -59,6 +54,10 @@ from rpod_schemas.poses import pose_of
 from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 
+STILL_PX = 0.5
+"""Motion in the image up to which a rendering still shows which edges to expect: half a pixel."""
+LAST_STEPS = 2
+"""Number of the last steps, before which the target is rendered again if it has moved."""
 MOST_WIDER = 3.0
 """Greatest factor on the last search's reach for close targets, whose edges are farther off in pixels."""
 
@@ -82,8 +81,7 @@ class JointTracker:
         edges = EdgeModel.of(target, spacing_m=tuning.edges.spacing_share * target.radius_m)
         self._triangles_m = np.ascontiguousarray(target.triangles_m)
         self._edges = edges.arrays
-        appearance = Appearance.of(target)
-        self._model = JointModel(field_arrays(target), appearance)
+        self._field, self._renderer = field_arrays(target), PatchRenderer(target, tuning.edges)
         weak = np.repeat((tuning.unobserved_m, radians(tuning.unobserved_deg)), 3)
         self._weak = np.diag(np.append(weak**-2, 0.0))
         scales_m = np.geomspace(tuning.depth.scale_m, tuning.depth.final_scale_m, tuning.iterations)
@@ -101,11 +99,10 @@ class JointTracker:
             self._ranges.uneven_m,
             config.slack_m,
         )
-        self._edge_errors = EdgeErrors(tuning.edges.sigma_px, float(tuning.edges.effective_edges))
-        self._expected = ExpectedEdges.room(len(edges.places_m))
+        self._edge_errors = EdgeErrors(
+            tuning.edges.sigma_px, float(tuning.edges.effective_edges), tuning.edges.final_search_px
+        )
         self._reflected_m = reflected_m(target)
-        self._room = np.empty((3, 0), np.float32)
-        self._blur = blur_weights(tuning.edges.blur_px)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
@@ -115,17 +112,18 @@ class JointTracker:
         if isinstance(seen, str):
             return Registration.none(Source.PMD_JOINT, seen)
         registration = Registration.none(Source.PMD_JOINT, "nothing to see")
-        for tries, (start, schedule) in enumerate(self._starts(seen, pose)):
-            rendered = tries == 0 and start is pose
-            registration = self._registered(seen, start, schedule, rendered=rendered)
+        sight = self._sight(seen, pose)
+        for start, schedule in self._starts(seen, sight):
+            registration = self._registered(seen, self._aligned(seen, sight, start, schedule), len(schedule))
             if registration.continues_track:
                 break
         return registration
 
-    def _starts(self, seen: JointFrame, pose: PoseArrays) -> Iterator[tuple[PoseArrays, FloatArray]]:
+    def _starts(self, seen: JointFrame, sight: EdgeSight) -> Iterator[tuple[PoseArrays, FloatArray]]:
         """Yield starting poses with their schedules of steps, those with the fewest steps first."""
         tuning = self._tuning
-        share, in_place = self._explained(seen, pose), self._in_place(seen, pose)
+        pose = sight.expected.pose
+        share, in_place = self._explained(seen, pose), self._in_place(seen, sight)
         if in_place >= tuning.near_share:
             yield pose, self._narrow if in_place >= tuning.sharp_share else self._near
         if share >= tuning.fair_share or len(seen.points_m) < tuning.verdict.min_points:
@@ -135,21 +133,33 @@ class JointTracker:
             few = Points.equal(np.ascontiguousarray(seen.points_m[::every]))
             yield field_aligned(few, pose, self._coarse, self._far), self._full
 
-    def _registered(
-        self, seen: JointFrame, start: PoseArrays, schedule: FloatArray, *, rendered: bool
-    ) -> Registration:
+    def _sight(self, seen: JointFrame, pose: PoseArrays) -> EdgeSight:
+        """Return the edges that the image should show at a pose."""
+        shown = self._renderer.render(seen.rays, seen.per_px, pose)
+        expected = expect_edges(self._edges, seen.lens, seen.patch, shown)
+        return EdgeSight(self._edges, seen.lens, seen.patch, expected)
+
+    def _aligned(
+        self, seen: JointFrame, sight: EdgeSight, start: PoseArrays, schedule: FloatArray
+    ) -> JointFit:
+        """Return the pose after one step for each row of a schedule, shape (S, 2) as in ``JointProblem``."""
+        points, state = Points(seen.points_m, seen.trust), State(start, 0.0)
+        first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
+        for steps in (first, last) if len(first) else (last,):
+            if not self._moved_px(sight, state.pose) < STILL_PX:
+                sight = self._sight(seen, state.pose)
+            problem = JointProblem(points, self._field, sight, self._depth_errors, self._edge_errors, steps)
+            fit = align(problem, state)
+            state = fit.state
+        return fit
+
+    def _moved_px(self, sight: EdgeSight, pose: PoseArrays) -> float:
+        return moved_px(sight.expected.pose, pose, self._target.radius_m, sight.lens.fx)
+
+    def _registered(self, seen: JointFrame, fit: JointFit, steps: int) -> Registration:
+        """Return the registration of an aligned pose, with its belief."""
         tuning = self._tuning
-        problem = JointProblem(
-            Points(seen.points_m, seen.trust),
-            self._model,
-            self._sight(seen),
-            self._fine(seen),
-            self._depth_errors,
-            self._edge_errors,
-            schedule,
-            rendered,
-        )
-        (R, t), bias, information, (depth, found) = align(problem, start)
+        ((R, t), bias), information, (depth, found) = fit
         points, squares = depth.inliers, depth.squares_m2
         edges, checked, expected = found.inliers, found.checked, found.expected
         if points < tuning.verdict.min_points and checked < tuning.verdict.min_edges:
@@ -171,7 +181,7 @@ class JointTracker:
             inlier_share=(points + edges) / max(len(seen.points_m) + checked, 1),
             explained_share=inconsistent.explained_share,
             covariance=to_sensor @ covariance @ to_sensor.T,
-            iterations=len(schedule),
+            iterations=steps,
         )
 
     def _explained(self, seen: JointFrame, pose: PoseArrays) -> float:
@@ -183,30 +193,15 @@ class JointTracker:
         )
         return agreeing / checked if checked else 0.0
 
-    def _in_place(self, seen: JointFrame, pose: PoseArrays) -> float:
-        """Return the share of the expected edges that are near their place at a predicted pose."""
-        tuning, sight = self._tuning, self._sight(seen)
+    def _in_place(self, seen: JointFrame, sight: EdgeSight) -> float:
+        """Return the share of the expected edges that are near their place at the pose of their rendering."""
+        tuning, pose = self._tuning, sight.expected.pose
         wider = float(np.clip(2.0 * self._fills(seen, pose.t), 1.0, MOST_WIDER))
-        expect_edges(sight, pose, self._model.appearance, self._fine(seen))
-        found = edges_at(sight, pose, tuning.edges.final_search_px * wider)
+        reach = tuning.edges.final_search_px * wider
+        found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors.noise_px)
         if found.checked < tuning.verdict.min_edges:
             return 0.0
         return found.found / max(found.expected, 1.0)
-
-    def _sight(self, seen: JointFrame) -> EdgeSight:
-        noise_px = self._edge_errors.noise_px
-        return EdgeSight(self._edges, seen.lens, seen.patch, self._expected, noise_px)
-
-    def _fine(self, seen: JointFrame) -> Fine:
-        """Return buffers for a rendering on the patch's pixels."""
-        rows, columns = seen.rays.components.shape[1:]
-        if self._room.shape[1] < rows * columns:
-            self._room = np.empty((3, rows * columns), np.float32)
-        range_m, triangle, rest = (line[: rows * columns].reshape(rows, columns) for line in self._room)
-        shape = rows // seen.per_px, columns // seen.per_px
-        shade = rest.ravel()[: prod(shape)].reshape(shape)
-        hits = RenderBuffers(range_m, triangle.view(np.int32))
-        return Fine(seen.rays, seen.per_px, hits, shade, self._blur, self._tuning.edges.clip)
 
     def _contradictions(
         self, seen: JointFrame, R: FloatArray, t: FloatArray, bias_m: float
@@ -218,20 +213,15 @@ class JointTracker:
         coarse = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._triangles_m, R, t)
         check = partial(contradictions, typical=seen.typical, bias_m=bias_m, reflected_m=self._reflected_m)
         found = check(images, coarse, limits)
-        if not found.reason(limits):
+        if not found.reason(limits) or not seen.patch.typical:
             return found
-        return check(images, replace(coarse, fine=self._fine_ranges(seen, R, t)), limits)
+        return check(images, coarse, limits, fine=self._fine_ranges(seen, PoseArrays(R, t)))
 
-    def _fine_ranges(self, seen: JointFrame, R: FloatArray, t: FloatArray) -> FineRanges:
-        """Return the ranges of the patch's rays at a pose; none if no edges are searched."""
-        patch, offset = seen.patch, seen.view.offset
-        if not patch.typical:
-            return COARSE_ONLY
-        fine = self._fine(seen)
-        cast_pose(fine.grid, self._triangles_m, R, t, True, *fine.hits)
-        n = seen.per_px
-        row, column = (n * (offset - int(first)) + n // 2 for first in (patch.row, patch.column))
-        return FineRanges(fine.hits.range_m, n, row, column)
+    def _fine_ranges(self, seen: JointFrame, pose: PoseArrays) -> FineRanges:
+        """Return the ranges of the patch's rays at a pose."""
+        n, offset = seen.per_px, seen.view.offset
+        row, column = (n * (offset - int(first)) + n // 2 for first in (seen.patch.row, seen.patch.column))
+        return FineRanges(self._renderer.cast(seen.rays, pose).range_m, n, row, column)
 
     def _fills(self, seen: JointFrame, t: FloatArray) -> float:
         """Return the target's radius over the image's smaller side; above 1 few of its parts are in view."""

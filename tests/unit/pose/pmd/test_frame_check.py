@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
-from rpod_pose.pmd.rendering import Rendering
+from rpod_pose.pmd.rendering import FineRanges, Rendering
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd_check import PmdCheckConfig
 from rpod_schemas.poses import make_pose
@@ -168,3 +168,26 @@ def test_what_is_typical_is_neither_the_sky_nor_a_glint_wherever_one_starts(star
     image[30:60, 30:70], image[70:90, 30:70] = 0.0, 60000.0
     assert typical_of(image, start) == pytest.approx(300.0, rel=0.05)
     assert typical_of(np.zeros_like(image), 0.0) == 0.0
+
+
+def test_a_thin_part_between_the_coarse_pixels_is_seen_by_fine_rays_and_does_not_contradict():
+    row, column, z_m = 6, 20, 4.0
+    between_px = column + 0.4, column + 0.6
+    left_m, right_m = ((px - CAMERA.cx) / CAMERA.fx * z_m for px in between_px)
+    top_m, bottom_m = ((px - CAMERA.cy) / CAMERA.fy * z_m for px in (row - 3.5, row + 3.5))
+    corners = np.array(
+        [(left_m, top_m, z_m), (left_m, bottom_m, z_m), (right_m, bottom_m, z_m), (right_m, top_m, z_m)]
+    )
+    strip_m = POSE.inv().apply(corners)[[[0, 1, 2], [0, 2, 3]]]
+    with_strip = replace(TARGET, triangles_m=np.concatenate((TARGET.triangles_m, strip_m)))
+    coarse = rendered(target=with_strip)
+    assert (coarse.triangle < len(TARGET.triangles_m)).all()  # no coarse ray meets the strip
+    range_m, sigma_m, shade = seen()
+    range_m[row - 3 : row + 4, column] = z_m / RAYS.components[2, row - 3 : row + 4, column]
+    images = SeenPixels(range_m, sigma_m, shade)
+    size = {"width": STRIDE * CAMERA.width, "height": STRIDE * CAMERA.height}
+    lens = {name: STRIDE * getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy")}
+    grid = RayGrid.pinhole(CAMERA.model_copy(update=size | lens))
+    fine = FineRanges(cast(grid, with_strip.triangles_m, POSE, cull_back_faces=True).range_m, 1, 0, 0)
+    assert contradictions(images, coarse, LIMITS, typical=LIT).inconsistent == 7
+    assert contradictions(images, coarse, LIMITS, typical=LIT, fine=fine).inconsistent == 0

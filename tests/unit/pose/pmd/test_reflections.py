@@ -3,7 +3,7 @@ import pytest
 
 from rpod_pose.pmd.frame_check import longer_m
 from rpod_pose.pmd.reflections import reflected_m
-from rpod_pose.pmd.rendering import COARSE_ONLY, RenderingArrays
+from rpod_pose.pmd.rendering import RenderingArrays
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_target import load_target
 
@@ -33,7 +33,7 @@ def test_light_at_an_angle_makes_the_reflection_count_more() -> None:
     rays[:] = np.array((0.0, 0.0, 1.0))[:, None, None]
     rays[:, 1, 1] = ray
     pose = PoseArrays(np.eye(3), np.zeros(3))
-    rendered = RenderingArrays(np.ones((2, 2), np.float32), shown, rays, 1, triangle, pose, COARSE_ONLY)
+    rendered = RenderingArrays(np.ones((2, 2), np.float32), shown, rays, 1, triangle, pose)
     assert longer_m(rendered, 0, 0, np.array([0.1])) == pytest.approx(0.1)
     assert longer_m(rendered, 1, 1, np.array([0.1])) == pytest.approx(0.2)
     assert longer_m(rendered, 0, 1, np.array([0.1])) == 0.0
