@@ -21,11 +21,9 @@ _FIRST_WITH_TUNING = 2
 _FIRST_WITH_NEW_NAMES = 3
 """First version whose logs have the present names of the fields in ``RENAMED``."""
 RENAMED = {
-    "as_filed": "with_materials",
     "contrary_share": "inconsistent_share",
     "draw_in_points": "coarse_points",
     "draw_in_steps": "coarse_steps",
-    "facts": "independent_pixels",
     "most_contrary_share": "most_inconsistent_share",
     "most_lacking": "most_missing",
     "settle_steps": "fine_steps",

@@ -5,7 +5,6 @@ from typing import Annotated
 from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
-from rpod_schemas.config.pmd_methods import DepthErrorConfig
 from rpod_schemas.config.sensor import MethodConfig
 from rpod_schemas.config.tuning import BUDGET, BY_HAND, Provenance, Tuning
 
@@ -64,51 +63,6 @@ class PmdModelConfig(Tuning):
     """Loss of a pixel with depth, or of a lit one, at which the pose predicts no surface."""
 
 
-class PmdLimitsConfig(Tuning):
-    """Limits within which a pose explains a frame."""
-
-    max_loss: Positive
-    """Largest mean loss of a pixel."""
-    min_explained_share: Share
-    """Least share of pixels on which pose and frame agree."""
-    max_patch_loss: Positive
-    """Largest mean loss of a pixel in the worst patch: a missing or misplaced detail is small."""
-    max_face_loss: Positive
-    """Largest mean loss of a pixel in the worst patch as wide as a face: another surface has small errors
-    everywhere."""
-    independent_pixels: Positive
-    """Number of independent errors in a frame; neighbours share those of camera and model. The lower it is,
-    the worse a pose must be not to be a rival."""
-
-
-class PmdVerdictConfig(Tuning):
-    """Limits within which a pose explains a frame, with and without the materials."""
-
-    patch_px: Annotated[Count, BY_HAND] = 5
-    """Side of a square patch of used pixels, about a tenth of a metre wide."""
-    face_px: Annotated[Count, BY_HAND] = 13
-    """Side of a larger patch of used pixels, about as wide as a face, which has one material."""
-    with_materials: Annotated[PmdLimitsConfig, BY_HAND] = PmdLimitsConfig(
-        max_loss=0.6,
-        min_explained_share=0.87,
-        max_patch_loss=2.0,
-        max_face_loss=1.0,
-        independent_pixels=100.0,
-    )
-    """Limits for depth, outline and amplitude, if the materials are those of the target's file."""
-    shape: Annotated[PmdLimitsConfig, BY_HAND] = PmdLimitsConfig(
-        max_loss=0.45,
-        min_explained_share=0.96,
-        max_patch_loss=1.4,
-        max_face_loss=0.65,
-        independent_pixels=45.0,
-    )
-    """Limits for depth and outline. They hold for all materials, and are the only ones if the materials are
-    not those of the file."""
-    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
-    """Weight of the best hypothesis below which the result is ambiguous."""
-
-
 class PmdAcquisitionTuning(Tuning):
     """Numbers of candidates and limits of the search."""
 
@@ -118,8 +72,8 @@ class PmdAcquisitionTuning(Tuning):
     """Number of the best of these that are aligned with the frame and rendered."""
     model_points: Annotated[Count, BUDGET] = 240
     """Number of surface points that represent the target while attitudes are compared."""
-    truncation_m: Annotated[Positive, BY_HAND] = 0.5
-    """Distance above which the cost is constant, m."""
+    truncation: Annotated[Positive, BY_HAND] = 0.53
+    """Distance above which the cost is constant, over the target's radius."""
     coarse_points: Annotated[Count, BUDGET] = 128
     """Number of measured points with which candidates are coarsely aligned."""
     fine_points: Annotated[Count, BUDGET] = 500
@@ -145,12 +99,13 @@ class PmdAcquisitionTuning(Tuning):
     """Pixels of a frame that are used."""
     model: PmdModelConfig = PmdModelConfig()
     """Expected statistics of these pixels."""
-    verdict: PmdVerdictConfig = PmdVerdictConfig()
-    """Limits within which a pose explains a frame."""
-    scale_m: Annotated[Positive, BY_HAND] = 0.1
-    """Distance from the surface within which a measured point contributes to the covariance, m."""
-    errors: Annotated[DepthErrorConfig, BY_HAND] = DepthErrorConfig()
-    """Errors that the covariance assumes."""
+    independent_pixels: Annotated[Positive, BY_HAND] = 100.0
+    """Number of independent errors in a frame; neighbours share those of camera and model. The lower it is,
+    the worse a pose must be not to be a rival."""
+    independent_pixels_of_shape: Annotated[Positive, BY_HAND] = 45.0
+    """The same for depth and outline alone, where the materials may not be those of the file."""
+    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
+    """Weight of the best hypothesis below which the result is ambiguous."""
 
 
 class PmdAcquisitionConfig(MethodConfig):

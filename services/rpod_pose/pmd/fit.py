@@ -17,7 +17,6 @@ whether a surface is brighter than the sky is only rough: then the shape alone i
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,8 +35,6 @@ STEEPEST = 0.1
 """Least cosine of incidence in the effect of the slack along the ray."""
 GRAZING = 0.02
 """Least cosine of incidence in the expected amplitude."""
-AGREES = 2.0
-"""Loss below which a pixel counts as agreeing."""
 DARK = -1.0
 """Logarithm of the least amplitude that is compared."""
 BLURRED_PX = 1.5
@@ -131,13 +128,6 @@ class PmdFit:
     """Sum of the losses over the pixels on which pose or frame show the target."""
     pixels: int
     """Number of these pixels."""
-    agreeing: int
-    """Number of these pixels on which pose and frame agree."""
-
-    @property
-    def explained_share(self) -> float:
-        """Share of these pixels that agree; NaN if there is none."""
-        return self.agreeing / self.pixels if self.pixels else float("nan")
 
     @property
     def mean_loss(self) -> float:
@@ -195,12 +185,6 @@ class PmdFitter:
         """Return the loss of the pose R, t of the target in the sensor."""
         return PmdFit(*compare(self._compared, R, t))
 
-    def worst_patches(self, R: FloatArray, t: FloatArray, *sizes: int) -> list[float]:
-        """Return, for each size, the greatest mean loss per pixel of a size x size patch."""
-        self.fit(R, t)
-        loss = self._compared.canvas.loss
-        return [float(cv2.blur(loss, (px, px), borderType=cv2.BORDER_CONSTANT).max()) for px in sizes]
-
     def outline_refined(
         self, R: FloatArray, t: FloatArray, deviations: FloatArray, draws: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
@@ -243,8 +227,8 @@ def _widened(lines: NDArray[np.intp]) -> slice:
 
 
 @kernel
-def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, int, int]:
-    """Return the summed loss and the numbers of compared and agreeing pixels; fill the pixels' losses.
+def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, int]:
+    """Return the summed loss and the number of compared pixels; fill the pixels' losses.
 
     Args:
         compared: frame, target and buffers.
@@ -257,7 +241,7 @@ def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, 
     rays = grid[0]
     rendered = RenderingArrays(range_m, owner, rays, seen.stride, surface.triangles_m, PoseArrays(R, t))
     gain = _predict(compared, R)
-    total, pixels, agreeing = 0.0, 0, 0
+    total, pixels = 0.0, 0
     for i in range(range_m.shape[0]):
         for j in range(range_m.shape[1]):
             k = owner[i, j]
@@ -286,9 +270,7 @@ def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, 
                 worse += _saturated(e * e, losses.amplitude_outlier)
             loss[i, j] = worse
             total += worse
-            if worse < AGREES:
-                agreeing += 1
-    return total, pixels, agreeing
+    return total, pixels
 
 
 @kernel

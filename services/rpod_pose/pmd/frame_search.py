@@ -25,12 +25,14 @@ from rpod_target import Target
 
 ANY_ECHO = 0.0, np.ones(1)
 """Steps and table (``energies``) of a sensor that detects everything."""
-FIELD_SCALES_M = np.geomspace(0.5, 0.1, 6)
-"""Geman-McClure scales of the steps that align a candidate with the frame."""
-FINE_SCALES_M = np.geomspace(0.15, 0.05, 6)
-"""Geman-McClure scales of the steps that refine the best candidates."""
-REFINED_SIGMAS = np.repeat((0.02, 0.02), 3)
-"""Standard deviations, m and rad, of the samples in the refinement on outline and amplitude."""
+FIELD_SCALES = np.geomspace(0.53, 0.106, 6)
+"""Geman-McClure scales of the steps that align a candidate with the frame, over the target's radius."""
+FINE_SCALES = np.geomspace(0.16, 0.053, 6)
+"""Geman-McClure scales of the steps that refine the best candidates, over the target's radius."""
+NOISE_SIGMAS = 3.0
+"""Least scale over the standard deviation of a range: errors of the frame are no outliers."""
+REFINED_SIGMA = 0.021
+"""Standard deviation of the samples in the refinement on outline and amplitude, rad, and over the radius."""
 _ROUNDS, _SAMPLES = 4, 32
 _DRAWS = norm.ppf(qmc.Sobol(6, seed=1).random(_ROUNDS * _SAMPLES).clip(1e-3, 1.0 - 1e-3)).reshape(
     _ROUNDS, _SAMPLES, 6
@@ -66,7 +68,10 @@ class Model:
         """
         surface = SurfaceModel.of(target)
         views = ViewModel.of(
-            target, surface.coarse_field, count=tuning.model_points, truncation_m=tuning.truncation_m
+            target,
+            surface.coarse_field,
+            count=tuning.model_points,
+            truncation_m=tuning.truncation * target.radius_m,
         )
         return cls(target, views, surface, field_arrays(target), Turns.of(target))
 
@@ -78,8 +83,17 @@ class FrameSearch:
         self, tuning: PmdAcquisitionTuning, model: Model, scene: PmdScene, fitter: PmdFitter
     ) -> None:
         self._tuning, self._model, self._scene, self._fitter = tuning, model, scene, fitter
+        radius_m, noise_m = model.target.radius_m, float(np.median(scene.sigma_m[scene.range_m > 0.0]))
+        self._field_scales_m = np.maximum(FIELD_SCALES * radius_m, NOISE_SIGMAS * noise_m)
+        self._fine_scales_m = np.maximum(FINE_SCALES * radius_m, NOISE_SIGMAS * noise_m)
+        self._refined_sigmas = np.repeat((REFINED_SIGMA * radius_m, REFINED_SIGMA), 3)
         self._comparison = Comparison(
-            model.views, scene, scene.middle_m(), scene.distances(), ANY_ECHO, tuning.truncation_m
+            model.views,
+            scene,
+            scene.middle_m(),
+            scene.distances(),
+            ANY_ECHO,
+            tuning.truncation * model.target.radius_m,
         )
         self._few = Points.equal(scene.downsampled(tuning.coarse_points))
         self._fine = Points.equal(scene.downsampled(tuning.fine_points))
@@ -123,17 +137,17 @@ class FrameSearch:
     def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a rough pose aligned with some of the points."""
         field = self._model.surface.coarse_field
-        return self._fitted(*field_aligned(self._few, PoseArrays(R, t), field, FIELD_SCALES_M))
+        return self._fitted(*field_aligned(self._few, PoseArrays(R, t), field, self._field_scales_m))
 
     def _refined(self, pose: Pose) -> Pose:
         """Return a pose aligned with more of the points, or unchanged if that increases the loss."""
         start = PoseArrays(pose.R, pose.t)
-        refined = self._fitted(*field_aligned(self._fine, start, self._model.field, FINE_SCALES_M))
+        refined = self._fitted(*field_aligned(self._fine, start, self._model.field, self._fine_scales_m))
         return min(refined, pose, key=lambda one: one.fit.loss)
 
     def _outline_refined(self, pose: Pose) -> Pose:
         """Return a pose refined on the outline and the amplitude."""
-        return self._fitted(*self._fitter.outline_refined(pose.R, pose.t, REFINED_SIGMAS, _DRAWS))
+        return self._fitted(*self._fitter.outline_refined(pose.R, pose.t, self._refined_sigmas, _DRAWS))
 
     def _turned(self, pose: Pose, around: FloatArray | None) -> list[Pose]:
         """Return a pose's near-symmetries in place, and its best other rotations aligned by the centroid."""

@@ -9,40 +9,35 @@
    axes. Only small details and materials distinguish them.
 4. The best distinct poses are refined on more points and on the frame's outline.
 
-The best pose is accepted if it explains enough of the frame, and enough of its shape: depth and outline. The
-weights of the hypotheses follow from their losses. If no hypothesis outweighs the others, the tracker checks
-each: its edges may show which of them the frame contradicts.
+The search only ranks poses. The tracker refines the best on depth and edges, and whether it is believed is
+the tracker's decision: it compares every pixel within the frame's own noise. The weights of the hypotheses
+follow from their losses. If no hypothesis outweighs the others, the tracker checks each: its edges may show
+which of them the frame contradicts.
 
-The real target may have other materials than the target file says. If no pose explains the frame with the
-file's materials, the search is repeated with the shape alone. Then the shape alone must distinguish poses:
-the best is accepted only if all others are much worse; otherwise the result is ambiguous.
-
-An accepted pose is given to the tracker, which must accept it too, and which refines it on depth and edges.
+The real target may have other materials than the target file says. If the tracker believes none of the poses
+that are best with the file's materials, the search is repeated with the shape alone. Then the shape alone
+must distinguish poses: the best is accepted only if all others are much worse; otherwise the result is
+ambiguous.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import softmax
 
-from rpod_pose.belief import Belief, contradicted, doubtful
+from rpod_pose.belief import Belief
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
 from rpod_pose.pmd.scene import PmdScene, scene_of
-from rpod_pose.pmd.signed_distance import measured_equations
 from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdAcquisitionConfig, PmdLimitsConfig
+from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.poses import pose_of
-from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
+from rpod_schemas.types import Float32Array, PmdFrame, Source
 from rpod_target import Target
-
-Criterion = tuple[PmdFitter, PmdLimitsConfig]
-"""The comparison that computes the loss, and the limits of that loss."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,28 +92,25 @@ class ViewSearch:
             attitudes = attitudes_of(tuning.near_attitudes)
             attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
         task = _Task(measurement, scene, attitudes, around)
-        shape = (
-            PmdFitter(tuning.model, self._model.target, scene, known_materials=False),
-            tuning.verdict.shape,
-        )
-        with_materials = PmdFitter(tuning.model, self._model.target, scene), tuning.verdict.with_materials
-        found = self._verified(task, (with_materials, shape))
+        found = self._verified(task, known_materials=True)
         if found.outcome is not Outcome.FAILED:
             return found
-        by_shape = self._verified(task, (shape,))
+        by_shape = self._verified(task, known_materials=False)
         return found if by_shape.outcome is Outcome.FAILED else by_shape
 
-    def _verified(self, task: _Task, criteria: Sequence[Criterion]) -> Acquisition:
-        """Return the acquisition of the poses that are best by the first criterion."""
-        fitter, limits = criteria[0]
-        poses = FrameSearch(self._tuning, self._model, task.scene, fitter).search(task.attitudes, task.around)
+    def _verified(self, task: _Task, *, known_materials: bool) -> Acquisition:
+        """Return the acquisition of the poses that are best with the file's materials, or by shape alone."""
+        tuning, target = self._tuning, self._model.target
+        fitter = PmdFitter(tuning.model, target, task.scene, known_materials=known_materials)
+        poses = FrameSearch(tuning, self._model, task.scene, fitter).search(task.attitudes, task.around)
         if not poses:
             reason = "no attitude shows the target to the camera"
             return task.failed(Registration.none(Source.NONE, reason))
-        logs = np.array([-pose.fit.loss * limits.independent_pixels / poses[0].fit.pixels for pose in poses])
-        weights, least = softmax(logs), self._tuning.verdict.ambiguous_weight
+        independent = tuning.independent_pixels if known_materials else tuning.independent_pixels_of_shape
+        logs = np.array([-pose.fit.loss * independent / poses[0].fit.pixels for pose in poses])
+        weights, least = softmax(logs), tuning.ambiguous_weight
         contenders = 1 if weights[0] >= least else int(np.count_nonzero(weights > 1.0 - least))
-        checked = [self._registered(task, pose, criteria) for pose in poses[:contenders]]
+        checked = [self._registered(task, pose) for pose in poses[:contenders]]
         left = [index for index, registration in enumerate(checked) if registration.continues_track]
         if not left:
             return task.failed(checked[0])
@@ -135,68 +127,8 @@ class ViewSearch:
         )
         return Acquisition(replace(best, belief=believed), templates=len(task.attitudes))
 
-    def _registered(self, task: _Task, pose: Pose, criteria: Sequence[Criterion]) -> Registration:
-        """Return a pose that the search found, refined and checked by the tracker."""
-        belief = self._belief(pose, criteria)
-        registration = self._registration(task.scene, pose, belief)
-        if not registration.continues_track or registration.T_sensor_target is None:
-            return registration
-        refined = self._tracker.track(task.frame, registration.T_sensor_target)
-        evidence = {**belief.evidence, **refined.belief.evidence}
-        return replace(refined, belief=replace(refined.belief, evidence=evidence))
-
-    def _belief(self, pose: Pose, criteria: Sequence[Criterion]) -> Belief:
-        """Return the belief in a pose, which must meet every criterion; the first unmet one is the reason."""
-        evidence: dict[str, float] = {}
-        for fitter, limits in criteria:
-            reason, numbers = self._contradiction(pose, fitter, limits)
-            evidence = {**numbers, **evidence}
-            if reason:
-                return contradicted(reason, **evidence)
-        return Belief(evidence=evidence)
-
-    def _contradiction(
-        self, pose: Pose, fitter: PmdFitter, limits: PmdLimitsConfig
-    ) -> tuple[str, dict[str, float]]:
-        """Return why a pose does not explain the frame, empty if it does, and the evidence."""
-        verdict, fit = self._tuning.verdict, fitter.fit(pose.R, pose.t)
-        patch, face = fitter.worst_patches(pose.R, pose.t, verdict.patch_px, verdict.face_px)
-        evidence = {
-            "explained_share": fit.explained_share,
-            "mean_loss": fit.mean_loss,
-            "worst_patch_loss": patch,
-            "worst_face_loss": face,
-        }
-        share, most = 1.0 - fit.explained_share, limits.max_patch_loss
-        if fit.explained_share < limits.min_explained_share:
-            reason = f"does not explain the frame: {share:.0%} of {fit.pixels} pixels contradict the pose"
-        elif fit.mean_loss > limits.max_loss:
-            reason = f"does not explain the frame: mean loss {fit.mean_loss:.2f} above {limits.max_loss:.2f}"
-        elif patch > most:
-            reason = f"a detail contradicts the pose: mean loss {patch:.2f} above {most:.2f} there"
-        elif face > limits.max_face_loss:
-            most = limits.max_face_loss
-            reason = f"a face contradicts the pose: mean loss {face:.2f} above {most:.2f} there"
-        else:
-            reason = ""
-        return reason, evidence
-
-    def _registration(self, scene: PmdScene, pose: Pose, belief: Belief) -> Registration:
-        tuning, T = self._tuning, pose_of(pose.R, pose.t)
-        sums = measured_equations(
-            self._model.target, scene.downsampled(tuning.fine_points), T, tuning.scale_m
-        )
-        if belief.continues_track and sums.degenerate(self._model.target.radius_m):
-            reason = "degenerate: the measured surface leaves a motion undetermined"
-            belief = doubtful(reason, **belief.evidence)
-        believed = belief.level is BeliefLevel.ACCEPTED
-        return Registration(
-            Source.PMD_DEPTH,
-            T if believed else None,
-            belief,
-            cost_m2=sums.cost_m2,
-            inliers=sums.inliers,
-            inlier_share=sums.inliers / min(len(scene.points_m), tuning.fine_points),
-            explained_share=pose.fit.explained_share,
-            covariance=sums.covariance(T, tuning.errors) if believed else np.full((6, 6), np.nan),
-        )
+    def _registered(self, task: _Task, pose: Pose) -> Registration:
+        """Return a pose that the search found, refined and judged by the tracker."""
+        found = self._tracker.track(task.frame, pose_of(pose.R, pose.t))
+        evidence = {"mean_loss": pose.fit.mean_loss, **found.belief.evidence}
+        return replace(found, belief=replace(found.belief, evidence=evidence))
