@@ -85,6 +85,7 @@ class Comparison:
             attitudes,
             places_m,
             seen=self.seen,
+            centroid_m=self.centroid_m,
             points=self.views.few_points if roughly else self.views.points,
             squares=self.views.squares,
             image=self.image,

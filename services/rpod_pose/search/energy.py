@@ -24,7 +24,7 @@ from rpod_schemas.types import Float32Array
 
 CELLS = 96
 """Cells of the image of distances from returns, along each side."""
-NEAREST_M = np.float32(0.5)
+NEAREST_M = np.float32(0.05)
 """Least z of a point in view."""
 NOTHING_IN_VIEW = 1e9
 """Energy of an attitude with no point in view."""
@@ -66,6 +66,7 @@ def energies(
     places_m: Float32Array,
     *,
     seen: Returns,
+    centroid_m: FloatArray,
     points: Points,
     squares: FieldArrays,
     image: Image,
@@ -81,6 +82,7 @@ def energies(
         places_m: first guesses of the target's origin, sensor axes, float32, shape (M, 3); replaced by the
             aligned ones.
         seen: the measurement.
+        centroid_m: centroid of the surface that the sensor shows, sensor axes, shape (3,), m.
         points: surface points of the target.
         squares: squared distance field of the target; its border stands for all places outside.
         image: ``ReturnDistances.image`` of the scan.
@@ -93,7 +95,7 @@ def energies(
     energy = np.empty(len(attitudes), np.float32)
     sight = _Sight(
         np.ascontiguousarray(seen.downsampled(returns).T, np.float32),
-        seen.points_m.mean(axis=0).astype(np.float32),
+        centroid_m.astype(np.float32),
         Image(image.squares, *(np.float32(bound) for bound in image[1:])),
         _Echoes(np.float32(detection[0]), detection[1].astype(np.float32)),
         np.float32(truncation_m**2),
@@ -122,7 +124,7 @@ class _Sight(NamedTuple):
     returns: Float32Array
     """Measured points, sensor axes, shape (3, N), m."""
     centroid: Float32Array
-    """Centroid of all returns, sensor axes, shape (3,), m."""
+    """Centroid of the surface that the sensor shows, sensor axes, shape (3,), m."""
     image: Image
     echoes: _Echoes
     most: np.float32
