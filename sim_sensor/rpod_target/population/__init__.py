@@ -8,7 +8,7 @@ figures only.
 name its longest side is 0.2 to 3 m in place of 0.2 to 60 m.
 """
 
-from rpod_target.population.materials import MATERIALS
+from rpod_target.modelling.materials import MATERIALS
 from rpod_target.population.names import POPULATIONS, PopulationName, name_of
 from rpod_target.population.satellite import RandomSatellite, random_satellite, satellite_of
 

@@ -11,7 +11,7 @@ import trimesh
 from numpy.random import Generator
 
 from rpod_schemas.arrays import FloatArray
-from rpod_target.population.component import Component, along_x, bar, joined, placed, pose
+from rpod_target.modelling.component import Component, along_x, bar, joined, placed, pose
 from rpod_target.population.materials import BARE, FOILS
 
 BodyKind = Literal["box", "hexagon", "octagon", "cylinder", "truss"]

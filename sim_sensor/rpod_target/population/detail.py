@@ -6,8 +6,8 @@ import numpy as np
 import trimesh
 from numpy.random import Generator
 
+from rpod_target.modelling.component import Component, facing, joined, placed, places
 from rpod_target.population.bodies import MainBody
-from rpod_target.population.component import Component, facing, joined, placed, places
 from rpod_target.population.materials import FOILS
 
 _CRINKLE = 0.12

@@ -8,8 +8,9 @@ from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray
+from rpod_target.modelling.component import Component, along_x, bar, facing, joined, placed, places, pose
+from rpod_target.modelling.shapes import bell, feed_struts, panel_row, reflector
 from rpod_target.population.bodies import MainBody
-from rpod_target.population.component import Component, along_x, bar, facing, joined, placed, places, pose
 from rpod_target.population.materials import BARE, FOILS
 
 Arrays = Literal["none", "one", "two", "asymmetrical"]
@@ -55,13 +56,7 @@ def _wing(
     """Return name, mesh and material of a wing along y whose panels are turned about y."""
     thick, gap, yoke = 0.012 * chord + 0.004, 0.03 * span, 0.15 * span
     each = (span - yoke - gap * (panels - 1)) / panels
-    cells: list[trimesh.Trimesh] = []
-    backs: list[trimesh.Trimesh] = []
-    for panel in range(panels):
-        middle = radius + yoke + panel * (each + gap) + 0.5 * each
-        for side, sheets in ((1.0, cells), (-1.0, backs)):
-            sheet = trimesh.creation.box(extents=(chord, each, 0.5 * thick))
-            sheets.append(placed(sheet, pose((0.0, middle, 0.25 * side * thick))))
+    cells, backs = panel_row(panels, (chord, each), gap, thick, begin=radius + yoke)
     end = radius + yoke + (panels - 1) * (each + gap) + 0.2 * each
     mast = bar(0.8 * radius * _Y, end * _Y, 0.35 * thick + 0.01 * chord, max(6, sections // 2))
     turned = pose((0.0, 0.0, 0.0), Rotation.from_euler("y", tilt))
@@ -77,16 +72,9 @@ def dish(number: int, body: MainBody, generator: Generator, *, sections: int) ->
     point, normal = mount(body, generator)
     radius = float(generator.uniform(0.15, 0.6)) * 0.5
     depth, thick = 0.35 * radius, 0.03 * radius
-    r = np.linspace(0.0, radius, 9)
-    inner = np.column_stack((r, depth * (r / radius) ** 2 + thick))
-    outer = np.column_stack((r[::-1], depth * (r[::-1] / radius) ** 2))
-    shell = trimesh.creation.revolve(np.concatenate((inner, outer)), sections=sections)
-    if shell.volume < 0.0:
-        shell.invert()
+    shell = reflector(radius, depth, thick, sections)
     focus = np.array((0.0, 0.0, 0.9 * radius))
-    angles = 2.0 * np.pi * np.arange(3) / 3.0
-    rim = np.column_stack((0.8 * radius * np.cos(angles), 0.8 * radius * np.sin(angles), np.full(3, depth)))
-    struts = [bar(foot, focus, 0.02 * radius, 6) for foot in rim]
+    struts = feed_struts(radius, depth, focus, 0.02 * radius)
     feed = placed(
         trimesh.creation.cylinder(radius=0.1 * radius, height=0.25 * radius, sections=max(8, sections // 2)),
         pose(focus),
@@ -129,16 +117,7 @@ def nozzle(body: MainBody, generator: Generator, *, sections: int) -> Component:
         float(generator.uniform(1.8, 3.0)) * throat,
         float(generator.uniform(2.0, 5.0)) * throat,
     )
-    share = np.linspace(0.0, 1.0, 7)
-    bell = throat + (exit_radius - throat) * np.sqrt(share)
-    outer = np.column_stack((bell, -length * share))
-    inner = np.column_stack((np.maximum(bell - 0.08 * throat, 0.05 * throat), -length * share))[::-1]
-    top = [(0.0, 0.3 * length), (throat, 0.3 * length)]
-    bottom = [(0.0, -0.1 * length)]
-    profile = np.concatenate((top, outer, inner[:-1], bottom))
-    mesh = trimesh.creation.revolve(profile, sections=sections)
-    if mesh.volume < 0.0:
-        mesh.invert()
+    mesh = bell(throat, exit_radius, length, sections)
     return Component("nozzle", placed(along_x(mesh), pose((-0.5 * body.length, 0.0, 0.0))), "steel")
 
 

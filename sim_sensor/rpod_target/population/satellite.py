@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import trimesh
 import yaml
 from numpy.random import Generator
-from trimesh.visual import TextureVisuals
-from trimesh.visual.material import PBRMaterial
 
+from rpod_target.modelling.component import Component, placed
+from rpod_target.modelling.files import glb, parts
 from rpod_target.population import equipment
 from rpod_target.population.bodies import KINDS, BodyKind, MainBody, main_body
-from rpod_target.population.component import Component, placed
 from rpod_target.population.detail import crinkled, refined, screws
 from rpod_target.population.materials import drawn_materials
 from rpod_target.population.names import POPULATIONS, PopulationName, name_of, parsed
@@ -212,17 +210,7 @@ def _with_files(name: str, design: _Design, generator: Generator) -> RandomSatel
             for known, material in materials.items()
             if known in used
         },
-        "parts": [
-            {
-                "name": each.name,
-                "shape": "mesh",
-                "file": file,
-                "object": each.name,
-                "metres_per_unit": 1.0,
-                "material": each.material,
-            }
-            for each in design.components
-        ],
+        "parts": parts(design.components, file),
         "distance_field": {},
     }
     if design.symmetry is not None:
@@ -234,19 +222,5 @@ def _with_files(name: str, design: _Design, generator: Generator) -> RandomSatel
         size_m=float((high - low).max()),
         triangles=sum(len(each.mesh.faces) for each in design.components),
         parameters=yaml.safe_dump(document, sort_keys=False, width=110),
-        meshes={file: _glb(design.components)},
+        meshes={file: glb(design.components)},
     )
-
-
-def _glb(components: Sequence[Component]) -> bytes:
-    """Return the components as one file in metres, each an object with its material."""
-    scene = trimesh.Scene()
-    for each in components:
-        mesh = trimesh.Trimesh(each.mesh.vertices, each.mesh.faces, process=False)
-        material = PBRMaterial(name=each.material)  # type: ignore[no-untyped-call]
-        mesh.visual = TextureVisuals(material=material)  # type: ignore[no-untyped-call]
-        scene.add_geometry(mesh, node_name=each.name, geom_name=each.name)
-    exported = scene.export(file_type="glb")  # type: ignore[no-untyped-call]
-    if not isinstance(exported, bytes):
-        raise TypeError(f"the GLB export gave {type(exported).__name__}, not bytes")
-    return exported

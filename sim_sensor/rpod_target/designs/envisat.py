@@ -1,0 +1,397 @@
+"""ENVISAT in detail, from its published dimensions; what is not published is assumed, and said to be."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from rpod_schemas.arrays import FloatArray
+from rpod_target.designs.design import Design, around, part, upon
+from rpod_target.modelling.component import Component, along_x, bar, placed, pose
+from rpod_target.modelling.shapes import (
+    block,
+    dish,
+    dome,
+    frame,
+    panel_row,
+    tiles,
+    tube,
+)
+
+_ABOUT = """
+ENVISAT in detail, written by rpod_target/designs/envisat.py (python -m rpod_target.designs): change that
+program, not this file. Axes as in envisat-slim and envisat-bulky: the origin is the centre of the main body,
+x runs along body and solar array (the array lies at -x), y is the direction of flight, the Earth lies at -z.
+
+Published dimensions:
+- 26 m x 10 m x 5 m in orbit, x normal to the orbit plane: ESA, "Envisat space segment: overall configuration"
+- body 10 m long, of which the payload module is 7 m: ESA, press release 26-2000.
+- solar array 14 m x 5 m: ESA, on the image that Pleiades took of it in April 2012.
+- ASAR antenna 10 m x 1.3 m, 20 tiles of 0.65 m x 1 m: radartutorial.eu, card "Envisat".
+Assumed: 14 panels of the array, five of the antenna, all other dimensions and places, all materials.
+
+Mass properties: as in envisat-slim.yaml, which names the sources.
+"""
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_DOWN = (0.0, 0.0, -1.0)
+
+
+@dataclass(frozen=True)
+class Envisat:
+    """Dimensions of ENVISAT, m. Those without a source in the parameter file are assumed."""
+
+    half_length: float = 5.0
+    """Half the length of the body."""
+    service_length: float = 3.0
+    """Length of the service module with the launch adapter: the body without the payload module of 7 m."""
+    service_width: float = 2.8
+    """Width of the octagonal service module over its flats (assumed)."""
+    structure_end: float = 4.3
+    """End of the payload module's structure along x; instruments fill the rest of the body (assumed)."""
+    section: tuple[float, float] = (2.75, 2.1)
+    """Payload module along y and z (assumed)."""
+    ring_radius: float = 1.312
+    """Radius of the launch adapter's ring: half of 2.624 m (assumed)."""
+    arm: float = 2.0
+    """Distance of the array from the body."""
+    array: tuple[float, float] = (14.0, 5.0)
+    """Length and width of the solar array."""
+    panels: int = 14
+    """Number of panels of the solar array."""
+    array_height: float = 1.62
+    """Height of the array's axis over that of the body (assumed)."""
+    array_angle_deg: float = 25.0
+    """Turn of the array about its axis, which is free on the real one (assumed)."""
+    asar: tuple[float, float] = (1.3, 10.0)
+    """Width and length of the ASAR antenna."""
+    asar_panels: int = 5
+    """Number of panels of the antenna."""
+    asar_place: tuple[float, float] = (-0.9, -2.05)
+    """Centre of the antenna along x and z (assumed)."""
+    asar_tilt_deg: float = 20.0
+    """Turn of the antenna about the direction of flight (assumed)."""
+
+    def design(self) -> Design:
+        """Return the target."""
+        return Design(
+            name="envisat-detailed",
+            about=_ABOUT,
+            components=(
+                *_service_module(self),
+                *_payload_module(self),
+                *_array(self),
+                *_asar(self),
+                *_antennas(self),
+                *_instruments(self),
+            ),
+            mass={
+                "centre_of_mass_m": [-3.86, -0.01, 0.0],
+                "inertia_kg_m2": [
+                    [17023.3, 397.1, -2171.4],
+                    [397.1, 124825.7, 344.2],
+                    [-2171.4, 344.2, 129112.2],
+                ],
+            },
+            spacing_m=0.1,
+            margin_m=2.0,
+        )
+
+
+def _service_module(d: Envisat) -> list[Component]:
+    base, end = -d.half_length + 0.45, -d.half_length + d.service_length
+    across = 0.5 * d.service_width
+    octagon = trimesh.creation.cylinder(radius=across / np.cos(np.pi / 8.0), height=end - base, sections=8)
+    body = placed(octagon, pose((0.0, 0.0, 0.0), Rotation.from_euler("z", np.pi / 8.0)))
+    middle = 0.5 * (base + end)
+    flats = [45.0 * k for k in range(8)]
+    radiators, blankets, boxes = [], [], []
+    for angle in flats:
+        stand = upon(around(angle, across, middle), around(angle, 1.0, 0.0), _X)
+        if angle in (0.0, 180.0):
+            radiators += [placed(each, stand) for each in tiles((2.2, 1.0), (2, 1), gap=0.06, thick=0.03)]
+        else:
+            blankets += [placed(each, stand) for each in tiles((2.3, 1.05), (3, 1), gap=0.05, thick=0.02)]
+        if angle in (45.0, 225.0, 315.0):
+            boxes.append(placed(block((0.55, 0.45, 0.22), (0.3, 0.0, 0.1)), stand))
+            boxes.append(placed(block((0.35, 0.3, 0.16), (-0.55, 0.1, 0.07)), stand))
+    ring = placed(tube(d.ring_radius - 0.08, d.ring_radius, 0.06, 48), upon((-d.half_length, 0, 0), _X, _Y))
+    skirt = placed(
+        tube(d.ring_radius - 0.06, d.ring_radius - 0.03, 0.46, 48),
+        upon((-d.half_length + 0.03, 0, 0), _X, _Y),
+    )
+    gussets = [
+        placed(
+            block((0.36, 0.03, 0.08)),
+            upon(around(15.0 + 30.0 * k, 1.29, base - 0.2), around(15.0 + 30.0 * k, 1.0, 0.0), _X),
+        )
+        for k in range(12)
+    ]
+    tanks = [
+        placed(dome(0.4, 0.36, 16, steps=4), upon(around(90.0 * k + 45.0, 0.62, base), (-1.0, 0.0, 0.0), _Y))
+        for k in range(4)
+    ]
+    thrusters = []
+    for angle in (22.5, 67.5, 112.5, 157.5, 202.5, 247.5, 292.5, 337.5):
+        foot = around(angle, across + 0.02, base + 0.02)
+        thrusters.append(placed(block((0.14, 0.1, 0.12)), upon(foot, around(angle, 1.0, 0.0), _X)))
+        nozzle = tube(0.012, 0.025, 0.14, 8, top=0.06)
+        thrusters.append(placed(nozzle, upon(foot, (-1.0, 0.0, 0.0), _Y)))
+    return [
+        part("service-module", "gold-mli", placed(along_x(body), pose((middle, 0.0, 0.0))), *blankets),
+        part("service-radiators", "white-paint", *radiators),
+        part("service-boxes", "grey-panel", *boxes),
+        part("launch-adapter", "aluminium", ring, skirt, *gussets),
+        part("propellant-tanks", "steel", *tanks),
+        part("thrusters", "steel", *thrusters),
+    ]
+
+
+def _payload_module(d: Envisat) -> list[Component]:
+    begin, end = -d.half_length + d.service_length, d.structure_end
+    length, middle = end - begin + 0.02, 0.5 * (begin + end) - 0.01
+    y, z = 0.5 * d.section[0], 0.5 * d.section[1]
+    bays = 4
+    frames = [
+        placed(frame((d.section[0] + 0.1, d.section[1] + 0.1), wide=0.1, thick=0.08), upon((x, 0, 0), _X, _Y))
+        for x in np.linspace(begin + 0.05, end - 0.05, bays + 1)
+    ]
+    black: list[trimesh.Trimesh] = []
+    silver: list[trimesh.Trimesh] = []
+    size = (end - begin - 0.1, d.section[0] - 0.1)
+    silver += [
+        placed(each, upon((middle, 0, z), _Z, _X)) for each in tiles(size, (bays, 2), gap=0.12, thick=0.025)
+    ]
+    size = (end - begin - 0.1, d.section[1] - 0.1)
+    for side in (-1.0, 1.0):
+        stand = upon((middle, side * y, 0), (0, side, 0), _X)
+        black += [placed(each, stand) for each in tiles(size, (bays, 2), gap=0.12, thick=0.025)]
+    radiators = [
+        placed(block((1.2, 0.75, 0.07)), upon((x, side * y, height), (0, side, 0), _X))
+        for x, side, height in (
+            (-1.2, 1.0, 0.45),
+            (1.95, 1.0, 0.45),
+            (1.95, 1.0, -0.45),
+            (0.35, -1.0, 0.45),
+            (3.5, -1.0, -0.45),
+        )
+    ]
+    trays = [
+        block((length - 0.3, 0.14, 0.12), (middle, -0.55, z + 0.03)),
+        block((0.14, 1.2, 0.1), (0.1, -0.1, z + 0.03)),
+        block((length - 1.5, 0.1, 0.12), (middle + 0.4, y + 0.03, -0.02)),
+    ]
+    brackets = [
+        block((0.16, 0.24, 0.2), (x, side * (y + 0.08), -z + 0.1))
+        for x in (-1.6, -0.2)
+        for side in (-1.0, 1.0)
+    ]
+    return [
+        part("payload-module", "black-mli", block((length, 2.0 * y, 2.0 * z), (middle, 0.0, 0.0)), *black),
+        part("payload-blankets", "silver-mli", *silver),
+        part("payload-frames", "aluminium", *frames),
+        part("payload-radiators", "white-paint", *radiators),
+        part("cable-trays", "grey-panel", *trays),
+        part("hold-down-brackets", "steel", *brackets),
+    ]
+
+
+def _array(d: Envisat) -> list[Component]:
+    begin, pitch = -d.half_length - d.arm, d.array[0] / d.panels
+    panel, gap = (d.array[1], pitch - 0.03), 0.03 * d.panels / (d.panels - 1)
+    fronts, backs = panel_row(d.panels, panel, gap, 0.04, begin=0.0)
+    cells, hinges = [], []
+    for number in range(d.panels):
+        centre = (0.0, number * (panel[1] + gap) + 0.5 * panel[1], 0.015)
+        cells += [
+            placed(each, pose(centre))
+            for each in tiles((panel[0] - 0.06, panel[1] - 0.04), (5, 1), gap=0.04, thick=0.015)
+        ]
+        if number:
+            edge = number * (panel[1] + gap) - 0.5 * gap
+            hinges += [
+                block((0.12, 0.2, 0.05), (share * panel[0], edge, -0.03))
+                for share in (-0.42, -0.14, 0.14, 0.42)
+            ]
+    harness = [block((0.1, d.array[0] - 0.3, 0.03), (x, 0.5 * d.array[0], -0.03)) for x in (-0.9, 0.9)]
+    # row along -x, its panels' x along y; then the array's turn about its axis
+    lying = upon((begin, 0.0, d.array_height), _Z, _Y)
+    turned = lying @ pose((0, 0, 0), Rotation.from_euler("y", d.array_angle_deg, degrees=True))
+    yoke = [
+        bar(np.array((0.0, -0.62, 0.0)), np.array((side * 1.3, 0.14, -0.07)), 0.05, 8) for side in (-1.0, 1.0)
+    ]
+    yoke.append(bar(np.array((-1.4, 0.1, -0.06)), np.array((1.4, 0.1, -0.06)), 0.045, 8))
+    foot = -d.half_length + 0.9
+    axis = d.array_height
+    arm = [
+        bar(np.array((foot - 0.2, 0.0, axis)), np.array((begin + 0.5, 0.0, axis)), 0.1, 16),
+        block((0.9, 0.5, 0.34), (foot + 0.2, 0.0, 0.5 * d.service_width + 0.1)),
+        bar(np.array((foot + 0.1, 0.0, axis)), np.array((foot - 0.35, 0.0, axis)), 0.19, 20),
+        block((0.3, 0.32, 0.3), (begin + 0.58, 0.0, axis)),
+        block((0.22, 0.28, 0.26), (-d.half_length - 0.35, 0.0, axis)),
+    ]
+    return [
+        part("array-panels", "black-paint", *(placed(each, turned) for each in (*fronts, *backs, *harness))),
+        part("array-cells", "solar-cells", *(placed(each, turned) for each in cells)),
+        part("array-hinges", "aluminium", *(placed(each, turned) for each in (*hinges, *yoke))),
+        part("array-arm", "aluminium", *arm),
+    ]
+
+
+def _asar(d: Envisat) -> list[Component]:
+    x, z = d.asar_place
+    each = d.asar[1] / d.asar_panels
+    tilted = pose((x, 0.0, z), Rotation.from_euler("y", d.asar_tilt_deg, degrees=True)) @ upon(
+        (0, 0, 0), _DOWN, _X
+    )
+    faces, frames, boxes, hinges = [], [], [], []
+    for number in range(d.asar_panels):
+        place = tilted @ pose((0.0, (number - 0.5 * (d.asar_panels - 1)) * each, 0.0))
+        faces += [
+            placed(one, place) for one in tiles((d.asar[0], each - 0.02), (2, 2), gap=0.015, thick=0.05)
+        ]
+        frames.append(
+            placed(frame((d.asar[0] - 0.04, each - 0.06), wide=0.08, thick=0.13), place @ pose((0, 0, -0.06)))
+        )
+        frames.append(placed(block((0.07, each - 0.1, 0.11), (0.0, 0.0, -0.05)), place))
+        boxes += [
+            placed(block((0.42, 0.3, 0.12), (i * 0.32, j * 0.5, -0.05)), place)
+            for i in (-1.0, 1.0)
+            for j in (-1.0, 1.0)
+        ]
+        if number:
+            hinges += [
+                placed(block((0.1, 0.14, 0.1), (i * 0.55, -0.5 * each, -0.1)), place)
+                for i in (-1.0, 0.0, 1.0)
+            ]
+    bottom = -0.5 * d.section[1]
+    struts = []
+    for i in (-0.5, 0.5):
+        for j in (-0.85, 0.85):
+            foot = (tilted @ np.array((i, j, -0.1, 1.0)))[:3]
+            struts += [
+                bar(foot, np.array((x + 1.6 * i, 0.9 * j, bottom + 0.05)), 0.035, 8),
+                bar(foot, np.array((x - 0.5 * i, 1.2 * j, bottom + 0.05)), 0.03, 8),
+            ]
+    return [
+        part("asar-tiles", "white-paint", *faces),
+        part("asar-frames", "black-paint", *frames),
+        part("asar-boxes", "grey-panel", *boxes),
+        part("asar-struts", "aluminium", *hinges, *struts),
+    ]
+
+
+def _antennas(d: Envisat) -> list[Component]:
+    top, bottom = 0.5 * d.section[1], -0.5 * d.section[1]
+    gimbal = np.array((3.9, 0.5, 2.35))
+    ka_dish, ka_feed = dish(0.45, 28, upon((4.02, 0.5, 2.53), (0.5, 0.2, 0.85), _Y))
+    mast = [
+        bar(np.array((3.9, 0.5, top - 0.02)), gimbal, 0.055, 12),
+        bar(np.array((3.4, 0.5, top)), np.array((3.9, 0.5, 1.7)), 0.025, 8),
+        bar(np.array((3.9, 0.0, top)), np.array((3.9, 0.5, 1.7)), 0.025, 8),
+        placed(block((0.26, 0.22, 0.3)), pose(gimbal)),
+    ]
+    ra2_dish, ra2_feed = dish(0.6, 32, upon((1.35, 0.55, bottom - 0.28), _DOWN, _X))
+    ra2_stand = tube(0.2, 0.28, 0.3, 20, top=0.2)
+    mwr_dish, mwr_feed = dish(0.3, 20, upon((2.0, -1.0, bottom - 0.55), (0.1, 0.6, -0.8), _X))
+    return [
+        part("ka-band-antenna", "white-paint", ka_dish),
+        part("ka-band-mast", "aluminium", ka_feed, *mast),
+        part("ra-2-antenna", "aluminium", ra2_dish),
+        part(
+            "ra-2-feed",
+            "steel",
+            ra2_feed,
+            placed(ra2_stand, upon((1.35, 0.55, bottom + 0.01), _DOWN, _X)),
+            mwr_feed,
+        ),
+        part(
+            "mwr",
+            "grey-panel",
+            block((0.55, 0.5, 0.5), (1.95, -1.0, bottom - 0.2)),
+            mwr_dish,
+        ),
+        part(
+            "small-antennas",
+            "white-paint",
+            placed(tube(0.16, 0.2, 0.42, 20, top=0.1), upon((3.95, 0.95, bottom + 0.02), _DOWN, _X)),
+            placed(tube(0.02, 0.07, 0.3, 12, top=0.16), upon((0.45, -0.6, bottom + 0.02), _DOWN, _X)),
+            placed(tube(0.02, 0.07, 0.3, 12, top=0.16), upon((0.45, -1.1, bottom + 0.02), _DOWN, _X)),
+            bar(np.array((-1.7, 1.1, top)), np.array((-1.7, 1.5, top + 0.9)), 0.025, 8),
+            placed(tube(0.01, 0.07, 0.25, 10), upon((-1.7, 1.5, top + 0.85), (0.0, 0.4, 0.9), _X)),
+        ),
+        part(
+            "retro-reflector",
+            "steel",
+            placed(dome(0.11, 0.1, 16, steps=4), upon((3.3, 1.0, bottom + 0.01), _DOWN, _X)),
+        ),
+    ]
+
+
+def _instruments(d: Envisat) -> list[Component]:
+    top, bottom, end = 0.5 * d.section[1], -0.5 * d.section[1], d.structure_end
+    y = 0.5 * d.section[0]
+
+    def baffle(radius: float, length: float, stand: FloatArray) -> trimesh.Trimesh:
+        return placed(tube(0.82 * radius, radius, length, 20), stand)
+
+    return [
+        part(
+            "meris",
+            "gold-mli",
+            block((1.0, 1.5, 0.75), (3.0, -0.15, bottom - 0.35)),
+            *(block((0.12, 0.16, 0.1), (2.7 + 0.15 * k, -0.7 + 0.27 * k, bottom - 0.75)) for k in range(5)),
+        ),
+        part(
+            "mipas",
+            "silver-mli",
+            block((0.7, 1.25, 0.8), (end + 0.34, 0.7, 0.25)),
+            placed(block((0.5, 0.45, 1.1)), upon((end + 0.4, 1.2, 0.75), (0.0, 0.35, 0.94), _X)),
+        ),
+        part(
+            "sciamachy",
+            "gold-mli",
+            block((0.6, 1.15, 0.85), (end + 0.29, -0.72, 0.35)),
+            block((0.35, 0.6, 0.3), (end + 0.17, -0.72, -0.2)),
+        ),
+        part(
+            "cooler-radiators",
+            "white-paint",
+            block((0.04, 1.0, 0.7), (end + 0.61, -0.72, 0.35)),
+            block((0.5, 0.05, 0.6), (end + 0.3, -1.32, 0.35)),
+        ),
+        part(
+            "gomos",
+            "black-mli",
+            block((0.65, 0.8, 0.6), (end + 0.31, 0.35, -0.62)),
+            baffle(0.26, 0.5, upon((end + 0.33, -0.02, -0.62), (0.0, -1.0, 0.0), _X)),
+        ),
+        part(
+            "aatsr",
+            "silver-mli",
+            block((0.9, 0.55, 0.8), (3.3, y + 0.25, -0.45)),
+            baffle(0.17, 0.3, upon((3.05, y + 0.27, bottom + 0.23), _DOWN, _X)),
+            baffle(0.17, 0.35, upon((3.55, y + 0.27, bottom + 0.3), (0.0, 0.5, -0.85), _X)),
+        ),
+        part(
+            "star-trackers",
+            "black-paint",
+            *(
+                baffle(0.11, 0.38, upon((x, across, top + 0.05), (tilt, 0.3, 0.9), _X))
+                for x, across, tilt in ((-0.9, 0.8, 0.4), (-1.2, 0.3, -0.4), (2.7, -0.95, 0.3))
+            ),
+            *(
+                block((0.24, 0.24, 0.14), (x, across, top + 0.06))
+                for x, across in ((-0.9, 0.8), (-1.2, 0.3), (2.7, -0.95))
+            ),
+        ),
+        part(
+            "payload-boxes",
+            "grey-panel",
+            block((0.7, 0.5, 0.3), (1.1, 0.7, top + 0.14)),
+            block((0.45, 0.4, 0.25), (2.0, 0.6, top + 0.11)),
+            block((0.6, 0.2, 0.5), (-0.4, -y - 0.09, -0.5)),
+            block((0.5, 0.25, 0.45), (1.9, -y - 0.11, -0.5)),
+            block((0.35, 0.2, 0.3), (2.7, -y - 0.09, 0.5)),
+        ),
+    ]

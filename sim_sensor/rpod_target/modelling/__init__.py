@@ -1,0 +1,1 @@
+"""What the random satellites and the shipped designs are made of: components, shapes, and their files."""
