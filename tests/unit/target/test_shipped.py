@@ -21,7 +21,8 @@ PACKAGE = Path(rpod_target.__file__).parent
 def shipped(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Target]:
     """Every shipped target, on a distance field of ten times the spacing: building is quick then."""
     folder = tmp_path_factory.mktemp("shipped")
-    (folder / "envisat_mesh").symlink_to(PACKAGE / "targets" / "envisat_mesh")
+    for meshes in ("envisat_mesh", "meshes"):
+        (folder / meshes).symlink_to(PACKAGE / "targets" / meshes)
     targets = {}
     for name in shipped_targets():
         text = (PACKAGE / "targets" / f"{name}.yaml").read_text()
@@ -41,11 +42,14 @@ def extent_m(target: Target, *parts: str) -> tuple[list[float], list[float]]:
 def test_these_ship() -> None:
     assert shipped_targets() == (
         "envisat-bulky",
+        "envisat-detailed",
         "envisat-mesh",
         "envisat-slim",
         "hexagonal-body",
         "mockup",
         "rocket-stage",
+        "telecom-satellite",
+        "upper-stage",
     )
 
 
@@ -194,7 +198,7 @@ def test_the_mesh_stands_like_the_cuboids(shipped: dict[str, Target]) -> None:
     assert np.ptp(antenna[:, 1]) == pytest.approx(9.066, abs=2e-3)
 
 
-@pytest.mark.parametrize("name", ["envisat-slim", "envisat-bulky", "envisat-mesh"])
+@pytest.mark.parametrize("name", ["envisat-slim", "envisat-bulky", "envisat-mesh", "envisat-detailed"])
 def test_envisat_turns_most_easily_about_its_long_axis(name: str, shipped: dict[str, Target]) -> None:
     moments = np.diag(shipped[name].inertia_kg_m2)
     assert np.argmin(moments) == np.argmax(np.ptp(shipped[name].triangles_m, axis=(0, 1)))
