@@ -34,7 +34,7 @@ Assumed: 14 panels of the array, five of the antenna, all other dimensions and p
 Mass properties: as in envisat-slim.yaml, which names the sources.
 """
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-_DOWN = (0.0, 0.0, -1.0)
+_BACK, _DOWN = (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True)
@@ -99,14 +99,13 @@ class Envisat:
 
 
 def _service_module(d: Envisat) -> list[Component]:
+    """Return the octagonal service module: its launch adapter lies at the -x end of the body."""
     base, end = -d.half_length + 0.45, -d.half_length + d.service_length
-    across = 0.5 * d.service_width
+    across, middle = 0.5 * d.service_width, 0.5 * (base + end)
     octagon = trimesh.creation.cylinder(radius=across / np.cos(np.pi / 8.0), height=end - base, sections=8)
     body = placed(octagon, pose((0.0, 0.0, 0.0), Rotation.from_euler("z", np.pi / 8.0)))
-    middle = 0.5 * (base + end)
-    flats = [45.0 * k for k in range(8)]
     radiators, blankets, boxes = [], [], []
-    for angle in flats:
+    for angle in 45.0 * np.arange(8):
         stand = upon(around(angle, across, middle), around(angle, 1.0, 0.0), _X)
         if angle in (0.0, 180.0):
             radiators += [placed(each, stand) for each in tiles((2.2, 1.0), (2, 1), gap=0.06, thick=0.03)]
@@ -115,32 +114,35 @@ def _service_module(d: Envisat) -> list[Component]:
         if angle in (45.0, 225.0, 315.0):
             boxes.append(placed(block((0.55, 0.45, 0.22), (0.3, 0.0, 0.1)), stand))
             boxes.append(placed(block((0.35, 0.3, 0.16), (-0.55, 0.1, 0.07)), stand))
+    return [
+        part("service-module", "gold-mli", placed(along_x(body), pose((middle, 0.0, 0.0))), *blankets),
+        part("service-radiators", "white-paint", *radiators),
+        part("service-boxes", "grey-panel", *boxes),
+        *_launch_face(d, base),
+    ]
+
+
+def _launch_face(d: Envisat, base: float) -> list[Component]:
+    """Return the ring of the launch adapter on its skirt, the tanks inside of it, and thrusters around it."""
     ring = placed(tube(d.ring_radius - 0.08, d.ring_radius, 0.06, 48), upon((-d.half_length, 0, 0), _X, _Y))
     skirt = placed(
         tube(d.ring_radius - 0.06, d.ring_radius - 0.03, 0.46, 48),
         upon((-d.half_length + 0.03, 0, 0), _X, _Y),
     )
     gussets = [
-        placed(
-            block((0.36, 0.03, 0.08)),
-            upon(around(15.0 + 30.0 * k, 1.29, base - 0.2), around(15.0 + 30.0 * k, 1.0, 0.0), _X),
-        )
-        for k in range(12)
+        placed(block((0.36, 0.03, 0.08)), upon(around(angle, 1.29, base - 0.2), around(angle, 1.0, 0.0), _X))
+        for angle in 15.0 + 30.0 * np.arange(12)
     ]
     tanks = [
-        placed(dome(0.4, 0.36, 16, steps=4), upon(around(90.0 * k + 45.0, 0.62, base), (-1.0, 0.0, 0.0), _Y))
-        for k in range(4)
+        placed(dome(0.4, 0.36, 16, steps=4), upon(around(angle, 0.62, base), _BACK, _Y))
+        for angle in 45.0 + 90.0 * np.arange(4)
     ]
     thrusters = []
-    for angle in (22.5, 67.5, 112.5, 157.5, 202.5, 247.5, 292.5, 337.5):
-        foot = around(angle, across + 0.02, base + 0.02)
+    for angle in 22.5 + 45.0 * np.arange(8):
+        foot = around(angle, 0.5 * d.service_width + 0.02, base + 0.02)
         thrusters.append(placed(block((0.14, 0.1, 0.12)), upon(foot, around(angle, 1.0, 0.0), _X)))
-        nozzle = tube(0.012, 0.025, 0.14, 8, top=0.06)
-        thrusters.append(placed(nozzle, upon(foot, (-1.0, 0.0, 0.0), _Y)))
+        thrusters.append(placed(tube(0.012, 0.025, 0.14, 8, top=0.06), upon(foot, _BACK, _Y)))
     return [
-        part("service-module", "gold-mli", placed(along_x(body), pose((middle, 0.0, 0.0))), *blankets),
-        part("service-radiators", "white-paint", *radiators),
-        part("service-boxes", "grey-panel", *boxes),
         part("launch-adapter", "aluminium", ring, skirt, *gussets),
         part("propellant-tanks", "steel", *tanks),
         part("thrusters", "steel", *thrusters),
@@ -148,32 +150,32 @@ def _service_module(d: Envisat) -> list[Component]:
 
 
 def _payload_module(d: Envisat) -> list[Component]:
+    """Return the box of the payload module with frames and blankets; its -z face carries the instruments."""
     begin, end = -d.half_length + d.service_length, d.structure_end
     length, middle = end - begin + 0.02, 0.5 * (begin + end) - 0.01
     y, z = 0.5 * d.section[0], 0.5 * d.section[1]
-    bays = 4
+    bays, covered = 4, end - begin - 0.1
     frames = [
         placed(frame((d.section[0] + 0.1, d.section[1] + 0.1), wide=0.1, thick=0.08), upon((x, 0, 0), _X, _Y))
         for x in np.linspace(begin + 0.05, end - 0.05, bays + 1)
     ]
-    black: list[trimesh.Trimesh] = []
-    silver: list[trimesh.Trimesh] = []
-    size = (end - begin - 0.1, d.section[0] - 0.1)
-    silver += [
-        placed(each, upon((middle, 0, z), _Z, _X)) for each in tiles(size, (bays, 2), gap=0.12, thick=0.025)
+    silver = [
+        placed(each, upon((middle, 0, z), _Z, _X))
+        for each in tiles((covered, d.section[0] - 0.1), (bays, 2), gap=0.12, thick=0.025)
     ]
-    size = (end - begin - 0.1, d.section[1] - 0.1)
-    for side in (-1.0, 1.0):
-        stand = upon((middle, side * y, 0), (0, side, 0), _X)
-        black += [placed(each, stand) for each in tiles(size, (bays, 2), gap=0.12, thick=0.025)]
+    black = [
+        placed(each, upon((middle, side * y, 0), (0, side, 0), _X))
+        for side in (-1.0, 1.0)
+        for each in tiles((covered, d.section[1] - 0.1), (bays, 2), gap=0.12, thick=0.025)
+    ]
     radiators = [
         placed(block((1.2, 0.75, 0.07)), upon((x, side * y, height), (0, side, 0), _X))
         for x, side, height in (
-            (-1.2, 1.0, 0.45),
-            (1.95, 1.0, 0.45),
-            (1.95, 1.0, -0.45),
-            (0.35, -1.0, 0.45),
-            (3.5, -1.0, -0.45),
+            (-1.2, 1, 0.45),
+            (1.95, 1, 0.45),
+            (1.95, 1, -0.45),
+            (0.35, -1, 0.45),
+            (3.5, -1, -0.45),
         )
     ]
     trays = [
@@ -197,6 +199,7 @@ def _payload_module(d: Envisat) -> list[Component]:
 
 
 def _array(d: Envisat) -> list[Component]:
+    """Return the solar array, turned about its axis, and the arm that carries it."""
     begin, pitch = -d.half_length - d.arm, d.array[0] / d.panels
     panel, gap = (d.array[1], pitch - 0.03), 0.03 * d.panels / (d.panels - 1)
     fronts, backs = panel_row(d.panels, panel, gap, 0.04, begin=0.0)
@@ -217,28 +220,32 @@ def _array(d: Envisat) -> list[Component]:
     # row along -x, its panels' x along y; then the array's turn about its axis
     lying = upon((begin, 0.0, d.array_height), _Z, _Y)
     turned = lying @ pose((0, 0, 0), Rotation.from_euler("y", d.array_angle_deg, degrees=True))
-    yoke = [
-        bar(np.array((0.0, -0.62, 0.0)), np.array((side * 1.3, 0.14, -0.07)), 0.05, 8) for side in (-1.0, 1.0)
-    ]
-    yoke.append(bar(np.array((-1.4, 0.1, -0.06)), np.array((1.4, 0.1, -0.06)), 0.045, 8))
-    foot = -d.half_length + 0.9
-    axis = d.array_height
-    arm = [
-        bar(np.array((foot - 0.2, 0.0, axis)), np.array((begin + 0.5, 0.0, axis)), 0.1, 16),
-        block((0.9, 0.5, 0.34), (foot + 0.2, 0.0, 0.5 * d.service_width + 0.1)),
-        bar(np.array((foot + 0.1, 0.0, axis)), np.array((foot - 0.35, 0.0, axis)), 0.19, 20),
-        block((0.3, 0.32, 0.3), (begin + 0.58, 0.0, axis)),
-        block((0.22, 0.28, 0.26), (-d.half_length - 0.35, 0.0, axis)),
-    ]
+    yoke = [bar((0.0, -0.62, 0.0), (side * 1.3, 0.14, -0.07), 0.05, 8) for side in (-1.0, 1.0)]
+    yoke.append(bar((-1.4, 0.1, -0.06), (1.4, 0.1, -0.06), 0.045, 8))
     return [
         part("array-panels", "black-paint", *(placed(each, turned) for each in (*fronts, *backs, *harness))),
         part("array-cells", "solar-cells", *(placed(each, turned) for each in cells)),
         part("array-hinges", "aluminium", *(placed(each, turned) for each in (*hinges, *yoke))),
-        part("array-arm", "aluminium", *arm),
+        _arm(d, begin),
     ]
 
 
+def _arm(d: Envisat, end: float) -> Component:
+    """Return the arm from the drive on the service module to the yoke of the array, which begins at an x."""
+    foot, axis = -d.half_length + 0.9, d.array_height
+    return part(
+        "array-arm",
+        "aluminium",
+        bar((foot - 0.2, 0.0, axis), (end + 0.5, 0.0, axis), 0.1, 16),
+        block((0.9, 0.5, 0.34), (foot + 0.2, 0.0, 0.5 * d.service_width + 0.1)),
+        bar((foot + 0.1, 0.0, axis), (foot - 0.35, 0.0, axis), 0.19, 20),
+        block((0.3, 0.32, 0.3), (end + 0.58, 0.0, axis)),
+        block((0.22, 0.28, 0.26), (-d.half_length - 0.35, 0.0, axis)),
+    )
+
+
 def _asar(d: Envisat) -> list[Component]:
+    """Return the radar antenna: tiles below, frames and electronics above, struts to the body."""
     x, z = d.asar_place
     each = d.asar[1] / d.asar_panels
     tilted = pose((x, 0.0, z), Rotation.from_euler("y", d.asar_tilt_deg, degrees=True)) @ upon(
@@ -270,8 +277,8 @@ def _asar(d: Envisat) -> list[Component]:
         for j in (-0.85, 0.85):
             foot = (tilted @ np.array((i, j, -0.1, 1.0)))[:3]
             struts += [
-                bar(foot, np.array((x + 1.6 * i, 0.9 * j, bottom + 0.05)), 0.035, 8),
-                bar(foot, np.array((x - 0.5 * i, 1.2 * j, bottom + 0.05)), 0.03, 8),
+                bar(foot, (x + 1.6 * i, 0.9 * j, bottom + 0.05), 0.035, 8),
+                bar(foot, (x - 0.5 * i, 1.2 * j, bottom + 0.05), 0.03, 8),
             ]
     return [
         part("asar-tiles", "white-paint", *faces),
@@ -282,13 +289,14 @@ def _asar(d: Envisat) -> list[Component]:
 
 
 def _antennas(d: Envisat) -> list[Component]:
+    """Return the Ka-band antenna on its mast, altimeter, radiometer, and small antennas."""
     top, bottom = 0.5 * d.section[1], -0.5 * d.section[1]
     gimbal = np.array((3.9, 0.5, 2.35))
     ka_dish, ka_feed = dish(0.45, 28, upon((4.02, 0.5, 2.53), (0.5, 0.2, 0.85), _Y))
     mast = [
-        bar(np.array((3.9, 0.5, top - 0.02)), gimbal, 0.055, 12),
-        bar(np.array((3.4, 0.5, top)), np.array((3.9, 0.5, 1.7)), 0.025, 8),
-        bar(np.array((3.9, 0.0, top)), np.array((3.9, 0.5, 1.7)), 0.025, 8),
+        bar((3.9, 0.5, top - 0.02), gimbal, 0.055, 12),
+        bar((3.4, 0.5, top), (3.9, 0.5, 1.7), 0.025, 8),
+        bar((3.9, 0.0, top), (3.9, 0.5, 1.7), 0.025, 8),
         placed(block((0.26, 0.22, 0.3)), pose(gimbal)),
     ]
     ra2_dish, ra2_feed = dish(0.6, 32, upon((1.35, 0.55, bottom - 0.28), _DOWN, _X))
@@ -317,7 +325,7 @@ def _antennas(d: Envisat) -> list[Component]:
             placed(tube(0.16, 0.2, 0.42, 20, top=0.1), upon((3.95, 0.95, bottom + 0.02), _DOWN, _X)),
             placed(tube(0.02, 0.07, 0.3, 12, top=0.16), upon((0.45, -0.6, bottom + 0.02), _DOWN, _X)),
             placed(tube(0.02, 0.07, 0.3, 12, top=0.16), upon((0.45, -1.1, bottom + 0.02), _DOWN, _X)),
-            bar(np.array((-1.7, 1.1, top)), np.array((-1.7, 1.5, top + 0.9)), 0.025, 8),
+            bar((-1.7, 1.1, top), (-1.7, 1.5, top + 0.9), 0.025, 8),
             placed(tube(0.01, 0.07, 0.25, 10), upon((-1.7, 1.5, top + 0.85), (0.0, 0.4, 0.9), _X)),
         ),
         part(
@@ -329,6 +337,7 @@ def _antennas(d: Envisat) -> list[Component]:
 
 
 def _instruments(d: Envisat) -> list[Component]:
+    """Return the instruments at the +x end and on the -z face, star trackers, and boxes."""
     top, bottom, end = 0.5 * d.section[1], -0.5 * d.section[1], d.structure_end
     y = 0.5 * d.section[0]
 

@@ -66,6 +66,7 @@ class Telecom:
 
 
 def _bus(d: Telecom) -> list[Component]:
+    """Return the bus: blankets on four sides, radiators on the sides of the wings, boxes."""
     x, y, z = 0.5 * np.array(d.bus)
     blankets: list[trimesh.Trimesh] = []
     mirrors: list[trimesh.Trimesh] = []
@@ -100,6 +101,7 @@ def _bus(d: Telecom) -> list[Component]:
 
 
 def _thrusters(d: Telecom) -> list[trimesh.Trimesh]:
+    """Return pairs of thrusters at the corners of the -x face, and single ones at +z and -z."""
     x, y, z = 0.5 * np.array(d.bus)
     found = []
     for across in (-1.0, 1.0):
@@ -118,6 +120,7 @@ def _thrusters(d: Telecom) -> list[trimesh.Trimesh]:
 
 
 def _docking_face(d: Telecom) -> list[Component]:
+    """Return what a servicing vehicle meets: the adapter's ring around the nozzle of the apogee engine."""
     x = -0.5 * d.bus[0]
     radius, stand = d.ring_radius, upon((x + 0.01, 0.0, 0.0), _BACK, _Y)
     skirt = tube(radius - 0.03, radius + 0.05, 0.2, 40, top=radius - 0.015)
@@ -136,6 +139,7 @@ def _docking_face(d: Telecom) -> list[Component]:
 
 
 def _wings(d: Telecom) -> list[Component]:
+    """Return both wings: panels on a yoke; the southern one is the northern one turned by half a turn."""
     root, gap = 0.5 * d.bus[1] + 0.1, 0.04
     begin = root + d.yoke
     fronts, backs = panel_row(d.panels, d.panel, gap, 0.04, begin=begin)
@@ -154,18 +158,16 @@ def _wings(d: Telecom) -> list[Component]:
         edge = middle - 0.5 * d.panel[1] - 0.5 * gap
         hinges += [block((0.1, 0.16, 0.05), (share * d.panel[0], edge, -0.03)) for share in (-0.35, 0.35)]
     foot = np.array((0.0, root + 0.15, 0.0))
-    yoke = [
-        bar(foot, np.array((side * 0.35 * d.panel[0], begin - 0.03, -0.03)), 0.035, 8) for side in (-1.0, 1.0)
-    ]
+    yoke = [bar(foot, (side * 0.35 * d.panel[0], begin - 0.03, -0.03), 0.035, 8) for side in (-1.0, 1.0)]
     yoke.append(
         bar(
-            np.array((-0.22 * d.panel[0], begin - 0.5, -0.02)),
-            np.array((0.22 * d.panel[0], begin - 0.5, -0.02)),
+            (-0.22 * d.panel[0], begin - 0.5, -0.02),
+            (0.22 * d.panel[0], begin - 0.5, -0.02),
             0.025,
             8,
         )
     )
-    drive = bar(np.array((0.0, root - 0.12, 0.0)), np.array((0.0, root + 0.2, 0.0)), 0.13, 20)
+    drive = bar((0.0, root - 0.12, 0.0), (0.0, root + 0.2, 0.0), 0.13, 20)
     turn = Rotation.from_euler("y", 90.0 - d.wing_angle_deg, degrees=True)
     found = []
     # a half turn about the x axis of the satellite gives the other wing; its cells must face alike
@@ -205,6 +207,7 @@ def _reflector(
 
 
 def _reflectors(d: Telecom) -> list[Component]:
+    """Return the deployed reflectors on their arms."""
     z = 0.5 * d.bus[2]
     shells, structures = [], []
     for radius, across, side in zip(d.reflectors, (0.62, -0.72, 0.1), (1.0, 1.0, -1.0), strict=True):
@@ -220,6 +223,7 @@ def _reflectors(d: Telecom) -> list[Component]:
 
 
 def _earth_deck(d: Telecom) -> list[Component]:
+    """Return what stands on the +x face: feeds, a small antenna on a tower, sensors, a mast."""
     x = 0.5 * d.bus[0]
     horns = []
     for across, up, aim in ((0.55, 0.75, 0.45), (-0.6, 0.75, 0.45), (0.1, -0.8, -0.45), (-0.35, -0.8, -0.4)):
@@ -232,8 +236,8 @@ def _earth_deck(d: Telecom) -> list[Component]:
     ]
     sub_dish, sub_feed = dish(0.38, 24, upon((x + 0.85, -0.05, 0.05), (1.0, 0.15, 0.1), _Y))
     mast = [
-        bar(np.array((x, 0.95, -0.7)), np.array((x + 1.4, 0.95, -0.7)), 0.03, 8),
-        bar(np.array((x, 0.6, -0.7)), np.array((x + 0.7, 0.95, -0.7)), 0.02, 6),
+        bar((x, 0.95, -0.7), (x + 1.4, 0.95, -0.7), 0.03, 8),
+        bar((x, 0.6, -0.7), (x + 0.7, 0.95, -0.7), 0.02, 6),
     ]
     omni = placed(tube(0.03, 0.07, 0.3, 12, top=0.06), upon((x + 1.38, 0.95, -0.7), _X, _Y))
     trackers, feet = [], []

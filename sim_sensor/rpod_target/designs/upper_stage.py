@@ -81,6 +81,7 @@ def _ring(
 
 
 def _stringers(d: UpperStage, begin: float) -> list[trimesh.Trimesh]:
+    """Return the stringers on a skirt that begins at an x."""
     return [
         placed(
             block((d.skirt - 0.1, 0.05, 0.06)),
@@ -91,6 +92,7 @@ def _stringers(d: UpperStage, begin: float) -> list[trimesh.Trimesh]:
 
 
 def _hydrogen_tank(d: UpperStage) -> list[Component]:
+    """Return the domed tank with the lands of its welds, and the skirts at its ends."""
     half = 0.5 * d.barrel
     barrel = trimesh.creation.cylinder(radius=d.radius, height=d.barrel, sections=_SIDES)
     fore = placed(
@@ -117,6 +119,7 @@ def _hydrogen_tank(d: UpperStage) -> list[Component]:
 
 
 def _fore(d: UpperStage) -> list[Component]:
+    """Return the equipment around the cone of the payload adapter, and its ring."""
     shelf = 0.5 * d.barrel + d.skirt
     end = shelf + d.adapter
     cone = _ring(1.48, 1.52, shelf - 0.05, d.adapter, top=d.ring_radius + 0.01)
@@ -150,6 +153,7 @@ def _fore(d: UpperStage) -> list[Component]:
 
 
 def _oxygen_tank(d: UpperStage) -> list[Component]:
+    """Return the oxygen tank, the truss that carries it, and pressure bottles."""
     across, along = d.oxygen
     place = d.oxygen_place
     top = -0.5 * d.barrel - d.skirt + 0.05
@@ -177,6 +181,7 @@ def _oxygen_tank(d: UpperStage) -> list[Component]:
 
 
 def _engine(d: UpperStage) -> list[Component]:
+    """Return the engine below the oxygen tank."""
     throat, exit_radius, length = d.nozzle
     gimbal = d.oxygen_place - d.oxygen[1] - 0.25
     seat = gimbal - 0.55
@@ -186,10 +191,10 @@ def _engine(d: UpperStage) -> list[Component]:
     ]
     chamber = placed(tube(0.08, 0.2, 0.55, 24, top=throat + 0.02), upon((gimbal, 0.0, 0.0), _BACK, _Y))
     pumps = [
-        bar(np.array((gimbal - 0.1, 0.42, 0.1)), np.array((gimbal - 0.65, 0.42, 0.1)), 0.14, 16),
-        bar(np.array((gimbal - 0.1, -0.38, -0.12)), np.array((gimbal - 0.5, -0.38, -0.12)), 0.12, 16),
-        bar(np.array((gimbal - 0.35, 0.42, 0.1)), np.array((gimbal - 0.45, 0.0, 0.0)), 0.06, 8),
-        bar(np.array((gimbal - 0.3, -0.38, -0.12)), np.array((gimbal - 0.4, 0.0, 0.0)), 0.06, 8),
+        bar((gimbal - 0.1, 0.42, 0.1), (gimbal - 0.65, 0.42, 0.1), 0.14, 16),
+        bar((gimbal - 0.1, -0.38, -0.12), (gimbal - 0.5, -0.38, -0.12), 0.12, 16),
+        bar((gimbal - 0.35, 0.42, 0.1), (gimbal - 0.45, 0.0, 0.0), 0.06, 8),
+        bar((gimbal - 0.3, -0.38, -0.12), (gimbal - 0.4, 0.0, 0.0), 0.06, 8),
         block((0.3, 0.22, 0.26), (gimbal - 0.25, 0.05, 0.36)),
     ]
     actuators = [
@@ -213,6 +218,7 @@ def _engine(d: UpperStage) -> list[Component]:
 
 
 def _outside(d: UpperStage) -> list[Component]:
+    """Return what tells the attitudes about x apart: tunnel, lines, thruster pods, hatch."""
     half = 0.5 * d.barrel
     place = d.oxygen_place
 

@@ -1,4 +1,4 @@
-"""A component of a random satellite, and how components are placed."""
+"""A component of a satellite, and how components are placed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -69,7 +69,9 @@ def places(mesh: trimesh.Trimesh, count: int, generator: Generator) -> tuple[Flo
     return np.asarray(sampled[0], float), np.asarray(mesh.face_normals[np.asarray(sampled[1])], float)
 
 
-def bar(begin: FloatArray, end: FloatArray, radius: float, sections: int) -> trimesh.Trimesh:
+def bar(
+    begin: Sequence[float] | FloatArray, end: Sequence[float] | FloatArray, radius: float, sections: int
+) -> trimesh.Trimesh:
     """Return a round bar between two points."""
     found: trimesh.Trimesh = trimesh.creation.cylinder(
         radius=radius, segment=np.array([begin, end]), sections=sections
