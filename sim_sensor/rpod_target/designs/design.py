@@ -21,10 +21,7 @@ Coordinates = Sequence[float] | FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A target that a program builds from its dimensions, all in metres and target axes.
-
-    It has no symmetry: ``rpod target new`` finds no turn of any shipped design that the sensors leave open.
-    """
+    """A target that a program builds from its dimensions, all in metres and target axes."""
 
     name: str
     about: str
@@ -36,6 +33,8 @@ class Design:
     """Spacing of the distance field."""
     margin_m: float
     """Extent of the distance field beyond the target."""
+    symmetries: tuple[dict[str, Any], ...] = ()
+    """Symmetries as in the parameter file."""
     own_materials: dict[str, MaterialParameters] = field(default_factory=dict)
     """Materials beside the common ones."""
 
@@ -57,7 +56,7 @@ class Design:
             },
             "parts": parts(self.components, self.mesh_file),
             "distance_field": {"spacing_m": self.spacing_m, "margin_m": self.margin_m},
-            "symmetries": [],
+            "symmetries": list(self.symmetries),
         }
         head = "".join(f"# {line}".rstrip() + "\n" for line in self.about.strip().splitlines())
         return head + yaml.safe_dump(document, sort_keys=False, width=110, default_flow_style=None)

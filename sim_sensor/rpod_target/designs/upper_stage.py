@@ -20,7 +20,8 @@ Published: the diameter, 4 m, is that of the H-IIA (Spaceflight101, "H-IIA launc
 payload adapter, 1.666 m (Proton Launch System Mission Planner's Guide, revision 7, appendix D, adapter
 1666V). All else is assumed: dimensions, materials, and 3,000 kg spread evenly over the surfaces.
 
-A tunnel, two lines, thruster pods and boxes are all that tells its attitudes about x apart.
+A tunnel, two lines, thruster pods and boxes are all that tells its attitudes about x apart: it is nearly
+symmetric to any turn about x, of which the file declares twelve.
 """
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _BACK = (-1.0, 0.0, 0.0)
@@ -69,6 +70,7 @@ class UpperStage:
             mass={"mass_kg": 3000.0, "mass_spread": "surface"},
             spacing_m=0.075,
             margin_m=1.5,
+            symmetries=({"axis": list(_X), "order": 12},),
             own_materials={"foam": _FOAM},
         )
 
