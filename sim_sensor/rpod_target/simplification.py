@@ -5,6 +5,8 @@ SIGGRAPH 1997; by meshoptimizer). The method's own error is no bound, so the res
 file's surface, in both directions, and more triangles are kept until it is within the limit.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from rpod_schemas.arrays import FloatArray
@@ -19,20 +21,21 @@ _PLACES = 200_000
 
 
 def simplified(
-    triangles: FloatArray, *, largest_error: float
+    triangles: FloatArray, *, largest_error: float, steps: Sequence[int] = _STEPS
 ) -> tuple[FloatArray, Indices, tuple[int, int, float] | None]:
     """Return triangles that stand for others, within an error.
 
     Args:
         triangles: corners, shape (T, 3, 3).
         largest_error: largest distance between the two surfaces, in the triangles' unit.
+        steps: numbers of triangles that are tried, smallest first. A mesh of no more than the first stays.
 
     Returns:
         Triangles, shape (S, 3, 3); for each, the index of the triangle that it stands for, shape (S,); and,
         if they are not the same, their number, T and the measured distance.
     """
     same = np.arange(len(triangles))
-    if len(triangles) <= ENOUGH:
+    if len(triangles) <= steps[0]:
         return triangles, same, None
     import meshoptimizer  # noqa: PLC0415 - only large meshes need it
 
@@ -41,7 +44,7 @@ def simplified(
     corners[index.ravel()] = triangles.reshape(-1, 3)
     single = np.ascontiguousarray((corners - corners.mean(axis=0)).astype(np.float32))
     faces = index[(index != np.roll(index, -1, axis=1)).all(axis=1)].astype(np.uint32)
-    for count in _STEPS:
+    for count in steps:
         if count >= len(faces):
             break
         chosen = np.empty(faces.size, np.uint32)

@@ -30,6 +30,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdModelConfig
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
+from rpod_target.simplification import simplified
 
 STEEPEST = 0.1
 """Least cosine of incidence in the effect of the slack along the ray."""
@@ -41,12 +42,18 @@ BLURRED_PX = 1.5
 """Distance over which the outline may light pixels: half a pixel's own width, and one of the 3 x 3 median."""
 MARGIN = 6
 """Rows and columns beside the lit pixels that a pose may reach."""
+SIMPLER = 1_500, 4_000, 10_000
+"""Numbers of triangles to which a mesh is simplified: hundreds of poses are rendered in a search."""
+SIMPLER_SHARE = 0.005
+"""Greatest error of that, over the longest side: a fifth of a coarse pixel, of which 40 are on the target."""
+LEAST_AREA = 1e-30
+"""Least area in a division, m2."""
 GAIN_STRIDE = 3
 """Stride of the pixels from which the gain is estimated."""
 
 
 class Surface(NamedTuple):
-    """The target with its expected brightness."""
+    """The target with its expected brightness, simplified within a fraction of a coarse pixel."""
 
     triangles_m: FloatArray
     """Corners, target axes, shape (T, 3, 3)."""
@@ -56,6 +63,17 @@ class Surface(NamedTuple):
     """Median albedo of each triangle's class, shape (T,)."""
     sigma_log: FloatArray
     """Standard deviation of the albedo's logarithm, shape (T,)."""
+
+    @classmethod
+    def of(cls, target: Target) -> "Surface":
+        """Return the surface of a target."""
+        size_m = float(np.ptp(target.triangles_m.reshape(-1, 3), axis=0).max())
+        triangles_m, which, _ = simplified(
+            target.triangles_m, largest_error=SIMPLER_SHARE * size_m, steps=SIMPLER
+        )
+        normals = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), LEAST_AREA)
+        return cls(np.ascontiguousarray(triangles_m), normals, albedos(target)[which], spreads(target)[which])
 
 
 class Seen(NamedTuple):
@@ -140,20 +158,23 @@ class PmdFitter:
 
     Args:
         config: assumptions about the frame.
-        target: the target to render.
+        surface: the target to render.
         scene: the frame's coarse pixels.
         known_materials: whether the materials are those of the target file; if not, only the shape counts.
     """
 
     def __init__(
-        self, config: PmdModelConfig, target: Target, scene: PmdScene, *, known_materials: bool = True
+        self, config: PmdModelConfig, surface: Surface, scene: PmdScene, *, known_materials: bool = True
     ) -> None:
+        if not known_materials:
+            certain_at_most = np.maximum(surface.sigma_log, config.strange_log_amplitude)
+            surface = surface._replace(sigma_log=certain_at_most)
         block = _around(scene.lit | scene.blind)
         noise_m = np.minimum(scene.sigma_m, config.most_noise_m)
         amplitude = np.log(np.maximum(scene.amplitude, np.float32(0.1)))
         shape = noise_m[block].shape
         self._compared = Comparison(
-            _surface(target, config, known_materials=known_materials),
+            surface,
             scene.view.coarse.block(*block),
             Seen(
                 range_m=np.ascontiguousarray(scene.range_m[block]),
@@ -201,19 +222,6 @@ class PmdFitter:
         """
         refined: tuple[FloatArray, FloatArray] = _outline_refined(self._compared, R, t, deviations, draws)
         return refined
-
-
-def _surface(target: Target, config: PmdModelConfig, *, known_materials: bool) -> Surface:
-    """Return the target with its expected brightness, which is less certain if materials are unknown."""
-    sigma_log = spreads(target)
-    if not known_materials:
-        sigma_log = np.maximum(sigma_log, config.strange_log_amplitude)
-    return Surface(
-        np.ascontiguousarray(target.triangles_m),
-        np.ascontiguousarray(target.normals),
-        albedos(target),
-        sigma_log,
-    )
 
 
 def _around(pixels: NDArray[np.bool_]) -> tuple[slice, slice]:

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from scipy.stats import norm, qmc
 
-from rpod_pose.pmd.fit import PmdFit, PmdFitter
+from rpod_pose.pmd.fit import PmdFit, PmdFitter, Surface
 from rpod_pose.pmd.scene import PmdScene
 from rpod_pose.registration.distance_field import FieldArrays, field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
@@ -56,6 +56,7 @@ class Model:
     target: Target
     views: ViewModel
     surface: SurfaceModel
+    shown: Surface
     field: FieldArrays
     turns: Turns
 
@@ -73,7 +74,7 @@ class Model:
             count=tuning.model_points,
             truncation_m=tuning.truncation * target.radius_m,
         )
-        return cls(target, views, surface, field_arrays(target), Turns.of(target))
+        return cls(target, views, surface, Surface.of(target), field_arrays(target), Turns.of(target))
 
 
 class FrameSearch:

@@ -100,8 +100,8 @@ class ViewSearch:
 
     def _verified(self, task: _Task, *, known_materials: bool) -> Acquisition:
         """Return the acquisition of the poses that are best with the file's materials, or by shape alone."""
-        tuning, target = self._tuning, self._model.target
-        fitter = PmdFitter(tuning.model, target, task.scene, known_materials=known_materials)
+        tuning = self._tuning
+        fitter = PmdFitter(tuning.model, self._model.shown, task.scene, known_materials=known_materials)
         poses = FrameSearch(tuning, self._model, task.scene, fitter).search(task.attitudes, task.around)
         if not poses:
             reason = "no attitude shows the target to the camera"

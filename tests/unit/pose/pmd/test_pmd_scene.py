@@ -7,7 +7,7 @@ import pytest
 from pmd_frames import CAMERA, depth_frame, frame_of
 from scipy.spatial.transform import Rotation
 
-from rpod_pose.pmd.fit import PmdFitter
+from rpod_pose.pmd.fit import PmdFitter, Surface
 from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd_search import PmdModelConfig, PmdSceneConfig
@@ -74,7 +74,7 @@ def test_a_glint_speaks_for_no_pose_and_against_none():
     whole = scene(ideal().depth_m, shade(200))
     R, t = POSE.rotation.as_matrix(), POSE.translation
     fits = [
-        PmdFitter(PmdModelConfig(), mockup(), one, known_materials=False).fit(R, t)
+        PmdFitter(PmdModelConfig(), Surface.of(mockup()), one, known_materials=False).fit(R, t)
         for one in (glinting()[0], whole)
     ]
     assert fits[0].mean_loss == pytest.approx(fits[1].mean_loss, abs=0.05)
@@ -93,7 +93,7 @@ def test_other_materials_change_the_loss_of_the_amplitude_alone():
     R, t = POSE.rotation.as_matrix(), POSE.translation
     even = scene(ideal().depth_m, shade(200))
     fits = [
-        PmdFitter(PmdModelConfig(), mockup(), even, known_materials=filed).fit(R, t)
+        PmdFitter(PmdModelConfig(), Surface.of(mockup()), even, known_materials=filed).fit(R, t)
         for filed in (True, False)
     ]
     assert fits[0].loss > 2.0 * fits[1].loss
@@ -123,7 +123,7 @@ def test_what_lies_far_behind_is_not_of_the_target():
 
 def test_the_right_pose_explains_a_frame_best():
     result = scene(ideal().depth_m)
-    fitter = PmdFitter(PmdModelConfig(), mockup(), result)
+    fitter = PmdFitter(PmdModelConfig(), Surface.of(mockup()), result)
     right = fitter.fit(POSE.rotation.as_matrix(), POSE.translation)
     assert right.mean_loss < 0.2
     for axis in np.eye(3):
@@ -134,7 +134,7 @@ def test_the_right_pose_explains_a_frame_best():
 
 
 def test_the_refinement_never_makes_a_pose_worse():
-    fitter = PmdFitter(PmdModelConfig(), mockup(), scene(ideal().depth_m))
+    fitter = PmdFitter(PmdModelConfig(), Surface.of(mockup()), scene(ideal().depth_m))
     draws = np.random.default_rng(1).standard_normal((3, 16, 6))
     off = make_pose(
         rotation=POSE.rotation * Rotation.from_rotvec([0.03, 0.0, 0.02]), translation_m=(0.02, 0.0, 4.01)
