@@ -18,8 +18,11 @@ FREE_SIGMA_RAD = pi / sqrt(3.0)
 """Standard deviation of an angle that is uniform over a turn: 104 deg."""
 _SAME = 0.02
 """Greatest difference between components of two turns, or directions, that are one; files round axes."""
-_MOST = 200
-"""Greatest number of turns; about an axis of order 64, the highest that is found, and across it are 128."""
+_MOST = 60
+"""Greatest number of turns: the largest finite group without an axis of a high order, an icosahedron's."""
+_ROUND = 24
+"""Least order of an exact symmetry that counts as continuous: a polygon of so many sides is within 0.9 % of a
+circle's radius, and all that can be known is the angle within 15 deg."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +52,12 @@ class Equivalence:
     def of(cls, symmetries: Sequence[Symmetry]) -> Self:
         """Return the group that the exact symmetries generate."""
         exact = [each for each in symmetries if each.exact]
-        free_axis = next((np.array(each.axis) for each in exact if each.continuous), None)
+        free = [each for each in exact if each.continuous or each.order >= _ROUND]
+        free_axis = np.array(free[0].axis) if free else None
         steps = [
             Rotation.from_rotvec(2.0 * pi / each.order * np.array(each.axis)).as_matrix()
             for each in exact
-            if not each.continuous
+            if each not in free
         ]
         turns = [np.eye(3)]
         for turn in turns:  # the list grows

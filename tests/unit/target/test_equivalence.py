@@ -15,8 +15,9 @@ FREE, FLIP = Symmetry(Z, 12, exact=True, continuous=True), Symmetry(X, 2, exact=
     [
         ([], 1, 6),
         ([Symmetry(Z, 12, continuous=True)], 1, 6),  # near: sensors tell the angle from close by
-        ([Symmetry(Z, 32, exact=True)], 32, 6),
-        ([Symmetry(Z, 32, exact=True), FLIP], 64, 6),  # and half turns about each axis across
+        ([Symmetry(Z, 16, exact=True)], 16, 6),
+        ([Symmetry(Z, 16, exact=True), FLIP], 32, 6),  # and half turns about each axis across
+        ([Symmetry(Z, 33, exact=True), FLIP], 2, 5),  # as good as round
         ([Symmetry(Z, 3, exact=True), Symmetry((0.7071, 0.7071, 0.0), 2, exact=True)], 6, 6),  # rounded
         ([Symmetry(Z, 4, exact=True), Symmetry(X, 4, exact=True)], 24, 6),  # a cube
         ([FREE], 1, 5),
