@@ -91,13 +91,15 @@ class Equivalence:
 
     def nearest(self, attitudes: Rotation, found: Rotation) -> Rotation:
         """Return, of the attitudes equivalent to given ones, those nearest to found ones; one or N each."""
-        same = [self.turned_onto(attitudes * Rotation.from_matrix(turn), found) for turn in self.turns]
+        if len(self.turns) == 1:
+            return self._turned_onto(attitudes, found)
+        same = [self._turned_onto(attitudes * Rotation.from_matrix(turn), found) for turn in self.turns]
         angles_rad = np.array([(each.inv() * found).magnitude() for each in same])
         best = np.expand_dims(angles_rad.argmin(axis=0), (0, -1))
         quaternions = np.array([each.as_quat() for each in same])
         return Rotation.from_quat(np.take_along_axis(quaternions, best, axis=0)[0])
 
-    def turned_onto(self, attitudes: Rotation, found: Rotation) -> Rotation:
+    def _turned_onto(self, attitudes: Rotation, found: Rotation) -> Rotation:
         """Return attitudes, turned about the free axis alone to be nearest to found ones; one or N each."""
         if self.free_axis is None:
             return attitudes

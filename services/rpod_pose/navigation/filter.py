@@ -60,7 +60,7 @@ class FilterState:
     centre_of_mass_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Centre of mass r of the target, target axes, shape (3,)."""
     alike: Equivalence = NO_SYMMETRY
-    """Which attitudes no measurement tells apart; only its free axis matters here."""
+    """Which attitudes no measurement tells apart."""
 
 
 class Update(NamedTuple):
@@ -157,7 +157,8 @@ def update(
 ) -> Update:
     """Return the state after a pose measured at the state's stamp, unless the gate rejects it.
 
-    The measured angle about a free axis is ignored.
+    The measured attitude stands for all that no measurement tells from it: the nearest counts, and the angle
+    about a free axis is ignored.
 
     Args:
         state: state predicted to the measurement's stamp.
@@ -259,9 +260,9 @@ def _gate(gate_nis: float, dof: int) -> float:
 def _pose_difference(
     T_measured: RigidTransform, T_estimated: RigidTransform, alike: Equivalence
 ) -> FloatArray:
-    """Return (dp, dtheta) from the estimated to the measured pose, shape (6,), m and rad."""
+    """Return (dp, dtheta) from the estimated to the nearest measured pose, shape (6,), m and rad."""
     estimated = rotation_of(T_estimated)
-    measured = alike.turned_onto(rotation_of(T_measured), estimated)
+    measured = alike.nearest(rotation_of(T_measured), estimated)
     turn_rad = (measured * estimated.inv()).as_rotvec()
     return np.concatenate([T_measured.translation - T_estimated.translation, turn_rad])
 

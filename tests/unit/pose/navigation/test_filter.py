@@ -417,6 +417,18 @@ def test_the_angle_about_a_free_axis_is_neither_measured_nor_turned(step_s: floa
     assert np.mean(nis) == pytest.approx(5.0, rel=0.15)  # the unknown rate bends the axis' path
 
 
+def test_a_measured_twin_counts_as_the_pose_that_it_looks_like() -> None:
+    symmetry = Symmetry((0.0, 0.0, 1.0), 6, exact=True)
+    twin = RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.0, np.pi / 3.0]))
+    seen = turned(np.array([0.002, 0.001, -0.001]), np.zeros(3), make_pose(translation_m=[0.0, 0.0, 5.0]))
+    state = start(seen, COVARIANCE, 0, config=PLAIN, alike=Equivalence.of([symmetry]))
+    plain, other = (update(state, pose, COVARIANCE, config=PLAIN) for pose in (seen, seen * twin))
+    assert other.nis == pytest.approx(plain.nis, abs=1e-9)
+    np.testing.assert_allclose(
+        other.state.T_chaser_target.as_matrix(), plain.state.T_chaser_target.as_matrix(), atol=1e-12
+    )
+
+
 def test_the_gate_of_five_degrees_of_freedom_is_as_wide_as_that_of_six() -> None:
     config = FilterConfig(position_floor_m=0.0, attitude_floor_deg=0.0, correlation_inflation=1.0)
     alike = Equivalence.of([Symmetry((0.0, 0.0, 1.0), 12, exact=True, continuous=True)])
