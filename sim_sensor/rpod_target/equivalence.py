@@ -10,7 +10,7 @@ from math import pi, sqrt
 from typing import Self
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.arrays import FloatArray
 
@@ -98,6 +98,11 @@ class Equivalence:
         best = np.expand_dims(angles_rad.argmin(axis=0), (0, -1))
         quaternions = np.array([each.as_quat() for each in same])
         return Rotation.from_quat(np.take_along_axis(quaternions, best, axis=0)[0])
+
+    def nearest_pose(self, pose: RigidTransform, found: RigidTransform) -> RigidTransform:
+        """Return, of the poses equivalent to a given one, that nearest to a found one."""
+        rotation = self.nearest(pose.rotation, found.rotation)
+        return RigidTransform.from_components(pose.translation, rotation)
 
     def _turned_onto(self, attitudes: Rotation, found: Rotation) -> Rotation:
         """Return attitudes, turned about the free axis alone to be nearest to found ones; one or N each."""

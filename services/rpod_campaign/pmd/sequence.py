@@ -11,7 +11,7 @@ import polars as pl
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.scoring.score import OFF_TARGET_M, OFF_TARGET_RAD
-from rpod_campaign.engine.trial.poses import POSE, nearest, nees_of, numbers
+from rpod_campaign.engine.trial.poses import POSE, nees_of, numbers
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.methods import pmd_input
@@ -232,7 +232,7 @@ def _input(cell: SequenceCell) -> PmdInput:
 
 def _row(shot: Shot, answer: Answer, target: Target) -> dict[str, Any]:
     found = answer.T_sensor_target
-    truth = nearest(shot.T_sensor_target, found, target)
+    truth = target.equivalence.nearest_pose(shot.T_sensor_target, found)
     attitude_rad, position_m = pose_error(truth, found)
     in_sensor_rad = (found.rotation * truth.rotation.inv()).as_rotvec()
     in_target_m = truth.rotation.inv().apply(position_m)

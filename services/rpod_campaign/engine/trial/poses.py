@@ -29,14 +29,8 @@ def errors(
     """
     if found is None:
         return None, None
-    attitude_rad, position_m = pose_error(nearest(truth, found, target), found)
+    attitude_rad, position_m = pose_error(target.equivalence.nearest_pose(truth, found), found)
     return float(np.rad2deg(np.linalg.norm(attitude_rad))), float(np.linalg.norm(position_m))
-
-
-def nearest(truth: RigidTransform, found: RigidTransform, target: Target) -> RigidTransform:
-    """Return the pose, among those that no measurement tells from the truth, nearest to a found one."""
-    rotation = target.equivalence.nearest(truth.rotation, found.rotation)
-    return RigidTransform.from_components(truth.translation, rotation)
 
 
 def nees_of(
@@ -49,7 +43,7 @@ def nees_of(
     """
     if found is None:
         return float("nan")
-    same = nearest(truth, found, target)
+    same = target.equivalence.nearest_pose(truth, found)
     turn = (found.rotation * same.rotation.inv()).as_rotvec()
     error = np.concatenate((found.translation - same.translation, turn))
     observed = target.equivalence.with_free_variance(covariance, found.rotation.as_matrix(), 1.0)
