@@ -91,13 +91,14 @@ class Equivalence:
 
     def nearest(self, attitudes: Rotation, found: Rotation) -> Rotation:
         """Return, of the attitudes equivalent to given ones, those nearest to found ones; one or N each."""
-        if len(self.turns) == 1:
-            return self._turned_onto(attitudes, found)
-        same = [self._turned_onto(attitudes * Rotation.from_matrix(turn), found) for turn in self.turns]
-        angles_rad = np.array([(each.inv() * found).magnitude() for each in same])
-        best = np.expand_dims(angles_rad.argmin(axis=0), (0, -1))
-        quaternions = np.array([each.as_quat() for each in same])
-        return Rotation.from_quat(np.take_along_axis(quaternions, best, axis=0)[0])
+        if len(self.turns) > 1:
+            between = (found.inv() * attitudes).as_matrix()
+            if self.free_axis is None:
+                alike = np.einsum("...ij,kji->...k", between, self.turns)  # 1 + 2 cos of the angle
+            else:
+                alike = (self.free_axis @ between) @ (self.turns @ self.free_axis).T
+            attitudes = attitudes * Rotation.from_matrix(self.turns[alike.argmax(axis=-1)])
+        return self._turned_onto(attitudes, found)
 
     def nearest_pose(self, pose: RigidTransform, found: RigidTransform) -> RigidTransform:
         """Return, of the poses equivalent to a given one, that nearest to a found one."""
