@@ -14,10 +14,11 @@ from rpod_schemas.arrays import Array
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import cache as store
+from rpod_target.equivalence import Equivalence, Symmetry
 from rpod_target.errors import TargetError
 from rpod_target.mesh_files import MeshFile, companions
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
-from rpod_target.target import DistanceField, Material, Symmetry, Target
+from rpod_target.target import DistanceField, Material, Target
 
 RANDOM = "random-"
 """Beginning of the names of the random satellites."""
@@ -61,6 +62,22 @@ def load_target(
         with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
             store.write(file, arrays)
     return _assemble(parameters, arrays, source=path, digest=digest)
+
+
+def load_equivalence(name_or_path: str | Path) -> Equivalence:
+    """Return which attitudes of a target are equivalent, from its parameter file alone; nothing is built.
+
+    Raises:
+        TargetError: as for ``load_target``.
+    """
+    return Equivalence.of(_symmetries(_read(name_or_path)[1]))
+
+
+def _symmetries(parameters: TargetParameters) -> tuple[Symmetry, ...]:
+    return tuple(
+        Symmetry(tuple(symmetry.axis.tolist()), symmetry.order, symmetry.exact, symmetry.continuous)
+        for symmetry in parameters.symmetries
+    )
 
 
 def _read(name_or_path: str | Path) -> tuple[Path, TargetParameters, dict[str, bytes]]:
@@ -185,9 +202,6 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         centre_of_mass_m=arrays.pop("centre_of_mass_m") if centre_m is None else centre_m,
         inertia_kg_m2=arrays.pop("inertia_kg_m2") if inertia is None else inertia,
         radius_m=float(np.linalg.norm(arrays["triangles_m"], axis=-1).max()),
-        symmetries=tuple(
-            Symmetry(tuple(symmetry.axis.tolist()), symmetry.order, symmetry.exact, symmetry.continuous)
-            for symmetry in parameters.symmetries
-        ),
+        symmetries=_symmetries(parameters),
         **arrays,
     )

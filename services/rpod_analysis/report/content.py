@@ -28,6 +28,7 @@ from rpod_target import Target, TargetError, load_target
 
 _PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 _MOST_REASONS = 8
+_UNKNOWN = "No wireframe, and errors as if the target had no symmetry"
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,13 +160,12 @@ def _flows(run: StreamedRun, totals: RunTotals, summary: Summary) -> list[Sensor
 
 
 def _target(log: Log, digests: list[str]) -> tuple[Target | None, str]:
-    """Return the target in the services' configuration, and a remark about its wireframe."""
-    names = [service["target"] for service in log.configuration.values() if service.get("target")]
-    if not names:
-        return None, "No wireframe: no configuration in the log names the target."
+    """Return the target in the services' configuration, and a remark about it."""
+    if log.target is None:
+        return None, f"{_UNKNOWN}: no configuration in the log names the target."
     try:
-        target = load_target(names[0])
+        target = load_target(log.target)
     except TargetError as error:
-        return None, f"No wireframe: {error}"
+        return None, f"{_UNKNOWN}: {error}"
     changed = bool(digests) and target.digest not in digests
     return target, "The target's parameters have changed since the run." * changed

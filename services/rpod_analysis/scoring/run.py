@@ -21,6 +21,7 @@ from rpod_analysis.scoring.score import MAX_TRUTH_GAP_NS, BoolArray, Errors, Int
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.topics import STATUS
 from rpod_schemas.types import Mode
+from rpod_target import NO_SYMMETRY, Equivalence, TargetError, load_equivalence
 
 DEFAULT_PREFIX = STATUS.name.split("/")[0]
 
@@ -34,7 +35,7 @@ class Statuses:
     source: IntArray
     accepted: BoolArray
     nis: FloatArray
-    """Normalised innovation squared, six degrees of freedom; NaN without a comparison."""
+    """Normalised innovation squared, with the degrees of freedom of the NEES; NaN without a comparison."""
     processing_s: FloatArray
     sensor: NDArray[np.str_]
     reason: NDArray[np.str_]
@@ -95,8 +96,8 @@ class Run:
 class StreamedRun:
     """A run of any length, minute by minute; the rows of a long run are on disk."""
 
-    def __init__(self, found: Found) -> None:
-        self._found = found
+    def __init__(self, found: Found, alike: Equivalence = NO_SYMMETRY) -> None:
+        self._found, self._alike = found, alike
         stores = (found.truth, found.estimates, found.statuses)
         self.minutes: list[int] = sorted(
             {minute for store in (*stores, found.frames) for minute in store.minutes}
@@ -158,6 +159,7 @@ class StreamedRun:
             _track(sorted(truth_rows + truth_around, key=lambda row: row[0])) if truth_around else truth,
             covariance=covariance,
             R_chaser_sensor=R_chaser_sensor,
+            alike=self._alike,
         )
         delay_ns = np.array([row[3] for row in estimate_rows], np.int64) - estimates.stamp_ns
         return Run(
@@ -222,7 +224,15 @@ def stream_run(
         raise NoEstimatesError(log.paths[0], prefix)
     if len(found.parents) > 1:
         raise FramesDifferError(log.paths[0], *sorted(found.parents)[:2])
-    return StreamedRun(found)
+    return StreamedRun(found, _alike(log))
+
+
+def _alike(log: Log) -> Equivalence:
+    """Return which attitudes of the log's target are equivalent; none if its file is not on this machine."""
+    try:
+        return load_equivalence(log.target) if log.target else NO_SYMMETRY
+    except TargetError:  # the report tells it
+        return NO_SYMMETRY
 
 
 def estimate_prefix(log: Log) -> str:
