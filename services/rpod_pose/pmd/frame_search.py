@@ -31,12 +31,14 @@ FINE_SCALES = np.geomspace(0.16, 0.053, 6)
 """Geman-McClure scales of the steps that refine the best candidates, over the target's radius."""
 NOISE_SIGMAS = 3.0
 """Least scale over the standard deviation of a range: errors of the frame are no outliers."""
-REFINED_SIGMA = 0.021
+REFINED_SIGMA = 0.05
 """Standard deviation of the samples in the refinement on outline and amplitude, rad, and over the radius."""
-_ROUNDS, _SAMPLES = 4, 32
-_DRAWS = norm.ppf(qmc.Sobol(6, seed=1).random(_ROUNDS * _SAMPLES).clip(1e-3, 1.0 - 1e-3)).reshape(
-    _ROUNDS, _SAMPLES, 6
-)
+_ROUNDS, _SAMPLES = 6, 32
+_POWER = 8
+"""A Sobol sequence is even at powers of two; 2^8 samples or fewer are used."""
+_DRAWS = norm.ppf(
+    qmc.Sobol(6, seed=1).random_base2(_POWER)[: _ROUNDS * _SAMPLES].clip(1e-3, 1.0 - 1e-3)
+).reshape(_ROUNDS, _SAMPLES, 6)
 """Standard normal samples, spread evenly, the same in every search."""
 
 
@@ -90,8 +92,8 @@ class FrameSearch:
         self._refined_sigmas = np.repeat((REFINED_SIGMA * radius_m, REFINED_SIGMA), 3)
         self._comparison = Comparison(
             model.views,
-            scene,
-            scene.middle_m(),
+            scene.surface,
+            scene.surface.points_m.mean(axis=0),
             scene.distances(),
             ANY_ECHO,
             tuning.truncation * model.target.radius_m,
@@ -136,9 +138,10 @@ class FrameSearch:
         return Pose(R, t, self._fitter.fit(R, t))
 
     def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
-        """Return a rough pose aligned with some of the points."""
+        """Return a rough pose aligned with some of the points, or unchanged if that increases the loss."""
         field = self._model.surface.coarse_field
-        return self._fitted(*field_aligned(self._few, PoseArrays(R, t), field, self._field_scales_m))
+        aligned = field_aligned(self._few, PoseArrays(R, t), field, self._field_scales_m)
+        return min(self._fitted(*aligned), self._fitted(R, t), key=lambda one: one.fit.loss)
 
     def _refined(self, pose: Pose) -> Pose:
         """Return a pose aligned with more of the points, or unchanged if that increases the loss."""

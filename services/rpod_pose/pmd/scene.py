@@ -5,7 +5,7 @@ shows the outline against the black sky.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -36,6 +36,19 @@ MEDIAN_OVER_MEAN = 1.25
 
 
 @dataclass(frozen=True, eq=False)
+class ImagePoints:
+    """Points that an image shows: ``energy.Returns``."""
+
+    points_m: FloatArray
+    """Positions, sensor axes, shape (N, 3)."""
+
+    def downsampled(self, count: int) -> FloatArray:
+        """Return at most ``count`` points, spread evenly over the image, shape (n, 3)."""
+        chosen = np.linspace(0, len(self.points_m) - 1, min(count, len(self.points_m))).astype(np.intp)
+        return self.points_m[chosen]
+
+
+@dataclass(frozen=True, eq=False)
 class PmdScene:
     """A frame's coarse pixels, made by ``scene_of``."""
 
@@ -61,16 +74,16 @@ class PmdScene:
         return bool(np.isfinite(self.least_amplitude))
 
     def downsampled(self, count: int) -> FloatArray:
-        """Return at most ``count`` points, spread evenly over the image, shape (n, 3)."""
-        chosen = np.linspace(0, len(self.points_m) - 1, min(count, len(self.points_m))).astype(np.intp)
-        return self.points_m[chosen]
+        """Return at most ``count`` measured points, spread evenly over the image, shape (n, 3)."""
+        return ImagePoints(self.points_m).downsampled(count)
 
-    def middle_m(self) -> FloatArray:
-        """Return the centroid of the lit pixels, (3,), m; pixels without depth take the nearest depth."""
+    @cached_property
+    def surface(self) -> ImagePoints:
+        """The surface that the frame shows: a pixel without depth takes the nearest pixel's."""
         nearest = distance_transform_edt(self.range_m == 0.0, return_distances=False, return_indices=True)
         shown = self.lit | self.blind
-        middle: FloatArray = (self.view.coarse.components * self.range_m[*nearest])[:, shown].mean(axis=1)
-        return middle
+        points_m = (self.view.coarse.components * self.range_m[*nearest])[:, shown].T
+        return ImagePoints(np.ascontiguousarray(points_m))
 
     def distances(self) -> Image:
         """Return the ``energy.Image`` of the squared angles to the nearest lit pixel."""
