@@ -261,7 +261,7 @@ def _crossing(  # noqa: PLR0917
         assumed: statistics of returns.
         stack: memory of ``first_hit``.
     """
-    width, origin, middle, ends = rays.face.shape[1], np.empty(3), np.empty(3), np.empty((2, 3))
+    width, origin, ends = rays.face.shape[1], np.empty(3), np.empty((2, 3))
     low, high = 0.0, 1.0
     for k in range(3):
         origin[k] = -(pose.R[0, k] * pose.t[0] + pose.R[1, k] * pose.t[1] + pose.R[2, k] * pose.t[2])
@@ -270,9 +270,11 @@ def _crossing(  # noqa: PLR0917
     a, b = _hit(rays, one), _hit(rays, two)
     for _ in range(HALVINGS):
         share = 0.5 * (low + high)
-        middle = ends[0] + share * (ends[1] - ends[0])
-        middle /= sqrt((middle**2).sum())
-        ray = ray_in_target(pose.R, origin, middle[0], middle[1], middle[2])
+        x = ends[0, 0] + share * (ends[1, 0] - ends[0, 0])
+        y = ends[0, 1] + share * (ends[1, 1] - ends[0, 1])
+        z = ends[0, 2] + share * (ends[1, 2] - ends[0, 2])
+        length = sqrt(x * x + y * y + z * z)
+        ray = ray_in_target(pose.R, origin, x / length, y / length, z / length)
         hit = first_hit(rays.faces.tree, ray, np.inf, stack)
         if _apart(hit, a) <= _apart(hit, b):
             a, low = hit, share
