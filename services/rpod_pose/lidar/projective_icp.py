@@ -5,6 +5,7 @@ steps to the faces, on all returns, refine it (``scan_alignment``). Where the fa
 outline determines it (``outline``). The likelihood of the scan at the pose is the self-check (``scan_fit``).
 """
 
+from dataclasses import replace
 from math import radians
 
 import numpy as np
@@ -19,6 +20,7 @@ from rpod_pose.ports import Registration
 from rpod_pose.registration.field_alignment import FieldProblem, Points
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel
+from rpod_pose.search.turns import Placed
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
 from rpod_schemas.poses import pose_of
@@ -50,7 +52,7 @@ class ProjectiveIcp:
         )
         self._errors = ScanErrors(
             self.model.sigma_range_m,
-            tuning.model.slack_m,
+            self.model.assumed.slack_m,
             tuning.steep_cosine**2,
             1.0 / (tuning.outline_sigmas * self.model.sigma_range_m),
         )
@@ -79,6 +81,11 @@ class ProjectiveIcp:
         return self._registration(
             seen, refined(problem, start, seen.range_m, self.model.assumed, self._reach)
         )
+
+    def placed(self, registration: Registration, pose: Placed, information: FloatArray) -> Registration:
+        """Return a registration with another pose of the same scan, and the information about it, (6, 6)."""
+        covariance = pose_covariance(information + self._weak, pose.R)
+        return replace(registration, T_sensor_target=pose_of(pose.R, pose.t), covariance=covariance)
 
     def _problem(self, seen: SeenScan) -> FaceProblem:
         return FaceProblem(
