@@ -141,8 +141,9 @@ def _add_density(density: FloatArray, x: FloatArray, mean: FloatArray, root: Flo
 @kernel
 def _weights(ratios: FloatArray, power: float) -> FloatArray:
     """Return weights that sum to 1, from the logarithms of their ratios, raised to a power, shape (N,)."""
-    weights: FloatArray = np.exp(power * (ratios - ratios.max()))
-    return weights / weights.sum()
+    weights = np.exp(power * (ratios - ratios.max()))
+    normed: FloatArray = weights / weights.sum()
+    return normed
 
 
 @kernel

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rpod_geometry.kernels import kernel
-from rpod_pose.lidar.outline import outline_steps
+from rpod_pose.lidar.outline.steps import Scene, outline_steps
 from rpod_pose.lidar.scan_alignment import (
     FEWEST,
     FaceFit,
@@ -191,10 +191,18 @@ def _likelier(  # noqa: PLR0917
         reach: what the outline can tell.
     """
     least = best.statistics.agreement.log_likelihood
-    if other.statistics.agreement.log_likelihood < least - CHANCE:
+    if other.statistics.agreement.log_likelihood < least - CHANCE or _are_alike(best.pose, other.pose, reach):
         return best
     found = settled(problem, other.pose, range_m, assumed, reach)
     return found if found.statistics.agreement.log_likelihood > least + CHANCE else best
+
+
+@kernel
+def _are_alike(one: PoseArrays, other: PoseArrays, reach: Reach) -> bool:
+    """Return whether two poses are so close that the outline is straight between them."""
+    moved_m, turned2 = sqrt(((one.t - other.t) ** 2).sum()), ((one.R - other.R) ** 2).sum() / 2.0
+    straight_m = STRAIGHT * reach.spacing_rad * sqrt((one.t**2).sum())
+    return bool(moved_m + reach.radius_m * sqrt(turned2) < straight_m)
 
 
 @kernel
@@ -274,7 +282,7 @@ def settled(
         of_ranges = information_of(evidence.sums, 6)
         if not np.isfinite(of_ranges).all():
             break
-        steps = outline_steps(range_m, pose, rays, assumed, power)
+        steps = outline_steps(Scene(range_m, pose, rays, assumed, power))
         found = propagated(
             steps,
             of_ranges * whole,

@@ -341,10 +341,13 @@ class ScanSearch:
         found = statistics.posterior(self.seen, start, rough)
         mean, likeliest = stepped(start, found.mean), stepped(start, found.likeliest)
         fit, best = statistics.fit(self.seen, *mean), statistics.fit(self.seen, *likeliest)
-        if fit.log_likelihood >= best.log_likelihood - CHANCE:
-            return Pose(*mean, fit, np.linalg.inv(found.covariance), found.log_mass)
-        off = found.likeliest - found.mean
-        return Pose(*likeliest, best, np.linalg.inv(found.covariance + np.outer(off, off)), found.log_mass)
+        covariance, there = found.covariance, Pose(*mean, fit, pose.information, found.log_mass)
+        if fit.log_likelihood < best.log_likelihood - CHANCE:
+            off = found.likeliest - found.mean
+            covariance = covariance + np.outer(off, off)
+            there = replace(there, R=likeliest.R, t=likeliest.t, fit=best)
+        information: FloatArray = np.linalg.inv(covariance).astype(np.float64)
+        return replace(there, information=information)
 
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, without those close to a likelier one."""
