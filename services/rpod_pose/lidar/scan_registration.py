@@ -46,6 +46,8 @@ ROUNDS = 5
 """Largest number of times that the outline is found anew."""
 STRAIGHT = 0.125
 """Motion of the outline, in units of the rays' distance, up to which it stays on the lines found."""
+STRETCH = 3.0
+"""Factor on the standard deviations of a pose from which its neighbourhood is sampled."""
 CHANCE = 3.0
 """Drop of the log likelihood from the greatest to that of a typical right pose, for six unknowns."""
 
@@ -74,12 +76,32 @@ class ScanRegistration(NamedTuple):
     """Information about (dtau, dtheta) at the pose, by the ranges and the outline, shape (6, 6)."""
     statistics: ScanStatistics
     """Statistics of the scan at the pose."""
+    converged: bool
+    """Whether the last step was so short that the outline is straight along it; True without the outline."""
 
 
 def reach_of(view: ScanView, config: ProjectiveIcpConfig, radius_m: float) -> Reach:
     """Return the reach of a tracker with a scan pattern, for a target of a radius, m."""
     spacing = max(spacing_rad(view.azimuth_rad), spacing_rad(view.elevation_rad))
     return Reach(config.tuning.near_share, spacing, radius_m, config.tuning.sure_surplus)
+
+
+def is_sure(found: ScanRegistration, returns: int, reach: Reach) -> bool:
+    """Return whether a registration converged to a pose at which its scan is as likely as at a right one."""
+    return found.converged and bool(_deficit(found) <= -reach.surplus * returns)
+
+
+def neighbourhood(information: FloatArray, pose: PoseArrays, reach: Reach) -> FloatArray:
+    """Return a covariance of (dtau, dtheta), (6, 6), that reaches the optima beside the one at a pose.
+
+    Args:
+        information: information about (dtau, dtheta) at the pose, shape (6, 6).
+        pose: pose of the target in the sensor.
+        reach: no optimum moves a point farther than to the next ray.
+    """
+    held = np.diag(_held(pose, reach))
+    covariance: FloatArray = np.linalg.inv(information / STRETCH**2 + held).astype(np.float64)
+    return covariance
 
 
 @kernel
@@ -96,7 +118,7 @@ def aligned(
     """
     fit = face_aligned(problem, start)
     statistics = scan_statistics(range_m, fit.pose.R, fit.pose.t, _rays(problem), assumed)
-    return ScanRegistration(fit.pose, fit, _of_faces(problem, fit), statistics)
+    return ScanRegistration(fit.pose, fit, _of_faces(problem, fit), statistics, True)
 
 
 @kernel
@@ -263,7 +285,7 @@ def settled(
 ) -> ScanRegistration:
     """Return the mean of the pose by ranges and outline, near a given pose; arguments as for ``refined``."""
     rays, pose, information = _rays(problem), start, np.zeros((6, 6))
-    inliers, squares, likelihood, kept, step = 0, 0.0, -np.inf, start, np.zeros(6)
+    inliers, squares, likelihood, kept, step, converged = 0, 0.0, -np.inf, start, np.zeros(6), False
     straight_m = STRAIGHT * reach.spacing_rad * sqrt((start.t**2).sum())
     for number in range(ROUNDS):
         cast_faces(rays.grid, rays.faces, pose.R, pose.t, problem.buffers)
@@ -295,12 +317,14 @@ def settled(
         information = without_influential(of_ranges, evidence.rows) * whole + found.information
         step = found.mean
         pose = stepped(pose, step)
-        if number > 0 and _farthest(steps, step) < straight_m:
+        converged = _farthest(steps, step) < straight_m
+        if number > 0 and converged:
             break
     statistics = scan_statistics(range_m, pose.R, pose.t, rays, assumed)
     if statistics.agreement.log_likelihood < likelihood - CHANCE:
         pose, statistics = kept, scan_statistics(range_m, kept.R, kept.t, rays, assumed)
-    return ScanRegistration(pose, FaceFit(pose, information, squares, inliers), information, statistics)
+    faces = FaceFit(pose, information, squares, inliers)
+    return ScanRegistration(pose, faces, information, statistics, converged)
 
 
 @kernel
@@ -312,7 +336,7 @@ def _refined(
     if likelihood <= found.statistics.agreement.log_likelihood:
         return found
     statistics = scan_statistics(range_m, start.R, start.t, _rays(problem), assumed)
-    return ScanRegistration(start, found.faces, found.information, statistics)
+    return ScanRegistration(start, found.faces, found.information, statistics, True)
 
 
 @kernel

@@ -12,7 +12,7 @@ from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
-from rpod_pose.lidar.scan_registration import CHANCE, Reach, aligned, reach_of, settled
+from rpod_pose.lidar.scan_registration import CHANCE, Reach, aligned, neighbourhood, reach_of, settled
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped
@@ -35,8 +35,6 @@ HALFWAY = 4.0
 """Greatest deficit per return of a pose that a refinement on the outline may still correct."""
 GAIN = 5.0
 """Gain of log likelihood after which a pose's near-symmetries are tried again."""
-STRETCH = 3.0
-"""Factor on the standard deviations of a pose from which its neighbourhood is sampled."""
 ENTROPY = sqrt(2.0 * pi * e)
 """Width of a uniform distribution with the entropy of a normal one, in standard deviations. A return's
 information is the logarithm of the width of what is known before over that of what is known after it."""
@@ -335,9 +333,7 @@ class ScanSearch:
         if not self.seen.range_m.any():
             return pose
         statistics, start = self._scanner.statistics, PoseArrays(pose.R, pose.t)
-        strip_m = self._scanner.reach.spacing_rad * float(np.linalg.norm(pose.t))
-        held: FloatArray = np.repeat((strip_m, strip_m / self._scanner.reach.radius_m), 3)
-        rough = np.linalg.inv(pose.information / STRETCH**2 + np.diag(held**-2)).astype(np.float64)
+        rough = neighbourhood(pose.information, start, self._scanner.reach)
         found = statistics.posterior(self.seen, start, rough)
         mean, likeliest = stepped(start, found.mean), stepped(start, found.likeliest)
         fit, best = statistics.fit(self.seen, *mean), statistics.fit(self.seen, *likeliest)
