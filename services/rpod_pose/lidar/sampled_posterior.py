@@ -26,8 +26,8 @@ ROUNDS, SAMPLES = 12, 64
 """Largest number of rounds, and number of samples in each."""
 SPREAD = 24.0
 """Least effective number of samples from which a round's covariance is computed: several for each unknown."""
-ENOUGH = 96.0
-"""Effective number of samples that ends the rounds: mean and sigma are then known within a tenth of sigma."""
+ENOUGH = 48.0
+"""Effective number of samples that ends the rounds: the mean is then known within a seventh of its sigma."""
 HALVINGS = 20
 """Number of bisections for the power of the weights."""
 
