@@ -82,7 +82,8 @@ class ProjectiveIcp:
         start = PoseArrays.of(T_sensor_target)
         problem = self._problem(seen)
         found = tracked(far, problem, start, seen.range_m, self.model.assumed, self._reach)
-        if not is_sure(found, seen.returns, self._reach):
+        usable = bool(seen.range_m.any() and np.isfinite(found.information).all())
+        if usable and not is_sure(found, seen.returns, self._reach):
             found = self._resumed(seen, problem, found)
         return self._registration(seen, found)
 

@@ -273,7 +273,7 @@ def _farthest(steps: Steps, step: FloatArray) -> float:
 @kernel
 def _held(pose: PoseArrays, reach: Reach) -> FloatArray:
     """Return the information that a step (dtau, dtheta) moves no point farther than to the next ray, (6,)."""
-    held, strip_m = np.empty(6), reach.spacing_rad * sqrt((pose.t**2).sum())
+    held, strip_m = np.empty(6), max(reach.spacing_rad * sqrt((pose.t**2).sum()), 1e-6 * reach.radius_m)
     held[:3] = strip_m**-2
     held[3:] = (strip_m / reach.radius_m) ** -2
     return held
