@@ -6,8 +6,8 @@
    missed (``scan_fit``). If returns are many, the first pose that explains them beyond question ends this
    step.
 3. Poses that the best may be mistaken for are tried too: its near-symmetries and quarter turns about its
-   axes. If returns are few, all turns of the best pose are refined on the outline as far as it is itself, and
-   the poses are weighed by their posterior mass.
+   axes. If returns are few, or tell little of a small target, all turns of the best pose are refined on the
+   outline and by samples as far as it is itself, and the poses are weighed by their posterior mass.
 4. If the scan is less likely than the best pose itself expects, the search is repeated with more attitudes.
 
 The belief in the pose needs no other pose for comparison: it compares the scan's likelihood with the
