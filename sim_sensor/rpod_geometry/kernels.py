@@ -36,6 +36,18 @@ def reassociated_kernel(function: Callable[P, R]) -> Callable[P, R]:
     return compiled
 
 
+def inlined_kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Return a kernel whose statements are put into each kernel that calls it.
+
+    It is for what an inner loop calls with records of many arrays: a call counts a reference to each of them,
+    which takes longer than a few hundred additions.
+    """
+    compiled: Callable[P, R] = _kept(
+        njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)
+    )
+    return compiled
+
+
 def generic_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Return a kernel that is compiled into each kernel that calls it, and has no cache file of its own.
 

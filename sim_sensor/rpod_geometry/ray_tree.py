@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inlined_kernel, kernel
 from rpod_geometry.rays import GridArrays
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -197,7 +197,7 @@ def _cost(counts: NDArray[np.int64], bounds: FloatArray) -> float:
     return float(total * (side[0] * side[1] + side[1] * side[2] + side[2] * side[0]))
 
 
-@kernel
+@inlined_kernel
 def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> Hit:
     """Return the first triangle that a ray meets from its outer side, nearer than a range.
 
@@ -239,7 +239,7 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
     return Hit(nearest, int(np.int64(tree.triangle[found])))
 
 
-@kernel
+@inlined_kernel
 def _met(sides: FloatArray, ray: Ray) -> float:
     """Return the range at which a ray meets a triangle from its outer side, m; inf if it does not.
 
@@ -263,7 +263,7 @@ def _met(sides: FloatArray, ray: Ray) -> float:
     return along if along > 0.0 else np.inf
 
 
-@kernel
+@inlined_kernel
 def _entry(boxes: Float32Array, node: int, ray: Ray, inverse: FloatArray, nearest: float) -> float:
     """Return the range at which a ray enters a node's box, m; inf if it does not before ``nearest``.
 
@@ -325,7 +325,7 @@ def cast_tree(  # noqa: PLR0917
             range_m[i, j], triangle[i, j] = hit.range_m, hit.triangle
 
 
-@kernel
+@inlined_kernel
 def ray_in_target(R: FloatArray, origin: FloatArray, x: float, y: float, z: float) -> Ray:
     """Return a ray in target axes, from its components in sensor axes.
 

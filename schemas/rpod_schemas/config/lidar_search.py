@@ -35,7 +35,11 @@ class ScanModelConfig(Tuning):
     """Largest expected probability that a ray which meets the target returns: holes, edges and mirrors lose
     returns, and the brightness of a surface does not show that."""
     slack_m: Annotated[Positive, BY_HAND] = 0.008
-    """Standard deviation of the target's faces about their model, m."""
+    """Standard deviation of the target's faces about their model, m; ``slack_share`` limits it."""
+    slack_share: Annotated[
+        Share, Provenance("physics", "models of satellites are right within 1 to 3 % of their size")
+    ] = 0.01
+    """Largest standard deviation of the faces about their model, as a share of the target's radius."""
     clutter_share: Annotated[float, Field(gt=0, lt=1), BY_HAND] = 0.02
     """Share of rays whose return, or missing return, carries no information."""
     clutter_depth_m: Annotated[Positive, BY_HAND] = 20.0
@@ -63,7 +67,7 @@ class ScanVerdictConfig(Tuning):
             "hand, mock-up",
             "a sensor worse than it states, a target that differs from its file; how much is chosen",
         ),
-    ] = ScanModelConfig(noise_scale=2.0, slack_m=0.03, clutter_share=0.05)
+    ] = ScanModelConfig(noise_scale=2.0, slack_m=0.03, slack_share=0.03, clutter_share=0.05)
     """Model of a sensor with larger errors than it states, and of a target that differs from its file."""
 
 
@@ -157,14 +161,16 @@ class GlobalSearchTuning(Tuning):
     most_returns: Annotated[Count, BUDGET] = 900
     """Number of returns above which a scan is thinned by rows and columns."""
     sure_returns: Annotated[Count, BY_HAND] = 60
-    """Number of returns from which on the first candidate that surely explains them ends the search: its
-    actual log likelihood exceeds the expected one by ``sure_surplus`` for each return."""
+    """Number of returns, counted as for ``sufficient_returns``, from which on the first candidate that surely
+    explains them ends the search: its actual log likelihood exceeds the expected one by ``sure_surplus`` for
+    each return."""
     sure_surplus: Annotated[NonNegative, BY_HAND] = 0.3
     """Excess of the actual over the expected log likelihood of a sure candidate, for each return."""
     sufficient_returns: Annotated[int, Field(ge=0), BY_HAND] = 70
     """Number of returns from which on the faces are taken to determine a pose. In scans with fewer, the best
-    poses are refined on the outline after the alignment. In others, this is done for poses that explain about
-    half of the scan, and if the best pose has a rival."""
+    poses are refined on the outline and by samples after the alignment. In others, the outline is used for
+    poses that explain about half of the scan, and if the best pose has a rival. A return from a target
+    smaller than 1,000 standard deviations of a range counts less, by the information that it carries."""
     rival_log_likelihood: Annotated[Positive, BY_HAND] = 25.0
     """Largest difference of log likelihood between the best pose and a rival."""
     siblings: Annotated[Count, BY_HAND] = 2
@@ -186,7 +192,7 @@ class GlobalSearchTuning(Tuning):
     max_sigma_deg: Annotated[
         Positive, Provenance("physics", "an error of 10 deg has then a probability below 0.5 %")
     ] = 3.5
-    """Largest standard deviation of an accepted attitude about its worst axis, deg, if returns are few."""
+    """Largest standard deviation of an accepted attitude about its worst axis, deg."""
     distinct_deg: Annotated[NonNegative, BY_HAND] = 5.0
     """Angle between two attitudes, deg, below which their poses are the same."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6

@@ -6,8 +6,8 @@
    missed (``scan_fit``). If returns are many, the first pose that explains them beyond question ends this
    step.
 3. Poses that the best may be mistaken for are tried too: its near-symmetries and quarter turns about its
-   axes. If returns are few, all turns of the best pose are refined on the outline as far as it is itself, and
-   the poses are weighed by their posterior mass.
+   axes. If returns are few, or tell little of a small target, all turns of the best pose are refined on the
+   outline and by samples as far as it is itself, and the poses are weighed by their posterior mass.
 4. If the scan is less likely than the best pose itself expects, the search is repeated with more attitudes.
 
 The belief in the pose needs no other pose for comparison: it compares the scan's likelihood with the
@@ -23,7 +23,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_pose.belief import contradicted, undetermined
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.lidar.scan_registration import CHANCE
 from rpod_pose.lidar.scan_search import Model, Pose, Scanner, ScanSearch
 from rpod_pose.lidar.scan_view import SeenScan
 from rpod_pose.ports import Acquisition, Registration
@@ -102,7 +101,7 @@ class GlobalSearch:
         if whole.returns < tuning.min_points:
             return self._too_few(whole)
         search = self._search_in(whole)
-        first = 0 if search.seen.returns >= tuning.sure_returns else min(1, len(tuning.levels) - 1)
+        first = 0 if search.informative >= tuning.sure_returns else min(1, len(tuning.levels) - 1)
         templates, poses = 0, list[Pose]()
         for level in tuning.levels[first:]:
             attitudes = attitudes_of(level.attitudes)
@@ -145,23 +144,20 @@ class GlobalSearch:
         if not poses:
             nothing = Registration.none(Source.LIDAR, "no attitude shows the target to the sensor")
             return Acquisition(nothing, templates=templates)
-        if search.seen.returns < self._tuning.sufficient_returns:
-            poses = sorted(poses, key=lambda pose: -pose.log_mass(self._radius_m))
-        registration = self._tracker.finish(whole, poses[0].R, poses[0].t)
-        belief = search.belief(poses[0])
-        if registration.T_sensor_target is None or not registration.belief.continues_track:
+        registration, belief = self._tracker.finish(whole, poses[0].R, poses[0].t), search.belief(poses[0])
+        if search.few and registration.T_sensor_target is not None:
+            poses = search.ranked(poses)
+            registration = self._tracker.placed(registration, poses[0], poses[0].information)
+            belief = search.belief(poses[0])
+        elif registration.T_sensor_target is None or not registration.belief.continues_track:
             belief = registration.belief if belief.continues_track else belief
         if registration.T_sensor_target is not None and belief.continues_track:
-            few = search.seen.returns < self._tuning.sufficient_returns
+            covariance = self._model.turns.exact.with_free_variance(
+                registration.covariance, rotation_matrix(registration.T_sensor_target), 0.0
+            )
+            vague = undetermined(covariance, max_sigma_m=np.inf, max_sigma_deg=self._tuning.max_sigma_deg)
+            belief = replace(belief, insufficient=belief.insufficient or vague)
             logs = np.array([pose.log_mass(self._radius_m) for pose in poses])
-            least = self._tuning.ambiguous_weight
-            if few:  # each rival may be as far below its own mode as a right pose is
-                logs[1:] = np.minimum(logs[1:] + CHANCE, logs[0])
-                least = self._tuning.few_weight
-                covariance = self._model.turns.exact.with_free_variance(
-                    registration.covariance, rotation_matrix(registration.T_sensor_target), 0.0
-                )
-                vague = undetermined(covariance, max_sigma_m=np.inf, max_sigma_deg=self._tuning.max_sigma_deg)
-                belief = replace(belief, insufficient=belief.insufficient or vague)
+            least = self._tuning.few_weight if search.few else self._tuning.ambiguous_weight
             belief = belief_with_rivals(rivals(poses, logs, self._model.turns.exact), belief, least=least)
         return Acquisition(replace(registration, belief=belief), templates=templates)

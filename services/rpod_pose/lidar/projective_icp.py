@@ -5,6 +5,7 @@ steps to the faces, on all returns, refine it (``scan_alignment``). Where the fa
 outline determines it (``outline``). The likelihood of the scan at the pose is the self-check (``scan_fit``).
 """
 
+from dataclasses import replace
 from math import radians
 
 import numpy as np
@@ -13,12 +14,22 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, pose_covariance
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.lidar.scan_registration import ScanRegistration, reach_of, refined, tracked
+from rpod_pose.lidar.scan_registration import (
+    CHANCE,
+    ScanRegistration,
+    is_sure,
+    neighbourhood,
+    reach_of,
+    refined,
+    settled,
+    tracked,
+)
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Registration
 from rpod_pose.registration.field_alignment import FieldProblem, Points
-from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.surface_model import SurfaceModel
+from rpod_pose.search.turns import Placed
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
 from rpod_schemas.poses import pose_of
@@ -50,7 +61,7 @@ class ProjectiveIcp:
         )
         self._errors = ScanErrors(
             self.model.sigma_range_m,
-            tuning.model.slack_m,
+            self.model.assumed.slack_m,
             tuning.steep_cosine**2,
             1.0 / (tuning.outline_sigmas * self.model.sigma_range_m),
         )
@@ -69,9 +80,21 @@ class ProjectiveIcp:
         points = Points.equal(seen.downsampled(self._tuning.points))
         far = FieldProblem(points, self.surface.coarse_field, self._far)
         start = PoseArrays.of(T_sensor_target)
-        return self._registration(
-            seen, tracked(far, self._problem(seen), start, seen.range_m, self.model.assumed, self._reach)
-        )
+        problem = self._problem(seen)
+        found = tracked(far, problem, start, seen.range_m, self.model.assumed, self._reach)
+        usable = bool(seen.range_m.any() and np.isfinite(found.information).all())
+        if usable and not is_sure(found, seen.returns, self._reach):
+            found = self._resumed(seen, problem, found)
+        return self._registration(seen, found)
+
+    def _resumed(self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration) -> ScanRegistration:
+        """Return a registration from the likeliest of samples around one that may be beside the solution."""
+        rough = neighbourhood(found.information, found.pose, self._reach)
+        posterior = self.model.posterior(seen, found.pose, rough)
+        start = stepped(found.pose, posterior.likeliest)
+        other = settled(problem, start, seen.range_m, self.model.assumed, self._reach)
+        least = found.statistics.agreement.log_likelihood + CHANCE
+        return other if other.statistics.agreement.log_likelihood > least else found
 
     def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
         """Return the registration from a pose R, t, sensor axes, that is close to the solution."""
@@ -79,6 +102,11 @@ class ProjectiveIcp:
         return self._registration(
             seen, refined(problem, start, seen.range_m, self.model.assumed, self._reach)
         )
+
+    def placed(self, registration: Registration, pose: Placed, information: FloatArray) -> Registration:
+        """Return a registration with another pose of the same scan, and the information about it, (6, 6)."""
+        covariance = pose_covariance(information + self._weak, pose.R)
+        return replace(registration, T_sensor_target=pose_of(pose.R, pose.t), covariance=covariance)
 
     def _problem(self, seen: SeenScan) -> FaceProblem:
         return FaceProblem(

@@ -16,20 +16,19 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, qmc
 
 from rpod_pose.belief import Belief, contradicted
 from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
+from rpod_pose.lidar.sampled_posterior import Proposal, SampledPosterior, draws, sampled_posterior
 from rpod_pose.lidar.scan_likelihood import (
     Assumptions,
-    Draws,
     Rays,
     ScanAgreement,
     ScanStatistics,
-    likeliest,
     scan_statistics,
 )
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
@@ -41,14 +40,7 @@ MARGIN = 3
 UNKNOWN_SIGMA_M = 0.05
 """Sigma of a range of a sensor that does not state it: pulsed LIDARs have errors of 2 to 5 cm."""
 
-_ROUNDS, _SAMPLES, _ELITE = 4, 64, 10
-_DRAWS = Draws(
-    norm.ppf(qmc.Sobol(6, seed=1).random(_ROUNDS * _SAMPLES).clip(1e-3, 1.0 - 1e-3)).reshape(
-        _ROUNDS, _SAMPLES, 6
-    ),
-    _ELITE,
-)
-"""Standard normal samples, spread evenly, the same in every search."""
+_DRAWS = draws()
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +89,9 @@ class ScanModel:
         self.sigma_range_m = config.sigma_range_m or sigma_range_m or UNKNOWN_SIGMA_M
         self._rays = Rays(view.grid.arrays, surface.faces, view.hits.range_m, view.hits.triangle)
         self._shares = expected_shares(config.surest_detection)
-        self.assumed = _assumptions(config, self.sigma_range_m)
-        self._pessimistic = _assumptions(verdict.pessimistic, self.sigma_range_m)
+        radius_m = float(np.linalg.norm(surface.faces.triangles_m, axis=2).max())
+        self.assumed = _assumptions(config, self.sigma_range_m, radius_m)
+        self._pessimistic = _assumptions(verdict.pessimistic, self.sigma_range_m, radius_m)
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
@@ -138,23 +131,17 @@ class ScanModel:
             and fit.agreement.share >= 1.0 - most_inconsistent
         )
 
-    def outline_refined(
-        self, seen: SeenScan, R: FloatArray, t: FloatArray, covariance: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the likeliest pose R, t near a given one, whose uncertainty is roughly known.
-
-        Few returns on faces leave some motions undetermined that the outline determines: it shows which rays
-        meet the target. That part of the likelihood has no gradient, so it is sampled from a normal
-        distribution that follows the best samples (the cross-entropy method, R. Y. Rubinstein, 1999).
+    def posterior(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> SampledPosterior:
+        """Return the posterior of the pose of the target in the sensor near a given one.
 
         Args:
             seen: the scan.
-            R: R_sensor_target, shape (3, 3).
-            t: position of the target in the sensor, shape (3,), m.
-            covariance: covariance of (dtau, dtheta) as in ``normal_equations``, shape (6, 6).
+            pose: the pose.
+            covariance: rough covariance of (dtau, dtheta) as in ``normal_equations``, rather too large,
+                shape (6, 6).
         """
         hits = self._view.hits
-        cast_faces(self._view.grid.arrays, self._rays.faces, R, t, hits.arrays)
+        cast_faces(self._view.grid.arrays, self._rays.faces, pose.R, pose.t, hits.arrays)
         rows, columns = _around((seen.range_m > 0.0) | (hits.triangle >= 0))
         measured = np.ascontiguousarray(seen.range_m[rows, columns])
         rays = Rays(
@@ -163,16 +150,15 @@ class ScanModel:
             np.empty(measured.shape, np.float32),
             np.empty(measured.shape, np.int32),
         )
-        refined: tuple[FloatArray, FloatArray] = likeliest(
-            measured, R, t, rays, self.assumed, covariance, _DRAWS
-        )
-        return refined
+        proposal = Proposal(covariance, _DRAWS)
+        found: SampledPosterior = sampled_posterior(measured, pose, rays, self.assumed, proposal)
+        return found
 
 
-def _assumptions(config: ScanModelConfig, sigma_range_m: float) -> Assumptions:
+def _assumptions(config: ScanModelConfig, sigma_range_m: float, radius_m: float) -> Assumptions:
     return Assumptions(
         sigma_m=config.noise_scale * sigma_range_m,
-        slack_m=config.slack_m,
+        slack_m=min(config.slack_m, config.slack_share * radius_m),
         clutter_share=config.clutter_share,
         clutter_density=config.clutter_share / config.clutter_depth_m,
         least_range_m=config.least_range_m,

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers
 from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG, Detection
-from rpod_pose.registration.lie_group import turned
 from rpod_pose.registration.surface_model import Faces, cast_faces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -55,15 +54,6 @@ class Rays(NamedTuple):
     """Predicted range."""
     face: NDArray[np.int32]
     """Predicted face, -1 for none."""
-
-
-class Draws(NamedTuple):
-    """Samples of a pose's neighbourhood."""
-
-    normal: FloatArray
-    """Standard normal samples, shape (rounds, samples, 6)."""
-    elite: int
-    """Number of best samples of a round that determine the next round's distribution."""
 
 
 class ScanAgreement(NamedTuple):
@@ -282,42 +272,3 @@ def _missing(sums: RaySums, share: FloatArray) -> float:
         expected = sums.met[rung] * (1.0 - share[rung])
         missing += max(0.0, sums.missing[rung] - expected - np.sqrt(expected))
     return missing
-
-
-@kernel
-def likeliest(  # noqa: PLR0917
-    range_m: FloatArray,
-    R: FloatArray,
-    t: FloatArray,
-    rays: Rays,
-    assumed: Assumptions,
-    covariance: FloatArray,
-    draws: Draws,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the likeliest pose R, t near a given one (``scan_fit.ScanModel.outline_refined``).
-
-    The samples of the first round have the given covariance of (dtau, dtheta), shape (6, 6); those of each
-    next round have that of the best samples of the round before. The other arguments are as in
-    ``scan_statistics``.
-    """
-    normal, elite = draws
-    best_R, best_t = R, t
-    best = scan_agreement(range_m, R, t, rays, assumed).log_likelihood
-    steps, scores, spread = np.empty(normal.shape[1:]), np.empty(normal.shape[1]), covariance
-    for number in range(normal.shape[0]):
-        root = np.linalg.cholesky(spread + 1e-12 * np.eye(6))
-        centre_R, centre_t = best_R, best_t
-        for n in range(normal.shape[1]):
-            steps[n] = root @ normal[number, n]
-            moved_R, moved_t = turned(centre_R, steps[n, 3:]), centre_t + centre_R @ steps[n, :3]
-            scores[n] = scan_agreement(range_m, moved_R, moved_t, rays, assumed).log_likelihood
-            if scores[n] > best:
-                best, best_R, best_t = scores[n], moved_R, moved_t
-        leading = steps[np.argsort(-scores)[:elite]]
-        middle = np.zeros(6)
-        for row in leading:
-            middle += row / elite
-        spread = np.zeros((6, 6))
-        for row in leading:
-            spread += np.outer(row - middle, row - middle) / elite
-    return best_R, best_t

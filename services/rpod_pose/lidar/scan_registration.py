@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rpod_geometry.kernels import kernel
-from rpod_pose.lidar.outline import outline_steps
+from rpod_pose.lidar.outline.steps import Scene, outline_steps
 from rpod_pose.lidar.scan_alignment import (
     FEWEST,
     FaceFit,
@@ -46,6 +46,8 @@ ROUNDS = 5
 """Largest number of times that the outline is found anew."""
 STRAIGHT = 0.125
 """Motion of the outline, in units of the rays' distance, up to which it stays on the lines found."""
+STRETCH = 3.0
+"""Factor on the standard deviations of a pose from which its neighbourhood is sampled."""
 CHANCE = 3.0
 """Drop of the log likelihood from the greatest to that of a typical right pose, for six unknowns."""
 
@@ -74,12 +76,32 @@ class ScanRegistration(NamedTuple):
     """Information about (dtau, dtheta) at the pose, by the ranges and the outline, shape (6, 6)."""
     statistics: ScanStatistics
     """Statistics of the scan at the pose."""
+    converged: bool
+    """Whether the last step was so short that the outline is straight along it; True without the outline."""
 
 
 def reach_of(view: ScanView, config: ProjectiveIcpConfig, radius_m: float) -> Reach:
     """Return the reach of a tracker with a scan pattern, for a target of a radius, m."""
     spacing = max(spacing_rad(view.azimuth_rad), spacing_rad(view.elevation_rad))
     return Reach(config.tuning.near_share, spacing, radius_m, config.tuning.sure_surplus)
+
+
+def is_sure(found: ScanRegistration, returns: int, reach: Reach) -> bool:
+    """Return whether a registration converged to a pose at which its scan is as likely as at a right one."""
+    return found.converged and bool(_deficit(found) <= -reach.surplus * returns)
+
+
+def neighbourhood(information: FloatArray, pose: PoseArrays, reach: Reach) -> FloatArray:
+    """Return a covariance of (dtau, dtheta), (6, 6), that reaches the optima beside the one at a pose.
+
+    Args:
+        information: information about (dtau, dtheta) at the pose, shape (6, 6).
+        pose: pose of the target in the sensor.
+        reach: no optimum moves a point farther than to the next ray.
+    """
+    held = np.diag(_held(pose, reach))
+    covariance: FloatArray = np.linalg.inv(information / STRETCH**2 + held).astype(np.float64)
+    return covariance
 
 
 @kernel
@@ -96,7 +118,7 @@ def aligned(
     """
     fit = face_aligned(problem, start)
     statistics = scan_statistics(range_m, fit.pose.R, fit.pose.t, _rays(problem), assumed)
-    return ScanRegistration(fit.pose, fit, _of_faces(problem, fit), statistics)
+    return ScanRegistration(fit.pose, fit, _of_faces(problem, fit), statistics, True)
 
 
 @kernel
@@ -191,10 +213,18 @@ def _likelier(  # noqa: PLR0917
         reach: what the outline can tell.
     """
     least = best.statistics.agreement.log_likelihood
-    if other.statistics.agreement.log_likelihood < least - CHANCE:
+    if other.statistics.agreement.log_likelihood < least - CHANCE or _are_alike(best.pose, other.pose, reach):
         return best
     found = settled(problem, other.pose, range_m, assumed, reach)
     return found if found.statistics.agreement.log_likelihood > least + CHANCE else best
+
+
+@kernel
+def _are_alike(one: PoseArrays, other: PoseArrays, reach: Reach) -> bool:
+    """Return whether two poses are so close that the outline is straight between them."""
+    moved_m, turned2 = sqrt(((one.t - other.t) ** 2).sum()), ((one.R - other.R) ** 2).sum() / 2.0
+    straight_m = STRAIGHT * reach.spacing_rad * sqrt((one.t**2).sum())
+    return bool(moved_m + reach.radius_m * sqrt(turned2) < straight_m)
 
 
 @kernel
@@ -243,7 +273,7 @@ def _farthest(steps: Steps, step: FloatArray) -> float:
 @kernel
 def _held(pose: PoseArrays, reach: Reach) -> FloatArray:
     """Return the information that a step (dtau, dtheta) moves no point farther than to the next ray, (6,)."""
-    held, strip_m = np.empty(6), reach.spacing_rad * sqrt((pose.t**2).sum())
+    held, strip_m = np.empty(6), max(reach.spacing_rad * sqrt((pose.t**2).sum()), 1e-6 * reach.radius_m)
     held[:3] = strip_m**-2
     held[3:] = (strip_m / reach.radius_m) ** -2
     return held
@@ -255,7 +285,7 @@ def settled(
 ) -> ScanRegistration:
     """Return the mean of the pose by ranges and outline, near a given pose; arguments as for ``refined``."""
     rays, pose, information = _rays(problem), start, np.zeros((6, 6))
-    inliers, squares, likelihood, kept, step = 0, 0.0, -np.inf, start, np.zeros(6)
+    inliers, squares, likelihood, kept, step, converged = 0, 0.0, -np.inf, start, np.zeros(6), False
     straight_m = STRAIGHT * reach.spacing_rad * sqrt((start.t**2).sum())
     for number in range(ROUNDS):
         cast_faces(rays.grid, rays.faces, pose.R, pose.t, problem.buffers)
@@ -274,7 +304,7 @@ def settled(
         of_ranges = information_of(evidence.sums, 6)
         if not np.isfinite(of_ranges).all():
             break
-        steps = outline_steps(range_m, pose, rays, assumed, power)
+        steps = outline_steps(Scene(range_m, pose, rays, assumed, power))
         found = propagated(
             steps,
             of_ranges * whole,
@@ -287,12 +317,14 @@ def settled(
         information = without_influential(of_ranges, evidence.rows) * whole + found.information
         step = found.mean
         pose = stepped(pose, step)
-        if number > 0 and _farthest(steps, step) < straight_m:
+        converged = _farthest(steps, step) < straight_m
+        if number > 0 and converged:
             break
     statistics = scan_statistics(range_m, pose.R, pose.t, rays, assumed)
     if statistics.agreement.log_likelihood < likelihood - CHANCE:
         pose, statistics = kept, scan_statistics(range_m, kept.R, kept.t, rays, assumed)
-    return ScanRegistration(pose, FaceFit(pose, information, squares, inliers), information, statistics)
+    faces = FaceFit(pose, information, squares, inliers)
+    return ScanRegistration(pose, faces, information, statistics, converged)
 
 
 @kernel
@@ -304,7 +336,7 @@ def _refined(
     if likelihood <= found.statistics.agreement.log_likelihood:
         return found
     statistics = scan_statistics(range_m, start.R, start.t, _rays(problem), assumed)
-    return ScanRegistration(start, found.faces, found.information, statistics)
+    return ScanRegistration(start, found.faces, found.information, statistics, True)
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import e, log, pi, sqrt
 from typing import Self
 
 import numpy as np
@@ -11,16 +12,17 @@ from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
-from rpod_pose.lidar.scan_registration import CHANCE, Reach, aligned, reach_of, settled
+from rpod_pose.lidar.scan_registration import CHANCE, Reach, aligned, neighbourhood, reach_of, settled
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.field_alignment import Points, field_aligned
-from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_pose.search.comparison import Comparison
 from rpod_pose.search.turns import Turns, matrices
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, SearchLevelConfig
+from rpod_schemas.poses import pose_of
 from rpod_schemas.types import Float32Array
 
 FIELD_SIGMAS = 6.0
@@ -33,8 +35,14 @@ HALFWAY = 4.0
 """Greatest deficit per return of a pose that a refinement on the outline may still correct."""
 GAIN = 5.0
 """Gain of log likelihood after which a pose's near-symmetries are tried again."""
-STRETCH = 3.0
-"""Factor on the standard deviations of a pose from which its neighbourhood is sampled."""
+ENTROPY = sqrt(2.0 * pi * e)
+"""Width of a uniform distribution with the entropy of a normal one, in standard deviations. A return's
+information is the logarithm of the width of what is known before over that of what is known after it."""
+LARGE = 1e3
+"""Size of a target in standard deviations of a range from which on a return counts fully: 25 m for 25 mm."""
+ABSORBED = 22.5
+"""Squared distance of a pose from the mean of another's posterior, in its standard deviations, up to which it
+belongs to it: the chi-square distribution with six degrees of freedom exceeds it once in 1,000."""
 OF_NOTHING_RAD = np.deg2rad(104.0)
 """Standard deviation of an angle of which nothing is known."""
 
@@ -48,19 +56,24 @@ class Pose:
     fit: ScanFit
     information: FloatArray
     """Information about (dtau, dtheta) as in ``normal_equations``, shape (6, 6)."""
+    sampled_mass: float | None = None
+    """Logarithm of the integral of the likelihood near the pose, by samples; None if it was not sampled."""
 
     def log_mass(self, radius_m: float) -> float:
-        """Return the logarithm of the pose's share of the posterior, up to a constant (Laplace's method).
+        """Return the logarithm of the integral of the likelihood near the pose: its share of the posterior.
 
-        It is the log likelihood plus the logarithm of the volume of the uncertainty: among two poses that
-        explain a scan alike, the one that has to be met less exactly is more probable.
+        Without samples it is the log likelihood plus the logarithm of the volume of the uncertainty
+        (Laplace's method): among two poses that explain a scan alike, the one that has to be met less exactly
+        is more probable.
 
         Args:
             radius_m: distance of the target's farthest point from its origin.
         """
+        if self.sampled_mass is not None:
+            return self.sampled_mass
         loosest: FloatArray = np.repeat((radius_m, OF_NOTHING_RAD), 3)
         information = self.information + np.diag(loosest**-2)
-        return self.fit.log_likelihood - 0.5 * float(np.linalg.slogdet(information)[1])
+        return self.fit.log_likelihood - 0.5 * float(np.linalg.slogdet(information / (2.0 * np.pi))[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +133,25 @@ class ScanSearch:
             truncation_m,
             truncated=seen.cut_off,
         )
+        strip_m = scanner.reach.spacing_rad * float(np.linalg.norm(self._comparison.centroid_m))
+        self._is_fine = strip_m < scanner.statistics.sigma_range_m  # the outline tells more than the ranges
         self._few = Points.equal(seen.downsampled(self._tuning.coarse_points))
         sigma_m = scanner.statistics.sigma_range_m
         least_m = FIELD_SIGMAS * sigma_m
         widest_m = max(config.tracking.tuning.widest_share * scanner.reach.radius_m, least_m)
         self._far_m = np.geomspace(widest_m, least_m, self._tuning.coarse_steps)
         self._rough_m, self._fine_m = FACE_SIGMAS * sigma_m, FINE_SIGMAS * sigma_m
+
+    @property
+    def informative(self) -> float:
+        """Number of returns, weighted by the information of one relative to that from a large target."""
+        ratio = 2.0 * self._scanner.reach.radius_m / self._scanner.statistics.sigma_range_m
+        return self.seen.returns * min(max(log(ratio / ENTROPY) / log(LARGE / ENTROPY), 0.0), 1.0)
+
+    @property
+    def few(self) -> bool:
+        """Whether several poses near the best one may be as likely: the returns are few, or tell little."""
+        return self._is_fine or self.informative < self._tuning.sufficient_returns
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
         """Return distinct poses, likeliest first; empty if the sensor sees the target at no attitude.
@@ -157,7 +183,7 @@ class ScanSearch:
             chosen = self._finished(chosen)
             turned.append(chosen)
             found += [chosen, *self._turned(chosen, tuning.turns)]
-        few = self.seen.returns < tuning.sufficient_returns
+        few = self.few
         best = self._distinct(found)[: tuning.few_finished if few else tuning.finished]
         finished = self._distinct([self._improved(pose, self._fine_m) for pose in best])
         if not finished:
@@ -180,9 +206,16 @@ class ScanSearch:
             best = every[0]
         return every
 
+    def ranked(self, poses: Sequence[Pose]) -> list[Pose]:
+        """Return poses by their share of the posterior, without those in the posterior near the best one."""
+        best, *others = sorted(poses, key=lambda pose: -pose.log_mass(self._scanner.reach.radius_m))
+        steps = [step_between(pose_of(best.R, best.t), pose_of(other.R, other.t)) for other in others]
+        near = [step @ best.information @ step <= ABSORBED for step in steps]
+        return [best, *(other for other, inside in zip(others, near, strict=True) if not inside)]
+
     def _polished(self, pose: Pose) -> Pose:
-        """Return a pose after all refinements."""
-        return self._outline_refined(self._sampled(self._outline_refined(pose)))
+        """Return a pose refined on the outline, and then by samples of the posterior."""
+        return self._sampled(self._outline_refined(pose))
 
     def _likely(self, ranked: Sequence[Pose]) -> list[Pose]:
         """Return the poses about as likely as the first, of poses with the likeliest first."""
@@ -193,10 +226,7 @@ class ScanSearch:
         """Return a pose fully refined, so that its near-symmetries start from an accurate pose."""
         pose = self._improved(pose, self._fine_m)
         halfway = 0.0 < pose.fit.deficit < HALFWAY * self.seen.returns
-        few = (
-            self.seen.returns < self._tuning.sufficient_returns
-        )  # few returns: the pose is refined on the outline at the end
-        return self._outline_refined(pose) if halfway and not few else pose
+        return self._outline_refined(pose) if halfway and not self.few else pose
 
     def _is_turned(self, pose: Pose, turned: Sequence[Pose]) -> bool:
         """Return whether a pose's near-symmetries were tried when it was about as likely as now."""
@@ -223,14 +253,14 @@ class ScanSearch:
         return self.face_aligned(R, t, self._fine_m)
 
     def _problem(self, scales_m: FloatArray) -> FaceProblem:
-        view, model = self._scanner.view, self._config.tracking.tuning.model
+        view, statistics = self._scanner.view, self._scanner.statistics
         return FaceProblem(
             self.seen.points_m,
             self.seen.rays,
             view.grid.arrays,
             self._model.surface.faces,
             self._model.surface.coarse_field,
-            ScanErrors(self._scanner.statistics.sigma_range_m, model.slack_m, 0.0, 0.0),
+            ScanErrors(statistics.sigma_range_m, statistics.assumed.slack_m, 0.0, 0.0),
             scales_m,
             view.hits.arrays,
         )
@@ -250,10 +280,8 @@ class ScanSearch:
         return self._scanner.statistics.belief(self.seen, pose.R, pose.t, pose.fit)
 
     def _is_sure(self, pose: Pose) -> bool:
-        returns = self.seen.returns
-        return (
-            returns >= self._tuning.sure_returns and pose.fit.deficit <= -self._tuning.sure_surplus * returns
-        )
+        likely = pose.fit.deficit <= -self._tuning.sure_surplus * self.seen.returns
+        return likely and not self._is_fine and self.informative >= self._tuning.sure_returns
 
     def _turned(self, pose: Pose, count: int) -> list[Pose]:
         """Return a pose's near-symmetries and best other rotations, in place and aligned by the centroid."""
@@ -278,9 +306,15 @@ class ScanSearch:
         ]
 
     def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
-        """Return a rough pose aligned with the scan."""
+        """Return a rough pose aligned with the scan: with the outline if its ranges lead away from it.
+
+        Ranges of a small target may be mostly noise, and an alignment by them alone then ends anywhere.
+        """
         rough = field_aligned(self._few, PoseArrays(R, t), self._model.surface.coarse_field, self._far_m)
-        return self.face_aligned(*rough, self._rough_m)
+        moved, start = self.face_aligned(*rough, self._rough_m), self._unrefined(R, t)
+        if moved.fit.log_likelihood >= start.fit.log_likelihood:
+            return moved
+        return self._outline_refined(start)
 
     def _outline_refined(self, pose: Pose) -> Pose:
         """Return a pose refined on the outline too; unchanged if no return lies on a ray of the pattern."""
@@ -295,14 +329,21 @@ class ScanSearch:
         return Pose(*found.pose, fit, found.information)
 
     def _sampled(self, pose: Pose) -> Pose:
-        """Return the likeliest pose among samples of a pose's neighbourhood, which has other optima."""
+        """Return the mean of the posterior near a pose, or the likeliest sample if the mean is unlikely."""
         if not self.seen.range_m.any():
             return pose
-        strip_m = self._scanner.reach.spacing_rad * float(np.linalg.norm(pose.t))
-        held: FloatArray = np.repeat((strip_m, strip_m / self._scanner.reach.radius_m), 3)
-        covariance = np.linalg.inv(pose.information / STRETCH**2 + np.diag(held**-2)).astype(np.float64)
-        R, t = self._scanner.statistics.outline_refined(self.seen, pose.R, pose.t, covariance)
-        return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), pose.information)
+        statistics, start = self._scanner.statistics, PoseArrays(pose.R, pose.t)
+        rough = neighbourhood(pose.information, start, self._scanner.reach)
+        found = statistics.posterior(self.seen, start, rough)
+        mean, likeliest = stepped(start, found.mean), stepped(start, found.likeliest)
+        fit, best = statistics.fit(self.seen, *mean), statistics.fit(self.seen, *likeliest)
+        covariance, there = found.covariance, Pose(*mean, fit, pose.information, found.log_mass)
+        if fit.log_likelihood < best.log_likelihood - CHANCE:
+            off = found.likeliest - found.mean
+            covariance = covariance + np.outer(off, off)
+            there = replace(there, R=likeliest.R, t=likeliest.t, fit=best)
+        information: FloatArray = np.linalg.inv(covariance).astype(np.float64)
+        return replace(there, information=information)
 
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, without those close to a likelier one."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inlined_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 
 SWEEPS = 8
@@ -43,6 +43,17 @@ class Normal(NamedTuple):
     """Mean, shape (6,)."""
     covariance: FloatArray
     """Covariance, shape (6, 6)."""
+    spread: FloatArray
+    """Memory for a covariance with one distance, shape (6,)."""
+
+
+class Factors(NamedTuple):
+    """Normal factors that stand for steps."""
+
+    precision: FloatArray
+    """Precision, shape (E,)."""
+    shift: FloatArray
+    """Precision times mean, shape (E,)."""
 
 
 class Posterior(NamedTuple):
@@ -69,11 +80,12 @@ def propagated(
     """
     covariance: FloatArray = np.linalg.inv(information + np.diag(hold)).astype(np.float64)
     mean: FloatArray = covariance @ -gradient
-    precision, shift = np.zeros(steps.number), np.zeros(steps.number)
+    factors = Factors(np.zeros(steps.number), np.zeros(steps.number))
+    state = Normal(mean, covariance, np.empty(6))
     for sweep in range(SWEEPS):
         before = mean.copy()
         for e in range(steps.number):
-            _assimilate(steps, e, Normal(mean, covariance), precision, shift, blur_m)
+            _assimilate(steps, e, state, factors, blur_m)
         worst = 0.0
         for k in range(6):
             worst = max(worst, abs(mean[k] - before[k]) / sqrt(max(covariance[k, k], 1e-300)))
@@ -84,25 +96,23 @@ def propagated(
         row = steps.rows[e]
         for i in range(6):
             for k in range(6):
-                added[i, k] += precision[e] * row[i] * row[k]
+                added[i, k] += factors.precision[e] * row[i] * row[k]
     return Posterior(mean, added)
 
 
-@kernel
-def _assimilate(  # noqa: PLR0917
-    steps: Steps, e: int, state: Normal, precision: FloatArray, shift: FloatArray, blur_m: float
-) -> None:
+@inlined_kernel
+def _assimilate(steps: Steps, e: int, state: Normal, factors: Factors, blur_m: float) -> None:
     """Replace the normal factor that stands for one step, and update the distribution.
 
     Args:
         steps: all steps.
         e: index of the step.
         state: distribution by all factors, input and output.
-        precision: precision of the factors, shape (E,), input and output.
-        shift: precision times mean of the factors, shape (E,), input and output.
+        factors: the factors, input and output.
         blur_m: standard deviation of the place of a step.
     """
-    mean, covariance, row, spread = state.mean, state.covariance, steps.rows[e], np.empty(6)
+    mean, covariance, row, spread = state.mean, state.covariance, steps.rows[e], state.spread
+    precision, shift = factors.precision, factors.shift
     v, m = 0.0, steps.distance_m[e]
     for i in range(6):
         spread[i] = 0.0

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.ray_tree import RayTree, cast_tree, ray_tree
@@ -12,12 +13,24 @@ from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.distance_field import FieldArrays, checked, field_arrays
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
+from rpod_target.topology import directed_edges, welded
 
 COARSE_CELLS = 3
 """Cells of the distance field per cell of the coarse field, along each axis."""
 
+FLAT = 1e-6
+"""Sine of the angle between two faces up to which they lie in one plane."""
 ALL_AT_ONCE = 3_000
 """Number of triangles up to which all are tested for an image of a scan's rays; by time, 40 x 40 rays."""
+
+
+class Edges(NamedTuple):
+    """The edges of a target at which its surface may end for a sensor: convex ones and borders."""
+
+    ends_m: FloatArray
+    """Ends, target axes, counter-clockwise about the first face, shape (E, 2, 3)."""
+    faces: NDArray[np.int32]
+    """Faces beside each edge, shape (E, 2); the same face twice at a border."""
 
 
 class Faces(NamedTuple):
@@ -33,6 +46,8 @@ class Faces(NamedTuple):
     """Median albedo of the class of each triangle's material, shape (T,)."""
     tree: RayTree
     """The same triangles in a tree of boxes, for single rays."""
+    edges: Edges
+    """Edges of the triangles at which the surface may end."""
 
 
 @kernel
@@ -50,6 +65,36 @@ def cast_faces(grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray, buf
         cast_tree(grid, faces.tree, R, t, buffers.range_m, buffers.triangle)
     else:
         cast_pose(grid, faces.triangles_m, R, t, True, buffers.range_m, buffers.triangle)
+
+
+def outline_edges(triangles_m: FloatArray, normals: FloatArray) -> Edges:
+    """Return the edges of a mesh at which its surface may end for a sensor.
+
+    An edge between two faces in one plane, or in a hollow, never ends a surface. Where more than two faces
+    meet, each of them has the edge as a border.
+
+    Args:
+        triangles_m: corners, target axes, shape (T, 3, 3), counter-clockwise from outside.
+        normals: outward unit normals, shape (T, 3).
+    """
+    directed = directed_edges(welded(triangles_m))
+    _, edge, counts = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    edge = edge.reshape(-1)
+    order = np.argsort(edge, kind="stable")
+    two = np.repeat(counts == 2, counts)
+    first, second = order[two].reshape(-1, 2).T
+    one, other = first // 3, second // 3
+    ends_m = np.stack([triangles_m, np.roll(triangles_m, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+    beyond_m = triangles_m[other].mean(axis=1) - ends_m[first, 0]
+    height_m = np.einsum("ij,ij->i", normals[one], beyond_m)
+    convex = height_m < -FLAT * np.linalg.norm(beyond_m, axis=1)
+    alone = order[~two]
+    return Edges(
+        np.ascontiguousarray(np.concatenate([ends_m[first[convex]], ends_m[alone]])),
+        np.concatenate(
+            [np.stack([one, other], axis=1)[convex], np.repeat(alone // 3, 2).reshape(-1, 2)]
+        ).astype(np.int32),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +118,13 @@ class SurfaceModel:
         origin_m, spacing_m, values = field_arrays(target)
         coarse = values[::COARSE_CELLS, ::COARSE_CELLS, ::COARSE_CELLS].copy()
         return cls(
-            Faces(triangles_m, normals, offsets_m, albedos(target), ray_tree(triangles_m)),
+            Faces(
+                triangles_m,
+                normals,
+                offsets_m,
+                albedos(target),
+                ray_tree(triangles_m),
+                outline_edges(triangles_m, normals),
+            ),
             checked(target, FieldArrays(origin_m, COARSE_CELLS * spacing_m, coarse)),
         )

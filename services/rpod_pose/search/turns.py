@@ -48,11 +48,15 @@ class Turns:
 
     @classmethod
     def of(cls, target: Target) -> Self:
-        """Return a target's declared near-symmetries (or half turns), and the rotations of a cube."""
+        """Return a target's near-symmetries (or half turns), a cube's turns, and half of each exact symmetry.
+
+        A prism that is turned by half of its symmetry's angle hardly differs from itself.
+        """
         exact = target.equivalence
         declared = _distinct([turn.rotation for turn in target.turns()], exact)
         declared = declared or _distinct(list(HALF_TURNS), exact)
-        every = _distinct([*declared, *Rotation.create_group("O")], exact)
+        halves = [Rotation.from_rotvec(0.5 * Rotation.from_matrix(turn).as_rotvec()) for turn in exact.turns]
+        every = _distinct([*declared, *Rotation.create_group("O"), *halves], exact)
         matrices = np.array([turn.as_matrix() for turn in every]).reshape(-1, 3, 3)
         return cls(matrices, len(declared), exact)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lidar_scans import LIDAR, errors, load, off, random_pose, scan_at, scan_of, tracker
+from lidar_scans import LIDAR, load, off, random_pose, scan_at, scan_of, tracker
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
@@ -12,6 +12,7 @@ from rpod_pose.lidar.scan_fit import UNKNOWN_SIGMA_M, ScanModel
 from rpod_pose.lidar.scan_likelihood import HIT_MEAN, HIT_VARIANCE, PEAK, STEEPEST
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.brightness import albedos
+from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
 from rpod_schemas.poses import make_pose, pose_of
@@ -190,15 +191,24 @@ def test_of_nothing_nothing_is_explained():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_pose_is_refined_by_the_outline(seed):
+def test_samples_give_the_mean_and_the_covariance_of_a_pose_near_a_rough_one(seed):
     T = random_pose(seed, 50.0)
-    scan, rough = scan_at(T, SLIM, frame=seed), off(T, 1.5, 0.3, seed)
+    scan, rough = scan_at(T, SLIM, frame=seed), PoseArrays.of(off(T, 1.5, 0.3, seed))
     model, seen = tracker(SLIM).model, tracker(SLIM).view.seen(scan)
-    covariance = np.diag([0.3**2] * 3 + [0.03**2] * 3)
-    R, t = model.outline_refined(seen, *parts(rough), covariance)
-    assert model.fit(seen, R, t).log_likelihood > model.fit(seen, *parts(rough)).log_likelihood
-    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
-    assert errors(T, pose_of(R, t))[1] < errors(T, rough)[1]
-    again = model.outline_refined(seen, *parts(rough), covariance)
-    np.testing.assert_array_equal(R, again[0])
-    np.testing.assert_array_equal(t, again[1])
+    found = model.posterior(seen, rough, np.diag([0.3**2] * 3 + [0.03**2] * 3))
+    mean = stepped(rough, found.mean)
+    assert model.fit(seen, *mean).log_likelihood > model.fit(seen, *rough).log_likelihood
+    off_by = step_between(pose_of(*mean), T)
+    assert off_by @ np.linalg.solve(found.covariance, off_by) < 22.5
+    assert np.linalg.norm(off_by[:3]) < 0.2
+    again = model.posterior(seen, rough, np.diag([0.3**2] * 3 + [0.03**2] * 3))
+    np.testing.assert_array_equal(found.mean, again.mean)
+
+
+def test_the_mass_of_a_posterior_is_the_integral_of_its_likelihood():
+    T = random_pose(0, 20.0)
+    model, seen = tracker().model, tracker().view.seen(scan_at(T, frame=0))
+    found = model.posterior(seen, PoseArrays.of(T), np.diag([0.01**2] * 3 + [0.001**2] * 3))
+    log_likelihood = model.fit(seen, *stepped(PoseArrays.of(T), found.likeliest)).log_likelihood
+    laplace = log_likelihood + 0.5 * np.linalg.slogdet(2.0 * np.pi * found.covariance)[1]
+    assert found.log_mass == pytest.approx(laplace, abs=2.0)

@@ -1,0 +1,293 @@
+"""The places where near surfaces end between neighbouring rays, at a pose at which the target is rendered.
+
+A surface ends at an edge of the mesh between a face that is seen from outside and one that is not, or at a
+border. Such an edge is compared only with the pairs of neighbouring rays of which one does not continue what
+the other meets. It crosses the plane of the two rays in a point. This gives the place between them, its
+range and, by the direction of the edge, its normal, all without casting a ray.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.rays import NEAR_M, GridArrays
+from rpod_pose.lidar.scan_likelihood import Assumptions, Rays
+from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
+from rpod_pose.registration.surface_model import Faces
+from rpod_schemas.arrays import FloatArray
+
+JUMP = 4.0
+"""Least difference of two ranges, in standard deviations of one, at which a surface ends."""
+NEARER = 0.5
+"""Greatest distance of an edge from the surface that ends there, as a share of that to the surface behind it:
+an edge farther away belongs to something hidden."""
+
+
+class Places(NamedTuple):
+    """Places of the outline, each between two neighbouring rays."""
+
+    number: int
+    """Number of places, N; the arrays may be longer."""
+    direction: FloatArray
+    """Unit direction of each place in sensor axes, shape (N, 3)."""
+    normal: FloatArray
+    """Unit normal of the outline there, perpendicular to the direction, towards the near surface, (N, 3)."""
+    range_m: FloatArray
+    """Range of the near surface there, shape (N,)."""
+    rays: NDArray[np.int64]
+    """Row-major indices of the ray that meets the near surface and of the one that passes it, (N, 2)."""
+    faces: NDArray[np.int64]
+    """Face of the near surface, and the face behind it, -1 for none, shape (N, 2)."""
+
+
+class Block(NamedTuple):
+    """Rows and columns of the pattern that an edge may cross."""
+
+    top: int
+    bottom: int
+    """Last row + 1."""
+    left: int
+    right: int
+    """Last column + 1."""
+
+
+class Pair(NamedTuple):
+    """Two neighbouring rays between which a surface may end."""
+
+    number: int
+    """Number of the pair, which is that of its place."""
+    one: int
+    """Row-major index of the first ray."""
+    two: int
+    """Row-major index of the other ray."""
+
+
+class Seen(NamedTuple):
+    """An edge at which a surface ends, sensor axes."""
+
+    face: int
+    """The face that ends."""
+    start: Vector
+    """One end, m."""
+    end: Vector
+    """The other end, m."""
+    turn: float
+    """1 if the edge runs counter-clockwise about the face, seen from outside, -1 if clockwise."""
+
+
+@kernel
+def places(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Places:
+    """Return the places of the outline.
+
+    Args:
+        pose: pose of the target in the sensor.
+        rays: rays and target; their buffers hold the target rendered at the pose.
+        assumed: statistics of returns.
+    """
+    width = rays.face.shape[1]
+    pairs, count = _ending(pose, rays, JUMP * assumed.sigma_m)
+    found = Places(
+        count,
+        np.empty((count, 3)),
+        np.empty((count, 3)),
+        np.empty(count),
+        np.full((count, 2), -1),
+        np.empty((count, 2), np.int64),
+    )
+    edges, off_m = rays.faces.edges, np.full(count, np.inf)
+    facing = _facing(pose, rays.faces)
+    for n in range(edges.faces.shape[0]):
+        one, two = edges.faces[n, 0], edges.faces[n, 1]
+        if facing[one] == facing[two] and not (one == two and facing[one]):
+            continue
+        start, end = _ends(pose, edges.ends_m[n])
+        block = _block(rays.grid, start, end)
+        if block.top == block.bottom and block.left == block.right:  # the edge lies between the rays
+            continue
+        edge = Seen(int(np.int64(one if facing[one] else two)), start, end, 1.0 if facing[one] else -1.0)
+        for i in range(max(block.top - 1, 0), block.bottom):
+            for j in range(max(block.left - 1, 0), block.right):
+                ray = i * width + j
+                if pairs[0, i, j] >= 0 and i >= block.top:
+                    _compare(found, off_m, (pose, rays), edge, Pair(pairs[0, i, j], ray, ray + 1))
+                if pairs[1, i, j] >= 0 and j >= block.left:
+                    _compare(found, off_m, (pose, rays), edge, Pair(pairs[1, i, j], ray, ray + width))
+    return _without_empty(found)
+
+
+@inlined_kernel
+def on_plane(pose: PoseArrays, rays: Rays, face: int, ray: int) -> float:
+    """Return the range at which a ray, a row-major index, meets a face's plane, m; inf if it does not."""
+    width, directions = rays.face.shape[1], rays.grid.components
+    i, j = ray // width, ray % width
+    d = in_target(pose.R, directions[0, i, j], directions[1, i, j], directions[2, i, j])
+    t = in_target(pose.R, pose.t[0], pose.t[1], pose.t[2])
+    n = rays.faces.normals[face]
+    height = rays.faces.offsets_m[face] + n[0] * t.x + n[1] * t.y + n[2] * t.z
+    found = height / (n[0] * d.x + n[1] * d.y + n[2] * d.z)
+    return found if found > 0.0 else np.inf
+
+
+@inlined_kernel
+def _ending(pose: PoseArrays, rays: Rays, limit_m: float) -> tuple[NDArray[np.int32], int]:
+    """Return the number of each pair of neighbours between which a surface may end, and how many there are.
+
+    Args:
+        pose: pose of the target in the sensor.
+        rays: rays and target; their buffers hold the target rendered at the pose.
+        limit_m: difference of two ranges from which on neither ray continues what the other meets.
+
+    Returns:
+        Pairs of a ray and the next one in its row, and in its column, -1 for others, (2, rows, columns).
+    """
+    height, width = rays.face.shape
+    pairs, count = np.full((2, height, width), np.int32(-1)), 0
+    for i in range(height):
+        for j in range(width):
+            for way in range(2):
+                k, m = i + way, j + 1 - way
+                if k == height or m == width:
+                    continue
+                a, b = int(np.int64(rays.face[i, j])), int(np.int64(rays.face[k, m]))
+                if a == b:
+                    continue
+                if a >= 0 and b >= 0:
+                    one, two = i * width + j, k * width + m
+                    forth = abs(on_plane(pose, rays, a, two) - np.float64(rays.range_m[k, m]))
+                    aback = abs(on_plane(pose, rays, b, one) - np.float64(rays.range_m[i, j]))
+                    if forth <= limit_m or aback <= limit_m:
+                        continue
+                pairs[way, i, j] = count
+                count += 1
+    return pairs, count
+
+
+@inlined_kernel
+def _facing(pose: PoseArrays, faces: Faces) -> NDArray[np.bool_]:
+    """Return which faces the sensor sees from outside, shape (T,)."""
+    origin = in_target(pose.R, -pose.t[0], -pose.t[1], -pose.t[2])
+    facing = np.empty(faces.offsets_m.size, np.bool_)
+    for f in range(facing.size):
+        n = faces.normals[f]
+        facing[f] = n[0] * origin.x + n[1] * origin.y + n[2] * origin.z > faces.offsets_m[f]
+    return facing
+
+
+@inlined_kernel
+def _ends(pose: PoseArrays, ends_m: FloatArray) -> tuple[Vector, Vector]:
+    """Return the ends of an edge, target axes, shape (2, 3), in sensor axes."""
+    t = pose.t
+    a = in_sensor(pose.R, ends_m[0, 0], ends_m[0, 1], ends_m[0, 2])
+    b = in_sensor(pose.R, ends_m[1, 0], ends_m[1, 1], ends_m[1, 2])
+    return Vector(a.x + t[0], a.y + t[1], a.z + t[2]), Vector(b.x + t[0], b.y + t[1], b.z + t[2])
+
+
+@inlined_kernel
+def _block(grid: GridArrays, start: Vector, end: Vector) -> Block:
+    """Return the rows and columns of the grid that an edge may cross."""
+    if min(start.z, end.z) < NEAR_M:
+        return Block(0, grid.row_lower.size, 0, grid.column_lower.size)
+    x0, x1 = start.x / start.z, end.x / end.z
+    y0, y1 = start.y / start.z, end.y / end.z
+    return Block(
+        _from(grid.row_upper, min(y0, y1), True),
+        _from(grid.row_lower, max(y0, y1), False),
+        _from(grid.column_upper, min(x0, x1), True),
+        _from(grid.column_lower, max(x0, x1), False),
+    )
+
+
+@inlined_kernel
+def _from(values: FloatArray, value: float, including: bool) -> int:
+    """Return from which index on sorted values are above a value, or equal to it; NumPy's takes longer."""
+    low, high = 0, values.size
+    while low < high:
+        middle = (low + high) // 2
+        if values[middle] < value or (not including and values[middle] == value):
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@inlined_kernel
+def _compare(
+    found: Places, off_m: FloatArray, scene: tuple[PoseArrays, Rays], edge: Seen, pair: Pair
+) -> None:
+    """Take an edge as the place of a pair, if it crosses between its rays and is nearer to what ends there.
+
+    Args:
+        found: places so far, input and output.
+        off_m: distance of each place's edge from the surface that ends there, shape (N,), input and output.
+        scene: pose, rays and target.
+        edge: the edge.
+        pair: the pair.
+    """
+    pose, rays = scene
+    a, b = direction_of(rays, pair.one), direction_of(rays, pair.two)
+    m = cross(a, b)
+    above, below = dot(m, edge.start), dot(m, edge.end)
+    if above * below > 0.0 or above == below:
+        return
+    u = above / (above - below)
+    p = Vector(
+        edge.start.x + u * (edge.end.x - edge.start.x),
+        edge.start.y + u * (edge.end.y - edge.start.y),
+        edge.start.z + u * (edge.end.z - edge.start.z),
+    )
+    of_a, of_b = dot(cross(p, b), m), dot(cross(a, p), m)
+    if of_a < 0.0 or of_b < 0.0 or not of_a + of_b > 0.0:
+        return
+    front, back, outwards = pair.one, pair.two, cross(edge.start, edge.end)
+    if edge.turn * (dot(a, outwards) - dot(b, outwards)) > 0.0:
+        front, back = back, front
+    width, r = rays.face.shape[1], np.sqrt(dot(p, p))
+    near_m = np.float64(rays.range_m[front // width, front % width])
+    far_m = np.float64(rays.range_m[back // width, back % width])
+    off = min(abs(near_m - r), abs(near_m - on_plane(pose, rays, edge.face, front)))
+    n = pair.number
+    if r >= far_m or off >= off_m[n] or off > NEARER * (far_m - near_m):
+        return
+    off_m[n], found.range_m[n] = off, r
+    found.direction[n, 0], found.direction[n, 1], found.direction[n, 2] = p.x / r, p.y / r, p.z / r
+    scale = -edge.turn / np.sqrt(dot(outwards, outwards))
+    found.normal[n, 0], found.normal[n, 1] = scale * outwards.x, scale * outwards.y
+    found.normal[n, 2] = scale * outwards.z
+    found.rays[n, 0], found.rays[n, 1] = front, back
+    found.faces[n, 0] = edge.face
+    found.faces[n, 1] = int(np.int64(rays.face[back // width, back % width]))
+
+
+@kernel
+def _without_empty(found: Places) -> Places:
+    """Return the places without pairs that no edge was found for, in place."""
+    kept = 0
+    for n in range(found.number):
+        if found.rays[n, 0] >= 0:
+            found.direction[kept], found.normal[kept] = found.direction[n], found.normal[n]
+            found.range_m[kept], found.rays[kept] = found.range_m[n], found.rays[n]
+            found.faces[kept] = found.faces[n]
+            kept += 1
+    return Places(kept, found.direction, found.normal, found.range_m, found.rays, found.faces)
+
+
+@inlined_kernel
+def direction_of(rays: Rays, ray: int) -> Vector:
+    """Return the unit direction of a ray, by its row-major index, sensor axes."""
+    width, components = rays.face.shape[1], rays.grid.components
+    i, j = ray // width, ray % width
+    return Vector(components[0, i, j], components[1, i, j], components[2, i, j])
+
+
+@inlined_kernel
+def cross(a: Vector, b: Vector) -> Vector:
+    """Return the cross product of two vectors."""
+    return Vector(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+
+
+@inlined_kernel
+def dot(a: Vector, b: Vector) -> float:
+    """Return the dot product of two vectors."""
+    return a.x * b.x + a.y * b.y + a.z * b.z

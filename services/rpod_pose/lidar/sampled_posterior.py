@@ -1,0 +1,185 @@
+"""Posterior of a pose from few returns, by samples of its neighbourhood.
+
+Few returns leave several optima of the likelihood within some degrees, of which none is much likelier than
+the others. The mean, the covariance and the mass of the posterior near a pose are therefore computed from
+samples of it. Each round draws from Student's distribution with the mean and the covariance of the rounds
+before it. All samples are weighted by the likelihood over the mixture of all rounds' distributions (adaptive
+multiple importance sampling, J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Adaptive Multiple Importance
+Sampling, Scandinavian Journal of Statistics 39, 2012). As long as a few samples have nearly all the weight,
+the next round follows a power of the weights below 1.
+"""
+
+from math import lgamma, log, pi
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2, norm, qmc
+
+from rpod_geometry.kernels import kernel
+from rpod_pose.lidar.scan_likelihood import Assumptions, Rays, scan_agreement
+from rpod_pose.registration.lie_group import PoseArrays, stepped
+from rpod_schemas.arrays import FloatArray
+
+FREEDOM = 4.0
+"""Degrees of freedom of Student's distribution: its tails reach poses that the rounds before did not."""
+ROUNDS, SAMPLES = 12, 64
+"""Largest number of rounds, and number of samples in each."""
+SPREAD = 24.0
+"""Least effective number of samples from which a round's covariance is computed: several for each unknown."""
+ENOUGH = 48.0
+"""Effective number of samples that ends the rounds: the mean is then known within a seventh of its sigma."""
+HALVINGS = 20
+"""Number of bisections for the power of the weights."""
+
+
+class Proposal(NamedTuple):
+    """What the samples of the first round are drawn from."""
+
+    covariance: FloatArray
+    """Rough covariance of (dtau, dtheta), rather too large, shape (6, 6)."""
+    steps: FloatArray
+    """``draws``."""
+
+
+class SampledPosterior(NamedTuple):
+    """Posterior near a pose, as steps (dtau, dtheta) from it."""
+
+    mean: FloatArray
+    """Mean, shape (6,)."""
+    covariance: FloatArray
+    """Covariance, shape (6, 6)."""
+    log_mass: float
+    """Logarithm of the integral of the likelihood over (dtau, dtheta), m3 rad3."""
+    likeliest: FloatArray
+    """Likeliest sample, shape (6,)."""
+    effective: float
+    """Effective number of samples: that of equal weights with the same accuracy."""
+
+
+def draws() -> FloatArray:
+    """Return samples of Student's distribution, spread evenly, always the same, (ROUNDS, SAMPLES, 6)."""
+    even = qmc.Sobol(7, seed=1).random(1024)[: ROUNDS * SAMPLES].clip(1e-4, 1.0 - 1e-4)
+    steps: FloatArray = norm.ppf(even[:, :6]) * np.sqrt(FREEDOM / chi2.ppf(even[:, 6:], FREEDOM))
+    return steps.reshape(ROUNDS, SAMPLES, 6)
+
+
+@kernel
+def sampled_posterior(
+    range_m: FloatArray,
+    start: PoseArrays,
+    rays: Rays,
+    assumed: Assumptions,
+    proposal: Proposal,
+) -> SampledPosterior:
+    """Return the posterior near a pose, for equal prior densities of all poses.
+
+    Args:
+        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
+        start: pose of the target in the sensor.
+        rays: rays, target and buffers.
+        assumed: statistics of returns.
+        proposal: what the samples of the first round are drawn from.
+    """
+    covariance, steps = proposal
+    rounds, samples = steps.shape[0], steps.shape[1]
+    total = rounds * samples
+    x, logs, mixture = np.empty((total, 6)), np.empty(total), np.zeros(total)
+    means, roots = np.zeros((rounds, 6)), np.zeros((rounds, 6, 6))
+    mean, spread, least = np.zeros(6), covariance.copy(), 1e-6 * np.diag(np.diag(covariance))
+    weights, effective, known = np.zeros(total), 0.0, 0
+    for number in range(rounds):
+        means[number], roots[number] = mean, np.linalg.cholesky(spread + least)
+        for n in range(samples):
+            x[known + n] = mean + roots[number] @ steps[number, n]
+            moved = stepped(start, x[known + n])
+            logs[known + n] = scan_agreement(range_m, moved.R, moved.t, rays, assumed).log_likelihood
+        for before in range(number):
+            _add_density(mixture[known : known + samples], x[known:], means[before], roots[before])
+        known += samples
+        _add_density(mixture[:known], x, mean, roots[number])
+        ratios = logs[:known] - np.log(mixture[:known] / (number + 1.0))
+        power = _power(ratios)
+        weights = _weights(ratios, power)
+        mean, spread = _moments(x[:known], weights)
+        weights = _weights(ratios, 1.0)
+        effective = _effective(weights)
+        if effective >= ENOUGH:
+            break
+    if effective >= SPREAD:
+        mean, spread = _moments(x[:known], weights)
+    ratios = logs[:known] - np.log(mixture[:known] * (samples / known))
+    most = ratios.max()
+    log_mass = most + log(np.exp(ratios - most).mean())
+    return SampledPosterior(mean, spread + least, log_mass, x[np.argmax(logs[:known])], effective)
+
+
+@kernel
+def _add_density(density: FloatArray, x: FloatArray, mean: FloatArray, root: FloatArray) -> None:
+    """Add the density of Student's distribution at samples.
+
+    Args:
+        density: input and output, shape (N,).
+        x: samples, at least N of them, shape (M, 6).
+        mean: centre of the distribution, shape (6,).
+        root: lower triangular root of its scale, shape (6, 6).
+    """
+    constant = lgamma(0.5 * (FREEDOM + 6.0)) - lgamma(0.5 * FREEDOM) - 3.0 * log(FREEDOM * pi)
+    for k in range(6):
+        constant -= log(root[k, k])
+    z = np.empty(6)
+    for n in range(density.size):
+        squares = 0.0
+        for i in range(6):
+            z[i] = x[n, i] - mean[i]
+            for k in range(i):
+                z[i] -= root[i, k] * z[k]
+            z[i] /= root[i, i]
+            squares += z[i] * z[i]
+        density[n] += np.exp(constant - 0.5 * (FREEDOM + 6.0) * np.log1p(squares / FREEDOM))
+
+
+@kernel
+def _weights(ratios: FloatArray, power: float) -> FloatArray:
+    """Return weights that sum to 1, from the logarithms of their ratios, raised to a power, shape (N,)."""
+    weights = np.exp(power * (ratios - ratios.max()))
+    normed: FloatArray = weights / weights.sum()
+    return normed
+
+
+@kernel
+def _effective(weights: FloatArray) -> float:
+    """Return the effective number of samples with weights that sum to 1, shape (N,)."""
+    return float(1.0 / (weights * weights).sum())
+
+
+@kernel
+def _power(ratios: FloatArray) -> float:
+    """Return the greatest power, at most 1, of weights that leaves ``SPREAD`` effective samples.
+
+    Args:
+        ratios: logarithms of the weights, shape (N,).
+    """
+    if _effective(_weights(ratios, 1.0)) >= SPREAD:
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if _effective(_weights(ratios, middle)) < SPREAD:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+@kernel
+def _moments(x: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean, shape (6,), and covariance, shape (6, 6), of weighted samples, shape (N, 6)."""
+    mean, covariance = np.zeros(6), np.zeros((6, 6))
+    for n in range(weights.size):
+        for i in range(6):
+            mean[i] += weights[n] * x[n, i]
+    for n in range(weights.size):
+        for i in range(6):
+            for k in range(6):
+                covariance[i, k] += weights[n] * (x[n, i] - mean[i]) * (x[n, k] - mean[k])
+    return mean, covariance
