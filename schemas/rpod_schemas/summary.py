@@ -138,6 +138,10 @@ class Summary(Config):
 
     scenario: str | None
     """Name of the scenario."""
+    target: str | None = None
+    """Name or file of the target that moved and that was seen, the truth; null if no service emulated it."""
+    model: str | None = None
+    """Name or file of the target that the estimator looked for."""
     seed: Count | None
     """Seed of all noise."""
     duration_s: NonNegative
@@ -169,6 +173,11 @@ class Summary(Config):
     """Completeness of the log."""
     unreadable: dict[str, dict[str, Count]] = Field(default_factory=dict)
     """Numbers of messages in the log that cannot be read, by topic, then by reason."""
+
+    @property
+    def differing_model(self) -> str | None:
+        """Model of the target, if it is not the target itself."""
+        return None if self.target in (self.model, None) else self.model
 
     @property
     def missed(self) -> int:

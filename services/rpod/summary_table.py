@@ -21,6 +21,7 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
     missed = sum(frame.missed for frame in summary.frames.values())
     published = sum(frame.published for frame in summary.frames.values())
     rows = [
+        *_target_rows(summary),
         (
             "tracking",
             f"{_percent(modes.tracking_share)} of the frames after {_seconds(modes.first_tracking_s)}",
@@ -48,6 +49,12 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
         rows.append(("NEES", f"{nees.nees_mean:.1f} mean, {_percent(nees.nees_share_in_95)} within 95 %"))
     rows.append(("messages", f"{published} published, {missed} missed by the log"))
     return rows
+
+
+def _target_rows(summary: Summary) -> list[tuple[str, str]]:
+    """Return the row that tells truth and model apart; none if they are the same."""
+    model = summary.differing_model
+    return [] if model is None else [("target", f"truth {summary.target}, model {model}")]
 
 
 def _error_rows(error: ErrorSummary | None) -> list[tuple[str, str]]:

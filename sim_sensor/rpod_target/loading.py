@@ -5,7 +5,9 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -18,13 +20,14 @@ from rpod_target.errors import TargetError
 from rpod_target.mesh_files import MeshFile, companions
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
 from rpod_target.target import DistanceField, Material, Symmetry, Target
+from rpod_target.variation import Variation, split
 
 RANDOM = "random-"
 """Beginning of the names of the random satellites."""
 _SHIPPED = Path(__file__).parent / "targets"
-_BUILDER_VERSION, _MESH_BUILDER_VERSION = 4, 6
-"""Version of the builder, without and with mesh files, to be increased when the same parameters give other
-arrays."""
+_BUILDER_VERSION, _MESH_BUILDER_VERSION, _VARIATION_VERSION = 4, 6, 1
+"""Version of the builder, without and with mesh files, and of the variations, to be increased when the same
+parameters give other arrays."""
 
 
 def shipped_targets() -> tuple[str, ...]:
@@ -44,23 +47,42 @@ def load_target(
 
     Args:
         name_or_path: name of a shipped target or of a random satellite (``rpod_target.population``), or
-            path of a parameter file (YAML, JSON or TOML).
+            path of a parameter file (YAML, JSON or TOML); behind it, the terms of a variation
+            (``rpod_target.variation``).
         cache: directory of the built targets; by default $RPOD_CACHE, $XDG_CACHE_HOME/rpod or ~/.cache/rpod.
         read: mesh files that are read already, by their names in the parameter file.
 
     Raises:
         TargetError: names the file, the field and the reason.
     """
-    path, parameters, meshes = _read(name_or_path)
-    digest = _digest(parameters, meshes)
-    built = _digest(parameters.model_copy(update={"symmetries": ()}), meshes)  # they change no array
-    file = (cache or store.default_directory()) / f"target-{built}.npz"
+    base, terms = (str(name_or_path), {}) if Path(name_or_path).exists() else split(str(name_or_path))
+    path, parameters, meshes = _read(base)
+    variation = check(Variation, terms, source=name_or_path) if terms else None
+    if variation is not None:
+        path = path.with_name(path.name + str(name_or_path).removeprefix(base))
+        parameters = _without(parameters, variation, source=path)
+    digest = _digest(parameters, meshes, variation)
+    bare = parameters.model_copy(update={"symmetries": ()})  # they change no array
+    file = (cache or store.default_directory()) / f"target-{_digest(bare, meshes, variation)}.npz"
     arrays = store.read(file)
     if arrays is None:
-        arrays = _build(parameters, meshes, path, read or {})
+        arrays = _build(parameters, meshes, path, read or {}, variation)
         with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
             store.write(file, arrays)
-    return _assemble(parameters, arrays, source=path, digest=digest)
+    target = _assemble(parameters, arrays, source=path, digest=digest)
+    return replace(target, name=target.name + str(name_or_path).removeprefix(base))
+
+
+def _without(parameters: TargetParameters, variation: Variation, *, source: Path) -> TargetParameters:
+    """Return the parameters without the parts that a variation leaves out."""
+    names = [part.name for part in parameters.parts]
+    for name in variation.without:
+        if name not in names:
+            raise TargetError(source, "without", f"part {name!r} is unknown; known are {', '.join(names)}")
+    parts = tuple(part for part in parameters.parts if part.name not in variation.without)
+    if not parts:
+        raise TargetError(source, "without", "leaves no part")
+    return parameters.model_copy(update={"parts": parts})
 
 
 def _read(name_or_path: str | Path) -> tuple[Path, TargetParameters, dict[str, bytes]]:
@@ -144,24 +166,30 @@ def _read_meshes(parameters: TargetParameters, path: Path) -> dict[str, bytes]:
     return meshes
 
 
-def _digest(parameters: TargetParameters, meshes: Mapping[str, bytes]) -> str:
-    content = {
+def _digest(parameters: TargetParameters, meshes: Mapping[str, bytes], variation: Variation | None) -> str:
+    content: dict[str, Any] = {
         "builder": _MESH_BUILDER_VERSION if meshes else _BUILDER_VERSION,
         "parameters": parameters.model_dump(mode="json"),
         "meshes": {name: hashlib.sha256(mesh).hexdigest() for name, mesh in meshes.items()},
     }
+    if variation is not None:
+        content["variation"] = {"version": _VARIATION_VERSION, **variation.model_dump(mode="json")}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _build(
-    parameters: TargetParameters, meshes: Mapping[str, bytes], path: Path, read: Mapping[str, MeshFile]
+    parameters: TargetParameters,
+    meshes: Mapping[str, bytes],
+    path: Path,
+    read: Mapping[str, MeshFile],
+    variation: Variation | None,
 ) -> dict[str, Array]:
     try:
         from rpod_target.building import build_arrays  # noqa: PLC0415 - a warm start must not pay for Open3D
     except ImportError as error:
         reason = f"is not in the cache yet, and building it needs Open3D: install rpod[target] ({error})"
         raise TargetError(path, "", reason) from error
-    return build_arrays(parameters, meshes, source=str(path), read=read)
+    return build_arrays(parameters, meshes, source=str(path), read=read, variation=variation)
 
 
 def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source: Path, digest: str) -> Target:

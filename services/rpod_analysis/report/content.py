@@ -12,19 +12,20 @@ import plotly.io
 from rpod_analysis.log import Log
 from rpod_analysis.log.accounting import Command, SensorFlow
 from rpod_analysis.log.completeness import CheckedCompleteness, check_log_completeness
+from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.log.unreadable import UnreadableKind
 from rpod_analysis.report.figures import error_figure, state_figure
 from rpod_analysis.report.figures_path import path_figure
 from rpod_analysis.report.figures_statistics import consistency_figure, timing_figure
 from rpod_analysis.report.plot_data import PlotData
-from rpod_analysis.report.snapshots import Snapshot, take_snapshots
+from rpod_analysis.report.snapshots import Snapshot, Wireframes, take_snapshots
 from rpod_analysis.scoring.run import StreamedRun
 from rpod_analysis.scoring.run_checks import Check, assess, find_checks, headline
 from rpod_analysis.scoring.summarise import summarise
 from rpod_analysis.scoring.totals import RunTotals
 from rpod_schemas.logs import SOFTWARE, TopicCount
 from rpod_schemas.summary import Summary
-from rpod_target import Target, TargetError, load_target
+from rpod_target import TargetError, load_target
 
 _PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 _MOST_REASONS = 8
@@ -103,9 +104,9 @@ def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None
         totals.take(minute)
         plot_data.take(minute)
     software = log.metadata(SOFTWARE)
-    target, target_note = _target(log, software.get("target_digest", "").split())
+    wireframes, target_note = _targets(log)
     alarms = run.account.alarms
-    snapshots = tuple(take_snapshots(log, run, plot_data, target))
+    snapshots = tuple(take_snapshots(log, run, plot_data, wireframes))
     summary = summarise(log, run, totals, report=report)  # last, because it contains what could not be read
     return ReportContent(
         name=name,
@@ -125,7 +126,7 @@ def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None
         checks=tuple(find_checks(summary, alarms.total())),
         snapshots=snapshots,
         unreadable=log.unreadable.kinds,
-        target=target.name if target else "",
+        target=wireframes.truth.name if wireframes.truth else "",
         target_note=target_note,
         software=" ".join(software[key] for key in ("name", "version") if key in software),
         configuration={name: json.dumps(model, indent=2) for name, model in log.configuration.items()},
@@ -158,14 +159,16 @@ def _flows(run: StreamedRun, totals: RunTotals, summary: Summary) -> list[Sensor
     return flows
 
 
-def _target(log: Log, digests: list[str]) -> tuple[Target | None, str]:
-    """Return the target in the services' configuration, and a remark about its wireframe."""
-    names = [service["target"] for service in log.configuration.values() if service.get("target")]
-    if not names:
-        return None, "No wireframe: no configuration in the log names the target."
+def _targets(log: Log) -> tuple[Wireframes, str]:
+    """Return the targets in the services' configurations, and a remark about their wireframes."""
+    names = logged_targets(log)
+    if names.shown is None:
+        return Wireframes(None, None), "No wireframe: no configuration in the log names the target."
     try:
-        target = load_target(names[0])
+        truth = load_target(names.shown)
+        model = load_target(names.model or names.shown)
     except TargetError as error:
-        return None, f"No wireframe: {error}"
-    changed = bool(digests) and target.digest not in digests
-    return target, "The target's parameters have changed since the run." * changed
+        return Wireframes(None, None), f"No wireframe: {error}"
+    digests = log.metadata(SOFTWARE).get("target_digest", "").split()
+    changed = bool(digests) and not {truth.digest, model.digest} <= set(digests)
+    return Wireframes(model, truth), "The target's parameters have changed since the run." * changed

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from rpod_analysis.log import Log
 from rpod_analysis.log.completeness import check_log_completeness
+from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.scoring.run import StreamedRun
 from rpod_analysis.scoring.totals import RunTotals, summarise_durations
 from rpod_schemas.config.logger import LoggerConfig
@@ -15,8 +16,11 @@ def summarise(
 ) -> Summary:
     """Return the summary of a run, read from its log; ``totals`` if they were added up before."""
     totals = totals or RunTotals.of(*run)
+    targets = logged_targets(log)
     return Summary(
         scenario=_scenario(log),
+        target=targets.truth,
+        model=targets.model,
         seed=_seed(log),
         duration_s=run.duration_s,
         log=str(log.paths[0]),
