@@ -7,7 +7,6 @@ and needs Open3D. The result is cached by its digest, so that a service starts i
 from rpod_target.errors import TargetError
 from rpod_target.loading import is_shipped, load_target, shipped_targets
 from rpod_target.shared_axes import check_model
-from rpod_target.shared_axes import check_model
 from rpod_target.target import Albedo, DistanceField, Material, Symmetry, Target
 
 __all__ = [
@@ -17,7 +16,6 @@ __all__ = [
     "Symmetry",
     "Target",
     "TargetError",
-    "check_model",
     "check_model",
     "is_shipped",
     "load_target",

@@ -207,18 +207,18 @@ def _piece(mesh: RepairedMesh, part: Indices, materials: tuple[str, ...], *, tol
 def varied(found: Sequence[Piece], variation: Variation) -> list[Piece]:
     """Return the surfaces of a model that differs from the target; those that are missing are left out."""
     size_m = float(np.ptp(np.concatenate([piece.triangles_m for piece in found]), axis=(0, 1)).max())
-    moved = variation.moved([piece.triangles_m for piece in found])
+    surfaces_m = variation.moved([piece.triangles_m for piece in found])
     result = []
-    for piece, triangles_m in zip(found, moved, strict=True):
-        if not np.ptp(triangles_m, axis=(0, 1)).max() > NUDGE * size_m:
+    for piece, moved_m in zip(found, surfaces_m, strict=True):
+        if not np.ptp(moved_m, axis=(0, 1)).max() > NUDGE * size_m:
             continue
-        kept = np.arange(len(triangles_m))
+        coarse_m, origin = moved_m, np.arange(len(moved_m))
         if variation.coarse:
-            triangles_m, kept = coarser(triangles_m, error=variation.coarse * size_m)
-        mesh = repair(triangles_m)
-        kept = kept[mesh.origin]
-        materials = tuple(piece.materials[index] for index in kept)
-        result.append(_piece(mesh, piece.part[kept], materials, told=piece.told))
+            coarse_m, origin = coarser(moved_m, error=variation.coarse * size_m)
+        mesh = repair(coarse_m)
+        origin = origin[mesh.origin]
+        materials = tuple(piece.materials[index] for index in origin)
+        result.append(_piece(mesh, piece.part[origin], materials, told=piece.told))
     return result
 
 

@@ -1,4 +1,4 @@
-"""Whether a model and the target that it stands for share their axes, without which no error has a meaning."""
+"""Whether a model and the target that it stands for share their axes; without, no error has a meaning."""
 
 from itertools import permutations, product
 
@@ -11,8 +11,8 @@ from rpod_target.errors import TargetError
 from rpod_target.target import Target
 
 _FAR, _BETTER = 0.01, 0.5
-"""Distance of a model's surface from the target's, over the longest side, from which axes are doubted; and the
-share of it that other axes must leave to be the right ones."""
+"""Distance of a model's surface from the target's, over the longest side, from which axes are doubted; and
+the share of it that other axes must leave to be the right ones."""
 _ALIKE = 1e-3
 """Difference of two such distances, over the longest side, below which the smaller turn is told."""
 _STEPS = 20
@@ -22,8 +22,8 @@ _STEPS = 20
 def check_model(truth: Target, model: Target) -> None:
     """Check that a model of a target has the target's axes.
 
-    The model's points are held against the target's distance field, in the axes given and in those that quarter
-    turns and a shift make of them. A model of another shape is no error: then no other axes are much better.
+    The model's points are held against the target's distance field, in the axes given and in those that
+    quarter turns and a shift make of them. Another shape is no error: then no other axes are much better.
 
     Raises:
         TargetError: other axes fit the model to the target much better; the text tells them.
@@ -73,8 +73,8 @@ def _signed_m(truth: Target, points_m: FloatArray) -> FloatArray:
 def _best_shift(truth: Target, points_m: FloatArray) -> FloatArray:
     """Return the shift that brings points near the surface, by Gauss-Newton from equal middles, (3,), m."""
     corners_m = truth.triangles_m.reshape(-1, 3)
-    shift_m = (corners_m.min(axis=0) + corners_m.max(axis=0)) / 2.0
-    shift_m = shift_m - (points_m.min(axis=0) + points_m.max(axis=0)) / 2.0
+    middle_m = (corners_m.min(axis=0) + corners_m.max(axis=0)) / 2.0
+    shift_m: FloatArray = middle_m - (points_m.min(axis=0) + points_m.max(axis=0)) / 2.0
     step_m = truth.require_field().spacing_m
     for _ in range(_STEPS):
         here_m = _signed_m(truth, points_m + shift_m)
@@ -86,7 +86,7 @@ def _best_shift(truth: Target, points_m: FloatArray) -> FloatArray:
             ],
             axis=1,
         )
-        shift_m = shift_m - np.linalg.lstsq(slope, here_m, rcond=None)[0]
+        shift_m -= np.linalg.lstsq(slope, here_m, rcond=None)[0]
     return shift_m
 
 

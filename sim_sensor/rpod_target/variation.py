@@ -55,7 +55,7 @@ class Variation(Config):
     without: tuple[str, ...] = ()
     """Names of parts that are left out; one each term: ``@without=nose``."""
     off: Annotated[float, Field(ge=0)] = 0.0
-    """RMS distance, ``mm`` or ``m``, by which places are off in random directions; near ones are off alike."""
+    """RMS distance, ``mm`` or ``m``, by which places are off, near ones alike, in random directions."""
     scale: Annotated[float, Field(gt=-0.5, lt=1)] = 0.0
     """Share, ``%``, by which the model is larger than the target, about the origin."""
     coarse: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
@@ -94,7 +94,7 @@ class Variation(Config):
 
 
 def split(name_or_path: str) -> tuple[str, dict[str, Any]]:
-    """Return a target's name or file without the terms of a variation, and the terms: a variation's fields."""
+    """Return a target's name or file without the terms behind it, and these, as a variation's fields."""
     terms: dict[str, Any] = {}
     while found := _TERM.search(name_or_path):
         name_or_path = name_or_path[: found.start()]

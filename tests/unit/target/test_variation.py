@@ -89,6 +89,8 @@ def test_a_model_shares_the_axes_of_its_target_or_the_error_tells_how_they_diffe
     truth = vary("")
     for terms in ("@missing", "@bent=5deg", "@scale=3%", "@off=20mm"):
         check_model(truth, vary(terms))
-    elsewhere = replace(truth, digest="other", model_points_m=truth.model_points_m + (0.0, 0.2, 0.0))
+    elsewhere = replace(
+        truth, digest="other", model_points_m=truth.model_points_m + np.array((0.0, 0.2, 0.0))
+    )
     with pytest.raises(TargetError, match=r"axes of brick.*euler_321_deg \[0, 0, 0\].*moved by \[.*-0\.2,"):
         check_model(truth, elsewhere)
