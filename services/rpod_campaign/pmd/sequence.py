@@ -54,6 +54,8 @@ class SequenceCell:
     """JSON of the scenario."""
     target: str
     """Name of the scenario's target."""
+    model: str = ""
+    """Name of the target that the method looks for, if it is not the one that is seen."""
     case: str = ""
     """Name of the world, or of the light, in the campaign."""
     world: World = NOMINAL
@@ -179,7 +181,7 @@ class _ByNavigator:
         self._navigator = Navigator(
             settings.model_copy(update={"sensors": (_input(cell),)}),
             {self._name: _methods(cell)},
-            centre_of_mass_m=stage.target.centre_of_mass_m,
+            centre_of_mass_m=cached_target(scenario_of(cell.document).model).centre_of_mass_m,
         )
         self._state, self._last = self._navigator.start(self._mount * first), first
 
@@ -215,8 +217,7 @@ def _follower(cell: SequenceCell, stage: Stage, first: RigidTransform) -> Follow
 
 @lru_cache(maxsize=8)
 def _methods(cell: SequenceCell) -> Methods:
-    target = cached_target(scenario_of(cell.document).target)
-    return ready_methods(_input(cell), target)
+    return ready_methods(_input(cell), cached_target(scenario_of(cell.document).model))
 
 
 def _input(cell: SequenceCell) -> PmdInput:
