@@ -83,6 +83,15 @@ class ErrorSummary(Config):
     """RMS position error along the sensor's boresight, m."""
 
 
+class FrameError(Config):
+    """Errors of a frame that the target's file names, in the tracked frames of the sensors."""
+
+    attitude_deg: ErrorSize
+    """Angle of the attitude error, deg."""
+    position_m: ErrorSize
+    """Length of the position error at the frame's place, lever arm included, m."""
+
+
 class Durations(Config):
     """Statistics of durations, s."""
 
@@ -160,6 +169,8 @@ class Summary(Config):
     """Shares of tracking."""
     error: ErrorSummary | None
     """Errors over the tracked frames."""
+    frame_errors: dict[str, FrameError] = Field(default_factory=dict)
+    """Errors at the target's named frames, by name."""
     latency_s: Durations | None
     """Times from stamp to publication of the estimates, s."""
     processing_s: Durations | None

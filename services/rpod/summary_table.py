@@ -27,6 +27,14 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
             f"{_percent(modes.tracking_share)} of the frames after {_seconds(modes.first_tracking_s)}",
         ),
         *_error_rows(summary.error),
+        *(
+            (
+                f"at {name}",
+                f"{error.attitude_deg.rms:.2f} deg RMS, {1e3 * error.position_m.rms:.0f} mm RMS, "
+                f"{1e3 * error.position_m.max:.0f} max",
+            )
+            for name, error in summary.frame_errors.items()
+        ),
         ("worse than 10 deg or 0.3 m", _percent(modes.worse_than_10deg_or_0_3m_share)),
         (
             "frames",

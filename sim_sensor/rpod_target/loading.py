@@ -62,7 +62,7 @@ def load_target(
         path = path.with_name(path.name + str(name_or_path).removeprefix(base))
         parameters = _without(parameters, variation, source=path)
     digest = _digest(parameters, meshes, variation)
-    bare = parameters.model_copy(update={"symmetries": ()})  # they change no array
+    bare = parameters.model_copy(update={"symmetries": (), "frames": {}})  # they change no array
     file = (cache or store.default_directory()) / f"target-{_digest(bare, meshes, variation)}.npz"
     arrays = store.read(file)
     if arrays is None:
@@ -217,5 +217,6 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
             Symmetry(tuple(symmetry.axis.tolist()), symmetry.order, symmetry.exact, symmetry.continuous)
             for symmetry in parameters.symmetries
         ),
+        frames=parameters.frames,
         **arrays,
     )

@@ -186,6 +186,10 @@ class SymmetryParameters(Config):
         return axis / length
 
 
+FrameName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+"""Name of a frame: part of a topic of ROS 2, which has no hyphens."""
+
+
 class TargetParameters(Config):
     """A target's parameter file."""
 
@@ -216,6 +220,10 @@ class TargetParameters(Config):
     """Least angle between two faces of a part at a segment of the wireframe."""
     symmetries: tuple[SymmetryParameters, ...] = ()
     """Rotations after which the target is the same or nearly so; acquisition tries them too."""
+
+    frames: dict[FrameName, Pose] = Field(default_factory=dict)
+    """Frames of the target, such as the launch adapter or a grapple fixture: T_target_frame by name. The
+    estimator publishes their poses."""
 
     @field_validator("inertia_kg_m2")
     @classmethod
@@ -252,6 +260,7 @@ class TargetParameters(Config):
             "density_kg_m3": None,
             "mass_spread": "volume",
             "confirmed_size": False,
+            "frames": {},
         }
         return _kept(handler(self), added)
 

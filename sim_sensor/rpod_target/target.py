@@ -1,6 +1,8 @@
 """The target for sensors and estimators. All coordinates are in target axes, metres."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from typing import Literal
 
 import numpy as np
@@ -117,6 +119,8 @@ class Target:
     radius_m: float
     """Radius of the bounding sphere about the origin."""
     symmetries: tuple[Symmetry, ...]
+    frames: Mapping[str, RigidTransform] = dataclass_field(default_factory=dict)
+    """Poses T_target_frame of the frames that its file names, by name."""
 
     def require_field(self) -> DistanceField:
         """Return the distance field.

@@ -19,6 +19,7 @@ from rpod_analysis.report.figures_path import path_figure
 from rpod_analysis.report.figures_statistics import consistency_figure, timing_figure
 from rpod_analysis.report.plot_data import PlotData
 from rpod_analysis.report.snapshots import Snapshot, Wireframes, take_snapshots
+from rpod_analysis.scoring.frame_errors import named_frames
 from rpod_analysis.scoring.run import StreamedRun
 from rpod_analysis.scoring.run_checks import Check, assess, find_checks, headline
 from rpod_analysis.scoring.summarise import summarise
@@ -98,7 +99,7 @@ class ReportContent:
 
 def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None = None) -> ReportContent:
     """Read a run once and return the content of its report; ``report`` is the path of the page."""
-    totals = RunTotals()
+    totals = RunTotals(named_frames(log))
     plot_data = PlotData(run.start_ns, run.end_ns, tuple(run.sensors))
     for minute in run:
         totals.take(minute)

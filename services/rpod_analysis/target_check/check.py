@@ -10,6 +10,7 @@ from rpod_analysis.target_check.edges import Edge, straight_edges
 from rpod_analysis.target_check.holes import Opening, openings
 from rpod_analysis.target_check.likeness import judged_symmetries
 from rpod_analysis.target_check.trials import MethodFacts, try_methods
+from rpod_pose.registration.closest_point import Surface
 from rpod_target import Target
 from rpod_target.symmetry import FoundSymmetry
 from rpod_target.topology import areas_m2
@@ -75,6 +76,18 @@ class MassFacts:
 
 
 @dataclass(frozen=True)
+class FrameFacts:
+    """A frame that a target's file names."""
+
+    name: str
+    place_m: tuple[float, float, float]
+    euler_321_deg: tuple[float, float, float]
+    """Yaw, pitch and roll from the target's axes."""
+    from_surface_m: float
+    """Distance of its place from the surface; a large one is likely a mistake."""
+
+
+@dataclass(frozen=True)
 class TargetCheck:
     """Everything that a check finds."""
 
@@ -91,6 +104,7 @@ class TargetCheck:
     longest_openings: tuple[Opening, ...]
     declared_symmetries: tuple[dict[str, Any], ...]
     found_symmetries: tuple[FoundSymmetry, ...]
+    frames: tuple[FrameFacts, ...]
     mass: MassFacts
     distance_field: FieldFacts
     edges: int
@@ -130,6 +144,7 @@ def check_target(target: Target, *, trials: int | None = None) -> TargetCheck:
         longest_openings=tuple(rims[:_LISTED]),
         declared_symmetries=tuple(asdict(one) for one in target.symmetries),
         found_symmetries=tuple(judged_symmetries(target)),
+        frames=tuple(_frame(target, name) for name in target.frames),
         mass=_mass(target),
         distance_field=_field(target),
         edges=len(edges),
@@ -186,6 +201,19 @@ def _materials(target: Target) -> tuple[MaterialFacts, ...]:
             each.name, each.looks, each.reflectivity, each.diffuse, each.f0, float(area / area_m2.sum())
         )
         for each, area in zip(target.materials, area_m2, strict=True)
+    )
+
+
+def _frame(target: Target, name: str) -> FrameFacts:
+    pose = target.frames[name]
+    surface = Surface.of(target.triangles_m, target.normals)
+    place_m = pose.translation[None]
+    closest_m = surface.closest(place_m, np.ones(len(target.triangles_m), np.bool_), np.zeros(1, np.int32))
+    return FrameFacts(
+        name,
+        _triple(pose.translation),
+        _triple(pose.rotation.as_euler("ZYX", degrees=True)),
+        float(np.linalg.norm(closest_m - place_m)),
     )
 
 
