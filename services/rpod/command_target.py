@@ -128,12 +128,12 @@ def _tell(found: TargetCheck, console: Console) -> None:
         turn = "any turn" if one.continuous else f"order {one.order}"
         kind = "exact" if one.exact else "near" if one.mistaken else "near, told apart"
         console.print(f"symmetry  about ({axis}): {turn}, {kind}", markup=False)
-    for each in found.frames:
-        place = ", ".join(f"{value:.4g}" for value in each.place_m)
-        angles = ", ".join(f"{value:.4g}" for value in each.euler_321_deg)
+    for frame in found.frames:
+        place = ", ".join(f"{value:.4g}" for value in frame.place_m)
+        angles = ", ".join(f"{value:.4g}" for value in frame.euler_321_deg)
         console.print(
-            f"frame     {each.name} at ({place}) m, yaw, pitch, roll ({angles}) deg, "
-            f"{each.from_surface_m:.3g} m from the surface",
+            f"frame     {frame.name} at ({place}) m, yaw, pitch, roll ({angles}) deg, "
+            f"{frame.from_surface_m:.3g} m from the surface",
             soft_wrap=True,
         )
     if found.openings:

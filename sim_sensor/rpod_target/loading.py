@@ -56,32 +56,39 @@ def load_target(
         TargetError: names the file, the field and the reason.
     """
     base, terms = (str(name_or_path), {}) if Path(name_or_path).exists() else split(str(name_or_path))
+    suffix = str(name_or_path).removeprefix(base)
     path, parameters, meshes = _read(base)
     variation = check(Variation, terms, source=name_or_path) if terms else None
-    if variation is not None:
-        path = path.with_name(path.name + str(name_or_path).removeprefix(base))
-        parameters = _without(parameters, variation, source=path)
-    digest = _digest(parameters, meshes, variation)
-    bare = parameters.model_copy(update={"symmetries": (), "frames": {}})  # they change no array
-    file = (cache or store.default_directory()) / f"target-{_digest(bare, meshes, variation)}.npz"
-    arrays = store.read(file)
-    if arrays is None:
-        arrays = _build(parameters, meshes, path, read or {}, variation)
-        with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
-            store.write(file, arrays)
-    target = _assemble(parameters, arrays, source=path, digest=digest)
-    return replace(target, name=target.name + str(name_or_path).removeprefix(base))
+    source = path.with_name(path.name + suffix)
+
+    def loaded(without: tuple[str, ...]) -> Target:
+        chosen = _without(parameters, without, source=source)
+        digest = _digest(chosen, meshes, variation)
+        bare = chosen.model_copy(update={"symmetries": (), "frames": {}})  # they change no array
+        file = (cache or store.default_directory()) / f"target-{_digest(bare, meshes, variation)}.npz"
+        arrays = store.read(file)
+        if arrays is None:
+            arrays = _build(chosen, meshes, source, read or {}, variation)
+            with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
+                store.write(file, arrays)
+        target = _assemble(chosen, arrays, source=source, digest=digest)
+        return replace(target, name=target.name + suffix)
+
+    left_out = () if variation is None else variation.without
+    unreliable = tuple(part.name for part in parameters.parts if part.unreliable)
+    target = loaded(left_out)
+    return replace(target, reliable=loaded(left_out + unreliable)) if unreliable else target
 
 
-def _without(parameters: TargetParameters, variation: Variation, *, source: Path) -> TargetParameters:
-    """Return the parameters without the parts that a variation leaves out."""
-    names = [part.name for part in parameters.parts]
-    for name in variation.without:
-        if name not in names:
-            raise TargetError(source, "without", f"part {name!r} is unknown; known are {', '.join(names)}")
-    parts = tuple(part for part in parameters.parts if part.name not in variation.without)
+def _without(parameters: TargetParameters, names: tuple[str, ...], *, source: Path) -> TargetParameters:
+    """Return the parameters without parts, which a variation leaves out or which are unreliable."""
+    known = [part.name for part in parameters.parts]
+    for name in names:
+        if name not in known:
+            raise TargetError(source, "without", f"part {name!r} is unknown; known are {', '.join(known)}")
+    parts = tuple(part for part in parameters.parts if part.name not in names)
     if not parts:
-        raise TargetError(source, "without", "leaves no part")
+        raise TargetError(source, "parts", f"no part is left without {', '.join(names)}; keep at least one")
     return parameters.model_copy(update={"parts": parts})
 
 
@@ -218,5 +225,6 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
             for symmetry in parameters.symmetries
         ),
         frames=parameters.frames,
+        reliable=None,
         **arrays,
     )

@@ -58,6 +58,14 @@ class _PartParameters(Config):
     """Name of the part's material, for all faces without one of their own."""
     T_target_part: Pose = Field(default_factory=RigidTransform.identity)
     """Pose of the part in the target."""
+    unreliable: bool = False
+    """Whether the estimator ignores the part, because its shape or place is not known well: flexible foil, an
+    array of unknown angle."""
+
+    @model_serializer(mode="wrap")
+    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields; without those that are left out, the digest of the file stays as it was."""
+        return _kept(handler(self), {"unreliable": False})
 
 
 class BoxParameters(_PartParameters):
@@ -141,7 +149,13 @@ class MeshParameters(_PartParameters):
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _kept(handler(self), {"object": None, "file_materials": {}, "largest_error_m": None})
+        added: dict[str, Any] = {
+            "object": None,
+            "file_materials": {},
+            "largest_error_m": None,
+            "unreliable": False,
+        }
+        return _kept(handler(self), added)
 
 
 PartParameters = Annotated[
@@ -253,7 +267,7 @@ class TargetParameters(Config):
     @model_serializer(mode="wrap")
     def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Return the fields; without those that are left out, the digest of the file stays as it was."""
-        added = {
+        added: dict[str, Any] = {
             "centre_of_mass_m": None,
             "inertia_kg_m2": None,
             "mass_kg": None,

@@ -122,6 +122,9 @@ class Target:
     frames: Mapping[str, RigidTransform] = dataclass_field(default_factory=dict)
     """Poses T_target_frame of the frames that its file names, by name."""
 
+    reliable: "Target | None" = None
+    """The target without the parts that its file calls unreliable; None if there are none."""
+
     def require_field(self) -> DistanceField:
         """Return the distance field.
 
