@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.ports import Acquirer, Acquisition, Methods, Registration, Tracker
+from rpod_schemas.poses import pose_error
 from rpod_schemas.types import Float32Array
 from rpod_target import DistanceField, Target
 
@@ -32,6 +33,8 @@ class UnreliableParts:
         unreliable = ~np.isin(np.array(target.parts), reliable.parts)[target.triangle_part]
         size_m = float(np.ptp(target.triangles_m[unreliable], axis=(0, 1)).max())
         self._whole, self._reliable = target.require_field(), reliable.require_field()
+        self._margin_m = max(self._whole.spacing_m, self._reliable.spacing_m)
+        self._radius_m = target.radius_m
         self._reach_m = max(_REACH * size_m, 2.0 * self._whole.spacing_m)
 
     def hit(self, points_m: Float32Array, T_sensor_target: RigidTransform) -> NDArray[np.bool_]:
@@ -40,9 +43,15 @@ class UnreliableParts:
         measured = np.isfinite(points_m).all(axis=-1)
         in_target_m = T_sensor_target.inv().apply(points_m[measured])
         whole_m, reliable_m = (_nearest(field, in_target_m) for field in (self._whole, self._reliable))
-        margin_m = max(self._whole.spacing_m, self._reliable.spacing_m)
-        on_part[measured] = (np.abs(whole_m) <= self._reach_m) & (whole_m < reliable_m - margin_m)
+        nearest = whole_m < reliable_m - self._margin_m
+        on_part[measured] = nearest & (np.abs(whole_m) <= self._reach_m)
         return on_part
+
+    def moved(self, first: RigidTransform, second: RigidTransform) -> bool:
+        """Return whether other points may be of these parts at another pose."""
+        angle_rad, position_m = pose_error(first, second)
+        farthest_m = np.linalg.norm(position_m) + self._radius_m * np.linalg.norm(angle_rad)
+        return bool(farthest_m > self._margin_m)
 
 
 def _nearest(field: DistanceField, points_m: NDArray[np.floating]) -> Float32Array:
@@ -68,24 +77,30 @@ def ignoring(methods: Methods, whole: Methods, parts: UnreliableParts, masked: M
         return masked(frame, lambda points_m: parts.hit(points_m, pose))
 
     acquirer = _Acquirer(methods.acquirer, whole.acquirer, without)
-    return Methods(acquirer, _Tracker(methods.tracker, without), methods.deskew)
+    return Methods(acquirer, _Tracker(methods.tracker, parts, without), methods.deskew)
+
+
+_Without = Callable[[Any, RigidTransform], Any]
 
 
 class _Tracker:
-    def __init__(self, tracker: Tracker[Any], without: Callable[[Any, RigidTransform], Any]) -> None:
-        self._tracker, self._without = tracker, without
+    """Tracks without the points of these parts at the prediction, then at the pose that is found."""
+
+    def __init__(self, tracker: Tracker[Any], parts: UnreliableParts, without: _Without) -> None:
+        self._tracker, self._parts, self._without = tracker, parts, without
 
     def track(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
-        return self._tracker.track(self._without(measurement, T_sensor_target), T_sensor_target)
+        found = self._tracker.track(self._without(measurement, T_sensor_target), T_sensor_target)
+        pose = found.T_sensor_target
+        if pose is None or not self._parts.moved(T_sensor_target, pose):
+            return found
+        return self._tracker.track(self._without(measurement, pose), pose)
 
 
 class _Acquirer:
-    def __init__(
-        self,
-        acquirer: Acquirer[Any],
-        whole: Acquirer[Any],
-        without: Callable[[Any, RigidTransform], Any],
-    ) -> None:
+    """Searches without the points of these parts at the pose that a search with all parts finds."""
+
+    def __init__(self, acquirer: Acquirer[Any], whole: Acquirer[Any], without: _Without) -> None:
         self._acquirer, self._whole, self._without = acquirer, whole, without
 
     def acquire(self, measurement: Any) -> Acquisition:
@@ -93,7 +108,5 @@ class _Acquirer:
         return self._acquirer.acquire(measurement if pose is None else self._without(measurement, pose))
 
     def near(self, measurement: Any, T_sensor_target: RigidTransform) -> Acquisition:
-        pose = self._whole.near(measurement, T_sensor_target).pose
-        return self._acquirer.near(
-            self._without(measurement, T_sensor_target if pose is None else pose), T_sensor_target
-        )
+        pose = self._whole.near(measurement, T_sensor_target).pose or T_sensor_target
+        return self._acquirer.near(self._without(measurement, pose), T_sensor_target)
