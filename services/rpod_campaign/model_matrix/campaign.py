@@ -1,16 +1,16 @@
-"""``model-matrix``: its cells, and the campaign as one object. Its trials are those of ``population``."""
+"""``model-matrix``: its cells, and the campaign as one object."""
 
 from dataclasses import replace
 
 from rpod_campaign.engine.campaign import Campaign
 from rpod_campaign.engine.trial.targets import model_of
+from rpod_campaign.model_matrix import trial
 from rpod_campaign.model_matrix.options import Options
 from rpod_campaign.model_matrix.report import sections
+from rpod_campaign.model_matrix.trial import PopulationCell
 from rpod_campaign.population import campaign as population
-from rpod_campaign.population import trial
 from rpod_campaign.population.options import Options as PopulationOptions
 from rpod_campaign.population.report import summarise
-from rpod_campaign.population.trial import PopulationCell
 
 
 def cells(options: Options) -> list[PopulationCell]:

@@ -23,9 +23,9 @@ VARIATIONS = (
 
 
 class Options(EveryOptions):
-    """Acquisition and tracking with models that differ from the target."""
+    """Targets that differ from their models."""
 
-    title: ClassVar[str] = "Acquisition and tracking with models that differ from the target"
+    title: ClassVar[str] = "Targets that differ from their models"
 
     trials: Trials = 50
     sensor: Literal["lidar", "pmd"] = "lidar"
