@@ -6,6 +6,7 @@ from rpod_analysis.log.log import Log
 from rpod_schemas.config.estimator import EstimatorConfig
 
 _ESTIMATOR = EstimatorConfig.model_fields["instance"].default
+_PREFIX = EstimatorConfig.model_fields["prefix"].default
 
 
 class LoggedTargets(NamedTuple):
@@ -22,12 +23,13 @@ class LoggedTargets(NamedTuple):
         return self.truth or self.model
 
 
-def logged_targets(log: Log) -> LoggedTargets:
-    """Return the targets of a run; of several estimators, that of ``estimator``."""
+def logged_targets(log: Log, *, prefix: str = _PREFIX) -> LoggedTargets:
+    """Return the targets of a run; of several estimators, of that whose topics begin with a prefix."""
     named = {name: service for name, service in log.configuration.items() if service.get("target")}
     models = {name: service for name, service in named.items() if _estimates(name, service)}
     truths = [service["target"] for name, service in named.items() if name not in models]
-    model = models.get(_ESTIMATOR) or next(iter(models.values()), {})
+    chosen = [service for service in models.values() if service.get("prefix") == prefix]
+    model = next(iter([*chosen, *models.values()]), {})
     return LoggedTargets(next(iter(truths), None), model.get("target"))
 
 

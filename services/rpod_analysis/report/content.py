@@ -99,13 +99,13 @@ class ReportContent:
 
 def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None = None) -> ReportContent:
     """Read a run once and return the content of its report; ``report`` is the path of the page."""
-    totals = RunTotals(named_frames(log))
+    totals = RunTotals(named_frames(log, prefix=run.prefix))
     plot_data = PlotData(run.start_ns, run.end_ns, tuple(run.sensors))
     for minute in run:
         totals.take(minute)
         plot_data.take(minute)
     software = log.metadata(SOFTWARE)
-    wireframes, target_note = _targets(log)
+    wireframes, target_note = _targets(log, run.prefix)
     alarms = run.account.alarms
     snapshots = tuple(take_snapshots(log, run, plot_data, wireframes))
     summary = summarise(log, run, totals, report=report)  # last, because it contains what could not be read
@@ -160,9 +160,9 @@ def _flows(run: StreamedRun, totals: RunTotals, summary: Summary) -> list[Sensor
     return flows
 
 
-def _targets(log: Log) -> tuple[Wireframes, str]:
+def _targets(log: Log, prefix: str) -> tuple[Wireframes, str]:
     """Return the targets in the services' configurations, and a remark about their wireframes."""
-    names = logged_targets(log)
+    names = logged_targets(log, prefix=prefix)
     if names.shown is None:
         return Wireframes(None, None), "No wireframe: no configuration in the log names the target."
     try:

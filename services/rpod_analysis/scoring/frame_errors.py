@@ -21,11 +21,16 @@ class NamedFrame(NamedTuple):
     """Pose in the target that is seen; that of the model if the target's file does not name the frame."""
 
 
-def named_frames(log: Log) -> dict[str, NamedFrame]:
-    """Return the frames whose poses are in a log, by name; none if the targets cannot be loaded."""
-    suffix = ESTIMATE_FRAME.name.split("/", 1)[1].removesuffix("<frame>")
-    published = {name.rsplit("/", 1)[1] for name in log.topics if name.split("/", 1)[-1].startswith(suffix)}
-    names = logged_targets(log)
+def named_frames(log: Log, *, prefix: str) -> dict[str, NamedFrame]:
+    """Return the frames whose poses an estimator published, by name; none if the targets cannot be loaded.
+
+    Args:
+        log: the log.
+        prefix: first part of the estimator's topics.
+    """
+    topics = ESTIMATE_FRAME.under(prefix).at("").name
+    published = {name.removeprefix(topics) for name in log.topics if name.startswith(topics)}
+    names = logged_targets(log, prefix=prefix)
     if not published or names.shown is None:
         return {}
     try:

@@ -112,6 +112,11 @@ class StreamedRun:
         """Whether time comes from the topic ``clock``."""
 
     @property
+    def prefix(self) -> str:
+        """First part of the estimator's topics."""
+        return self.status_topic.split("/")[0]
+
+    @property
     def duration_s(self) -> float:
         """Time from the first to the last stamp of truth and estimator."""
         return (self.end_ns - self.start_ns) * 1e-9

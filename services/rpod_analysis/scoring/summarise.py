@@ -16,8 +16,8 @@ def summarise(
     log: Log, run: StreamedRun, totals: RunTotals | None = None, *, report: Path | None = None
 ) -> Summary:
     """Return the summary of a run, read from its log; ``totals`` if they were added up before."""
-    totals = totals or RunTotals.of(*run, frames=named_frames(log))
-    targets = logged_targets(log)
+    totals = totals or RunTotals.of(*run, frames=named_frames(log, prefix=run.prefix))
+    targets = logged_targets(log, prefix=run.prefix)
     return Summary(
         scenario=_scenario(log),
         target=targets.truth,

@@ -144,7 +144,7 @@ def check_target(target: Target, *, trials: int | None = None) -> TargetCheck:
         longest_openings=tuple(rims[:_LISTED]),
         declared_symmetries=tuple(asdict(one) for one in target.symmetries),
         found_symmetries=tuple(judged_symmetries(target)),
-        frames=tuple(_frame(target, name) for name in target.frames),
+        frames=tuple(described_frame(target, name) for name in target.frames),
         mass=_mass(target),
         distance_field=_field(target),
         edges=len(edges),
@@ -204,7 +204,8 @@ def _materials(target: Target) -> tuple[MaterialFacts, ...]:
     )
 
 
-def _frame(target: Target, name: str) -> FrameFacts:
+def described_frame(target: Target, name: str) -> FrameFacts:
+    """Return what a check tells of a frame of the target."""
     pose = target.frames[name]
     surface = Surface.of(target.triangles_m, target.normals)
     place_m = pose.translation[None]

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.lidar.methods import ideal_scan
 from rpod_pose.lidar.scan_pattern import ScanPattern
-from rpod_pose.methods import kind_methods, methods_of
+from rpod_pose.methods import methods_of
 from rpod_pose.unreliable import UnreliableParts
 from rpod_schemas.config.estimator import LidarInput, PmdInput
 from rpod_schemas.poses import make_pose, pose_error
@@ -96,6 +96,7 @@ def test_a_turned_array_moves_the_pose_only_where_it_is_relied_on(target, load):
     error_deg = {}
     for model in (target, load("plain")):
         found = methods_of(LidarInput(), model, PATTERN).tracker.track(scan, start).T_sensor_target
+        assert found is not None
         error_deg[model.name] = np.rad2deg(np.linalg.norm(pose_error(POSE, found)[0]))
     assert error_deg["doubted"] < 0.3
     assert error_deg["plain"] > 3.0 * error_deg["doubted"]
