@@ -12,7 +12,7 @@ from rpod_pose.lidar.methods import ideal_scan
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.methods import methods_of
 from rpod_pose.unreliable import UnreliableParts
-from rpod_schemas.config.estimator import LidarInput, PmdInput
+from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_target import TargetError, load_target
 
@@ -75,9 +75,8 @@ def test_a_target_has_a_twin_without_its_unreliable_parts(target, load):
 
 def test_a_camera_loses_the_pixels_of_such_a_part_and_no_others(target):
     frame = depth_frame(target, POSE)
-    found = kind_methods(PmdInput()).masked(
-        frame, lambda at: UnreliableParts(target, target.reliable).hit(at, POSE)
-    )
+    parts = UnreliableParts(target, target.reliable)
+    found = masked(frame, lambda points_m: parts.hit(points_m, POSE))
     hits = cast(RayGrid.pinhole(frame.camera), target.triangles_m, POSE)
     of_array = (hits.triangle >= 0) & (target.triangle_part[hits.triangle] == 2)
     lost = np.isfinite(frame.depth_m) & ~np.isfinite(found.depth_m)
