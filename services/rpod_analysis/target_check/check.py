@@ -40,6 +40,8 @@ class PartFacts:
     area_m2: float
     sides_m: tuple[float, float, float]
     materials: tuple[str, ...]
+    unreliable: bool = False
+    """Whether the estimator ignores it."""
 
 
 @dataclass(frozen=True)
@@ -183,12 +185,14 @@ def _part(target: Target, number: int) -> PartFacts:
     if not len(triangles_m):
         return PartFacts(target.parts[number], 0, 0.0, (0.0, 0.0, 0.0), ())
     used = np.unique(target.triangle_material[chosen])
+    known = target.parts if target.reliable is None else target.reliable.parts
     return PartFacts(
         target.parts[number],
         len(triangles_m),
         float(areas_m2(triangles_m).sum()),
         _triple(np.ptp(triangles_m, axis=(0, 1))),
         tuple(target.materials[index].name for index in used),
+        unreliable=target.parts[number] not in known,
     )
 
 

@@ -11,14 +11,14 @@ from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.lidar.methods import ideal_scan
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.methods import methods_of
+from rpod_pose.pmd.methods import masked
 from rpod_pose.unreliable import UnreliableParts
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_target import TargetError, load_target
 
-PATTERN = ScanPattern(
-    np.deg2rad(np.arange(-15.0, 15.1, 0.4)), np.deg2rad(np.arange(-15.0, 15.1, 0.4)), sigma_range_m=0.01
-)
+ANGLES_RAD = np.deg2rad(np.arange(-15.0, 15.1, 0.4))
+PATTERN = ScanPattern(ANGLES_RAD, ANGLES_RAD, sigma_range_m=0.01)
 PIECES = {"body": ([1.0, 1.4, 0.8], [0.0, 0.0, 0.0]), "box": ([0.4, 0.3, 0.5], [0.3, 0.2, 0.5])}
 ARRAY = {"name": "array", "shape": "box", "size_m": [0.8, 2.0, 0.05], "material": "grey"}
 
