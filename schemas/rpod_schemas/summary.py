@@ -107,18 +107,22 @@ class Consistency(Config):
     """Consistency of the covariance with the errors."""
 
     nees_mean: NonNegative
-    """Mean normalised estimation error squared; 6 if the covariance is right."""
+    """Mean normalised estimation error squared; its degrees of freedom if the covariance is right."""
+    nees_dof: int = 6
+    """Degrees of freedom: 6, or 5 if the target has a free axis."""
     nees_share_in_95: Share
-    """Share at or below 12.59, the 95 % quantile of chi-squared with six degrees of freedom."""
+    """Share at or below the 95 % quantile of chi-squared: 12.59, with five degrees of freedom 11.07."""
 
 
 class Innovation(Config):
     """Consistency of the innovations with their covariances."""
 
     nis_mean: NonNegative
-    """Mean normalised innovation squared; 6 if the covariances are right."""
+    """Mean normalised innovation squared; its degrees of freedom if the covariances are right."""
+    nis_dof: int = 6
+    """Degrees of freedom: 6, or 5 if the target has a free axis."""
     nis_share_in_95: Share
-    """Share at or below 12.59, the 95 % quantile of chi-squared with six degrees of freedom."""
+    """Share at or below the 95 % quantile of chi-squared: 12.59, with five degrees of freedom 11.07."""
 
 
 class LogCompleteness(Config):

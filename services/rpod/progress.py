@@ -24,6 +24,7 @@ from rpod_schemas.messages import NANOSECONDS, read_diagnostics, read_status, re
 from rpod_schemas.poses import between, pose_error
 from rpod_schemas.topics import DIAGNOSTICS, STATUS, TARGET, TARGET_ESTIMATE, TF
 from rpod_schemas.types import Mode
+from rpod_target import NO_SYMMETRY, load_equivalence
 
 _STYLES = {Mode.TRACKING: "green", Mode.VERIFYING: "yellow", Mode.ACQUIRING: "yellow", Mode.LOST: "red"}
 _PLAIN_PERIOD_S = 5.0
@@ -54,6 +55,7 @@ class Progress:
         self._seen = _Seen()
         self._inbox = Inbox()
         self._scenario: Scenario | None = None
+        self._alike = NO_SYMMETRY
         self._said = ""
         self._printed: set[str] = set()
         self._plain_s = 0.0
@@ -80,7 +82,7 @@ class Progress:
 
     def watch(self, node: Node, scenario: Scenario) -> None:
         """Subscribe to the messages of a run."""
-        self._scenario = scenario
+        self._scenario, self._alike = scenario, load_equivalence(scenario.target)
         for topic in (TF, STATUS, DIAGNOSTICS):
             node.subscribe(topic, self._inbox.put)
 
@@ -127,7 +129,7 @@ class Progress:
         elif child == TARGET_ESTIMATE:
             truth = self._truth_at(stamp_ns)
             if truth is not None:
-                attitude_rad, position_m = pose_error(truth, pose)
+                attitude_rad, position_m = pose_error(self._alike.nearest_pose(truth, pose), pose)
                 seen.attitude_deg = float(np.rad2deg(np.linalg.norm(attitude_rad)))
                 seen.position_m = float(np.linalg.norm(position_m))
 

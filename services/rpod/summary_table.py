@@ -54,7 +54,8 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
         rows.append(("processing", f"{1e3 * times.p50:.1f} ms median, {1e3 * times.p99:.1f} ms p99"))
     if summary.consistency:
         nees = summary.consistency
-        rows.append(("NEES", f"{nees.nees_mean:.1f} mean, {_percent(nees.nees_share_in_95)} within 95 %"))
+        within = f"{_percent(nees.nees_share_in_95)} within 95 %"
+        rows.append(("NEES", f"{nees.nees_mean:.1f} mean of {nees.nees_dof} expected, {within}"))
     rows.append(("messages", f"{published} published, {missed} missed by the log"))
     return rows
 

@@ -45,7 +45,7 @@ class Estimator:
             config,
             self._methods,
             centre_of_mass_m=target.centre_of_mass_m,
-            alike=target.turns(exact=True),
+            alike=target.equivalence,
         )
         self._state: NavigatorState = self._navigator.start(config.initial_pose)
         self._resets: SimpleQueue[ResetRequest] = SimpleQueue()

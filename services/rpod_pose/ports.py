@@ -46,7 +46,8 @@ class Registration:
     explained_share: float = float("nan")
     """Share of agreeing rays among those where model or measurement show a surface (the self-check)."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
-    """Covariance of (dp, dtheta), sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1), (6, 6)."""
+    """Covariance of (dp, dtheta), sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1), (6, 6). About
+    a free axis of the target, angle and variance may be any; the navigator replaces both."""
     iterations: int = 0
 
     @classmethod

@@ -23,6 +23,7 @@ from rpod_schemas.poses import pose_error
 from rpod_schemas.sensors import SensorKind, sensor_kinds
 from rpod_schemas.topics import ESTIMATE, STATUS, TARGET, TF, TF_STATIC, TRUTH, Topic
 from rpod_schemas.types import EstimatorStatus, Mode, Odometry, SensorFrame
+from rpod_target import Equivalence
 from rpod_view.track import Track
 
 Reject = Callable[[str, MessageRejectedError], None]
@@ -67,9 +68,15 @@ class Scored:
 
 
 class Scene:
-    """Collects messages and returns the data to draw."""
+    """Collects messages and returns the data to draw.
 
-    def __init__(self, prefix: str) -> None:
+    Args:
+        prefix: prefix of the estimator's topics.
+        alike: attitudes of the target that no measurement tells apart; errors are modulo these.
+    """
+
+    def __init__(self, prefix: str, alike: Equivalence) -> None:
+        self._alike = alike
         self.truth = Track(gap_s=0.1, reach_s=0.1)
         self.estimates = Track(gap_s=2.5, reach_s=1.5)
         self.newest: Odometry | None = None
@@ -180,7 +187,8 @@ class Scene:
         truth = self.truth.at(odometry.stamp_ns) if is_known else None
         if truth is None:
             return Scored(odometry, None, None)
-        return Scored(odometry, *pose_error(truth, odometry.pose))
+        same = self._alike.nearest_pose(truth, odometry.pose)
+        return Scored(odometry, *pose_error(same, odometry.pose))
 
     def estimate_at(self, stamp_ns: int) -> RigidTransform | None:
         """Return the estimated pose at a time, predicted beyond the last estimate; None if there is none."""

@@ -8,7 +8,7 @@ import rerun as rr
 
 from rpod_runtime import Received
 from rpod_schemas.errors import MessageRejectedError
-from rpod_target import Target
+from rpod_target import NO_SYMMETRY, Target
 from rpod_view.drawing import Drawing
 from rpod_view.layout import SUMMARY, TIMELINE, Eye, layout, over_shoulder
 from rpod_view.plots import Plots
@@ -33,7 +33,7 @@ class View:
         self, recording: rr.RecordingStream, *, target: Target | None, prefix: str, reject: Reject
     ) -> None:
         self._recording, self._reject = recording, reject
-        self._scene = Scene(prefix)
+        self._scene = Scene(prefix, target.equivalence if target else NO_SYMMETRY)
         self._drawing, self._plots = Drawing(recording, target), Plots(recording)
         self._scored: Scored | None = None
         self._radius_m = target.radius_m if target else _RADIUS_M

@@ -4,20 +4,24 @@ A target is defined by a parameter file; some are shipped with the package. Buil
 and needs Open3D. The result is cached by its digest, so that a service starts in milliseconds without Open3D.
 """
 
+from rpod_target.equivalence import NO_SYMMETRY, Equivalence, Symmetry
 from rpod_target.errors import TargetError
-from rpod_target.loading import is_shipped, load_target, shipped_targets
+from rpod_target.loading import is_shipped, load_equivalence, load_target, shipped_targets
 from rpod_target.shared_axes import check_model
-from rpod_target.target import Albedo, DistanceField, Material, Symmetry, Target
+from rpod_target.target import Albedo, DistanceField, Material, Target
 
 __all__ = [
+    "NO_SYMMETRY",
     "Albedo",
     "DistanceField",
+    "Equivalence",
     "Material",
     "Symmetry",
     "Target",
     "TargetError",
     "check_model",
     "is_shipped",
+    "load_equivalence",
     "load_target",
     "shipped_targets",
 ]

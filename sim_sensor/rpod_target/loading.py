@@ -16,10 +16,11 @@ from rpod_schemas.arrays import Array
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import cache as store
+from rpod_target.equivalence import Equivalence, Symmetry
 from rpod_target.errors import TargetError
 from rpod_target.mesh_files import MeshFile, companions
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
-from rpod_target.target import DistanceField, Material, Symmetry, Target
+from rpod_target.target import DistanceField, Material, Target
 from rpod_target.variation import Variation, split
 
 RANDOM = "random-"
@@ -55,7 +56,7 @@ def load_target(
     Raises:
         TargetError: names the file, the field and the reason.
     """
-    base, terms = (str(name_or_path), {}) if Path(name_or_path).exists() else split(str(name_or_path))
+    base, terms = _base(name_or_path)
     suffix = str(name_or_path).removeprefix(base)
     path, parameters, meshes = _read(base)
     variation = check(Variation, terms, source=name_or_path) if terms else None
@@ -80,6 +81,11 @@ def load_target(
     return replace(target, reliable=loaded(left_out + unreliable)) if unreliable else target
 
 
+def _base(name_or_path: str | Path) -> tuple[str, dict[str, Any]]:
+    """Return a target's name or file without the terms of a variation, and the terms."""
+    return (str(name_or_path), {}) if Path(name_or_path).exists() else split(str(name_or_path))
+
+
 def _without(parameters: TargetParameters, names: tuple[str, ...], *, source: Path) -> TargetParameters:
     """Return the parameters without parts, which a variation leaves out or which are unreliable."""
     known = [part.name for part in parameters.parts]
@@ -90,6 +96,22 @@ def _without(parameters: TargetParameters, names: tuple[str, ...], *, source: Pa
     if not parts:
         raise TargetError(source, "parts", f"no part is left without {', '.join(names)}; keep at least one")
     return parameters.model_copy(update={"parts": parts})
+
+
+def load_equivalence(name_or_path: str | Path) -> Equivalence:
+    """Return which attitudes of a target are equivalent, from its parameter file alone; nothing is built.
+
+    Raises:
+        TargetError: as for ``load_target``.
+    """
+    return Equivalence.of(_symmetries(_read(_base(name_or_path)[0])[1]))
+
+
+def _symmetries(parameters: TargetParameters) -> tuple[Symmetry, ...]:
+    return tuple(
+        Symmetry(tuple(symmetry.axis.tolist()), symmetry.order, symmetry.exact, symmetry.continuous)
+        for symmetry in parameters.symmetries
+    )
 
 
 def _read(name_or_path: str | Path) -> tuple[Path, TargetParameters, dict[str, bytes]]:
@@ -220,10 +242,7 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         centre_of_mass_m=arrays.pop("centre_of_mass_m") if centre_m is None else centre_m,
         inertia_kg_m2=arrays.pop("inertia_kg_m2") if inertia is None else inertia,
         radius_m=float(np.linalg.norm(arrays["triangles_m"], axis=-1).max()),
-        symmetries=tuple(
-            Symmetry(tuple(symmetry.axis.tolist()), symmetry.order, symmetry.exact, symmetry.continuous)
-            for symmetry in parameters.symmetries
-        ),
+        symmetries=_symmetries(parameters),
         frames=parameters.frames,
         reliable=None,
         **arrays,

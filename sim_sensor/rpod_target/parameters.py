@@ -181,10 +181,12 @@ class SymmetryParameters(Config):
     order: Annotated[int, Field(ge=2, le=64)]
     """Order of the symmetry: the rotation is by 360 degrees over the order."""
     exact: bool = False
-    """Whether surfaces and materials are the same after it: no measurement distinguishes the two poses."""
+    """Whether surfaces and materials are the same after it: no measurement distinguishes the two poses. An
+    exact symmetry of order 24 or more counts as continuous."""
     continuous: bool = False
     """Whether the same holds for every rotation about the axis, as for a body of revolution: the angle about
-    the axis is free. The order then gives the rotations that are tried one by one."""
+    the axis is free, and its estimate has a standard deviation of 104 deg. Where that is near, not exact, the
+    order gives the rotations that are tried one by one."""
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.arrays import FloatArray
+from rpod_target.equivalence import Equivalence, Symmetry
 from rpod_target.errors import TargetError
 
 Int32Array = NDArray[np.int32]
@@ -52,20 +54,6 @@ class Material:
         if self.reflectivity < _GREY:
             return "dark" if self.reflectivity < _DARK else "grey"
         return "white"
-
-
-@dataclass(frozen=True)
-class Symmetry:
-    """A rotation about an axis through the target's origin that maps it onto itself, nearly or exactly."""
-
-    axis: tuple[float, float, float]
-    """Unit vector along the axis."""
-    order: int
-    """Order of the symmetry: the rotations are by multiples of 360 degrees over the order."""
-    exact: bool = False
-    """Whether no measurement distinguishes the target before and after the rotation."""
-    continuous: bool = False
-    """Whether the same holds for every rotation about the axis: the angle about it is free."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,19 +123,22 @@ class Target:
             raise TargetError(self.source, "distance_field", "is missing: load the target from its file")
         return self.field
 
-    @property
-    def free_axis(self) -> FloatArray | None:
-        """Unit vector of the axis about which no measurement tells the angle, shape (3,), or None."""
-        free = [np.array(each.axis) for each in self.symmetries if each.continuous and each.exact]
-        return free[0] if free else None
+    @cached_property
+    def equivalence(self) -> Equivalence:
+        """Which attitudes no measurement tells apart."""
+        return Equivalence.of(self.symmetries)
 
     def turns(self, *, exact: bool = False) -> list[RigidTransform]:
-        """Return the rotations of all symmetries, or only of the exact ones, without the identity."""
-        return [
-            RigidTransform.from_rotation(
+        """Return the rotations of all declared symmetries, without the identity.
+
+        The exact ones alone are all turns that the declared ones generate, modulo those about a free axis.
+        """
+        if exact:
+            every = [Rotation.from_matrix(turn) for turn in self.equivalence.turns[1:]]
+        else:
+            every = [
                 Rotation.from_rotvec(2.0 * np.pi * k / symmetry.order * np.array(symmetry.axis))
-            )
-            for symmetry in self.symmetries
-            if symmetry.exact or not exact
-            for k in range(1, symmetry.order)
-        ]
+                for symmetry in self.symmetries
+                for k in range(1, symmetry.order)
+            ]
+        return [RigidTransform.from_rotation(turn) for turn in every]

@@ -152,7 +152,7 @@ def test_a_run_without_target_truth_or_estimates_still_has_a_page(tmp_path):
     page = write_report([run.write(tmp_path / "run.mcap")], tmp_path / "elsewhere").html.read_text("utf-8")
     assert "The target was not acquired." in page
     assert "nothing is scored" in page
-    assert "No wireframe: no configuration in the log names the target." in page
+    assert "errors as if the target had no symmetry: no configuration in the log names the target." in page
     assert json.loads((tmp_path / "elsewhere" / "summary.json").read_text("utf-8"))["error"] is None
 
 

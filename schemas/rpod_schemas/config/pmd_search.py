@@ -68,7 +68,7 @@ class PmdAcquisitionTuning(Tuning):
 
     compared: Annotated[Count, BY_HAND] = 300
     """Number of the best attitudes that are compared with more of the frame."""
-    refined: Annotated[Count, BY_HAND] = 24
+    refined: Annotated[Count, BY_HAND] = 36
     """Number of the best of these that are aligned with the frame and rendered."""
     model_points: Annotated[Count, BUDGET] = 240
     """Number of surface points that represent the target while attitudes are compared."""
@@ -82,7 +82,7 @@ class PmdAcquisitionTuning(Tuning):
     """Largest number of poses whose turns are tried, near-symmetries and turns about the axes."""
     turns: Annotated[Count, BY_HAND] = 8
     """Number of best turns of each pose that are aligned with the frame."""
-    finished: Annotated[Count, BY_HAND] = 4
+    finished: Annotated[Count, BY_HAND] = 6
     """Number of best distinct poses that are refined to the end."""
     rival_loss: Annotated[Positive, BY_HAND] = 200.0
     """Largest difference of loss from the best pose with which one of these is refined on the outline too."""

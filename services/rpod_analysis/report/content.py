@@ -30,6 +30,7 @@ from rpod_target import TargetError, load_target
 
 _PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 _MOST_REASONS = 8
+_UNKNOWN = "No wireframe, and errors as if the target had no symmetry"
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,12 +165,12 @@ def _targets(log: Log, prefix: str) -> tuple[Wireframes, str]:
     """Return the targets in the services' configurations, and a remark about their wireframes."""
     names = logged_targets(log, prefix=prefix)
     if names.shown is None:
-        return Wireframes(None, None), "No wireframe: no configuration in the log names the target."
+        return Wireframes(None, None), f"{_UNKNOWN}: no configuration in the log names the target."
     try:
         truth = load_target(names.shown)
         model = load_target(names.model or names.shown)
     except TargetError as error:
-        return Wireframes(None, None), f"No wireframe: {error}"
+        return Wireframes(None, None), f"{_UNKNOWN}: {error}"
     digests = log.metadata(SOFTWARE).get("target_digest", "").split()
     changed = bool(digests) and not {truth.digest, model.digest} <= set(digests)
     return Wireframes(model, truth), "The target's parameters have changed since the run." * changed

@@ -3,6 +3,7 @@
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
+from scipy.special import gammainc
 
 from rpod_analysis.report.downsampling import Line
 from rpod_analysis.report.figures import ACCENT, BAD, QUIET, draw_limit, styled
@@ -10,10 +11,7 @@ from rpod_analysis.report.plot_data import PlotData
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.score import NEES_95
 from rpod_analysis.scoring.totals import RunTotals
-from rpod_schemas.arrays import FloatArray
 
-EXPECTED = 6.0
-"""Mean of chi-squared with six degrees of freedom."""
 _DECADES = (-3.0, 3.0)
 _BINS_A_DECADE = 8
 
@@ -56,6 +54,7 @@ def consistency_figure(plot_data: PlotData, totals: RunTotals) -> go.Figure | No
     known = [panel for panel in panels if panel[3].count]
     if not known:
         return None
+    limit = NEES_95[totals.dof]
     figure = make_subplots(
         rows=len(known),
         cols=2,
@@ -68,14 +67,14 @@ def consistency_figure(plot_data: PlotData, totals: RunTotals) -> go.Figure | No
     )
     for row, (_, axis, line, column) in enumerate(known, start=1):
         _over_time(figure, plot_data, line, row=row)
-        _distribution(figure, column, row=row)
+        _distribution(figure, column, dof=totals.dof, row=row)
         for col in (1, 2):
-            draw_limit(figure, "y", NEES_95, BAD, row=row, col=col)
-            draw_limit(figure, "y", EXPECTED, QUIET, row=row, col=col)
+            draw_limit(figure, "y", limit, BAD, row=row, col=col)
+            draw_limit(figure, "y", totals.dof, QUIET, row=row, col=col)
             figure.update_yaxes(type="log", row=row, col=col)
         figure.update_yaxes(title_text=axis, exponentformat="power", dtick=1, row=row, col=1)
-        for value, name in ((NEES_95, "95 % bound 12.59"), (EXPECTED, "expected mean 6")):
-            above = value == NEES_95
+        for value, name in ((limit, f"95 % bound {limit}"), (totals.dof, f"expected mean {totals.dof}")):
+            above = value == limit
             figure.add_annotation(
                 text=name, showarrow=False, font={"size": 11}, x=0.004, xref="x domain", y=np.log10(value),
                 yanchor="bottom" if above else "top", xanchor="left", row=row, col=1,
@@ -100,8 +99,8 @@ def _over_time(figure: go.Figure, plot_data: PlotData, line: Line, *, row: int) 
     )
 
 
-def _distribution(figure: go.Figure, column: Column, *, row: int) -> None:
-    """Draw a histogram over the logarithm, with that of chi-squared with six degrees of freedom."""
+def _distribution(figure: go.Figure, column: Column, *, dof: int, row: int) -> None:
+    """Draw a histogram over the logarithm, with that of chi-squared."""
     low, high = _DECADES
     edges = 10.0 ** np.linspace(low, high, round((high - low) * _BINS_A_DECADE) + 1)
     ends = edges.copy()
@@ -119,18 +118,11 @@ def _distribution(figure: go.Figure, column: Column, *, row: int) -> None:
         row=row,
         col=2,
     )
-    expected = np.diff(_chi_squared_share(edges))
+    expected = np.diff(gammainc(dof / 2.0, edges / 2.0))  # chi-squared; scipy.stats is slow to import
     line = {"color": QUIET, "width": 2}
     figure.add_trace(
         go.Scatter(x=expected, y=middle, mode="lines", line=line, hoverinfo="skip"), row=row, col=2
     )
-
-
-def _chi_squared_share(x: FloatArray) -> FloatArray:
-    """Return the share of chi-squared with six degrees of freedom below x; scipy.stats is slow to import."""
-    half = x / 2.0
-    share: FloatArray = 1.0 - np.exp(-half) * (1.0 + half + half**2 / 2.0)
-    return share
 
 
 def _histogram(figure: go.Figure, seconds: Column, end_s: float, *, col: int) -> None:

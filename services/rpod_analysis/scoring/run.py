@@ -15,12 +15,14 @@ from rpod_analysis.errors import FramesDifferError, NoEstimatesError
 from rpod_analysis.log import Log
 from rpod_analysis.log.accounting import Account
 from rpod_analysis.log.sensors import Sensor, find_sensors
+from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.scoring.row_store import BLOCK_NS, Row
 from rpod_analysis.scoring.run_reader import Found, Reader
 from rpod_analysis.scoring.score import MAX_TRUTH_GAP_NS, BoolArray, Errors, IntArray, Track, find_errors
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.topics import STATUS
 from rpod_schemas.types import Mode
+from rpod_target import NO_SYMMETRY, Equivalence, TargetError, load_equivalence
 
 DEFAULT_PREFIX = STATUS.name.split("/")[0]
 
@@ -34,7 +36,7 @@ class Statuses:
     source: IntArray
     accepted: BoolArray
     nis: FloatArray
-    """Normalised innovation squared, six degrees of freedom; NaN without a comparison."""
+    """Normalised innovation squared, with the degrees of freedom of the NEES; NaN without a comparison."""
     processing_s: FloatArray
     sensor: NDArray[np.str_]
     reason: NDArray[np.str_]
@@ -95,8 +97,8 @@ class Run:
 class StreamedRun:
     """A run of any length, minute by minute; the rows of a long run are on disk."""
 
-    def __init__(self, found: Found) -> None:
-        self._found = found
+    def __init__(self, found: Found, alike: Equivalence = NO_SYMMETRY) -> None:
+        self._found, self._alike = found, alike
         stores = (found.truth, found.estimates, found.statuses)
         self.minutes: list[int] = sorted(
             {minute for store in (*stores, found.frames) for minute in store.minutes}
@@ -163,6 +165,7 @@ class StreamedRun:
             _track(sorted(truth_rows + truth_around, key=lambda row: row[0])) if truth_around else truth,
             covariance=covariance,
             R_chaser_sensor=R_chaser_sensor,
+            alike=self._alike,
         )
         delay_ns = np.array([row[3] for row in estimate_rows], np.int64) - estimates.stamp_ns
         return Run(
@@ -227,7 +230,16 @@ def stream_run(
         raise NoEstimatesError(log.paths[0], prefix)
     if len(found.parents) > 1:
         raise FramesDifferError(log.paths[0], *sorted(found.parents)[:2])
-    return StreamedRun(found)
+    return StreamedRun(found, _alike(log))
+
+
+def _alike(log: Log) -> Equivalence:
+    """Return which attitudes of the log's target are equivalent; none if its file is not on this machine."""
+    name = logged_targets(log).shown
+    try:
+        return load_equivalence(name) if name else NO_SYMMETRY
+    except TargetError:  # the report tells it
+        return NO_SYMMETRY
 
 
 def estimate_prefix(log: Log) -> str:

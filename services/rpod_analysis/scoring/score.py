@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.arrays import FloatArray
+from rpod_target import NO_SYMMETRY, Equivalence
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 MAX_TRUTH_GAP_NS = 8_000_000
 """Largest gap between two neighbours in the truth; estimates in a longer gap are not scored."""
-NEES_95 = 12.59
-"""95 % quantile of chi-squared with six degrees of freedom."""
+NEES_95 = {6: 12.59, 5: 11.07}
+"""95 % quantile of chi-squared, by its degrees of freedom: six, or five of a target with a free axis."""
 OFF_TARGET_RAD = math.radians(10.0)
 """Attitude error above which a tracked frame counts as off the target."""
 OFF_TARGET_M = 0.3
@@ -48,6 +49,8 @@ class Errors:
     """Position errors, estimate minus truth in the sensor's axes, shape (N, 3)."""
     nees: FloatArray
     """NEES, shape (N,); NaN if the covariance is not valid."""
+    nees_dof: int = 6
+    """Degrees of freedom of the NEES: the directions in which the target can be measured."""
 
     @property
     def scored(self) -> BoolArray:
@@ -71,7 +74,7 @@ class Errors:
 
     def at(self, where: BoolArray) -> "Errors":
         """Return the errors of some of the estimates."""
-        return Errors(self.attitude_rad[where], self.position_m[where], self.nees[where])
+        return Errors(self.attitude_rad[where], self.position_m[where], self.nees[where], self.nees_dof)
 
 
 def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolArray]:
@@ -99,7 +102,12 @@ def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolA
 
 
 def find_errors(
-    estimates: Track, truth: Track, *, covariance: FloatArray, R_chaser_sensor: Rotation
+    estimates: Track,
+    truth: Track,
+    *,
+    covariance: FloatArray,
+    R_chaser_sensor: Rotation,
+    alike: Equivalence = NO_SYMMETRY,
 ) -> tuple[Errors, RigidTransform]:
     """Return the errors of N estimates, and the truth at their stamps.
 
@@ -108,9 +116,12 @@ def find_errors(
         truth: true T_chaser_target.
         covariance: covariances of (dp, dtheta) in chaser axes, shape (N, 6, 6); zeros if unknown.
         R_chaser_sensor: attitudes of the sensors whose frames gave the estimates, N rotations.
+        alike: attitudes of the target that no measurement tells apart: errors are those against the
+            nearest of them.
     """
     T_truth, known = interpolate(truth, estimates.stamp_ns)
-    R_truth, R_estimate = T_truth.rotation, estimates.poses.rotation
+    R_estimate = estimates.poses.rotation
+    R_truth = alike.nearest(T_truth.rotation, R_estimate)
     attitude_rad = (R_truth.inv() * R_estimate).as_rotvec()
     position_m = estimates.poses.translation - T_truth.translation
     turn_rad = (R_estimate * R_truth.inv()).as_rotvec()
@@ -120,7 +131,8 @@ def find_errors(
     in_sensor_m = R_chaser_sensor.inv().apply(position_m)
     in_sensor_m[unknown] = np.nan
     error[unknown] = np.nan
-    return Errors(attitude_rad, in_sensor_m, find_nees(error, covariance)), T_truth
+    nees = find_nees(error, alike.with_free_variance(covariance, R_estimate.as_matrix(), 1.0))
+    return Errors(attitude_rad, in_sensor_m, nees, alike.dof), T_truth
 
 
 def find_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:

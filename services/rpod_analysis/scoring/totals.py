@@ -82,6 +82,8 @@ class RunTotals:
         self.lost_ns = 0
         """Time in LOST or ACQUIRING after the first TRACKING, ns; a mode lasts until the next status."""
         self.latency_s, self.processing_s, self.nis = Column(), Column(), Column()
+        self.dof = 6
+        """Degrees of freedom of NEES and NIS."""
         self.nees = Column()
         """NEES of the tracked frames; all errors below are of the tracked frames too."""
         self.reasons = Kinds()
@@ -121,6 +123,7 @@ class RunTotals:
 
     def take(self, run: Run) -> None:
         """Add a minute of the run."""
+        self.dof = run.errors.nees_dof
         self.estimates += len(run.estimates)
         self.unscored += int((~run.errors.scored).sum())
         self.latency_s.extend(run.latency_s)
@@ -227,13 +230,15 @@ class RunTotals:
         """Return whether the covariance fits the errors, by the NEES; None if no NEES is known."""
         if not self.nees.count:
             return None
-        return Consistency(nees_mean=self.nees.mean, nees_share_in_95=self.nees.share_up_to(NEES_95))
+        within = self.nees.share_up_to(NEES_95[self.dof])
+        return Consistency(nees_mean=self.nees.mean, nees_dof=self.dof, nees_share_in_95=within)
 
     def innovation(self) -> Innovation | None:
         """Return whether the covariance fits the innovations, by the NIS; None if no NIS is known."""
         if not self.nis.count:
             return None
-        return Innovation(nis_mean=self.nis.mean, nis_share_in_95=self.nis.share_up_to(NEES_95))
+        within = self.nis.share_up_to(NEES_95[self.dof])
+        return Innovation(nis_mean=self.nis.mean, nis_dof=self.dof, nis_share_in_95=within)
 
 
 def summarise_size(values: Column) -> ErrorSize:

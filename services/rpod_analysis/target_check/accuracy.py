@@ -20,7 +20,7 @@ from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.poses import make_pose
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.pmd import PmdEmulator
-from rpod_target import Target
+from rpod_target import Equivalence, Target
 
 _ATTITUDES = 8
 _SHARES = (1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
@@ -43,7 +43,7 @@ class RangeAccuracy:
     sigma_position_m: float | None
     """Standard deviation along the least known direction, m; None if it is not measured."""
     sigma_attitude_deg: float | None
-    """Standard deviation about the least known axis, deg; None if it is not measured."""
+    """Standard deviation about the least known axis but a free one, deg; None if it is not measured."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def _by_range(target: Target, look: Callable[[RigidTransform, int], Frame]) -> t
         results = []
         for number, attitude in enumerate(attitudes):
             pose = make_pose(rotation=attitude, translation_m=[0.0, 0.0, range_m])
-            results.append(_information(look(pose, number), pose))
+            results.append(_information(look(pose, number), pose, target.equivalence))
         points = int(np.median([result[0] for result in results]))
         if points < _FEWEST:
             break
@@ -88,8 +88,11 @@ def _median(values: list[float]) -> float | None:
     return middle if np.isfinite(middle) else None
 
 
-def _information(frame: Frame, pose: RigidTransform) -> tuple[int, float, float]:
-    """Return the number of points, and the two largest standard deviations, m and deg; inf if unknown."""
+def _information(frame: Frame, pose: RigidTransform, alike: Equivalence) -> tuple[int, float, float]:
+    """Return the number of points, and the two largest standard deviations, m and deg; inf if unknown.
+
+    The angle about a free axis does not count.
+    """
     places_m, normals, sigma_m = frame
     if len(places_m) < _FEWEST:
         return len(places_m), np.inf, np.inf
@@ -98,7 +101,10 @@ def _information(frame: Frame, pose: RigidTransform) -> tuple[int, float, float]
     lever_m = places_m - pose.translation
     size_m = float(np.linalg.norm(lever_m, axis=1).max())
     rows = np.hstack([normals, np.cross(lever_m / size_m, normals)]) / (sigma_m * cosine)[:, None]
-    values, vectors = np.linalg.eigh(rows.T @ rows)
+    information = rows.T @ rows
+    known = float(information.trace())
+    information = alike.with_free_variance(information, pose.rotation.as_matrix(), known)
+    values, vectors = np.linalg.eigh(information)
     unknown = values < _UNSEEN * values[-1]
     variance = 1.0 / np.where(unknown, np.inf, values)
     covariance = (vectors * variance) @ vectors.T

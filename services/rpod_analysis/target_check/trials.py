@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.target_check.conditions import Condition, conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
@@ -219,14 +219,10 @@ def error_of(found: RigidTransform | None, truth: RigidTransform, target: Target
     """
     if found is None:
         return np.inf, np.inf
-    same = (truth, *(truth * turn for turn in target.turns(exact=True)))
-    off = Rotation.concatenate([pose.rotation.inv() * found.rotation for pose in same])
-    angles_rad = off.magnitude()
-    if target.free_axis is not None:  # the angle between the two directions of the axis
-        cosines = off.apply(target.free_axis) @ target.free_axis
-        angles_rad = np.arccos(np.clip(cosines, -1.0, 1.0))
+    same = target.equivalence.nearest(truth.rotation, found.rotation)
+    angle_rad = (same.inv() * found.rotation).magnitude()
     offset_m = np.linalg.norm(truth.translation - found.translation)
-    return float(np.degrees(angles_rad.min())), float(offset_m)
+    return float(np.degrees(angle_rad)), float(offset_m)
 
 
 def _is_right(attitude_deg: float, position_m: float, target: Target) -> bool:

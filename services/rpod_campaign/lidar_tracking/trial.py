@@ -11,7 +11,7 @@ import polars as pl
 from numpy.random import Generator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_campaign.engine.trial.poses import POSE, errors, numbers
+from rpod_campaign.engine.trial.poses import POSE, errors, nees_of, numbers
 from rpod_campaign.engine.trial.sizes import longest_side_m
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
@@ -24,7 +24,6 @@ from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.ports import Methods
-from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
@@ -68,6 +67,7 @@ SCHEMA: dict[str, Any] = {
     "accepted": pl.Boolean,
     "ambiguous": pl.Boolean,
     "nees": pl.Float64,
+    "nees_dof": pl.Int64,
     "reason": pl.String,
     "returns": pl.Int64,
     "track_s": pl.Float64,
@@ -86,38 +86,32 @@ def run(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
 
 
 def _single(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
-    emulator, methods, _ = _bench(cell, seed)
+    (emulator, methods, _), target = _bench(cell, seed), cached_target(cell.target)
     truth = random_pose(
         cell.target, range_m=cell.range_m or 0.0, sampling="euler", seed=seed, trial=trial
     ).T_sensor_target
     scan = scan_of(emulator, truth, trial=trial)
-    start = _off(truth, stream(seed, trial, _START), cached_target(cell.target))
+    start = _off(truth, stream(seed, trial, _START), target)
     begin_s = time.perf_counter()
     registration = methods.tracker.track(scan, start)
     took_s = time.perf_counter() - begin_s
     found, belief = registration.T_sensor_target, registration.belief
-    attitude_deg, position_m = errors(truth, found, cached_target(cell.target))
+    attitude_deg, position_m = errors(truth, found, target)
     return {
         "truth": numbers(truth),
         "found": numbers(found),
         "attitude_error_deg": attitude_deg,
         "position_error_m": position_m,
-        "success": is_success(attitude_deg, position_m, cached_target(cell.target)),
+        "success": is_success(attitude_deg, position_m, target),
         "accepted": found is not None and belief.level is BeliefLevel.ACCEPTED,
         "ambiguous": belief.level is not BeliefLevel.ACCEPTED
         and any(not rival.exact for rival in belief.rivals),
-        "nees": None if found is None else nees(truth, found, registration.covariance),
+        "nees": nees_of(truth, found, registration.covariance, target),
+        "nees_dof": target.equivalence.dof,
         "reason": belief.reason,
         "returns": len(scan.returns_m),
         "track_s": took_s,
     }
-
-
-def nees(truth: RigidTransform, found: RigidTransform, covariance: FloatArray) -> float:
-    """Return the normalised squared error of (dp, dtheta) in the sensor's axes (ICD section 1)."""
-    turn = (found.rotation * truth.rotation.inv()).as_rotvec()
-    error = np.concatenate((found.translation - truth.translation, turn))
-    return float(error @ np.linalg.solve(covariance, error))
 
 
 def _sequence(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
@@ -190,6 +184,6 @@ def _bench(cell: TrackingCell, seed: int) -> tuple[LidarEmulator, Methods, Navig
         EstimatorSettings(sensors=(sensor,)),
         {SENSOR: methods},
         centre_of_mass_m=model.centre_of_mass_m,
-        alike=model.turns(exact=True),
+        alike=model.equivalence,
     )
     return emulator_of(cell.target, lidar, seed, world=cell.world), methods, navigator

@@ -10,14 +10,15 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import RigidTransform
 
-from rpod_analysis.scoring.score import OFF_TARGET_M, OFF_TARGET_RAD, find_nees
-from rpod_campaign.engine.trial.poses import POSE, nearest, numbers
+from rpod_analysis.scoring.score import OFF_TARGET_M, OFF_TARGET_RAD
+from rpod_campaign.engine.trial.poses import POSE, nees_of, numbers
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.methods import pmd_input
 from rpod_campaign.pmd.poses import in_proportion, limits_of
 from rpod_campaign.pmd.scene import Shot, Stage, off, scenario_of, times_s, turned
 from rpod_campaign.pmd.world import NOMINAL, World
+from rpod_pose.belief import SYMMETRY
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.navigator import Navigator
@@ -75,7 +76,8 @@ SCHEMA: dict[str, Any] = {
     "attitude_deg": pl.Float64,
     "position_m": pl.Float64,
     "nees": pl.Float64,
-    "sigma_deg": pl.Float64,  # of the covariance, in its worst direction
+    "nees_dof": pl.Int64,
+    "sigma_deg": pl.Float64,  # of the covariance, in its worst direction but a free axis
     "sigma_m": pl.Float64,
     "measured": pl.Boolean,
     "off_target": pl.Boolean,
@@ -176,12 +178,14 @@ class _ByNavigator:
     """The navigator predicts, accepts or rejects, and filters."""
 
     def __init__(self, cell: SequenceCell, stage: Stage, first: RigidTransform) -> None:
-        settings = scenario_of(cell.document).estimator
+        scenario = scenario_of(cell.document)
+        settings, model = scenario.estimator, cached_target(scenario.model)
         self._mount, self._name = stage.camera.T_chaser_sensor, stage.camera.name
         self._navigator = Navigator(
             settings.model_copy(update={"sensors": (_input(cell),)}),
             {self._name: _methods(cell)},
-            centre_of_mass_m=cached_target(scenario_of(cell.document).model).centre_of_mass_m,
+            centre_of_mass_m=model.centre_of_mass_m,
+            alike=model.equivalence,
         )
         self._state, self._last = self._navigator.start(self._mount * first), first
 
@@ -189,11 +193,10 @@ class _ByNavigator:
         measurement = Measurement(self._name, shot.frame, self._mount)
         self._state, output = self._navigator.step(self._state, measurement)
         status, odometry = output.status, output.odometry
+        ambiguous = any(each.name not in ("", SYMMETRY) for each in status.hypotheses)
         if odometry is None:
             unknown = np.full((6, 6), np.nan)
-            return Answer(
-                self._last, False, unknown, status.reason, status.inliers, ambiguous=status.ambiguous
-            )
+            return Answer(self._last, False, unknown, status.reason, status.inliers, ambiguous=ambiguous)
         to_sensor = self._mount.inv()
         self._last = to_sensor * odometry.pose
         covariance = turned(odometry.pose_covariance, to_sensor.rotation)
@@ -204,7 +207,7 @@ class _ByNavigator:
             status.reason,
             status.inliers,
             believed=status.accepted,
-            ambiguous=status.ambiguous,
+            ambiguous=ambiguous,
         )
 
 
@@ -231,12 +234,12 @@ def _input(cell: SequenceCell) -> PmdInput:
 
 def _row(shot: Shot, answer: Answer, target: Target) -> dict[str, Any]:
     found = answer.T_sensor_target
-    truth = nearest(shot.T_sensor_target, found, target)
+    truth = target.equivalence.nearest_pose(shot.T_sensor_target, found)
     attitude_rad, position_m = pose_error(truth, found)
     in_sensor_rad = (found.rotation * truth.rotation.inv()).as_rotvec()
     in_target_m = truth.rotation.inv().apply(position_m)
     angle_rad, distance_m = float(np.linalg.norm(attitude_rad)), float(np.linalg.norm(position_m))
-    error = np.concatenate((position_m, in_sensor_rad))
+    observed = target.equivalence.with_free_variance(answer.covariance, found.rotation.as_matrix(), 0.0)
     return {
         "time_s": shot.time_s,
         "range_m": float(np.linalg.norm(truth.translation)),
@@ -249,8 +252,9 @@ def _row(shot: Shot, answer: Answer, target: Target) -> dict[str, Any]:
         **_components(("target_x_m", "target_y_m", "target_z_m"), in_target_m),
         "attitude_deg": float(np.rad2deg(angle_rad)),
         "position_m": distance_m,
-        "nees": float(find_nees(error[None], answer.covariance[None])[0]) if answer.measured else None,
-        "sigma_deg": np.rad2deg(_worst_sigma(answer.covariance[3:, 3:])),
+        "nees": nees_of(shot.T_sensor_target, found, answer.covariance, target) if answer.measured else None,
+        "nees_dof": target.equivalence.dof,
+        "sigma_deg": np.rad2deg(_worst_sigma(observed[3:, 3:])),
         "sigma_m": _worst_sigma(answer.covariance[:3, :3]),
         "measured": answer.measured,
         "off_target": angle_rad > OFF_TARGET_RAD or distance_m > in_proportion(OFF_TARGET_M, target),

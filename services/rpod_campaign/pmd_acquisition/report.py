@@ -19,7 +19,11 @@ Results = Sequence[CellResult[AcquisitionCell]]
 
 
 def summarise(cell: AcquisitionCell, rows: pl.DataFrame) -> dict[str, Any]:
-    """Return the summary of a cell; ``wrong_accepted`` and ``right_refused`` are numbers of trials."""
+    """Return the summary of a cell; ``wrong_accepted`` and ``right_refused`` are numbers of trials.
+
+    An ambiguity by an exact symmetry begins a track and is not counted.
+    """
+    unsure = rows.filter((pl.col("verdict") == "ambiguous") & ~pl.col("accepted"))
     share, good = rate(int(rows["success"].sum()), rows.height), rows.filter("success")
     parameters = asdict(cell)
     del parameters["document"]
@@ -36,8 +40,8 @@ def summarise(cell: AcquisitionCell, rows: pl.DataFrame) -> dict[str, Any]:
         "accepted": int(rows["accepted"].sum()),
         "wrong_accepted": int((rows["accepted"] & ~rows["success"]).sum()),
         "right_refused": int((rows["success"] & ~rows["accepted"]).sum()),
-        "ambiguous": int((rows["verdict"] == "ambiguous").sum()),
-        "ambiguous_with_truth": int(((rows["verdict"] == "ambiguous") & rows["right_hypothesis"]).sum()),
+        "ambiguous": unsure.height,
+        "ambiguous_with_truth": int(unsure["right_hypothesis"].sum()),
     }
 
 

@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from rpod_analysis.scoring.score import NEES_95
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import rate_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, percent
-from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
+from rpod_campaign.engine.report.statistics import Rate, consistency, quantile, rate
 from rpod_campaign.population.trial import LIDAR_RIGHT, PMD_RIGHT, PopulationCell
 
 Results = Sequence[CellResult[PopulationCell]]
@@ -100,12 +99,10 @@ def _total(by_satellite: Sequence[pl.DataFrame]) -> dict[str, Any]:
 def _accuracy(rows: pl.DataFrame) -> dict[str, float | None]:
     """Return the errors of the right poses, accepted or not, and their consistency."""
     good = rows.filter("right")
-    known = good.filter(pl.col("nees").is_finite())["nees"]
     return {
         "attitude_deg_rms": _rms(good["attitude_deg"]),
         "position_m_rms": _rms(good["position_m"]),
-        "nees_mean": mean(known),
-        "nees_share_in_95": mean((known <= NEES_95).cast(pl.Float64)),
+        **consistency(good),
     }
 
 
@@ -169,7 +166,7 @@ _SHARES = (
     *("success", "ambiguous", "wrong_accepted", "right_that_are_accepted"),
     "accepted_more_than_10_deg_off",
 )
-_ACCURACY = ("RMS, deg", "RMS, mm", "mean NEES", "inside 95 %", "median, ms")
+_ACCURACY = ("RMS, deg", "RMS, mm", "mean NEES", "of", "inside 95 %", "median, ms")
 
 
 def _texts(summary: dict[str, Any]) -> tuple[str, ...]:
@@ -178,6 +175,7 @@ def _texts(summary: dict[str, Any]) -> tuple[str, ...]:
         number(summary["attitude_deg_rms"], ".2f"),
         number(None if position_m is None else 1e3 * position_m, ".1f"),
         number(summary["nees_mean"], ".2f"),
+        number(summary["nees_dof"], ".2g"),
         percent(summary["nees_share_in_95"]),
         milliseconds(summary["median_s"]),
     )

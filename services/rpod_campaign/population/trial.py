@@ -83,6 +83,7 @@ SCHEMA: dict[str, Any] = {
     "hypotheses": pl.Int64,
     "reason": pl.String,
     "nees": pl.Float64,
+    "nees_dof": pl.Int64,
     "took_s": pl.Float64,
 }
 """Columns of a row.
@@ -176,6 +177,7 @@ def _scored(limits: Limits, found: Registration, truth: RigidTransform, target: 
         "position_m": position_m,
         "right": limits.are_met(attitude_deg, position_m),
         "nees": nees_of(truth, found.T_sensor_target, found.covariance, target),
+        "nees_dof": target.equivalence.dof,
     }
 
 

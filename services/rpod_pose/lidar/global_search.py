@@ -33,6 +33,7 @@ from rpod_pose.search.turns import Turns
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import GlobalSearchConfig
+from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import LidarScan, Source
 from rpod_target import Target
 
@@ -157,9 +158,10 @@ class GlobalSearch:
             if few:  # each rival may be as far below its own mode as a right pose is
                 logs[1:] = np.minimum(logs[1:] + CHANCE, logs[0])
                 least = self._tuning.few_weight
-                vague = undetermined(
-                    registration.covariance, max_sigma_m=np.inf, max_sigma_deg=self._tuning.max_sigma_deg
+                covariance = self._model.turns.exact.with_free_variance(
+                    registration.covariance, rotation_matrix(registration.T_sensor_target), 0.0
                 )
+                vague = undetermined(covariance, max_sigma_m=np.inf, max_sigma_deg=self._tuning.max_sigma_deg)
                 belief = replace(belief, insufficient=belief.insufficient or vague)
             belief = belief_with_rivals(rivals(poses, logs, self._model.turns.exact), belief, least=least)
         return Acquisition(replace(registration, belief=belief), templates=templates)

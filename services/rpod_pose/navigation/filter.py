@@ -11,20 +11,28 @@ a prediction transforms the state to the centre by p + R r and v + w x R r, prop
 back. After an update by delta the attitude error is left-multiplied by J_l(delta). Source: J. Sola,
 Quaternion kinematics for the error-state Kalman filter, arXiv:1711.02508, section 7 (errors in global axes),
 with J_l in place of its first-order terms.
+
+Where every turn about an axis of the target is a symmetry, the angle about this free axis is a convention. No
+prediction and no update turns the target about it. Its variance is 0 inside the filter, and that of an
+unknown angle in the published covariance. The rate about the axis is 0, with the variance of an unknown rate.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
+from scipy.special import gammainc, gammaincinv
 
 from rpod_pose.errors import PoseError
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.filter import FilterConfig
-from rpod_schemas.poses import pose_of, rotation_matrix
+from rpod_schemas.poses import pose_of, rotation_matrix, rotation_of
 from rpod_schemas.types import Odometry
+from rpod_target import NO_SYMMETRY, Equivalence
+from rpod_target.equivalence import FREE_SIGMA_RAD, with_variance_about
 
 POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 POSE, TWIST = slice(0, 6), slice(6, 12)
@@ -51,6 +59,8 @@ class FilterState:
     """Covariance of (dp, dtheta, dv, dw), chaser axes, shape (12, 12)."""
     centre_of_mass_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Centre of mass r of the target, target axes, shape (3,)."""
+    alike: Equivalence = NO_SYMMETRY
+    """Which attitudes no measurement tells apart."""
 
 
 class Update(NamedTuple):
@@ -70,6 +80,7 @@ def start(
     *,
     config: FilterConfig,
     centre_of_mass_m: FloatArray | None = None,
+    alike: Equivalence = NO_SYMMETRY,
 ) -> FilterState:
     """Return the state after a first measured pose, with an unknown twist.
 
@@ -79,8 +90,12 @@ def start(
         stamp_ns: time of the measurement.
         config: noise of the filter.
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,); by default its origin.
+            Of a target with a free axis, the part along this axis counts.
+        alike: which attitudes of the target no measurement tells apart.
     """
     centre_m = np.zeros(3) if centre_of_mass_m is None else centre_of_mass_m
+    if alike.free_axis is not None:
+        centre_m = alike.free_axis * (alike.free_axis @ centre_m)
     from_centre = np.eye(12)
     from_centre[VELOCITY, RATE] = _cross_matrix(rotation_matrix(T_chaser_target) @ centre_m)
     covariance = block_diag(
@@ -88,14 +103,16 @@ def start(
         config.initial_velocity_sigma_m_s**2 * np.eye(3),
         np.deg2rad(config.initial_rate_sigma_deg_s) ** 2 * np.eye(3),
     )
-    return FilterState(
+    state = FilterState(
         stamp_ns=stamp_ns,
         T_chaser_target=T_chaser_target,
         velocity_m_s=np.zeros(3),
         rate_rad_s=np.zeros(3),
         covariance=_symmetric(from_centre @ covariance @ from_centre.T),
         centre_of_mass_m=centre_m,
+        alike=alike,
     )
+    return _unturned(state, config)
 
 
 def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterState:
@@ -123,7 +140,7 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     from_centre = np.eye(12) - _swing(arm_after_m, spin)
     F = F @ (np.eye(12) + _swing(arm_m, spin))
     covariance = from_centre @ (F @ state.covariance @ F.T + _process_noise(step_s, config)) @ from_centre.T
-    return replace(
+    predicted = replace(
         state,
         stamp_ns=stamp_ns,
         T_chaser_target=pose_of(
@@ -132,6 +149,7 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
         velocity_m_s=centre_m_s - spin @ arm_after_m,
         covariance=_symmetric(covariance),
     )
+    return _unturned(predicted, config)
 
 
 def update(
@@ -139,20 +157,26 @@ def update(
 ) -> Update:
     """Return the state after a pose measured at the state's stamp, unless the gate rejects it.
 
+    The measured attitude stands for all that no measurement tells from it: the nearest counts, and the angle
+    about a free axis is ignored.
+
     Args:
         state: state predicted to the measurement's stamp.
         T_chaser_target: the measured pose.
         covariance: covariance of its (dp, dtheta), ICD section 1, shape (6, 6); rejected if not finite.
         config: noise floor, inflation and gate.
     """
-    innovation = _pose_difference(T_chaser_target, state.T_chaser_target)
+    innovation = _pose_difference(T_chaser_target, state.T_chaser_target, state.alike)
     noise = _measurement_noise(covariance, config)
+    # no innovation is left about a free axis; any variance keeps the matrix regular and leaves the gain at 0
+    noise = state.alike.with_free_variance(noise, rotation_matrix(T_chaser_target), 1.0)
     if not (np.isfinite(innovation).all() and np.isfinite(noise).all()):
         return Update(state, float("nan"), accepted=False)
 
     S = state.covariance[POSE, POSE] + noise
     nis = float(innovation @ np.linalg.solve(S, innovation))
-    if not 0.0 <= nis <= config.tuning.gate_nis:  # negative: the covariance is not positive definite
+    gate_nis = _gate(config.tuning.gate_nis, state.alike.dof)
+    if not 0.0 <= nis <= gate_nis:  # negative: the covariance is not positive definite
         return Update(state, nis, accepted=False)
 
     gain = np.linalg.solve(S, state.covariance[POSE]).T
@@ -162,20 +186,19 @@ def update(
     keep = np.eye(12)
     keep[:, POSE] -= gain
     joseph = keep @ state.covariance @ keep.T + gain @ noise @ gain.T
-    return Update(
-        replace(_corrected(state, correction), covariance=_symmetric(reset @ joseph @ reset.T)),
-        nis,
-        accepted=True,
-    )
+    corrected = replace(_corrected(state, correction), covariance=_symmetric(reset @ joseph @ reset.T))
+    return Update(_unturned(corrected, config), nis, accepted=True)
 
 
 def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Odometry:
     """Return the state as an odometry message: twist and its covariance in child axes.
 
     With v_child = R^T v the error is R^T (dv + v x dtheta) to first order, and likewise for the rate, so
-    the twist's covariance includes its correlation with the attitude error.
+    the twist's covariance includes its correlation with the attitude error. The angle about a free axis has
+    the variance of an unknown angle; the twist is given in the axes that the published attitude has.
     """
-    R_target_chaser = rotation_matrix(state.T_chaser_target).T
+    R = rotation_matrix(state.T_chaser_target)
+    R_target_chaser = R.T
     jacobian = np.zeros((6, 12))
     jacobian[0:3, ATTITUDE] = R_target_chaser @ _cross_matrix(state.velocity_m_s)
     jacobian[3:6, ATTITUDE] = R_target_chaser @ _cross_matrix(state.rate_rad_s)
@@ -187,7 +210,9 @@ def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Od
         pose=state.T_chaser_target,
         linear_m_s=R_target_chaser @ state.velocity_m_s,
         angular_rad_s=R_target_chaser @ state.rate_rad_s,
-        pose_covariance=state.covariance[POSE, POSE].copy(),
+        pose_covariance=state.alike.with_free_variance(
+            state.covariance[POSE, POSE].copy(), R, FREE_SIGMA_RAD**2
+        ),
         twist_covariance=_symmetric(jacobian @ state.covariance @ jacobian.T),
     )
 
@@ -214,10 +239,31 @@ def _orthonormal(R: FloatArray) -> FloatArray:
     return R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)
 
 
-def _pose_difference(T_measured: RigidTransform, T_estimated: RigidTransform) -> FloatArray:
-    """Return (dp, dtheta) from the estimated to the measured pose, shape (6,), m and rad."""
-    turn = rotation_matrix(T_measured) @ rotation_matrix(T_estimated).T
-    turn_rad = Rotation.from_matrix(turn, assume_valid=True).as_rotvec()
+def _unturned(state: FilterState, config: FilterConfig) -> FilterState:
+    """Return a state with no error of the angle about a free axis, and with an unknown rate about it."""
+    if state.alike.free_axis is None:
+        return state
+    axis = rotation_matrix(state.T_chaser_target) @ state.alike.free_axis
+    sigma_rad_s = np.deg2rad(config.initial_rate_sigma_deg_s)
+    covariance = with_variance_about(state.covariance, axis, 0.0, first=ATTITUDE.start)
+    covariance = with_variance_about(covariance, axis, sigma_rad_s**2, first=RATE.start)
+    rate_rad_s = state.rate_rad_s - axis * (axis @ state.rate_rad_s)
+    return replace(state, rate_rad_s=rate_rad_s, covariance=covariance)
+
+
+@cache
+def _gate(gate_nis: float, dof: int) -> float:
+    """Return the quantile of chi-squared that is as probable as the gate is with six degrees of freedom."""
+    return gate_nis if dof == 6 else 2.0 * float(gammaincinv(dof / 2.0, float(gammainc(3.0, gate_nis / 2.0))))
+
+
+def _pose_difference(
+    T_measured: RigidTransform, T_estimated: RigidTransform, alike: Equivalence
+) -> FloatArray:
+    """Return (dp, dtheta) from the estimated to the nearest measured pose, shape (6,), m and rad."""
+    estimated = rotation_of(T_estimated)
+    measured = alike.nearest(rotation_of(T_measured), estimated)
+    turn_rad = (measured * estimated.inv()).as_rotvec()
     return np.concatenate([T_measured.translation - T_estimated.translation, turn_rad])
 
 

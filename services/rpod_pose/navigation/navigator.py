@@ -10,14 +10,14 @@ LOST       --accepted near the prediction, or found-->      VERIFYING
 of a log and a Monte-Carlo campaign run the same function.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from math import radians
 from typing import overload
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import SYMMETRY, Record
 from rpod_pose.measurement import Measurement, Tick
@@ -28,9 +28,10 @@ from rpod_pose.ports import Acquisition, Deskew, Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.poses import chained, rotation_matrix
+from rpod_schemas.poses import chained, make_pose, rotation_matrix
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
 from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, SensorFrame, Source
+from rpod_target import NO_SYMMETRY, Equivalence
 
 BEGINNING = 0.5
 """Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
@@ -45,8 +46,8 @@ class Navigator:
         settings: settings of the estimator.
         methods: methods of each sensor, by its name.
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,).
-        alike: exact symmetries of the target except the identity; each estimate lists the poses that they
-            give.
+        alike: which attitudes of the target no measurement tells apart; each estimate lists the poses that
+            the turns give, and leaves the angle about a free axis as it is.
     """
 
     def __init__(
@@ -55,10 +56,13 @@ class Navigator:
         methods: Mapping[str, Methods],
         *,
         centre_of_mass_m: FloatArray,
-        alike: Sequence[RigidTransform] = (),
+        alike: Equivalence = NO_SYMMETRY,
     ) -> None:
-        self._settings, self._alike = settings, alike
-        self._start_filter = partial(start, config=settings.filter, centre_of_mass_m=centre_of_mass_m)
+        self._settings = settings
+        self._alike = [make_pose(rotation=Rotation.from_matrix(turn)) for turn in alike.turns[1:]]
+        self._start_filter = partial(
+            start, config=settings.filter, centre_of_mass_m=centre_of_mass_m, alike=alike
+        )
         self._limits = settings.navigator
         self._methods = methods
 

@@ -26,7 +26,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import softmax
 
-from rpod_pose.belief import Belief
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
 from rpod_pose.pmd.scene import PmdScene, scene_of
@@ -36,7 +35,7 @@ from rpod_pose.search.hypotheses import belief_with_rivals, rivals
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.poses import pose_of
-from rpod_schemas.types import Float32Array, PmdFrame, Source
+from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 
@@ -110,21 +109,24 @@ class ViewSearch:
         logs = np.array([-pose.fit.loss * independent / poses[0].fit.pixels for pose in poses])
         weights, least = softmax(logs), tuning.ambiguous_weight
         contenders = 1 if weights[0] >= least else int(np.count_nonzero(weights > 1.0 - least))
-        checked = [self._registered(task, pose) for pose in poses[:contenders]]
-        left = [index for index, registration in enumerate(checked) if registration.continues_track]
+        checked: list[Registration] = []
+        left: list[int] = []
+        for index, pose in enumerate(poses):
+            if index >= contenders and left:
+                break
+            checked.append(self._registered(task, pose))
+            if checked[-1].belief.level is BeliefLevel.ACCEPTED:  # a first pose needs more than a track
+                left.append(index)
         if not left:
             return task.failed(checked[0])
         best = checked[left[0]]
-        left += range(contenders, len(poses))
+        left += range(len(checked), len(poses))
         ranked = [poses[index] for index in left]
         if best.T_sensor_target is not None:
             matrix = best.T_sensor_target.as_matrix()
             ranked[0] = replace(ranked[0], R=matrix[:3, :3], t=matrix[:3, 3])
-        believed = belief_with_rivals(
-            rivals(ranked, logs[left], self._model.turns.exact),
-            Belief(evidence=best.belief.evidence),
-            least=least,
-        )
+        found = rivals(ranked, logs[left], self._model.turns.exact)
+        believed = belief_with_rivals(found, best.belief, least=least)
         return Acquisition(replace(best, belief=believed), templates=len(task.attitudes))
 
     def _registered(self, task: _Task, pose: Pose) -> Registration:

@@ -15,7 +15,7 @@ column of the information and its entry of the gradient, 8 numbers. Compilers ve
 places of one array.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -25,6 +25,7 @@ from rpod_geometry.kernels import kernel
 from rpod_pose.registration.lie_group import Vector
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_methods import DepthErrorConfig
+from rpod_target.equivalence import with_variance_about
 
 DAMPING = 1e-6
 """Information added per residual, so that a step has no component in an unobservable direction."""
@@ -84,6 +85,16 @@ class NormalEquations:
         damped = self.information + (DAMPING * self.weight + 1e-12) * np.eye(6)
         step: FloatArray = np.linalg.solve(damped, -self.gradient).astype(np.float64, copy=False)
         return step
+
+    def without_turn(self, axis: FloatArray | None) -> Self:
+        """Return the sums with the angle about an axis through the origin known, target axes, shape (3,).
+
+        About a target's free axis the residuals determine nothing, and need not.
+        """
+        if axis is None:
+            return self
+        known = float(self.information[3:, 3:].trace())
+        return replace(self, information=with_variance_about(self.information, axis, known, first=3))
 
     def degenerate(self, radius_m: float) -> bool:
         """Return whether any motion of a target of this radius is undetermined."""

@@ -11,19 +11,19 @@ from rpod_pose.search.turns import Placed
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import BeliefLevel
+from rpod_target import Equivalence
 
 NEGLIGIBLE = 1e-3
 """Rivals with a smaller weight are not listed."""
 
 
-def rivals(poses: Sequence[Placed], log_likelihoods: FloatArray, turns: FloatArray) -> tuple[Rival, ...]:
+def rivals(poses: Sequence[Placed], log_likelihoods: FloatArray, exact: Equivalence) -> tuple[Rival, ...]:
     """Return the poses that explain a measurement beside the best one, likeliest first.
 
     Args:
         poses: poses of the target, best first.
         log_likelihoods: log likelihoods of the measurement under the poses, shape (N,).
-        turns: matrices of the target's exact symmetries, the identity first, shape (K, 3, 3). Each pose is
-            listed with all of them.
+        exact: the target's exact symmetries; each pose is listed with all of their turns.
     """
     weights = softmax(log_likelihoods)
     best = poses[0]
@@ -31,18 +31,18 @@ def rivals(poses: Sequence[Placed], log_likelihoods: FloatArray, turns: FloatArr
     for pose, log, weight in zip(poses, log_likelihoods, weights, strict=True):
         if weight <= NEGLIGIBLE:
             continue
-        for index, turn in enumerate(turns):
+        for index, turn in enumerate(exact.turns):
             if pose is best and index == 0:
                 continue
-            name = SYMMETRY if pose is best else _name(best.R, pose.R, turns)
+            name = SYMMETRY if pose is best else _name(best.R, pose.R, exact)
             found.append(Rival(name, pose_of(pose.R @ turn, pose.t), float(log - log_likelihoods[0])))
     return tuple(found)
 
 
-def _name(best: FloatArray, other: FloatArray, turns: FloatArray) -> str:
+def _name(best: FloatArray, other: FloatArray, exact: Equivalence) -> str:
     """Return the name of a rival: the angle between two attitudes, modulo the exact symmetries."""
-    cosines = (np.trace(best.T @ other @ turns, axis1=1, axis2=2) - 1.0) / 2.0
-    return f"turned by {np.degrees(np.arccos(np.clip(cosines.max(), -1.0, 1.0))):.0f} deg"
+    cosine = float(exact.cosines(best[None], other[None])[0, 0])
+    return f"turned by {np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} deg"
 
 
 def belief_with_rivals(found: tuple[Rival, ...], belief: Belief, *, least: float) -> Belief:

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray
-from rpod_target import Target
+from rpod_target import Equivalence, Target
 
 HALF_TURNS = Rotation.from_rotvec(np.pi * np.eye(3))
 """Half turns about the target's axes: the likeliest mistakes, if it declares no near-symmetries."""
-LEAST_TURN_RAD = 1e-6
-"""Rotations by a smaller angle count as the identity."""
+LEAST_TURN_DEG = 1.0
+"""Rotations by a smaller angle count as the identity: axes in target files are rounded."""
 
 
 class Placed(Protocol):
@@ -43,20 +43,18 @@ class Turns:
     """All of them, without the identity, the declared ones first, shape (T, 3, 3)."""
     declared: int
     """Number of the declared ones."""
-    exact: FloatArray
-    """Exact symmetries, which no measurement shows, the identity first, shape (E, 3, 3)."""
+    exact: Equivalence
+    """Exact symmetries, which no measurement shows."""
 
     @classmethod
     def of(cls, target: Target) -> Self:
         """Return a target's declared near-symmetries (or half turns), and the rotations of a cube."""
-        exact = Rotation.concatenate(
-            [Rotation.identity(1), *(turn.rotation for turn in target.turns(exact=True))]
-        )
+        exact = target.equivalence
         declared = _distinct([turn.rotation for turn in target.turns()], exact)
         declared = declared or _distinct(list(HALF_TURNS), exact)
         every = _distinct([*declared, *Rotation.create_group("O")], exact)
         matrices = np.array([turn.as_matrix() for turn in every]).reshape(-1, 3, 3)
-        return cls(matrices, len(declared), exact.as_matrix())
+        return cls(matrices, len(declared), exact)
 
     def close(self, attitudes: FloatArray, others: FloatArray, angle_deg: float) -> NDArray[np.bool_]:
         """Return which attitudes are within an angle of which others, modulo the exact symmetries.
@@ -69,9 +67,7 @@ class Turns:
         Returns:
             shape (P, O).
         """
-        turned = (attitudes[:, None] @ self.exact).reshape(-1, 9)
-        traces = (turned @ others.reshape(-1, 9).T).reshape(len(attitudes), len(self.exact), len(others))
-        near: NDArray[np.bool_] = traces.max(axis=1, initial=-1.0) > 1.0 + 2.0 * cos(radians(angle_deg))
+        near: NDArray[np.bool_] = self.exact.cosines(attitudes, others) > cos(radians(angle_deg))
         return near
 
     def distinct(self, ranked: Sequence[PlacedT], angle_deg: float) -> list[PlacedT]:
@@ -95,11 +91,11 @@ def matrices(poses: Sequence[Placed]) -> FloatArray:
     return np.array([pose.R for pose in poses]).reshape(-1, 3, 3)
 
 
-def _distinct(turns: Sequence[Rotation], exact: Rotation) -> list[Rotation]:
+def _distinct(turns: Sequence[Rotation], exact: Equivalence) -> list[Rotation]:
     """Return the rotations that differ, modulo the exact symmetries, from the identity and each other."""
-    kept: list[Rotation] = []
+    kept = [Rotation.identity()]
     for turn in turns:
-        known = [exact, *(exact * other for other in kept)]
-        if all(((turn.inv() * others).magnitude() > LEAST_TURN_RAD).all() for others in known):
+        known = np.array([other.as_matrix() for other in kept])
+        if exact.cosines(known, turn.as_matrix()[None]).max() < cos(radians(LEAST_TURN_DEG)):
             kept.append(turn)
-    return kept
+    return kept[1:]

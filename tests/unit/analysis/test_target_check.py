@@ -15,7 +15,7 @@ from rpod_analysis.target_check.edges import straight_edges
 from rpod_analysis.target_check.holes import openings
 from rpod_analysis.target_check.page import render_views
 from rpod_schemas.poses import make_pose
-from rpod_target import Target, load_target
+from rpod_target import NO_SYMMETRY, Equivalence, Symmetry, Target, load_target
 
 
 def built(mesh: trimesh.Trimesh, folder: Path) -> Target:
@@ -58,10 +58,13 @@ def test_what_a_plane_does_not_measure_is_not_given() -> None:
     places_m = np.column_stack([rng.uniform(-1.0, 1.0, (200, 2)), np.full(200, 5.0)])
     normals = np.tile([0.0, 0.0, -1.0], (200, 1))
     pose = make_pose(translation_m=[0.0, 0.0, 5.0])
-    points, position, attitude = _information((places_m, normals, np.full(200, 0.01)), pose)
+    frame = places_m, normals, np.full(200, 0.01)
+    points, position, attitude = _information(frame, pose, NO_SYMMETRY)
     assert points == 200
     assert not np.isfinite(position)
     assert not np.isfinite(attitude)
+    free = Equivalence.of([Symmetry((0.0, 0.0, 1.0), 2, exact=True, continuous=True)])
+    assert 0.0 < _information(frame, pose, free)[2] < 1.0
 
 
 def test_more_points_measure_better() -> None:
@@ -70,7 +73,7 @@ def test_more_points_measure_better() -> None:
         normals = Rotation.random(count, rng=np.random.default_rng(2)).apply([0.0, 0.0, 1.0])
         places_m = normals * [1.0, 0.5, 0.3] + [0.0, 0.0, 6.0]
         pose = make_pose(translation_m=[0.0, 0.0, 6.0])
-        sigmas.append(_information((places_m, normals, np.full(count, 0.01)), pose)[1:])
+        sigmas.append(_information((places_m, normals, np.full(count, 0.01)), pose, NO_SYMMETRY)[1:])
     np.testing.assert_allclose(np.divide(*sigmas), 2.0, rtol=0.2)
 
 

@@ -180,19 +180,39 @@ def test_a_method_that_raises_is_told_as_one_that_refuses(
     assert found.reason.startswith("raised ZeroDivisionError")
 
 
-def test_a_cube_whose_turns_are_all_declared_is_found(tmp_path: Path) -> None:
-    signs = (1, -1)
-    axes = [((1, 0, 0), 4), ((0, 1, 0), 4), ((0, 0, 1), 4)]
-    axes += [((1, y, z), 3) for y in signs for z in signs]
-    axes += [(axis, 2) for s in signs for axis in ((0, 1, s), (1, 0, s), (1, s, 0))]
-    cube = {"name": "body", "shape": "box", "size_m": [1.0, 1.0, 1.0], "material": "paint"}
-    turns = [{"axis": list(axis), "order": order, "exact": True} for axis, order in axes]
-    (tmp_path / "cube.yaml").write_text(yaml.safe_dump(DOCUMENT | {"parts": [cube], "symmetries": turns}))
-    target = load_target(tmp_path / "cube.yaml", cache=tmp_path)
-    emulated = EmulatedKind(sensor_kind("lidar"), target, seed=1)
+SIGNS = (1, -1)
+CUBE = [((1, 0, 0), 4), ((0, 1, 0), 4), ((0, 0, 1), 4)]
+CUBE += [((1, y, z), 3) for y in SIGNS for z in SIGNS]
+CUBE += [(axis, 2) for s in SIGNS for axis in ((0, 1, s), (1, 0, s), (1, s, 0))]
+BODIES = {
+    "cube": (
+        {"shape": "box", "size_m": [1.0, 1.0, 1.0]},
+        [{"axis": list(axis), "order": order, "exact": True} for axis, order in CUBE],
+    ),
+    "tank": (
+        {"shape": "cylinder", "radius_m": 0.3, "length_m": 1.2},
+        [
+            {"axis": [1, 0, 0], "order": 12, "exact": True, "continuous": True},
+            {"axis": [0, 1, 0], "order": 2, "exact": True},
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("sensor", ["lidar", "pmd"])
+@pytest.mark.parametrize("body", BODIES)
+def test_a_body_whose_symmetries_are_all_declared_is_found(tmp_path: Path, body: str, sensor: str) -> None:
+    shape, symmetries = BODIES[body]
+    part = {"name": "body", "material": "paint", **shape}
+    (tmp_path / "body.yaml").write_text(
+        yaml.safe_dump(DOCUMENT | {"parts": [part], "symmetries": symmetries})
+    )
+    target = load_target(tmp_path / "body.yaml", cache=tmp_path)
+    emulated = EmulatedKind(sensor_kind(sensor), target, seed=1)
     acquirer = methods_of(emulated.heard, target, emulated.setup).acquirer
     *_, near = conditions(emulated, target, 3, seed=4)
     frame = emulated.frame(near.T_sensor_target, sun_W_m2=near.sun_W_m2, number=1)
     found = acquirer.acquire(frame)
     assert found.begins_track
     assert error_of(found.pose, near.T_sensor_target, target)[0] < 4.0
+    assert len(found.hypotheses) == (24 if body == "cube" else 2)

@@ -209,19 +209,6 @@ def test_a_curve_of_shares_runs_from_none_to_all_and_is_perfect_where_a_score_se
     assert roc(np.array([-np.inf, 0.9, 0.8, 0.1]), wrong)[0] == [0.0, 0.5, 0.5, 0.5]
 
 
-def test_nees_of_errors_of_one_sigma_is_their_number():
-    turn = Rotation.from_rotvec([0.001, -0.001, 0.001])
-    truth = make_pose(
-        rotation=Rotation.from_euler("ZYX", [40, 20, 10], degrees=True), translation_m=[1, 2, 30]
-    )
-    found = make_pose(
-        rotation=turn * truth.rotation, translation_m=truth.translation + np.array([0.01, 0.01, -0.01])
-    )
-    assert tracking.nees(truth, found, np.diag([0.01**2] * 3 + [0.001**2] * 3)) == pytest.approx(
-        6.0, rel=1e-6
-    )
-
-
 def test_the_scan_window_holds_the_bounding_sphere():
     radius_m = cached_target(TARGET).radius_m
     assert window_deg(TARGET, 20.0) == 40.0

@@ -1,10 +1,13 @@
 """Statistics that every campaign uses."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import polars as pl
 from scipy.stats import binomtest
+
+from rpod_analysis.scoring.score import NEES_95
 
 
 @dataclass(frozen=True)
@@ -47,3 +50,18 @@ def mean(values: pl.Series) -> float | None:
     finite = values.drop_nulls().to_numpy().astype(np.float64)
     finite = finite[np.isfinite(finite)]
     return float(finite.mean()) if finite.size else None
+
+
+def consistency(rows: pl.DataFrame) -> dict[str, Any]:
+    """Return the mean NEES, the mean of its degrees of freedom, and the share within the 95 % bound.
+
+    Args:
+        rows: rows with ``nees`` and ``nees_dof``; those whose NEES is not finite do not count.
+    """
+    known = rows.filter(pl.col("nees").is_finite())
+    within = known["nees"] <= known["nees_dof"].replace_strict(NEES_95, return_dtype=pl.Float64)
+    return {
+        "nees_mean": mean(known["nees"]),
+        "nees_dof": mean(known["nees_dof"]),
+        "nees_share_in_95": mean(within.cast(pl.Float64)),
+    }

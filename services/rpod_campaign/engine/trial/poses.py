@@ -29,14 +29,8 @@ def errors(
     """
     if found is None:
         return None, None
-    attitude_rad, position_m = pose_error(nearest(truth, found, target), found)
+    attitude_rad, position_m = pose_error(target.equivalence.nearest_pose(truth, found), found)
     return float(np.rad2deg(np.linalg.norm(attitude_rad))), float(np.linalg.norm(position_m))
-
-
-def nearest(truth: RigidTransform, found: RigidTransform, target: Target) -> RigidTransform:
-    """Return the pose, among those that equal the truth by an exact symmetry, nearest to a found one."""
-    same = (truth, *(truth * turn for turn in target.turns(exact=True)))
-    return min(same, key=lambda pose: float(np.linalg.norm(pose_error(pose, found)[0])))
 
 
 def nees_of(
@@ -45,11 +39,12 @@ def nees_of(
     """Return the normalised squared error of (dp, dtheta) in the sensor's axes (ICD section 1).
 
     NaN without a pose, or where the covariance is not positive definite. For a target with an exact symmetry,
-    the error is that against the nearest equivalent pose.
+    the error is that against the nearest equivalent pose. The angle about a free axis does not count.
     """
     if found is None:
         return float("nan")
-    same = nearest(truth, found, target)
+    same = target.equivalence.nearest_pose(truth, found)
     turn = (found.rotation * same.rotation.inv()).as_rotvec()
     error = np.concatenate((found.translation - same.translation, turn))
-    return float(find_nees(error[None], covariance[None])[0])
+    observed = target.equivalence.with_free_variance(covariance, found.rotation.as_matrix(), 1.0)
+    return float(find_nees(error[None], observed[None])[0])

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from rpod_analysis.scoring.score import NEES_95
 from rpod_campaign.engine.campaign import TRIAL, CellResult
-from rpod_campaign.engine.report.statistics import mean, quantile
+from rpod_campaign.engine.report.statistics import consistency, mean, quantile
 from rpod_campaign.pmd.sequence import SequenceCell
 
 Results = Sequence[CellResult[SequenceCell]]
@@ -26,7 +25,6 @@ def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:
     ``success_rate``, ``wrong_accepted`` and ``ambiguous`` are over frames. Right is within the limits of an
     acquisition.
     """
-    known = rows.filter(pl.col("nees").is_finite())["nees"]
     return {
         "scenario": cell.scenario,
         "method": cell.method,
@@ -40,8 +38,7 @@ def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:
         "lost": int((rows["off_target"] | ~rows["measured"]).sum()),
         "lost_without_pose": int((~rows["measured"]).sum()),
         "lost_off_target": int(rows["off_target"].sum()),
-        "nees_mean": mean(known),
-        "nees_share_in_95": mean((known <= NEES_95).cast(pl.Float64)),
+        **consistency(rows),
         "depth_share": mean(rows["depth_share"]),
         "trials": rows[TRIAL].n_unique(),
         "success_rate": mean(rows["right"].cast(pl.Float64)),

@@ -76,12 +76,13 @@ def _conduct(results: Results) -> Table:
                 milliseconds(s["median_s"]),
                 milliseconds(s["p95_s"]),
                 number(s["nees_mean"], ".1f"),
+                number(s["nees_dof"], "g"),
                 number(s["nees_share_in_95"], ".2f"),
             )
         )
     columns = (
         *("images", "lost", "without pose", "off", "target's pixels with depth"),
-        *("median, ms", "p95, ms", "mean NEES", "inside 95 %"),
+        *("median, ms", "p95, ms", "mean NEES", "of", "inside 95 %"),
     )
     return Table("Lost frames, time, consistency", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
 

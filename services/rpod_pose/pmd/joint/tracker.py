@@ -145,16 +145,18 @@ class JointTracker:
         """Return the pose after one step for each row of a schedule, shape (S, 2) as in ``JointProblem``."""
         points, state = Points(seen.points_m, seen.trust), State(start, 0.0)
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
-        for steps in (first, last) if len(first) else (last,):
-            if not self._moved_px(sight, state.pose) < STILL_PX:
-                sight = self._sight(seen, state.pose)
-            problem = JointProblem(points, self._field, sight, self._depth_errors, self._edge_errors, steps)
-            fit = align(problem, state)
-            state = fit.state
-        return fit
+        if len(first):
+            sight = self._sight_at(seen, sight, state.pose)
+            state = align(self._problem(points, sight, first), state).state
+        return align(self._problem(points, self._sight_at(seen, sight, state.pose), last), state)
 
-    def _moved_px(self, sight: EdgeSight, pose: PoseArrays) -> float:
-        return moved_px(sight.expected.pose, pose, self._target.radius_m, sight.lens.fx)
+    def _problem(self, points: Points, sight: EdgeSight, schedule: FloatArray) -> JointProblem:
+        return JointProblem(points, self._field, sight, self._depth_errors, self._edge_errors, schedule)
+
+    def _sight_at(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> EdgeSight:
+        """Return the edges that the image should show at a pose: those given if it is near enough."""
+        moved = moved_px(sight.expected.pose, pose, self._target.radius_m, sight.lens.fx)
+        return sight if moved < STILL_PX else self._sight(seen, pose)
 
     def _registered(self, seen: JointFrame, fit: JointFit, steps: int) -> Registration:
         """Return the registration of an aligned pose, with its belief."""

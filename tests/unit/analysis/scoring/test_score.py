@@ -12,6 +12,7 @@ from rpod_analysis.scoring.score import (
     find_nees,
     interpolate,
 )
+from rpod_target import NO_SYMMETRY, Equivalence, Symmetry
 
 MS = 1_000_000
 R_CHASER_SENSOR = Rotation.from_euler("ZYX", [30.0, -20.0, 100.0], degrees=True)
@@ -41,13 +42,14 @@ def estimates_with(stamp_ns, *, attitude_rad=(0.0, 0.0, 0.0), in_sensor_m=(0.0, 
     return Track(stamp_ns, RigidTransform.from_components(translation, rotation))
 
 
-def errors_of(estimates, truth, covariance=None):
+def errors_of(estimates, truth, covariance=None, alike=NO_SYMMETRY):
     n = len(estimates)
     return find_errors(
         estimates,
         truth,
         covariance=np.zeros((n, 6, 6)) if covariance is None else covariance,
         R_chaser_sensor=Rotation.concatenate([R_CHASER_SENSOR] * n) if n else R_CHASER_SENSOR,
+        alike=alike,
     )[0]
 
 
@@ -123,7 +125,7 @@ def test_nees_of_errors_drawn_from_the_covariance_is_chi_squared():
     error = random.normal(size=(4000, 6)) @ mixing.T
     nees = find_nees(error, np.tile(covariance, (4000, 1, 1)))
     assert nees.mean() == pytest.approx(6.0, abs=0.25)
-    assert (nees <= NEES_95).mean() == pytest.approx(0.95, abs=0.015)
+    assert (nees <= NEES_95[6]).mean() == pytest.approx(0.95, abs=0.015)
 
 
 def test_nees_takes_attitude_errors_in_the_fixed_axes_of_the_frame():
@@ -143,6 +145,21 @@ def test_nees_takes_positions_in_the_axes_of_the_frame_not_the_sensors():
     covariance[0, :3, :3] = axes @ np.diag([1.0, 1.0, 1e-4]) @ axes.T
     estimates = estimates_with([100 * MS], in_sensor_m=(0.0, 0.0, 0.02))
     assert errors_of(estimates, truth_every(4), covariance).nees[0] == pytest.approx(4.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "turn_rad"),
+    [(Symmetry((0, 0, 1), 2, exact=True), np.pi), (Symmetry((0, 0, 1), 2, exact=True, continuous=True), 0.8)],
+)
+def test_errors_and_nees_are_against_the_nearest_equivalent_attitude(symmetry, turn_rad):
+    alike, off = Equivalence.of([symmetry]), Rotation.from_rotvec([0.02, 0.0, 0.0])
+    turned = (off * Rotation.from_rotvec([0.0, 0.0, turn_rad])).as_rotvec()
+    covariance = np.diag([1e-4] * 3 + [1e-4] * 3)[None]
+    estimates = estimates_with([100 * MS], attitude_rad=turned)
+    errors = errors_of(estimates, truth_every(4), covariance, alike)
+    assert (errors.angle_rad[0], errors.nees[0]) == (pytest.approx(0.02), pytest.approx(4.0))
+    assert errors.nees_dof == alike.dof == (5 if symmetry.continuous else 6)
+    assert errors_of(estimates, truth_every(4), covariance).angle_rad[0] > 0.7
 
 
 @pytest.mark.parametrize("covariance", [np.zeros((6, 6)), np.ones((6, 6)), np.full((6, 6), np.nan)])

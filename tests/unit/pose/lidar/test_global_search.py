@@ -267,13 +267,13 @@ def test_the_turns_that_a_target_may_be_mistaken_by_are_distinct():
     # of the stage, half turns across its axis are all one by its exact symmetry
     for target, exact, declared in [(BULKY, 1, 3), ("mockup", 1, 5), ("rocket-stage", 8, 1)]:
         turns = Turns.of(load(target))
-        assert len(turns.exact) == exact
+        assert len(turns.exact.turns) == exact
         assert turns.declared == declared
         every = Rotation.from_matrix(turns.all)
-        known = Rotation.concatenate([Rotation.from_matrix(turns.exact), every])
+        known = Rotation.concatenate([Rotation.from_matrix(turns.exact.turns), every])
         for k, turn in enumerate(every):
             apart = (known.inv() * turn).magnitude()
-            assert np.delete(apart, len(turns.exact) + k).min() > 1e-3
+            assert np.delete(apart, len(turns.exact.turns) + k).min() > 1e-3
 
 
 def test_one_call_acquires_what_a_configured_search_does():

@@ -21,6 +21,7 @@ from rpod_pose.navigation.filter import (
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.filter import FilterConfig, FilterTuning
 from rpod_schemas.poses import make_pose
+from rpod_target import Equivalence, Symmetry
 
 SECOND_NS = 1_000_000_000
 PLAIN = FilterConfig(
@@ -377,3 +378,64 @@ def test_over_thousands_of_frames_the_attitude_stays_a_rotation() -> None:
         state = update(state, state.T_chaser_target, COVARIANCE, config=PLAIN).state
     R = state.T_chaser_target.as_matrix()[:3, :3]
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
+
+
+@pytest.mark.parametrize("step_s", [1.0 / 15.0, 1.0])
+def test_the_angle_about_a_free_axis_is_neither_measured_nor_turned(step_s: float) -> None:
+    rng, runs, steps = np.random.default_rng(9), 40, 15
+    axis = np.array([0.0, 0.6, 0.8])
+    alike = Equivalence.of([Symmetry(tuple(axis), 12, exact=True, continuous=True)])
+    nees, nis = [], []
+    for _ in range(runs):
+        truth = random_truth(rng, PLAIN)
+        state = start(measured(truth, COVARIANCE, rng), COVARIANCE, 0, config=PLAIN, alike=alike)
+        for frame in range(1, steps + 1):
+            truth = moved(truth, step_s, PLAIN, rng)
+            before = state.T_chaser_target
+            state = predict(state, round(frame * step_s * SECOND_NS), PLAIN)
+            about = Rotation.from_rotvec(rng.uniform(-np.pi, np.pi) * axis)
+            seen = measured(truth, COVARIANCE, rng) * RigidTransform.from_rotation(about)
+            state, innovation, accepted = update(state, seen, COVARIANCE, config=PLAIN)
+            assert accepted
+            nis.append(innovation)
+            turn = before.rotation.inv() * state.T_chaser_target.rotation
+            assert abs(turn.as_rotvec() @ axis) < 0.05 * turn.magnitude()
+        odometry = to_odometry(state, frame_id="chaser", child_frame_id="target_estimate")
+        assert odometry.angular_rad_s @ axis == pytest.approx(0.0, abs=1e-9)
+        sigma_rad_s = np.deg2rad(PLAIN.initial_rate_sigma_deg_s)
+        assert axis @ odometry.twist_covariance[3:, 3:] @ axis == pytest.approx(sigma_rad_s**2, rel=0.1)
+        along = odometry.pose.rotation.apply(axis)
+        sigma_rad = np.sqrt(along @ odometry.pose_covariance[3:, 3:] @ along)
+        assert np.degrees(sigma_rad) == pytest.approx(103.9, abs=0.1)
+        same = make_pose(
+            rotation=alike.nearest(truth.pose.rotation, odometry.pose.rotation),
+            translation_m=truth.pose.translation,
+        )
+        error = error_of(state, replace(truth, pose=same))[:6]
+        nees.append(error @ np.linalg.solve(odometry.pose_covariance, error))
+    assert np.mean(nees) == pytest.approx(5.0, abs=4.0 * np.sqrt(2 * 5 / runs))
+    assert np.mean(nis) == pytest.approx(5.0, rel=0.15)  # the unknown rate bends the axis' path
+
+
+def test_a_measured_twin_counts_as_the_pose_that_it_looks_like() -> None:
+    symmetry = Symmetry((0.0, 0.0, 1.0), 6, exact=True)
+    twin = RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.0, np.pi / 3.0]))
+    seen = turned(np.array([0.002, 0.001, -0.001]), np.zeros(3), make_pose(translation_m=[0.0, 0.0, 5.0]))
+    state = start(seen, COVARIANCE, 0, config=PLAIN, alike=Equivalence.of([symmetry]))
+    plain, other = (update(state, pose, COVARIANCE, config=PLAIN) for pose in (seen, seen * twin))
+    assert other.nis == pytest.approx(plain.nis, abs=1e-9)
+    np.testing.assert_allclose(
+        other.state.T_chaser_target.as_matrix(), plain.state.T_chaser_target.as_matrix(), atol=1e-12
+    )
+
+
+def test_the_gate_of_five_degrees_of_freedom_is_as_wide_as_that_of_six() -> None:
+    config = FilterConfig(position_floor_m=0.0, attitude_floor_deg=0.0, correlation_inflation=1.0)
+    alike = Equivalence.of([Symmetry((0.0, 0.0, 1.0), 12, exact=True, continuous=True)])
+    noise = np.diag(COVARIANCE.diagonal())
+    free = start(make_pose(), noise, 0, config=config, alike=alike)
+    for nis, passes in ((15.0, True), (15.2, False)):  # 99 % quantile: 15.09, of six 16.81
+        far = make_pose(translation_m=[np.sqrt(2.0 * nis * noise[0, 0]), 0.0, 0.0])
+        outcome = update(free, far, noise, config=config)
+        assert outcome.nis == pytest.approx(nis)
+        assert outcome.accepted is passes

@@ -21,6 +21,7 @@ from rpod_schemas.config.estimator import EstimatorSettings, NavigatorConfig, Pm
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import BeliefLevel, LidarScan, Mode, Source
+from rpod_target import NO_SYMMETRY, Equivalence, Symmetry
 
 SECOND_NS = 1_000_000_000
 START_S = 100.0
@@ -146,7 +147,7 @@ def rig(
     filter_config: FilterConfig | None = None,
     choice="first",
     found=None,
-    alike=(),
+    alike=NO_SYMMETRY,
     **limits,
 ) -> Rig:
     """Return a rig whose acquirer searches and refines, or finds what it is told."""
@@ -669,6 +670,7 @@ def test_the_same_events_give_the_same_outputs(events):
 # --- targets that look alike in several poses ---
 
 TURNS = [RigidTransform.from_rotation(Rotation.from_rotvec([k * np.pi / 2, 0.0, 0.0])) for k in (1, 2, 3)]
+ALIKE = Equivalence.of([Symmetry((1.0, 0.0, 0.0), 4, exact=True)])
 
 
 def ambiguous(time_s: float, *, by_symmetry: bool) -> Acquisition:
@@ -680,7 +682,7 @@ def ambiguous(time_s: float, *, by_symmetry: bool) -> Acquisition:
 
 
 def test_what_is_ambiguous_by_the_targets_symmetry_alone_is_tracked():
-    judging = rig(found=ambiguous(START_S, by_symmetry=True), alike=TURNS, confirmations=1)
+    judging = rig(found=ambiguous(START_S, by_symmetry=True), alike=ALIKE, confirmations=1)
     output = judging.see(good(START_S))
     assert judging.mode == Mode.VERIFYING
     assert output.status.accepted
@@ -703,7 +705,7 @@ def test_what_is_merely_ambiguous_is_told_with_its_hypotheses_and_not_tracked():
 
 
 def test_every_estimate_of_a_symmetric_target_lists_the_poses_that_look_alike():
-    judging = rig(found=ambiguous(START_S, by_symmetry=True), alike=TURNS, confirmations=1)
+    judging = rig(found=ambiguous(START_S, by_symmetry=True), alike=ALIKE, confirmations=1)
     for step in range(4):
         time_s = START_S + step
         status = judging.see(good(time_s)).status
@@ -731,7 +733,7 @@ def test_estimates_of_a_target_without_symmetry_are_not_ambiguous():
 def test_a_failed_acquisition_is_not_tracked_and_says_why():
     reason = "does not explain the scan"
     none = Acquisition(replace(registration(in_sensor(START_S)), belief=contradicted(reason)))
-    judging = rig(found=none, alike=TURNS)
+    judging = rig(found=none, alike=ALIKE)
     status = judging.see(good(START_S)).status
     assert judging.mode == Mode.ACQUIRING
     assert (status.accepted, status.reason) == (False, "does not explain the scan")

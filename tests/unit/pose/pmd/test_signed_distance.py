@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_pose.pmd.signed_distance import SignedDistanceTracker, measured_equations
 from rpod_pose.registration.distance_field import distance_and_gradient, field_arrays
 from rpod_pose.registration.lie_group import moved, turned
+from rpod_pose.registration.normal_equations import NormalEquations
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd_methods import SignedDistanceConfig, SignedDistanceTuning
 from rpod_schemas.poses import make_pose, pose_error
@@ -110,3 +111,13 @@ def test_a_target_without_a_field_cannot_be_tracked_by_its_field():
 def test_a_scale_that_widens_is_refused():
     with pytest.raises(ValidationError, match="must not exceed"):
         SignedDistanceTuning(scale_m=0.05, final_scale_m=0.1)
+
+
+def test_a_turn_about_a_free_axis_need_not_be_determined():
+    axis = np.array([0.0, 0.6, 0.8])
+    free = np.concatenate((np.zeros(3), axis))
+    sums = NormalEquations(np.eye(6) - np.outer(free, free), np.zeros(6), 1.0, 0.0, 10)
+    assert sums.degenerate(1.0)
+    assert not sums.without_turn(axis).degenerate(1.0)
+    assert sums.without_turn(np.array([1.0, 0.0, 0.0])).degenerate(1.0)
+    assert sums.without_turn(None) is sums

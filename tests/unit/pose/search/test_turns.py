@@ -8,10 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from rpod_pose.search.turns import Turns, matrices
 from rpod_schemas.arrays import FloatArray
+from rpod_target import Equivalence
 
 ORIGIN = np.zeros(3)
 HALF = Rotation.from_euler("z", 180.0, degrees=True).as_matrix()
-HALF_TURN = Turns(np.zeros((0, 3, 3)), 0, np.stack((np.eye(3), HALF)))
+HALF_TURN = Turns(np.zeros((0, 3, 3)), 0, Equivalence(np.stack((np.eye(3), HALF))))
 
 
 @dataclass(frozen=True, eq=False)
