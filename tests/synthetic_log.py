@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -46,6 +46,7 @@ from rpod_schemas.topics import (
     DEPTH,
     DIAGNOSTICS,
     ESTIMATE,
+    ESTIMATE_FRAME,
     ESTIMATE_POSE,
     PMD_INFO,
     POINTS,
@@ -157,6 +158,8 @@ class SyntheticRun:
     """What the camera says of itself."""
     target: str | None = None
     """Whose wireframe is drawn; its surface is seen where ``render`` is set."""
+    frames: Mapping[str, RigidTransform] = field(default_factory=dict)
+    """T_target_frame of the target's frames that the estimator publishes, by name."""
     render: Callable[[RigidTransform, int], tuple[Any, Any]] | None = None
     """Makes depth and amplitude, or points and intensity, of T_sensor_target and a frame's number."""
     pose: Callable[[float], RigidTransform] = approach
@@ -299,6 +302,9 @@ class _LogWriter:
             odometry = _odometry(stamp_ns, TARGET_ESTIMATE, T_CHASER_SENSOR * wrong, frame.covariance)
             self.put(ESTIMATE, stamp_ns, write_odometry(odometry), delay_s=frame.latency_s)
             self.put(ESTIMATE_POSE, stamp_ns, write_pose_stamped(odometry), delay_s=frame.latency_s)
+            for name, pose in self.run.frames.items():
+                message = write_pose_stamped(odometry, T_child_frame=pose)
+                self.put(ESTIMATE_FRAME.at(name), stamp_ns, message, delay_s=frame.latency_s)
         status = EstimatorStatus(
             stamp_ns=stamp_ns,
             frame_id=CHASER,

@@ -48,6 +48,21 @@ def pose_error(T_truth: RigidTransform, T_estimate: RigidTransform) -> tuple[Flo
     return attitude_rad, T_estimate.translation - T_truth.translation
 
 
+def covariance_at(covariance: FloatArray, arm_m: FloatArray) -> FloatArray:
+    """Return the covariance of (dp, dtheta), shape (6, 6), at a place that is fixed to the body.
+
+    A turn dtheta moves the place by dtheta x arm.
+
+    Args:
+        covariance: covariance at the body's origin, in fixed axes (ICD section 1).
+        arm_m: vector from the origin to the place, in the same axes, shape (3,), m.
+    """
+    carried = np.eye(6)
+    carried[:3, 3:] = np.cross(np.eye(3), arm_m).T
+    at_place: FloatArray = carried @ covariance @ carried.T
+    return 0.5 * (at_place + at_place.T)
+
+
 def between(first: RigidTransform, second: RigidTransform, share: float) -> RigidTransform:
     """Return the pose at a share of the way: linear in position, on the shortest arc in attitude."""
     R = rotation_matrix(first)

@@ -83,6 +83,15 @@ class ErrorSummary(Config):
     """RMS position error along the sensor's boresight, m."""
 
 
+class FrameError(Config):
+    """Errors of a frame that the target's file names, in the tracked frames of the sensors."""
+
+    attitude_deg: ErrorSize
+    """Angle of the attitude error, deg."""
+    position_m: ErrorSize
+    """Length of the position error at the frame's place, lever arm included, m."""
+
+
 class Durations(Config):
     """Statistics of durations, s."""
 
@@ -142,6 +151,10 @@ class Summary(Config):
 
     scenario: str | None
     """Name of the scenario."""
+    target: str | None = None
+    """Name or file of the target that moved and that was seen, the truth; null if no service emulated it."""
+    model: str | None = None
+    """Name or file of the target that the estimator looked for."""
     seed: Count | None
     """Seed of all noise."""
     duration_s: NonNegative
@@ -160,6 +173,8 @@ class Summary(Config):
     """Shares of tracking."""
     error: ErrorSummary | None
     """Errors over the tracked frames."""
+    frame_errors: dict[str, FrameError] = Field(default_factory=dict)
+    """Errors at the target's named frames, by name."""
     latency_s: Durations | None
     """Times from stamp to publication of the estimates, s."""
     processing_s: Durations | None
@@ -173,6 +188,11 @@ class Summary(Config):
     """Completeness of the log."""
     unreadable: dict[str, dict[str, Count]] = Field(default_factory=dict)
     """Numbers of messages in the log that cannot be read, by topic, then by reason."""
+
+    @property
+    def differing_model(self) -> str | None:
+        """Model of the target, if it is not the target itself."""
+        return None if self.target in (self.model, None) else self.model
 
     @property
     def missed(self) -> int:

@@ -35,6 +35,10 @@ class Topic:
         """Return an estimate's topic under a prefix: ``estimate/pose`` under ``b`` is ``b/pose``."""
         return Topic(f"{prefix}/{self.name.split('/', 1)[1]}", self.type, self.latched)
 
+    def at(self, frame: str) -> "Topic":
+        """Return this topic for a frame of the target: ``estimate/frames/<frame>``, with the frame's name."""
+        return Topic(self.name.replace("<frame>", frame), self.type, self.latched)
+
     def covers(self, other: "Topic") -> bool:
         """Return whether a topic is this one, or matches it with ``*`` for any part of its name."""
         mine, theirs = self.name.split("/"), other.name.split("/")
@@ -86,6 +90,7 @@ POINTS = Topic("<lidar>/points", _POINTS)
 LIDAR_INFO = Topic("<lidar>/info", "rpod_msgs/msg/LidarInfo", latched=True)
 ESTIMATE = Topic("estimate/odometry", "nav_msgs/msg/Odometry")
 ESTIMATE_POSE = Topic("estimate/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+ESTIMATE_FRAME = Topic("estimate/frames/<frame>", "geometry_msgs/msg/PoseWithCovarianceStamped")
 STATUS = Topic("estimate/status", "rpod_msgs/msg/EstimatorStatus")
 COMMAND = Topic("guidance/command", "geometry_msgs/msg/TwistStamped")
 IMU = Topic("chaser/imu", "sensor_msgs/msg/Imu")
@@ -93,7 +98,7 @@ DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
 TOPICS: tuple[Topic, ...] = (
     TRUTH, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, CAMERA_INFO, PHASE, PMD_INFO,
-    POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, STATUS, COMMAND, IMU, DIAGNOSTICS,
+    POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME, STATUS, COMMAND, IMU, DIAGNOSTICS,
 )  # fmt: skip
 """All topics, in the order of the ICD's table."""
 

@@ -24,6 +24,7 @@ from rpod_campaign.engine import CampaignError, Options, Section
 from rpod_campaign.engine.errors import CampaignUnknownError, TrialFailedError
 from rpod_campaign.engine.executor import Executor
 from rpod_campaign.engine.executor.pool import ProcessPool, cores
+from rpod_campaign.engine.report.models import models_section
 from rpod_campaign.engine.report.page import write_page
 from rpod_campaign.engine.run import prepare, run_campaign
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
@@ -64,7 +65,7 @@ def campaign_command(
     try:
         with _every_signal_interrupts(), CampaignProgress(prepared, quiet=as_json) as progress:
             results = run_campaign(prepared, executor(progress.note), told=progress.one)
-        sections = prepared.campaign.sections(results)
+        sections = [*models_section(prepared.cells), *prepared.campaign.sections(results)]
         machine = {**executor(progress.note).described(), "machine": platform.machine()}
         report = write_page(prepared, sections, version=__version__, machine=machine)
     except KeyboardInterrupt:

@@ -20,7 +20,7 @@ from rpod_schemas.config.base import check
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.summary import Summary
-from rpod_target import load_target
+from rpod_target import check_model, load_target
 
 if TYPE_CHECKING:
     from rpod_analysis.report import ReportPaths
@@ -45,7 +45,8 @@ def run_command(
         view = False
     try:
         scenario, pace = _scenario(name, duration_s=duration_s, seed=seed), _speed(speed)
-        load_target(scenario.target)  # built once here, so that the services find it in the cache
+        # built once here, so that the services find them in the cache
+        check_model(load_target(scenario.target), load_target(scenario.model))
         folder = RunFolder.make(out, scenario)
     except ConfigurationError as error:
         return _fail(error, EXIT_USAGE)

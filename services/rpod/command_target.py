@@ -128,6 +128,17 @@ def _tell(found: TargetCheck, console: Console) -> None:
         turn = "any turn" if one.continuous else f"order {one.order}"
         kind = "exact" if one.exact else "near" if one.mistaken else "near, told apart"
         console.print(f"symmetry  about ({axis}): {turn}, {kind}", markup=False)
+    ignored = [part.name for part in found.parts if part.unreliable]
+    if ignored:
+        console.print(f"ignored   {', '.join(ignored)}: unreliable parts", soft_wrap=True, markup=False)
+    for frame in found.frames:
+        place = ", ".join(f"{value:.4g}" for value in frame.place_m)
+        angles = ", ".join(f"{value:.4g}" for value in frame.euler_321_deg)
+        console.print(
+            f"frame     {frame.name} at ({place}) m, yaw, pitch, roll ({angles}) deg, "
+            f"{frame.from_surface_m:.3g} m from the surface",
+            soft_wrap=True,
+        )
     if found.openings:
         console.print(f"openings  {found.openings}; their places are on the page")
     console.print(_accuracy(found))

@@ -9,6 +9,7 @@ from threading import Event
 from typing import Any
 
 from rpod_analysis import AnalysisError, Log, open_log
+from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.replay.log_view import Part, show_log
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_runtime.lifecycle import run as run_service
@@ -96,8 +97,7 @@ def _await_taken(viewer: Viewer, stop: Event) -> bool:
 
 def _target(opened: Log, name: str | None) -> Target | None:
     """Return the target of the command line, or the one in the configurations in the log."""
-    names = [service["target"] for service in opened.configuration.values() if service.get("target")]
-    chosen = name or next(iter(names), None)
+    chosen = name or logged_targets(opened).shown
     if chosen is None:
         return None
     try:

@@ -3,7 +3,7 @@
 import secrets
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel
 
@@ -64,9 +64,9 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
             "estimator": EstimatorConfig(
                 bus=bus,
                 zenoh_id=estimator_id,
-                target=scenario.target,
+                target=scenario.model,
                 time_source=time_source,
-                **dict(_settings(scenario)),
+                **_settings(scenario),
             ),
             "logger": LoggerConfig(bus=bus, directory=directory, name=scenario.name),
         },
@@ -77,8 +77,9 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
     )
 
 
-def _settings(scenario: Scenario) -> EstimatorSettings:
+def _settings(scenario: Scenario) -> dict[str, Any]:
     """Return the estimator's settings with the sensors' infos, so that it warms up before they are sent."""
     emulated = {sensor.name: sensor for sensor in scenario.sensors}
     sensors = tuple(sensor.informed_by(emulated[sensor.name]) for sensor in scenario.estimator.sensors)
-    return scenario.estimator.model_copy(update={"sensors": sensors})
+    shared = {name: getattr(scenario.estimator, name) for name in EstimatorSettings.model_fields}
+    return shared | {"sensors": sensors}

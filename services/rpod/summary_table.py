@@ -21,11 +21,20 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
     missed = sum(frame.missed for frame in summary.frames.values())
     published = sum(frame.published for frame in summary.frames.values())
     rows = [
+        *_target_rows(summary),
         (
             "tracking",
             f"{_percent(modes.tracking_share)} of the frames after {_seconds(modes.first_tracking_s)}",
         ),
         *_error_rows(summary.error),
+        *(
+            (
+                f"at {name}",
+                f"{error.attitude_deg.rms:.2f} deg RMS, {1e3 * error.position_m.rms:.0f} mm RMS, "
+                f"{1e3 * error.position_m.max:.0f} max",
+            )
+            for name, error in summary.frame_errors.items()
+        ),
         ("worse than 10 deg or 0.3 m", _percent(modes.worse_than_10deg_or_0_3m_share)),
         (
             "frames",
@@ -49,6 +58,12 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
         rows.append(("NEES", f"{nees.nees_mean:.1f} mean of {nees.nees_dof} expected, {within}"))
     rows.append(("messages", f"{published} published, {missed} missed by the log"))
     return rows
+
+
+def _target_rows(summary: Summary) -> list[tuple[str, str]]:
+    """Return the row that tells truth and model apart; none if they are the same."""
+    model = summary.differing_model
+    return [] if model is None else [("target", f"truth {summary.target}, model {model}")]
 
 
 def _error_rows(error: ErrorSummary | None) -> list[tuple[str, str]]:

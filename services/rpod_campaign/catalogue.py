@@ -29,6 +29,7 @@ BUILT_IN = (
     "pmd-acquisition",
     "pmd-verdict",
     "population",
+    "model-matrix",
 )
 """Names of this package's campaigns; the folder of each has the same name, with underscores."""
 

@@ -18,7 +18,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     estimator = Estimator(config, target)
     with Node(config, version=version, stop=stop) as node:
         node.target_digest = target.digest
-        subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix)
+        subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target.frames)
         node.serve("reset", ResetRequest, estimator.request_reset)
         node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
         while not stop.is_set():

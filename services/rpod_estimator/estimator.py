@@ -22,6 +22,7 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import EstimatorStatus, Mode
 from rpod_target import Target
+from rpod_target.topology import areas_m2
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +39,7 @@ class Estimator:
         self._sensors = {sensor.name: sensor for sensor in config.sensors}
         self._setups: dict[str, Any] = {}
         self._methods: dict[str, Methods] = {}
+        self._tell_unreliable_parts()
         self.learn({})
         self._navigator = Navigator(
             config,
@@ -71,6 +73,22 @@ class Estimator:
                 log.info("%s: %s", name, setup)
             self._setups[name] = setup
             self._methods[name] = ready_methods(sensor, self._target, setup)
+
+    def _tell_unreliable_parts(self) -> None:
+        reliable = self._target.reliable
+        if reliable is None:
+            return
+        parts = [name for name in self._target.parts if name not in reliable.parts]
+        area_m2, left_m2 = (areas_m2(target.triangles_m).sum() for target in (self._target, reliable))
+        log.warning(
+            "unreliable parts are ignored: %s, %.0f %% of the surface; to use them, change %s",
+            ", ".join(parts),
+            100.0 * (1.0 - left_m2 / area_m2),
+            self._target.source,
+        )
+        for sensor in self._sensors.values():
+            if kind_methods(sensor).masked is None:
+                log.warning("%s: sensors of kind %s cannot ignore them", sensor.name, sensor.kind)
 
     def request_reset(self, request: ResetRequest) -> Accepted:
         """Start again with the next frame, without a pose or from a given pose."""

@@ -1,6 +1,9 @@
-"""Publishes the estimator's results: odometry, pose, transform and status."""
+"""Publishes the estimator's results: odometry, pose, poses of the target's frames, transform and status."""
 
 import time
+from collections.abc import Mapping
+
+from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.state import Output
 from rpod_runtime import Node
@@ -11,17 +14,21 @@ from rpod_schemas.messages import (
     write_status,
     write_transforms,
 )
-from rpod_schemas.topics import CHASER, ESTIMATE, ESTIMATE_POSE, STATUS, TARGET_ESTIMATE, TF
+from rpod_schemas.topics import CHASER, ESTIMATE, ESTIMATE_FRAME, ESTIMATE_POSE, STATUS, TARGET_ESTIMATE, TF
 
 _TF_PERIOD_NS = NANOSECONDS // 25
 
 
 class Outputs:
-    """Publishers of the estimator's results."""
+    """Publishers of the estimator's results; ``frames`` are the target's, T_target_frame by name."""
 
-    def __init__(self, node: Node, prefix: str) -> None:
+    def __init__(self, node: Node, prefix: str, frames: Mapping[str, RigidTransform]) -> None:
         self._odometry = node.publisher(ESTIMATE.under(prefix))
         self._pose = node.publisher(ESTIMATE_POSE.under(prefix))
+        self._frames = [
+            (node.publisher(ESTIMATE_FRAME.under(prefix).at(name)), T_target_frame)
+            for name, T_target_frame in frames.items()
+        ]
         self._status = node.publisher(STATUS.under(prefix))
         self._tf = node.publisher(TF)
         self._tf_ns = 0
@@ -37,6 +44,8 @@ class Outputs:
         if odometry is not None:
             self._odometry.publish(write_odometry(odometry))
             self._pose.publish(write_pose_stamped(odometry))
+            for publisher, T_target_frame in self._frames:
+                publisher.publish(write_pose_stamped(odometry, T_child_frame=T_target_frame))
             if odometry.stamp_ns - self._tf_ns >= _TF_PERIOD_NS:
                 self._tf_ns = odometry.stamp_ns
                 transform = (CHASER, TARGET_ESTIMATE, odometry.pose)

@@ -3,6 +3,7 @@
 from typing import Any
 
 from rpod_pose.ports import KindMethods, Methods, Task
+from rpod_pose.unreliable import UnreliableParts, ignoring
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.poses import make_pose
 from rpod_schemas.registry import resolve
@@ -17,14 +18,19 @@ def kind_methods(sensor: SensorInput) -> KindMethods:
 
 
 def methods_of(sensor: SensorInput, target: Target, setup: Any = ()) -> Methods:
-    """Return the methods for a sensor.
+    """Return the methods for a sensor, which ignore the unreliable parts of the target.
 
     Args:
         sensor: configuration of the sensor.
         target: the target to find.
         setup: result of ``KindMethods.setup`` of its kind, for example a LIDAR's scan pattern.
     """
-    return kind_methods(sensor).make(Task(target, sensor, setup))
+    kind = kind_methods(sensor)
+    whole = kind.make(Task(target, sensor, setup))
+    if target.reliable is None or kind.masked is None:
+        return whole
+    reliable = kind.make(Task(target.reliable, sensor, setup))
+    return ignoring(reliable, whole, UnreliableParts(target, target.reliable), kind.masked)
 
 
 def warm_up(sensor: SensorInput, methods: Methods, target: Target, setup: Any = ()) -> None:

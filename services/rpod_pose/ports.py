@@ -235,5 +235,8 @@ class KindMethods:
     """Function that returns the data of a sensor that its methods need, from its configuration and its info
     message (None before the first message); None if neither contains them. When these data change, new
     methods are created."""
+    masked: Callable[[Any, Callable[[Any], Any]], Any] | None = None
+    """Function that returns a frame without the points for which a function of them, sensor axes, shape
+    (..., 3), is true. Without it, unreliable parts of a target are not ignored."""
     missing: str = ""
     """Reason for which frames are rejected as long as these data are unknown."""

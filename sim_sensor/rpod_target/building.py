@@ -13,9 +13,10 @@ from rpod_target.interior import Bodies, Body
 from rpod_target.mass import mass_properties
 from rpod_target.mesh_files import MeshFile
 from rpod_target.parameters import MeshParameters, TargetParameters
-from rpod_target.pieces import NUDGE, Piece, Sides, outward, pieces
+from rpod_target.pieces import NUDGE, Piece, Sides, outward, pieces, varied
 from rpod_target.sampling import sample_evenly
 from rpod_target.topology import creases, unit_normals
+from rpod_target.variation import Variation
 from rpod_target.visibility import Sky
 
 _MOST_NODES = 30_000_000
@@ -33,6 +34,7 @@ def build_arrays(
     *,
     source: str,
     read: Mapping[str, MeshFile] = MappingProxyType({}),
+    variation: Variation | None = None,
 ) -> dict[str, Array]:
     """Return the arrays of a target by the names of ``Target``'s fields, and those of its distance field.
 
@@ -41,12 +43,15 @@ def build_arrays(
         meshes: the mesh files' contents, and those of the files beside them, by name.
         source: parameter file, for error messages.
         read: mesh files that are read already, by name.
+        variation: what differs in a model of the target.
 
     Raises:
         TargetError: a mesh cannot be read, the target's size is unlikely and not confirmed, or the distance
             field is too large.
     """
     found = pieces(parameters, meshes, read, source=source)
+    if variation is not None:
+        found = varied(found, variation)
     triangles_m = np.concatenate([piece.triangles_m for piece in found])
     size_m = float(np.ptp(triangles_m, axis=(0, 1)).max())
     _check_size(parameters, size_m, source=source)

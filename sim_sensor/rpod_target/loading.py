@@ -5,7 +5,9 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -19,13 +21,14 @@ from rpod_target.errors import TargetError
 from rpod_target.mesh_files import MeshFile, companions
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
 from rpod_target.target import DistanceField, Material, Target
+from rpod_target.variation import Variation, split
 
 RANDOM = "random-"
 """Beginning of the names of the random satellites."""
 _SHIPPED = Path(__file__).parent / "targets"
-_BUILDER_VERSION, _MESH_BUILDER_VERSION = 4, 6
-"""Version of the builder, without and with mesh files, to be increased when the same parameters give other
-arrays."""
+_BUILDER_VERSION, _MESH_BUILDER_VERSION, _VARIATION_VERSION = 4, 6, 1
+"""Version of the builder, without and with mesh files, and of the variations, to be increased when the same
+parameters give other arrays."""
 
 
 def shipped_targets() -> tuple[str, ...]:
@@ -45,23 +48,54 @@ def load_target(
 
     Args:
         name_or_path: name of a shipped target or of a random satellite (``rpod_target.population``), or
-            path of a parameter file (YAML, JSON or TOML).
+            path of a parameter file (YAML, JSON or TOML); behind it, the terms of a variation
+            (``rpod_target.variation``).
         cache: directory of the built targets; by default $RPOD_CACHE, $XDG_CACHE_HOME/rpod or ~/.cache/rpod.
         read: mesh files that are read already, by their names in the parameter file.
 
     Raises:
         TargetError: names the file, the field and the reason.
     """
-    path, parameters, meshes = _read(name_or_path)
-    digest = _digest(parameters, meshes)
-    built = _digest(parameters.model_copy(update={"symmetries": ()}), meshes)  # they change no array
-    file = (cache or store.default_directory()) / f"target-{built}.npz"
-    arrays = store.read(file)
-    if arrays is None:
-        arrays = _build(parameters, meshes, path, read or {})
-        with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
-            store.write(file, arrays)
-    return _assemble(parameters, arrays, source=path, digest=digest)
+    base, terms = _base(name_or_path)
+    suffix = str(name_or_path).removeprefix(base)
+    path, parameters, meshes = _read(base)
+    variation = check(Variation, terms, source=name_or_path) if terms else None
+    source = path.with_name(path.name + suffix)
+
+    def loaded(without: tuple[str, ...]) -> Target:
+        chosen = _without(parameters, without, source=source)
+        digest = _digest(chosen, meshes, variation)
+        bare = chosen.model_copy(update={"symmetries": (), "frames": {}})  # they change no array
+        file = (cache or store.default_directory()) / f"target-{_digest(bare, meshes, variation)}.npz"
+        arrays = store.read(file)
+        if arrays is None:
+            arrays = _build(chosen, meshes, source, read or {}, variation)
+            with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
+                store.write(file, arrays)
+        target = _assemble(chosen, arrays, source=source, digest=digest)
+        return replace(target, name=target.name + suffix)
+
+    left_out = () if variation is None else variation.without
+    unreliable = tuple(part.name for part in parameters.parts if part.unreliable)
+    target = loaded(left_out)
+    return replace(target, reliable=loaded(left_out + unreliable)) if unreliable else target
+
+
+def _base(name_or_path: str | Path) -> tuple[str, dict[str, Any]]:
+    """Return a target's name or file without the terms of a variation, and the terms."""
+    return (str(name_or_path), {}) if Path(name_or_path).exists() else split(str(name_or_path))
+
+
+def _without(parameters: TargetParameters, names: tuple[str, ...], *, source: Path) -> TargetParameters:
+    """Return the parameters without parts, which a variation leaves out or which are unreliable."""
+    known = [part.name for part in parameters.parts]
+    for name in names:
+        if name not in known:
+            raise TargetError(source, "without", f"part {name!r} is unknown; known are {', '.join(known)}")
+    parts = tuple(part for part in parameters.parts if part.name not in names)
+    if not parts:
+        raise TargetError(source, "parts", f"no part is left without {', '.join(names)}; keep at least one")
+    return parameters.model_copy(update={"parts": parts})
 
 
 def load_equivalence(name_or_path: str | Path) -> Equivalence:
@@ -70,7 +104,7 @@ def load_equivalence(name_or_path: str | Path) -> Equivalence:
     Raises:
         TargetError: as for ``load_target``.
     """
-    return Equivalence.of(_symmetries(_read(name_or_path)[1]))
+    return Equivalence.of(_symmetries(_read(_base(name_or_path)[0])[1]))
 
 
 def _symmetries(parameters: TargetParameters) -> tuple[Symmetry, ...]:
@@ -161,24 +195,30 @@ def _read_meshes(parameters: TargetParameters, path: Path) -> dict[str, bytes]:
     return meshes
 
 
-def _digest(parameters: TargetParameters, meshes: Mapping[str, bytes]) -> str:
-    content = {
+def _digest(parameters: TargetParameters, meshes: Mapping[str, bytes], variation: Variation | None) -> str:
+    content: dict[str, Any] = {
         "builder": _MESH_BUILDER_VERSION if meshes else _BUILDER_VERSION,
         "parameters": parameters.model_dump(mode="json"),
         "meshes": {name: hashlib.sha256(mesh).hexdigest() for name, mesh in meshes.items()},
     }
+    if variation is not None:
+        content["variation"] = {"version": _VARIATION_VERSION, **variation.model_dump(mode="json")}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _build(
-    parameters: TargetParameters, meshes: Mapping[str, bytes], path: Path, read: Mapping[str, MeshFile]
+    parameters: TargetParameters,
+    meshes: Mapping[str, bytes],
+    path: Path,
+    read: Mapping[str, MeshFile],
+    variation: Variation | None,
 ) -> dict[str, Array]:
     try:
         from rpod_target.building import build_arrays  # noqa: PLC0415 - a warm start must not pay for Open3D
     except ImportError as error:
         reason = f"is not in the cache yet, and building it needs Open3D: install rpod[target] ({error})"
         raise TargetError(path, "", reason) from error
-    return build_arrays(parameters, meshes, source=str(path), read=read)
+    return build_arrays(parameters, meshes, source=str(path), read=read, variation=variation)
 
 
 def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source: Path, digest: str) -> Target:
@@ -203,5 +243,7 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         inertia_kg_m2=arrays.pop("inertia_kg_m2") if inertia is None else inertia,
         radius_m=float(np.linalg.norm(arrays["triangles_m"], axis=-1).max()),
         symmetries=_symmetries(parameters),
+        frames=parameters.frames,
+        reliable=None,
         **arrays,
     )

@@ -58,6 +58,14 @@ class _PartParameters(Config):
     """Name of the part's material, for all faces without one of their own."""
     T_target_part: Pose = Field(default_factory=RigidTransform.identity)
     """Pose of the part in the target."""
+    unreliable: bool = False
+    """Whether the estimator ignores the part, because its shape or place is not known well: flexible foil, an
+    array of unknown angle."""
+
+    @model_serializer(mode="wrap")
+    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields; without those that are left out, the digest of the file stays as it was."""
+        return _kept(handler(self), {"unreliable": False})
 
 
 class BoxParameters(_PartParameters):
@@ -141,7 +149,13 @@ class MeshParameters(_PartParameters):
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _kept(handler(self), {"object": None, "file_materials": {}, "largest_error_m": None})
+        added: dict[str, Any] = {
+            "object": None,
+            "file_materials": {},
+            "largest_error_m": None,
+            "unreliable": False,
+        }
+        return _kept(handler(self), added)
 
 
 PartParameters = Annotated[
@@ -188,6 +202,10 @@ class SymmetryParameters(Config):
         return axis / length
 
 
+FrameName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+"""Name of a frame: part of a topic of ROS 2, which has no hyphens."""
+
+
 class TargetParameters(Config):
     """A target's parameter file."""
 
@@ -219,6 +237,10 @@ class TargetParameters(Config):
     symmetries: tuple[SymmetryParameters, ...] = ()
     """Rotations after which the target is the same or nearly so; acquisition tries them too."""
 
+    frames: dict[FrameName, Pose] = Field(default_factory=dict)
+    """Frames of the target, such as the launch adapter or a grapple fixture: T_target_frame by name. The
+    estimator publishes their poses."""
+
     @field_validator("inertia_kg_m2")
     @classmethod
     def _inertia_is_physical(cls, inertia: FloatArray | None) -> FloatArray | None:
@@ -247,13 +269,14 @@ class TargetParameters(Config):
     @model_serializer(mode="wrap")
     def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Return the fields; without those that are left out, the digest of the file stays as it was."""
-        added = {
+        added: dict[str, Any] = {
             "centre_of_mass_m": None,
             "inertia_kg_m2": None,
             "mass_kg": None,
             "density_kg_m3": None,
             "mass_spread": "volume",
             "confirmed_size": False,
+            "frames": {},
         }
         return _kept(handler(self), added)
 

@@ -4,7 +4,7 @@ A piece is what is repaired together: one analytic part, or all parts that one m
 that a shell whose objects or materials share its edges stays one shell.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
@@ -25,9 +25,10 @@ from rpod_target.parameters import (
     PrismParameters,
     TargetParameters,
 )
-from rpod_target.simplification import simplified
+from rpod_target.simplification import coarser, simplified
 from rpod_target.surfaces import Surface, box_surface, cylinder_surface, frustum_surface, prism_surface
 from rpod_target.topology import Indices, separate_surfaces
+from rpod_target.variation import Variation
 from rpod_target.visibility import Sky
 
 NUDGE = 1e-4
@@ -187,18 +188,38 @@ def _of_file(file: MeshFile, parts: Mapping[int, MeshParameters], *, source: str
         told.insert(
             0, f"{fewer[0]} triangles stand for {fewer[1]}, at most {1e3 * scale * fewer[2]:.2g} mm off"
         )
-    mesh = replace(mesh, triangles=_placed(first, scale * mesh.triangles))
-    closed_m, bodies = _closed(mesh)
-    return Piece(
-        mesh.triangles,
+    return _piece(
+        replace(mesh, triangles=_placed(first, scale * mesh.triangles)),
         part[origin],
         tuple(_material_names(file, origin, part, parts)),
-        closed_m,
-        bodies,
-        loose=mesh.loose,
-        patch=mesh.patch,
         told=tuple(f"{PurePath(first.file).name}: {text}" for text in told),
     )
+
+
+def _piece(mesh: RepairedMesh, part: Indices, materials: tuple[str, ...], *, told: tuple[str, ...]) -> Piece:
+    """Return the surfaces of a mesh in target axes."""
+    closed_m, bodies = _closed(mesh)
+    return Piece(
+        mesh.triangles, part, materials, closed_m, bodies, loose=mesh.loose, patch=mesh.patch, told=told
+    )
+
+
+def varied(found: Sequence[Piece], variation: Variation) -> list[Piece]:
+    """Return the surfaces of a model that differs from the target; those that are missing are left out."""
+    size_m = float(np.ptp(np.concatenate([piece.triangles_m for piece in found]), axis=(0, 1)).max())
+    surfaces_m = variation.moved([piece.triangles_m for piece in found])
+    result = []
+    for piece, moved_m in zip(found, surfaces_m, strict=True):
+        if not np.ptp(moved_m, axis=(0, 1)).max() > NUDGE * size_m:
+            continue
+        coarse_m, origin = moved_m, np.arange(len(moved_m))
+        if variation.coarse:
+            coarse_m, origin = coarser(moved_m, error=variation.coarse * size_m)
+        mesh = repair(coarse_m)
+        origin = origin[mesh.origin]
+        materials = tuple(piece.materials[index] for index in origin)
+        result.append(_piece(mesh, piece.part[origin], materials, told=piece.told))
+    return result
 
 
 _ERROR = 1e-3

@@ -37,25 +37,42 @@ def simplified(
     same = np.arange(len(triangles))
     if len(triangles) <= steps[0]:
         return triangles, same, None
-    import meshoptimizer  # noqa: PLC0415 - only large meshes need it
+    for count in steps:
+        if count >= len(triangles):
+            break
+        result = _collapsed(triangles, count=count, error=1.0)
+        error, nearest = _compare(triangles, result)
+        if error <= largest_error:
+            return result, nearest, (len(result), len(triangles), error)
+    return triangles, same, None
+
+
+def coarser(triangles: FloatArray, *, error: float) -> tuple[FloatArray, Indices]:
+    """Return as few triangles as stand for others with about an error, in their unit, and what each is for.
+
+    Returns:
+        Triangles, shape (S, 3, 3), and for each the index of the triangle that it stands for, shape (S,).
+    """
+    size = float(np.ptp(triangles, axis=(0, 1)).max())
+    result = _collapsed(triangles, count=4, error=error / size)
+    return result, _compare(triangles, result)[1]
+
+
+def _collapsed(triangles: FloatArray, *, count: int, error: float) -> FloatArray:
+    """Return triangles after the collapse of edges, down to a number or up to an error over their size."""
+    import meshoptimizer  # noqa: PLC0415 - few meshes need it
 
     index = welded(triangles)
     corners = np.empty((int(index.max()) + 1, 3))
     corners[index.ravel()] = triangles.reshape(-1, 3)
     single = np.ascontiguousarray((corners - corners.mean(axis=0)).astype(np.float32))
     faces = index[(index != np.roll(index, -1, axis=1)).all(axis=1)].astype(np.uint32)
-    for count in steps:
-        if count >= len(faces):
-            break
-        chosen = np.empty(faces.size, np.uint32)
-        kept = meshoptimizer.simplify(
-            chosen, faces.ravel(), single, target_index_count=3 * count, target_error=1.0
-        )
-        result = corners[chosen[:kept].reshape(-1, 3)]
-        error, nearest = _compare(triangles, result)
-        if error <= largest_error:
-            return result, nearest, (len(result), len(triangles), error)
-    return triangles, same, None
+    chosen = np.empty(faces.size, np.uint32)
+    kept = meshoptimizer.simplify(
+        chosen, faces.ravel(), single, target_index_count=3 * count, target_error=error
+    )
+    collapsed: FloatArray = corners[chosen[:kept].reshape(-1, 3)]
+    return collapsed
 
 
 def _compare(triangles: FloatArray, result: FloatArray) -> tuple[float, Indices]:

@@ -1,6 +1,8 @@
 """The target for sensors and estimators. All coordinates are in target axes, metres."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from functools import cached_property
 from typing import Literal
 
@@ -105,6 +107,11 @@ class Target:
     radius_m: float
     """Radius of the bounding sphere about the origin."""
     symmetries: tuple[Symmetry, ...]
+    frames: Mapping[str, RigidTransform] = dataclass_field(default_factory=dict)
+    """Poses T_target_frame of the frames that its file names, by name."""
+
+    reliable: "Target | None" = None
+    """The target without the parts that its file calls unreliable; None if there are none."""
 
     def require_field(self) -> DistanceField:
         """Return the distance field.

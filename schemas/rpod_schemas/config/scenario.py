@@ -13,6 +13,14 @@ DEFAULT_EPOCH_NS = 1_767_225_600_000_000_000
 """Default epoch, 2026-01-01T00:00:00Z, ns of UTC."""
 
 
+class ScenarioEstimator(EstimatorSettings):
+    """The estimator of a scenario."""
+
+    target: str | None = None
+    """Name or file of the target that the estimator looks for: its model of the real one, which may differ.
+    Both share their axes. If left out, the model is the scenario's own target."""
+
+
 class Scenario(Config):
     """A rendezvous to play."""
 
@@ -21,7 +29,7 @@ class Scenario(Config):
     title: str = Field(min_length=8, max_length=120)
     """Title, one line for ``rpod scenarios``."""
     target: str
-    """Name or file of the target."""
+    """Name or file of the target that moves and that the sensors see."""
     duration_s: Positive
     """Duration of the run, s."""
     seed: int = Field(default=1, ge=0)
@@ -36,8 +44,13 @@ class Scenario(Config):
     """Variant of the emulated sensors' physics; the estimator is not told."""
     publish_samples: bool = False
     """Whether to publish the PMD cameras' raw samples as well, about 70 MB/s at 45 Hz."""
-    estimator: EstimatorSettings
-    """Sensors, navigator and filter of the estimator."""
+    estimator: ScenarioEstimator
+    """Sensors, navigator and filter of the estimator, and the target that it looks for."""
+
+    @property
+    def model(self) -> str:
+        """Name or file of the target that the estimator looks for."""
+        return self.estimator.target or self.target
 
     @model_validator(mode="after")
     def _estimator_hears_the_sensors(self) -> Self:

@@ -19,7 +19,7 @@ from rpod_schemas.messages.header import (
     write_header,
     write_stamp,
 )
-from rpod_schemas.poses import make_pose, rotation_of
+from rpod_schemas.poses import covariance_at, make_pose, rotation_matrix, rotation_of
 from rpod_schemas.types import Odometry
 
 
@@ -154,21 +154,29 @@ def write_odometry(odometry: Odometry) -> Any:
     return message_class("nav_msgs/msg/Odometry")(
         header=write_header(odometry.stamp_ns, odometry.frame_id),
         child_frame_id=odometry.child_frame_id,
-        pose=_pose_with_covariance(odometry),
+        pose=_pose_with_covariance(odometry.pose, odometry.pose_covariance),
         twist=message_class("geometry_msgs/msg/TwistWithCovariance")(
             twist=twist, covariance=odometry.twist_covariance.ravel()
         ),
     )
 
 
-def write_pose_stamped(odometry: Odometry) -> Any:
-    """Return the pose of an odometry as geometry_msgs/PoseWithCovarianceStamped."""
+def write_pose_stamped(odometry: Odometry, *, T_child_frame: RigidTransform | None = None) -> Any:
+    """Return the pose of an odometry as geometry_msgs/PoseWithCovarianceStamped.
+
+    With ``T_child_frame`` it is the pose of a frame that is fixed to the child, its covariance at its place.
+    """
+    pose, covariance = odometry.pose, odometry.pose_covariance
+    if T_child_frame is not None:
+        arm_m = rotation_matrix(pose) @ T_child_frame.translation
+        pose, covariance = pose * T_child_frame, covariance_at(covariance, arm_m)
     return message_class("geometry_msgs/msg/PoseWithCovarianceStamped")(
-        header=write_header(odometry.stamp_ns, odometry.frame_id), pose=_pose_with_covariance(odometry)
+        header=write_header(odometry.stamp_ns, odometry.frame_id),
+        pose=_pose_with_covariance(pose, covariance),
     )
 
 
-def _pose_with_covariance(odometry: Odometry) -> Any:
+def _pose_with_covariance(pose: RigidTransform, covariance: NDArray[np.float64]) -> Any:
     return message_class("geometry_msgs/msg/PoseWithCovariance")(
-        pose=write_pose(odometry.pose), covariance=odometry.pose_covariance.ravel()
+        pose=write_pose(pose), covariance=covariance.ravel()
     )

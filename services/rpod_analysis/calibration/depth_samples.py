@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_analysis.errors import CalibrationError
 from rpod_analysis.log import Log
 from rpod_analysis.log.sensors import configured_sensors, find_sensors, pmd_frames, pmd_info
+from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.scoring.score import BoolArray, Track, interpolate
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import Hits, RayGrid, cast
@@ -138,11 +139,11 @@ def _configured_sensors(log: Log, camera: str) -> Iterator[dict[str, Any]]:
 
 
 def _target(log: Log) -> Target:
-    names = [service["target"] for service in log.configuration.values() if service.get("target")]
-    if not names:
+    name = logged_targets(log).shown
+    if name is None:
         raise CalibrationError(f"{log.paths[0].name}: no configuration in the log names the target")
     try:
-        return load_target(names[0])
+        return load_target(name)
     except TargetError as error:
         raise CalibrationError(f"{log.paths[0].name}: {error}") from error
 

@@ -157,12 +157,6 @@ class Log:
                 self.unreadable.note(CONFIGURATION, Reason.MALFORMED, f"{name}: is not a JSON object")
         return found
 
-    @property
-    def target(self) -> str | None:
-        """Name or path of the target in the services' configurations; None if none names it."""
-        names = (service["target"] for service in self.configuration.values() if service.get("target"))
-        return next(names, None)
-
     def metadata(self, record: str) -> dict[str, str]:
         """Return a metadata record, empty if there is none; later values replace earlier ones."""
         values: dict[str, str] = {}

@@ -27,7 +27,8 @@ from rpod_schemas.logs import (
     SOFTWARE,
 )
 from rpod_schemas.messages import write_odometry, write_pose_stamped, write_status
-from rpod_schemas.topics import ESTIMATE, ESTIMATE_POSE, STATUS, TOPICS, Topic
+from rpod_schemas.topics import ESTIMATE, ESTIMATE_FRAME, ESTIMATE_POSE, STATUS, TOPICS, Topic
+from rpod_target import Target
 
 _LATCHED = {topic.name for topic in TOPICS if topic.latched}
 
@@ -35,10 +36,10 @@ _LATCHED = {topic.name for topic in TOPICS if topic.latched}
 class EstimateLog:
     """An open log, whose content does not depend on the time of writing. A failure leaves no file."""
 
-    def __init__(self, path: Path, source: Log, config: EstimatorConfig) -> None:
+    def __init__(self, path: Path, source: Log, config: EstimatorConfig, target: Target) -> None:
         self.last_ns = 0
         """Time of arrival of the last copied message, ns."""
-        self._path, self._source, self._config = path, source, config
+        self._path, self._source, self._config, self._frames = path, source, config, target.frames
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._sequences: Counter[str] = Counter()
@@ -79,6 +80,9 @@ class EstimateLog:
             if output.odometry is not None:
                 self._add(ESTIMATE, write_odometry(output.odometry), arrival_ns)
                 self._add(ESTIMATE_POSE, write_pose_stamped(output.odometry), arrival_ns)
+                for name, pose in self._frames.items():
+                    message = write_pose_stamped(output.odometry, T_child_frame=pose)
+                    self._add(ESTIMATE_FRAME.at(name), message, arrival_ns)
             self._add(STATUS, write_status(output.status), arrival_ns)
 
     def _add(self, topic: Topic, message: Any, arrival_ns: int) -> None:

@@ -24,7 +24,7 @@ from rpod_pose.measurement import Tick
 from rpod_pose.navigation.state import Output
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.migration import check_logged
-from rpod_schemas.topics import ESTIMATE, ESTIMATE_POSE, STATUS, TF_STATIC, TRUTH
+from rpod_schemas.topics import ESTIMATE, ESTIMATE_FRAME, ESTIMATE_POSE, STATUS, TF_STATIC, TRUTH
 from rpod_target import load_target
 
 
@@ -89,10 +89,11 @@ def replay(
         TargetError: the configured target cannot be loaded.
         AnalysisError: the log cannot be read, or the new one cannot be written.
     """
-    target = out or beside(log.paths[0], REPLAY)
-    if target.resolve() in {path.resolve() for path in log.paths}:
-        raise CannotWriteError(target, "is the log itself; give another name with --out")
-    estimator, intake = Estimator(config, load_target(config.target)), FrameReader(config.sensors)
+    new = out or beside(log.paths[0], REPLAY)
+    if new.resolve() in {path.resolve() for path in log.paths}:
+        raise CannotWriteError(new, "is the log itself; give another name with --out")
+    target = load_target(config.target)
+    estimator, intake = Estimator(config, target), FrameReader(config.sensors)
     old = estimate_prefix(log)
     stamps = StampCheck(log)
     frames = (
@@ -102,16 +103,16 @@ def replay(
     )
     feed = _Feed(estimator, intake, as_live=as_live)
     try:
-        with EstimateLog(target, log, config) as written:
+        with EstimateLog(new, log, config, target) as written:
             for logged in _relevant(log, intake, old, start_s=start_s, end_s=end_s):
-                if logged.topic in _copied(old):
+                if logged.topic in _copied(log, old):
                     written.copy(logged)
                 written.add(feed.outputs(frames.take(logged)), arrival_ns=logged.log_ns)
             written.add(feed.outputs(frames.rest()), arrival_ns=written.last_ns)
     except OSError as error:
-        raise CannotWriteError(target, (error.strerror or str(error)).lower()) from error
+        raise CannotWriteError(new, (error.strerror or str(error)).lower()) from error
     return Replayed(
-        out=target,
+        out=new,
         prefix=old,
         frames=len(feed.processing_s),
         missing=frames.missing,
@@ -120,10 +121,11 @@ def replay(
     )
 
 
-def _copied(prefix: str) -> set[str]:
+def _copied(log: Log, prefix: str) -> set[str]:
     """Return the names of the topics that are copied from the old log to the new one."""
     estimates = (topic.under(prefix).name for topic in (ESTIMATE, ESTIMATE_POSE, STATUS))
-    return {TRUTH.name, TF_STATIC.name, *estimates}
+    frames = ESTIMATE_FRAME.under(prefix).at("").name
+    return {TRUTH.name, TF_STATIC.name, *estimates, *(name for name in log.topics if name.startswith(frames))}
 
 
 def _relevant(
@@ -135,7 +137,7 @@ def _relevant(
     latched = [topic.name for topic in intake.latched]
     streams = [topic.name for topic in intake.streams]
     before = log.messages(*latched, end_ns=start_ns) if start_ns is not None else ()
-    wanted = {*latched, *streams, *_copied(prefix)}
+    wanted = {*latched, *streams, *_copied(log, prefix)}
     return chain(before, log.messages(*wanted, start_ns=start_ns, end_ns=end_ns))
 
 

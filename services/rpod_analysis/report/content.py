@@ -12,19 +12,21 @@ import plotly.io
 from rpod_analysis.log import Log
 from rpod_analysis.log.accounting import Command, SensorFlow
 from rpod_analysis.log.completeness import CheckedCompleteness, check_log_completeness
+from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.log.unreadable import UnreadableKind
 from rpod_analysis.report.figures import error_figure, state_figure
 from rpod_analysis.report.figures_path import path_figure
 from rpod_analysis.report.figures_statistics import consistency_figure, timing_figure
 from rpod_analysis.report.plot_data import PlotData
-from rpod_analysis.report.snapshots import Snapshot, take_snapshots
+from rpod_analysis.report.snapshots import Snapshot, Wireframes, take_snapshots
+from rpod_analysis.scoring.frame_errors import named_frames
 from rpod_analysis.scoring.run import StreamedRun
 from rpod_analysis.scoring.run_checks import Check, assess, find_checks, headline
 from rpod_analysis.scoring.summarise import summarise
 from rpod_analysis.scoring.totals import RunTotals
 from rpod_schemas.logs import SOFTWARE, TopicCount
 from rpod_schemas.summary import Summary
-from rpod_target import Target, TargetError, load_target
+from rpod_target import TargetError, load_target
 
 _PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 _MOST_REASONS = 8
@@ -98,15 +100,15 @@ class ReportContent:
 
 def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None = None) -> ReportContent:
     """Read a run once and return the content of its report; ``report`` is the path of the page."""
-    totals = RunTotals()
+    totals = RunTotals(named_frames(log, prefix=run.prefix))
     plot_data = PlotData(run.start_ns, run.end_ns, tuple(run.sensors))
     for minute in run:
         totals.take(minute)
         plot_data.take(minute)
     software = log.metadata(SOFTWARE)
-    target, target_note = _target(log, software.get("target_digest", "").split())
+    wireframes, target_note = _targets(log, run.prefix)
     alarms = run.account.alarms
-    snapshots = tuple(take_snapshots(log, run, plot_data, target))
+    snapshots = tuple(take_snapshots(log, run, plot_data, wireframes))
     summary = summarise(log, run, totals, report=report)  # last, because it contains what could not be read
     return ReportContent(
         name=name,
@@ -126,7 +128,7 @@ def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None
         checks=tuple(find_checks(summary, alarms.total())),
         snapshots=snapshots,
         unreadable=log.unreadable.kinds,
-        target=target.name if target else "",
+        target=wireframes.truth.name if wireframes.truth else "",
         target_note=target_note,
         software=" ".join(software[key] for key in ("name", "version") if key in software),
         configuration={name: json.dumps(model, indent=2) for name, model in log.configuration.items()},
@@ -159,13 +161,16 @@ def _flows(run: StreamedRun, totals: RunTotals, summary: Summary) -> list[Sensor
     return flows
 
 
-def _target(log: Log, digests: list[str]) -> tuple[Target | None, str]:
-    """Return the target in the services' configuration, and a remark about it."""
-    if log.target is None:
-        return None, f"{_UNKNOWN}: no configuration in the log names the target."
+def _targets(log: Log, prefix: str) -> tuple[Wireframes, str]:
+    """Return the targets in the services' configurations, and a remark about their wireframes."""
+    names = logged_targets(log, prefix=prefix)
+    if names.shown is None:
+        return Wireframes(None, None), f"{_UNKNOWN}: no configuration in the log names the target."
     try:
-        target = load_target(log.target)
+        truth = load_target(names.shown)
+        model = load_target(names.model or names.shown)
     except TargetError as error:
-        return None, f"{_UNKNOWN}: {error}"
-    changed = bool(digests) and target.digest not in digests
-    return target, "The target's parameters have changed since the run." * changed
+        return Wireframes(None, None), f"{_UNKNOWN}: {error}"
+    digests = log.metadata(SOFTWARE).get("target_digest", "").split()
+    changed = bool(digests) and not {truth.digest, model.digest} <= set(digests)
+    return Wireframes(model, truth), "The target's parameters have changed since the run." * changed

@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -63,14 +64,23 @@ class Snapshot:
     truth_path: str
 
 
-def take_snapshots(log: Log, run: StreamedRun, plot_data: PlotData, target: Target | None) -> list[Snapshot]:
+class Wireframes(NamedTuple):
+    """Targets whose wireframes are drawn; None where it is not known."""
+
+    model: Target | None
+    """Drawn at the estimate."""
+    truth: Target | None
+    """Drawn at the truth."""
+
+
+def take_snapshots(log: Log, run: StreamedRun, plot_data: PlotData, wireframes: Wireframes) -> list[Snapshot]:
     """Return about four frames of each sensor, spread over the run, preferably frames with an estimate."""
     return [
         snapshot
         for sensor in run.sensors.values()
         for stamp_ns in _sample_stamps(plot_data, sensor)
         for frame in _read_frame(log, run.at(stamp_ns), sensor, stamp_ns)
-        if (snapshot := _snapshot(run.at(stamp_ns), sensor, frame, target))
+        if (snapshot := _snapshot(run.at(stamp_ns), sensor, frame, wireframes))
     ]
 
 
@@ -91,12 +101,13 @@ def _read_frame(log: Log, run: Run, sensor: Sensor, stamp_ns: int) -> Iterator[S
     yield from (frame for frame in near if frame.stamp_ns == stamp_ns)
 
 
-def _snapshot(run: Run, sensor: Sensor, frame: SensorFrame, target: Target | None) -> Snapshot | None:
+def _snapshot(run: Run, sensor: Sensor, frame: SensorFrame, wireframes: Wireframes) -> Snapshot | None:
     camera = frame.lens
     index = _index_of(run.estimates, frame.stamp_ns)
+    estimate = None if index is None else run.estimates.poses[index]
     drawn = [
-        _outline(sensor, target, camera, pose)
-        for pose in (None if index is None else run.estimates.poses[index], _truth_at(run, frame.stamp_ns))
+        _outline(sensor, wireframes.model, camera, estimate),
+        _outline(sensor, wireframes.truth, camera, _truth_at(run, frame.stamp_ns)),
     ]
     outline = np.concatenate([segments.reshape(-1, 2) for segments in drawn])
     return Snapshot(

@@ -15,6 +15,7 @@ from rpod_analysis.errors import FramesDifferError, NoEstimatesError
 from rpod_analysis.log import Log
 from rpod_analysis.log.accounting import Account
 from rpod_analysis.log.sensors import Sensor, find_sensors
+from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.scoring.row_store import BLOCK_NS, Row
 from rpod_analysis.scoring.run_reader import Found, Reader
 from rpod_analysis.scoring.score import MAX_TRUTH_GAP_NS, BoolArray, Errors, IntArray, Track, find_errors
@@ -111,6 +112,11 @@ class StreamedRun:
         self.status_topic = found.status_topic
         self.clock = found.clock
         """Whether time comes from the topic ``clock``."""
+
+    @property
+    def prefix(self) -> str:
+        """First part of the estimator's topics."""
+        return self.status_topic.split("/")[0]
 
     @property
     def duration_s(self) -> float:
@@ -229,8 +235,9 @@ def stream_run(
 
 def _alike(log: Log) -> Equivalence:
     """Return which attitudes of the log's target are equivalent; none if its file is not on this machine."""
+    name = logged_targets(log).shown
     try:
-        return load_equivalence(log.target) if log.target else NO_SYMMETRY
+        return load_equivalence(name) if name else NO_SYMMETRY
     except TargetError:  # the report tells it
         return NO_SYMMETRY
 

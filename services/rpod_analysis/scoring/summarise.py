@@ -4,6 +4,8 @@ from pathlib import Path
 
 from rpod_analysis.log import Log
 from rpod_analysis.log.completeness import check_log_completeness
+from rpod_analysis.log.targets import logged_targets
+from rpod_analysis.scoring.frame_errors import named_frames
 from rpod_analysis.scoring.run import StreamedRun
 from rpod_analysis.scoring.totals import RunTotals, summarise_durations
 from rpod_schemas.config.logger import LoggerConfig
@@ -14,9 +16,12 @@ def summarise(
     log: Log, run: StreamedRun, totals: RunTotals | None = None, *, report: Path | None = None
 ) -> Summary:
     """Return the summary of a run, read from its log; ``totals`` if they were added up before."""
-    totals = totals or RunTotals.of(*run)
+    totals = totals or RunTotals.of(*run, frames=named_frames(log, prefix=run.prefix))
+    targets = logged_targets(log, prefix=run.prefix)
     return Summary(
         scenario=_scenario(log),
+        target=targets.truth,
+        model=targets.model,
         seed=_seed(log),
         duration_s=run.duration_s,
         log=str(log.paths[0]),
@@ -33,6 +38,7 @@ def summarise(
         ),
         modes=totals.modes(),
         error=totals.error(),
+        frame_errors=totals.frame_errors(),
         latency_s=summarise_durations(totals.latency_s),
         processing_s=summarise_durations(totals.processing_s),
         consistency=totals.consistency(),

@@ -5,10 +5,12 @@ Source: ICD section 1 ("Errors") and section 6 (``summary.json``).
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from rpod_analysis.scoring.frame_errors import NamedFrame, frame_errors
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.run import Run, Statuses
 from rpod_analysis.scoring.score import NEES_95, Errors, IntArray
@@ -18,6 +20,7 @@ from rpod_schemas.summary import (
     Durations,
     ErrorSize,
     ErrorSummary,
+    FrameError,
     Innovation,
     Tracking,
 )
@@ -74,7 +77,7 @@ class Kinds:
 class RunTotals:
     """Totals of a run, added minute by minute or for the whole run."""
 
-    def __init__(self) -> None:
+    def __init__(self, frames: Mapping[str, NamedFrame] | None = None) -> None:
         self.estimates = self.accepted = self.rejected = self.unscored = 0
         self.lost_ns = 0
         """Time in LOST or ACQUIRING after the first TRACKING, ns; a mode lasts until the next status."""
@@ -97,12 +100,18 @@ class RunTotals:
         self._scored = self._off_target = 0
         self._angle_deg, self._distance_m = Column(), Column()
         self._axes = {name: Column() for name in _AXES}
+        self._frames = {name: (frame, Column(), Column()) for name, frame in (frames or {}).items()}
         self._last: tuple[int, int] | None = None
 
     @classmethod
-    def of(cls, *runs: Run) -> "RunTotals":
-        """Return the totals of runs, which are the minutes of one run in their order."""
-        totals = cls()
+    def of(cls, *runs: Run, frames: Mapping[str, NamedFrame] | None = None) -> "RunTotals":
+        """Return the totals of runs, which are the minutes of one run in their order.
+
+        Args:
+            runs: the minutes.
+            frames: frames of the target, at which errors are scored too.
+        """
+        totals = cls(frames)
         for run in runs:
             totals.take(run)
         return totals
@@ -181,6 +190,10 @@ class RunTotals:
         self._distance_m.extend(distance_m)
         for column, values in zip(self._axes.values(), _by_axis(errors), strict=True):
             column.extend(values)
+        for frame, at_frame_deg, at_frame_m in self._frames.values() if tracked.any() else ():
+            deg, m = frame_errors(frame, run.estimates.poses[tracked], run.T_truth[tracked])
+            at_frame_deg.extend(deg)
+            at_frame_m.extend(m)
         time_s = run.seconds(run.estimates.stamp_ns[tracked])
         self.worst_deg = _worse(self.worst_deg, angle_deg, time_s)
         self.worst_m = _worse(self.worst_m, distance_m, time_s)
@@ -204,6 +217,14 @@ class RunTotals:
             position_m=summarise_size(self._distance_m),
             **{f"{name}_rms": column.rms for name, column in self._axes.items()},
         )
+
+    def frame_errors(self) -> dict[str, FrameError]:
+        """Return the statistics of the errors at the target's frames over the tracked frames, by name."""
+        return {
+            name: FrameError(attitude_deg=summarise_size(deg), position_m=summarise_size(m))
+            for name, (_, deg, m) in self._frames.items()
+            if m.count
+        }
 
     def consistency(self) -> Consistency | None:
         """Return whether the covariance fits the errors, by the NEES; None if no NEES is known."""

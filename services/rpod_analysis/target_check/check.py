@@ -10,6 +10,7 @@ from rpod_analysis.target_check.edges import Edge, straight_edges
 from rpod_analysis.target_check.holes import Opening, openings
 from rpod_analysis.target_check.likeness import judged_symmetries
 from rpod_analysis.target_check.trials import MethodFacts, try_methods
+from rpod_pose.registration.closest_point import Surface
 from rpod_target import Target
 from rpod_target.symmetry import FoundSymmetry
 from rpod_target.topology import areas_m2
@@ -39,6 +40,8 @@ class PartFacts:
     area_m2: float
     sides_m: tuple[float, float, float]
     materials: tuple[str, ...]
+    unreliable: bool = False
+    """Whether the estimator ignores it."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,18 @@ class MassFacts:
 
 
 @dataclass(frozen=True)
+class FrameFacts:
+    """A frame that a target's file names."""
+
+    name: str
+    place_m: tuple[float, float, float]
+    euler_321_deg: tuple[float, float, float]
+    """Yaw, pitch and roll from the target's axes."""
+    from_surface_m: float
+    """Distance of its place from the surface; a large one is likely a mistake."""
+
+
+@dataclass(frozen=True)
 class TargetCheck:
     """Everything that a check finds."""
 
@@ -91,6 +106,7 @@ class TargetCheck:
     longest_openings: tuple[Opening, ...]
     declared_symmetries: tuple[dict[str, Any], ...]
     found_symmetries: tuple[FoundSymmetry, ...]
+    frames: tuple[FrameFacts, ...]
     mass: MassFacts
     distance_field: FieldFacts
     edges: int
@@ -130,6 +146,7 @@ def check_target(target: Target, *, trials: int | None = None) -> TargetCheck:
         longest_openings=tuple(rims[:_LISTED]),
         declared_symmetries=tuple(asdict(one) for one in target.symmetries),
         found_symmetries=tuple(judged_symmetries(target)),
+        frames=tuple(described_frame(target, name) for name in target.frames),
         mass=_mass(target),
         distance_field=_field(target),
         edges=len(edges),
@@ -168,12 +185,14 @@ def _part(target: Target, number: int) -> PartFacts:
     if not len(triangles_m):
         return PartFacts(target.parts[number], 0, 0.0, (0.0, 0.0, 0.0), ())
     used = np.unique(target.triangle_material[chosen])
+    known = target.parts if target.reliable is None else target.reliable.parts
     return PartFacts(
         target.parts[number],
         len(triangles_m),
         float(areas_m2(triangles_m).sum()),
         _triple(np.ptp(triangles_m, axis=(0, 1))),
         tuple(target.materials[index].name for index in used),
+        unreliable=target.parts[number] not in known,
     )
 
 
@@ -186,6 +205,20 @@ def _materials(target: Target) -> tuple[MaterialFacts, ...]:
             each.name, each.looks, each.reflectivity, each.diffuse, each.f0, float(area / area_m2.sum())
         )
         for each, area in zip(target.materials, area_m2, strict=True)
+    )
+
+
+def described_frame(target: Target, name: str) -> FrameFacts:
+    """Return what a check tells of a frame of the target."""
+    pose = target.frames[name]
+    surface = Surface.of(target.triangles_m, target.normals)
+    place_m = pose.translation[None]
+    closest_m = surface.closest(place_m, np.ones(len(target.triangles_m), np.bool_), np.zeros(1, np.int32))
+    return FrameFacts(
+        name,
+        _triple(pose.translation),
+        _triple(pose.rotation.as_euler("ZYX", degrees=True)),
+        float(np.linalg.norm(closest_m - place_m)),
     )
 
 

@@ -25,6 +25,14 @@ Ranges = Annotated[
 ]
 
 
+Model = Annotated[
+    str | None,
+    Field(
+        min_length=1,
+        description="Model of the targets that the estimator looks for, if it is not the target itself: a "
+        "name, a file, or only the terms of a variation of each target, such as @bent=5deg.",
+    ),
+]
 Worlds = Annotated[
     tuple[WorldName, ...],
     Field(

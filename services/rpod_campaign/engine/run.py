@@ -132,11 +132,11 @@ def results(prepared: Prepared, rows: pl.DataFrame) -> list[CellResult[Any]]:
 
 
 def _targets(cells: tuple[Any, ...]) -> list[str]:
-    """Return the names of the targets in the cells' fields ``target`` and ``*_target``."""
+    """Return the names of the targets in the cells' fields ``target``, ``*_target`` and ``model``."""
     names = {
         value
         for cell in cells
         for field, value in cell_parameters(cell).items()
-        if (field == "target" or field.endswith("_target")) and value
+        if (field in ("target", "model") or field.endswith("_target")) and value
     }
     return sorted(names)

@@ -2,6 +2,7 @@
 
 from rpod_campaign.engine.campaign import Campaign
 from rpod_campaign.engine.options import either
+from rpod_campaign.engine.trial.targets import model_of
 from rpod_campaign.lidar.cells import methods, ranges_m, targets, variants
 from rpod_campaign.lidar.options import EQ4, SAMPLING
 from rpod_campaign.lidar_acquisition import trial
@@ -22,6 +23,7 @@ def cells(options: Options) -> list[AcquisitionCell]:
             matcher=matcher,
             range_m=range_m,
             step_deg=step_deg,
+            model=model_of(target, options.model),
             world=world,
         )
         for target in targets(options.target)

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from rpod_campaign.engine.options import Ranges, Trials
+from rpod_campaign.engine.options import Model, Ranges, Trials
 from rpod_campaign.lidar.options import Centroid, Eq4, LidarOptions, Matchers, Methods, Sampling, Steps
 
 
@@ -12,6 +12,7 @@ class Options(LidarOptions):
     title: ClassVar[str] = "LIDAR acquisition at random attitudes"
 
     trials: Trials = 500
+    model: Model = None
     ranges: Ranges = (20.0, 30.0, 40.0, 50.0)
     method: Methods = ("template-matching", "fast-template-matching", "global")
     steps: Steps = (30.0,)

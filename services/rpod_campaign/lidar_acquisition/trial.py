@@ -31,6 +31,8 @@ class AcquisitionCell:
     range_m: float
     step_deg: float | None
     """Step of the template grid, deg; None for other methods."""
+    model: str = ""
+    """Name of the target that the method looks for, if it is not the one that is seen."""
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
 
@@ -48,5 +50,5 @@ def _bench(cell: AcquisitionCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
     sensor = lidar_input(
         cell.method, step_deg=cell.step_deg, centroid=cell.centroid, matcher=cell.matcher, eq4=cell.eq4
     )
-    acquiring = Acquiring(sensor, cached_target(cell.target), pattern_of(lidar))
+    acquiring = Acquiring(sensor, cached_target(cell.model or cell.target), pattern_of(lidar))
     return emulator_of(cell.target, lidar, seed, world=cell.world), acquiring

@@ -1,6 +1,7 @@
 """``lidar-range``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.engine.trial.targets import model_of
 from rpod_campaign.lidar.cells import methods, ranges_m, steps_of, targets
 from rpod_campaign.lidar_range import trial
 from rpod_campaign.lidar_range.options import Options
@@ -19,6 +20,7 @@ def cells(options: Options) -> list[RangeCell]:
             scan_step_deg=scan_step_deg,
             step_deg=step_deg,
             range_m=range_m,
+            model=model_of(target, options.model),
             world=world,
         )
         for target in targets(options.target)

@@ -1,6 +1,7 @@
 """``lidar-robustness``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.engine.trial.targets import model_of
 from rpod_campaign.lidar.cells import methods, ranges_m, steps_of, targets
 from rpod_campaign.lidar_robustness import trial
 from rpod_campaign.lidar_robustness.options import Options
@@ -17,6 +18,7 @@ def cells(options: Options) -> list[RobustnessCell]:
             disturbance=disturbance,
             step_deg=step_deg,
             range_m=range_m,
+            model=model_of(target, options.model),
             world=world,
         )
         for target in targets(options.target)

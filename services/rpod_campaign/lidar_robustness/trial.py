@@ -52,6 +52,8 @@ class RobustnessCell:
     step_deg: float | None
     """Step of the template grid, deg; None for other methods."""
     range_m: float
+    model: str = ""
+    """Name of the target that the method looks for, if it is not the one that is seen."""
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
 
@@ -68,5 +70,5 @@ def _bench(cell: RobustnessCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
     disturbance = DISTURBANCES[cell.disturbance]
     lidar = lidar_config(detection=disturbance.detection, noise=disturbance.noise)
     sensor = lidar_input(cell.method, step_deg=cell.step_deg, centroid="offset", matcher="nearest-neighbour")
-    acquiring = Acquiring(sensor, cached_target(cell.target), pattern_of(lidar))
+    acquiring = Acquiring(sensor, cached_target(cell.model or cell.target), pattern_of(lidar))
     return emulator_of(cell.target, lidar, seed, world=cell.world, scale=disturbance.scale), acquiring

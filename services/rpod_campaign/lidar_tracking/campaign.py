@@ -1,6 +1,7 @@
 """``lidar-tracking``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.engine.trial.targets import model_of
 from rpod_campaign.lidar.cells import ranges_m, targets
 from rpod_campaign.lidar.methods import tracking_input
 from rpod_campaign.lidar_tracking import trial
@@ -16,7 +17,14 @@ def cells(options: Options) -> list[TrackingCell]:
     for tracker in options.matcher:
         tracking_input(tracker)
     return [
-        TrackingCell(target=target, tracker=tracker, range_m=range_m, rate_deg_s=rate_deg_s, world=world)
+        TrackingCell(
+            target=target,
+            tracker=tracker,
+            range_m=range_m,
+            rate_deg_s=rate_deg_s,
+            model=model_of(target, options.model),
+            world=world,
+        )
         for target in targets(options.target)
         for tracker in options.matcher
         for range_m, rate_deg_s in (

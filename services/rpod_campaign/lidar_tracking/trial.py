@@ -52,6 +52,8 @@ class TrackingCell:
     """Range of single scans, m; None for sequences, which follow the safety ellipse."""
     rate_deg_s: float | None
     """Tumbling rate of sequences, deg/s; None for single scans."""
+    model: str = ""
+    """Name of the target that the method looks for, if it is not the one that is seen."""
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
 
@@ -175,12 +177,13 @@ def _off(truth: RigidTransform, generator: Generator, target: Target) -> RigidTr
 
 @lru_cache(maxsize=4)
 def _bench(cell: TrackingCell, seed: int) -> tuple[LidarEmulator, Methods, Navigator]:
-    lidar, target, sensor = lidar_config(), cached_target(cell.target), tracking_input(cell.tracker)
-    methods = ready_methods(sensor, target, pattern_of(lidar))
+    lidar, sensor = lidar_config(), tracking_input(cell.tracker)
+    model = cached_target(cell.model or cell.target)
+    methods = ready_methods(sensor, model, pattern_of(lidar))
     navigator = Navigator(
         EstimatorSettings(sensors=(sensor,)),
         {SENSOR: methods},
-        centre_of_mass_m=target.centre_of_mass_m,
-        alike=target.equivalence,
+        centre_of_mass_m=model.centre_of_mass_m,
+        alike=model.equivalence,
     )
     return emulator_of(cell.target, lidar, seed, world=cell.world), methods, navigator

@@ -5,7 +5,7 @@ from typing import Any
 
 from rpod_campaign.engine.report.numbers import in_world
 from rpod_campaign.engine.trial.sizes import in_metres
-from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.engine.trial.targets import cached_target, model_of
 from rpod_campaign.pmd.framing import ranges_filling, reaching
 from rpod_campaign.pmd.methods import has_radius, pmd_input
 from rpod_campaign.pmd.options import PmdOptions
@@ -50,8 +50,11 @@ def scenarios(
             shown = _with_target(known[short], target, ranges)
             own = target == known[short].target
             label = short if own else f"{short} with {cached_target(target).name}"
+            model = model_of(target, getattr(options, "model", None))
+            estimator = shown.estimator.model_copy(update={"target": model or None})
             for world in options.world:
-                yield in_world(label, world), shown.model_copy(update={"world": world})
+                update = {"world": world, "estimator": estimator}
+                yield in_world(label, world), shown.model_copy(update=update)
 
 
 def ranges_m(ranges: Sequence[float | str] | None, scenario: Scenario) -> tuple[float, float]:

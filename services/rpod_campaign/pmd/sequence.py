@@ -55,6 +55,8 @@ class SequenceCell:
     """JSON of the scenario."""
     target: str
     """Name of the scenario's target."""
+    model: str = ""
+    """Name of the target that the method looks for, if it is not the one that is seen."""
     case: str = ""
     """Name of the world, or of the light, in the campaign."""
     world: World = NOMINAL
@@ -176,13 +178,14 @@ class _ByNavigator:
     """The navigator predicts, accepts or rejects, and filters."""
 
     def __init__(self, cell: SequenceCell, stage: Stage, first: RigidTransform) -> None:
-        settings = scenario_of(cell.document).estimator
+        scenario = scenario_of(cell.document)
+        settings, model = scenario.estimator, cached_target(scenario.model)
         self._mount, self._name = stage.camera.T_chaser_sensor, stage.camera.name
         self._navigator = Navigator(
             settings.model_copy(update={"sensors": (_input(cell),)}),
             {self._name: _methods(cell)},
-            centre_of_mass_m=stage.target.centre_of_mass_m,
-            alike=stage.target.equivalence,
+            centre_of_mass_m=model.centre_of_mass_m,
+            alike=model.equivalence,
         )
         self._state, self._last = self._navigator.start(self._mount * first), first
 
@@ -217,8 +220,7 @@ def _follower(cell: SequenceCell, stage: Stage, first: RigidTransform) -> Follow
 
 @lru_cache(maxsize=8)
 def _methods(cell: SequenceCell) -> Methods:
-    target = cached_target(scenario_of(cell.document).target)
-    return ready_methods(_input(cell), target)
+    return ready_methods(_input(cell), cached_target(scenario_of(cell.document).model))
 
 
 def _input(cell: SequenceCell) -> PmdInput:

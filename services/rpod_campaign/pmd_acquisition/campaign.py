@@ -26,6 +26,7 @@ def cells(options: Options) -> list[AcquisitionCell]:
             range_m=ranges_m(chosen(options, scenario), scenario),
             document=scenario.model_dump_json(),
             target=scenario.target,
+            model=scenario.estimator.target or "",
             world=scenario.world,
         )
         for _, scenario in scenarios(options)

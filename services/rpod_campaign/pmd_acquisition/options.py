@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from rpod_campaign.engine.options import Names, Ranges, Trials
+from rpod_campaign.engine.options import Model, Names, Ranges, Trials
 from rpod_campaign.pmd.options import PmdOptions
 
 
@@ -14,6 +14,7 @@ class Options(PmdOptions):
     title: ClassVar[str] = "Acquisition in one image of a PMD camera"
 
     trials: Trials = 500
+    model: Model = None
     ranges: Ranges = (3.0, 6.0)
     method: Names = ("default",)
     """Methods of tracking that refine the search's pose; default is the facility's."""

@@ -10,6 +10,7 @@ import polars as pl
 
 from rpod_campaign.engine.trial.poses import POSE, errors, numbers
 from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.methods import pmd_input
 from rpod_campaign.pmd.poses import drawn, in_proportion, limits_of
 from rpod_campaign.pmd.scene import Stage, off, scenario_of, still
@@ -40,6 +41,8 @@ class AcquisitionCell:
     """JSON of the scenario with camera and sun."""
     target: str
     """Name of the scenario's target."""
+    model: str = ""
+    """Name of the target that the method looks for, if it is not the one that is seen."""
     world: WorldName = "documented"
     """The scenario's physics of the camera; the method is not told."""
 
@@ -102,5 +105,5 @@ def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
 def _bench(cell: AcquisitionCell, seed: int) -> tuple[Stage, Methods]:
     scenario = scenario_of(cell.document)
     stage = Stage(scenario, World(), seed=seed, trial=0)
-    methods = ready_methods(pmd_input(cell.method, name=stage.camera.name), stage.target)
+    methods = ready_methods(pmd_input(cell.method, name=stage.camera.name), cached_target(scenario.model))
     return stage, methods

@@ -26,6 +26,7 @@ def cells(options: Options) -> list[SequenceCell]:
             through=through,
             document=approaching(calibrated(scenario), _ranges_m(scenario, CASES[name])).model_dump_json(),
             target=scenario.target,
+            model=scenario.estimator.target or "",
             case=name,
             world=CASES[name].world,
         )

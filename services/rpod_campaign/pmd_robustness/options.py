@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from rpod_campaign.engine.options import Trials
+from rpod_campaign.engine.options import Model, Trials
 from rpod_campaign.pmd.options import Frames, Methods, PmdOptions, Radii, Through
 
 
@@ -14,6 +14,7 @@ class Options(PmdOptions):
     title: ClassVar[str] = "Tracking with a wrong model and with lost pixels"
 
     trials: Trials = 5
+    model: Model = None
     method: Methods = ("joint",)
     radius: Radii = None
     frames: Frames = "full"

@@ -33,6 +33,7 @@ def cells(options: Options) -> list[SunCell]:
             through="tracker",
             document=lit(scenario, angle_deg, azimuth_deg).model_dump_json(),
             target=scenario.target,
+            model=scenario.estimator.target or "",
             case=coat,
             world=World(coat=None if coat == "as-built" else coat),
             angle_deg=angle_deg,

@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from rpod_campaign.engine.options import Trials
+from rpod_campaign.engine.options import Model, Trials
 from rpod_campaign.pmd.options import Approach, Frames, Methods, PmdOptions, Radii
 
 
@@ -14,6 +14,7 @@ class Options(PmdOptions):
     title: ClassVar[str] = "Tracking under every sun, on every material"
 
     trials: Trials = 1
+    model: Model = None
     ranges: Approach = None
     method: Methods = ("hybrid", "joint")
     radius: Radii = None

@@ -26,6 +26,7 @@ def cells(options: Options) -> list[SequenceCell]:
             through=through,
             document=(calibrated(scenario) if depth == "calibrated" else scenario).model_dump_json(),
             target=scenario.target,
+            model=scenario.estimator.target or "",
             case=depth,
         )
         for name, scenario in scenarios(options, ranges=options.ranges)

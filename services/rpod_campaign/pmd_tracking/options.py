@@ -2,7 +2,7 @@
 
 from typing import ClassVar, Literal
 
-from rpod_campaign.engine.options import Names, Trials
+from rpod_campaign.engine.options import Model, Names, Trials
 from rpod_campaign.pmd.options import Approach, Frames, Methods, PmdOptions, Radii, Through
 
 
@@ -12,6 +12,7 @@ class Options(PmdOptions):
     title: ClassVar[str] = "Tracking in the images of a PMD camera"
 
     trials: Trials = 1
+    model: Model = None
     scenario: Names = ("oblique", "tumbling", "approach")
     """Scenarios with the camera, by name; 'mockup-' may be left out."""
     ranges: Approach = None

@@ -1,6 +1,7 @@
 """``population``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.engine.trial.targets import model_of
 from rpod_campaign.lidar.cells import targets
 from rpod_campaign.pmd.cells import scenarios
 from rpod_campaign.pmd.options import PmdOptions
@@ -24,6 +25,7 @@ def cells(options: Options) -> list[PopulationCell]:
             sensor=options.sensor,
             task=options.task,
             wanted=wanted,
+            model=model_of(name, options.model),
             world=world,
             document=document,
         )

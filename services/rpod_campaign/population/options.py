@@ -4,8 +4,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from rpod_campaign.engine.options import Model, Provided, Trials, Worlds
 from rpod_campaign.engine.options import Options as EveryOptions
-from rpod_campaign.engine.options import Provided, Trials, Worlds
 from rpod_schemas.config.base import Positive
 from rpod_schemas.config.scenario import Scenario
 from rpod_target.population.names import PopulationName
@@ -27,6 +27,7 @@ class Options(EveryOptions):
     """Number of satellites; the seed selects them."""
     target: tuple[Annotated[str, Field(min_length=1)], ...] = ()
     """Targets instead of the random satellites: names, or paths of parameter files."""
+    model: Model = None
     returns: tuple[Positive, Positive] = (30.0, 500.0)
     """Least and greatest number of returns of a LIDAR's scan; the range follows from it."""
     filled: tuple[Positive, Positive] = (0.2, 0.8)

@@ -38,6 +38,7 @@ def summarise(cell: PopulationCell, rows: pl.DataFrame) -> dict[str, Any]:
     success = _count(seen, _SUCCESS)
     return {
         "body": cell.target,
+        "model": cell.model,
         "kind": rows["kind"][0] if rows.height else "",
         "sensor": cell.sensor,
         "task": cell.task,

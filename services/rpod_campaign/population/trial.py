@@ -59,6 +59,8 @@ class PopulationCell:
     """Least and greatest number of returns, or share of the image's height that is filled."""
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
+    model: str = ""
+    """Name of the target that the method looks for, if it is not the one that is seen."""
     document: str = field(default="", repr=False)
     """JSON of the scenario with the camera; empty for a LIDAR."""
 
@@ -217,7 +219,7 @@ def _photographed(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods,
 @lru_cache(maxsize=4)
 def _lidar_bench(cell: PopulationCell, seed: int) -> tuple[LidarEmulator, Methods]:
     lidar = window_of(cell.target).config()
-    methods = ready_methods(LidarInput(), cached_target(cell.target), pattern_of(lidar))
+    methods = ready_methods(LidarInput(), cached_target(cell.model or cell.target), pattern_of(lidar))
     return emulator_of(cell.target, lidar, seed, world=cell.world), methods
 
 
@@ -226,7 +228,8 @@ def _pmd_bench(cell: PopulationCell) -> tuple[Scenario, Methods]:
     target = cached_target(cell.target)
     shown = scenario_of(cell.document).model_copy(update={"target": cell.target})
     scenario = reaching(shown, range_filling(target, cell.wanted[0], camera_of(shown)))
-    return scenario, ready_methods(pmd_input(DEFAULT, name=camera_of(scenario).name), target)
+    model = cached_target(cell.model or cell.target)
+    return scenario, ready_methods(pmd_input(DEFAULT, name=camera_of(scenario).name), model)
 
 
 @lru_cache(maxsize=64)

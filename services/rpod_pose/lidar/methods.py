@@ -1,6 +1,9 @@
 """The LIDAR's methods as the registry names them, and how they are made for a scan pattern."""
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import cast
@@ -16,7 +19,7 @@ from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.sensors import method
-from rpod_schemas.types import LidarInfo, LidarScan
+from rpod_schemas.types import Float32Array, LidarInfo, LidarScan
 from rpod_target import Target
 
 
@@ -69,9 +72,17 @@ def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPatt
     return (LidarScan(stamp_ns=0, frame_id="", points_m=points_m),)
 
 
+def masked(scan: LidarScan, hit: Callable[[Float32Array], NDArray[np.bool_]]) -> LidarScan:
+    """Return a scan without the returns for which a function of their points is true."""
+    points_m = np.where(hit(scan.points_m)[..., None], np.float32(np.nan), scan.points_m)
+    points_m.setflags(write=False)
+    return scan.model_copy(update={"points_m": points_m})
+
+
 LIDAR_METHODS = KindMethods(
     make=make,
     frames=ideal_scan,
     setup=known_pattern,
+    masked=masked,
     missing="no scan pattern: neither lidar info nor the configuration gives it",
 )

@@ -1,10 +1,15 @@
 """The PMD camera's methods as the registry names them, behind the preparation of its depth."""
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.pmd.depth_preparation import DepthPreparation, PreparedAcquirer, PreparedTracker
+from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.pmd.paper_2018.epnp import EpnpTracker
 from rpod_pose.pmd.paper_2018.hybrid import HybridTracker
@@ -17,7 +22,7 @@ from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.sensors import method
-from rpod_schemas.types import Camera, PmdFrame, PmdInfo
+from rpod_schemas.types import Camera, Float32Array, PmdFrame, PmdInfo
 from rpod_target import Target
 
 _WRAPPING = PmdInfo(
@@ -27,6 +32,8 @@ _WRAPPING = PmdInfo(
     saturation_count=4096.0,
 )
 """Info of a camera whose distances have to be unwrapped."""
+_STRIDE = 4
+"""Stride of the view from which the rays of all pixels are read; any other would do."""
 LEAST_BIAS_M = 0.001
 """Least standard deviation of the bias left by a calibration: none stays more accurate for long."""
 
@@ -93,4 +100,22 @@ def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) ->
     return frame, frame.model_copy(update={"info": _WRAPPING})
 
 
-PMD_METHODS = KindMethods(make=make, frames=ideal_frames)
+def masked(frame: PmdFrame, hit: Callable[[Float32Array], NDArray[np.bool_]]) -> PmdFrame:
+    """Return a frame without depth and without light in the pixels whose points a function is true for."""
+    try:
+        slopes = DepthView.of(frame.camera, _STRIDE).slopes
+    except (DistortionError, ValueError):
+        return frame  # the methods tell what is wrong with the lens
+    if slopes.shape[:2] != frame.depth_m.shape:
+        return frame
+    depth_m = frame.depth_m[..., None]
+    on_part = hit(np.concatenate((depth_m * slopes.astype(np.float32), depth_m), axis=-1))
+    images = {"depth_m": np.where(on_part, np.float32(np.nan), frame.depth_m)}
+    if frame.amplitude is not None:
+        images["amplitude"] = np.where(on_part, frame.amplitude.dtype.type(0), frame.amplitude)
+    for image in images.values():
+        image.setflags(write=False)  # as from the bus
+    return frame.model_copy(update=images)
+
+
+PMD_METHODS = KindMethods(make=make, frames=ideal_frames, masked=masked)

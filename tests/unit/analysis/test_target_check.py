@@ -1,5 +1,6 @@
 """What a check says of a target: openings, straight edges, expected accuracy, and its picture."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from rpod_analysis.target_check.accuracy import _information
+from rpod_analysis.target_check.check import described_frame
 from rpod_analysis.target_check.edges import straight_edges
 from rpod_analysis.target_check.holes import openings
 from rpod_analysis.target_check.page import render_views
@@ -82,3 +84,16 @@ def test_the_picture_shows_the_target_and_its_edges(tmp_path: Path) -> None:
     for row in (0, 420):
         for column in (0, 420, 840):
             assert red[row : row + 420, column : column + 420].sum() > 100
+
+
+def test_a_frame_is_told_with_its_place_its_attitude_and_its_distance_from_the_surface(
+    tmp_path: Path,
+) -> None:
+    adapter = make_pose(
+        rotation=Rotation.from_euler("ZYX", [90.0, 0.0, 0.0], degrees=True), translation_m=(1.2, 0, 0)
+    )
+    target = replace(built(trimesh.creation.box((2.0, 1.0, 0.5)), tmp_path), frames={"adapter": adapter})
+    facts = described_frame(target, "adapter")
+    assert facts.place_m == (1.2, 0.0, 0.0)
+    assert facts.euler_321_deg == pytest.approx((90.0, 0.0, 0.0))
+    assert facts.from_surface_m == pytest.approx(0.2)

@@ -217,3 +217,17 @@ def test_shares_are_over_frames_that_show_enough_and_the_others_are_counted_apar
     for section in sections([result, result]):
         for table in section.tables:
             assert all(len(row) == len(table.columns) for row in table.rows)
+
+
+def test_a_matrix_has_each_target_with_itself_and_with_each_model(tmp_path, capsys):
+    options = {"sensor": "lidar", "target": "hexagonal-body", "models": "@scale=1%,nothing", "trials": 1}
+    run = {"jobs": 1, "out": tmp_path, "as_json": True}
+    assert campaign_command("model-matrix", options=options, **run) == 2
+    assert "--model: target 'nothing': is unknown" in capsys.readouterr().err
+    assert campaign_command("model-matrix", options=options | {"models": "@scale=1%"}, **run) == 0
+    told = json.loads(capsys.readouterr().out)["cells"]
+    assert [(cell["model"], cell["task"]) for cell in told] == [
+        (model, task) for model in ("", "hexagonal-body@scale=1%") for task in ("acquisition", "tracking")
+    ]
+    (page,) = tmp_path.glob("*/report.html")
+    assert "hexagonal-body@scale=1%" in page.read_text()

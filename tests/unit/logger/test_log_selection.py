@@ -7,7 +7,7 @@ import zenoh
 
 from rpod_logger.selection import Extras, patterns
 from rpod_schemas.errors import ConfigurationError
-from rpod_schemas.topics import DEPTH, ESTIMATE, POINTS, TOPICS, Namespace
+from rpod_schemas.topics import DEPTH, ESTIMATE, ESTIMATE_FRAME, POINTS, TOPICS, Namespace
 
 KEYS = Namespace(3, "servicer")
 
@@ -16,7 +16,8 @@ def test_every_topic_of_the_icd_is_recorded_for_any_sensor_and_estimator():
     for topic in TOPICS:
         concrete = topic.of("front_cam") if topic.name.startswith("<") else topic
         assert any(pattern.covers(concrete) for pattern in patterns()), topic
-    assert any(pattern.covers(ESTIMATE.under("second")) for pattern in patterns())
+    for topic in (ESTIMATE.under("second"), ESTIMATE_FRAME.under("second").at("grapple")):
+        assert any(pattern.covers(topic) for pattern in patterns())
 
 
 def test_no_two_subscriptions_overlap():

@@ -1,7 +1,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from rpod_schemas.poses import between, chained, make_pose, rotation_of
+from rpod_schemas.poses import between, chained, covariance_at, make_pose, rotation_of
 
 
 def some_pose(seed: int) -> RigidTransform:
@@ -33,3 +33,14 @@ def test_between_two_poses_attitude_goes_as_in_scipys_slerp_and_position_straigh
         np.testing.assert_allclose(
             pose.translation, (1.0 - share) * first.translation + share * second.translation, atol=1e-15
         )
+
+
+def test_the_covariance_at_a_place_of_the_body_is_that_of_many_drawn_poses_there() -> None:
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(6, 6)) * 1e-3
+    body, place_m = some_pose(6), np.array([0.5, -2.0, 1.0])
+    errors = rng.normal(size=(200_000, 6)) @ root.T
+    R = Rotation.from_rotvec(errors[:, 3:]) * body.rotation
+    drawn = np.hstack([body.translation + errors[:, :3] + R.apply(place_m), errors[:, 3:]])
+    found = covariance_at(root @ root.T, body.rotation.apply(place_m))
+    np.testing.assert_allclose(found, np.cov(drawn.T), atol=0.02 * found.max())

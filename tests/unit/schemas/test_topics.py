@@ -6,6 +6,7 @@ import pytest
 from rpod_schemas.cdr import message_class, type_hash
 from rpod_schemas.topics import (
     DEPTH,
+    ESTIMATE_FRAME,
     ESTIMATE_POSE,
     PMD_INFO,
     POINTS,
@@ -64,6 +65,7 @@ def test_a_topic_of_no_sensor_refuses_a_sensors_name():
 
 def test_an_estimates_topic_moves_under_a_prefix():
     assert ESTIMATE_POSE.under("second").name == "second/pose"
+    assert ESTIMATE_FRAME.under("second").at("grapple").name == "second/frames/grapple"
 
 
 @pytest.mark.parametrize("name", ["EstimatorStatus", "LidarInfo", "PmdInfo"])

@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping
 
-from rpod_target import Target, TargetError, load_target
+from rpod_schemas.errors import ConfigurationError
+from rpod_target import Target, TargetError, check_model, load_target
+from rpod_target.variation import SIGN
 
 _TARGETS: dict[str, Target] = {}
 
@@ -12,6 +14,26 @@ def cached_target(name: str) -> Target:
     if name not in _TARGETS:
         _TARGETS[name] = load_target(name)
     return _TARGETS[name]
+
+
+def model_of(target: str, model: str | None) -> str:
+    """Return the name of the model of a target; empty if it is the target itself.
+
+    Args:
+        target: name of the target.
+        model: name of its model, or the terms of a variation of it; None for the target itself.
+
+    Raises:
+        ConfigurationError: the model cannot be loaded, or has other axes.
+    """
+    if model is None:
+        return ""
+    name = target + model if model.startswith(SIGN) else model
+    try:
+        check_model(cached_target(target), cached_target(name))
+    except ConfigurationError as error:
+        raise ConfigurationError("--model", "", str(error)) from error
+    return name
 
 
 def provide_targets(targets: Mapping[str, Target]) -> None:

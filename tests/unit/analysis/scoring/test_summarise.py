@@ -13,6 +13,7 @@ from rpod_analysis.log import Logged
 from rpod_analysis.log.accounting import Account, SensorFlow
 from rpod_analysis.scoring.run_checks import assess, find_checks
 from rpod_analysis.scoring.summarise import summarise
+from rpod_schemas.poses import make_pose
 from rpod_schemas.summary import LogCompleteness, Summary
 from rpod_schemas.types import Diagnostic, Health, Mode
 
@@ -256,3 +257,22 @@ def test_alarms_are_counted_by_what_they_say():
 def test_every_frame_of_a_sensor_is_told_of_once():
     flow = SensorFlow("pmd", published=20, accepted=10, rejected=3, dropped=4, incomplete=1)
     assert flow.rest == 2
+
+
+def test_the_error_at_a_frame_of_the_target_holds_the_lever_arm(tmp_path):
+    mirror = make_pose(translation_m=(0.0, 2.0, 0.0))
+    target = {
+        "name": "brick",
+        "mass_kg": 1.0,
+        "materials": {"grey": {"reflectivity": 0.5, "diffuse": 0.4, "f0": 0.02, "roughness": 0.3}},
+        "parts": [{"name": "block", "shape": "box", "size_m": [1.0, 1.0, 1.0], "material": "grey"}],
+        "distance_field": {"spacing_m": 0.2},
+        "frames": {"mirror": {"translation_m": [0.0, 2.0, 0.0]}},
+    }
+    file = tmp_path / "brick.yaml"
+    file.write_text(json.dumps(target))
+    turned = Frame(attitude_rad=(0.01, 0.0, 0.0))
+    summary = summary_of(tmp_path, frame=lambda *_: turned, target=str(file), frames={"mirror": mirror})
+    assert summary.model == str(file)
+    assert summary.frame_errors["mirror"].position_m.rms == pytest.approx(0.02, rel=1e-3)
+    assert summary.frame_errors["mirror"].attitude_deg.rms == pytest.approx(np.rad2deg(0.01))

@@ -1,0 +1,17 @@
+"""The section of a report that tells which models stand for which targets, where they differ."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from rpod_campaign.engine.report.content import Section, Table
+
+
+def models_section(cells: Sequence[Any]) -> list[Section]:
+    """Return the section with each target and its model; none if every model is the target itself."""
+    pairs = dict.fromkeys(
+        (cell.target, cell.model) for cell in cells if getattr(cell, "model", "") not in ("", cell.target)
+    )
+    if not pairs:
+        return []
+    note = "What is seen is the truth; what the methods look for is the model. Errors are those to the truth."
+    return [Section("Models", note, (Table("", ("truth T", "model M"), tuple(pairs)),))]

@@ -1,0 +1,1 @@
+"""Targets that differ from their models: acquisition and tracking with each model."""
