@@ -12,7 +12,7 @@
 The search only ranks poses. The tracker refines the best on depth and edges, and whether it is believed is
 the tracker's decision: it compares every pixel within the frame's own noise. The weights of the hypotheses
 follow from their losses. If no hypothesis outweighs the others, the tracker checks each: its edges may show
-which of them the frame contradicts.
+which of them the frame contradicts. If it refuses the best, the next ones are tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
 that are best with the file's materials, the search is repeated with the shape alone. Then the shape alone
