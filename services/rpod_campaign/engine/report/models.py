@@ -8,8 +8,9 @@ from rpod_campaign.engine.report.content import Section, Table
 
 def models_section(cells: Sequence[Any]) -> list[Section]:
     """Return the section with each target and its model; none if every model is the target itself."""
+    with_models = (cell for cell in cells if hasattr(cell, "model"))  # another package's may have none
     pairs = dict.fromkeys(
-        (cell.target, cell.model) for cell in cells if getattr(cell, "model", "") not in ("", cell.target)
+        (cell.target, cell.model) for cell in with_models if cell.model not in ("", cell.target)
     )
     if not pairs:
         return []
