@@ -180,7 +180,7 @@ class JointTracker:
             belief=belief,
             cost_m2=squares / max(points, 1),
             inliers=points + edges,
-            inlier_share=(points + edges) / max(len(seen.points_m) + checked, 1),
+            inlier_share=(points + found.found) / max(len(seen.points_m) + checked, 1),
             explained_share=inconsistent.explained_share,
             covariance=to_sensor @ covariance @ to_sensor.T,
             iterations=steps,
