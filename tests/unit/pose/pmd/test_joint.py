@@ -74,6 +74,7 @@ def test_a_prediction_near_or_far_leads_to_a_quarter_of_a_degree_and_5_mm(deg: f
     for seed in range(4):
         registration = TRACKER.track(FRAME, off(TRUTH, deg, m, seed))
         assert not registration.belief.reason
+        assert 0.9 < registration.inlier_share <= 1.0
         assert registration.source is Source.PMD_JOINT
         assert_within(error(registration), 0.25, 0.005)
 
