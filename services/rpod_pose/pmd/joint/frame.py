@@ -109,9 +109,11 @@ class JointFrame:
             patch = _patch(frame.amplitude, around, typical=typical, config=tuning.edges)
         per_px = 2 if patch.image.size <= FINE_PX else 1
         lines = around if patch.typical else (slice(0, 1), slice(0, 1))
-        pixels_around = view.rays(per_px).block(
-            *(slice(per_px * one.start, per_px * one.stop) for one in lines)
-        )
+        window = (slice(per_px * one.start, per_px * one.stop) for one in lines)
+        try:
+            pixels_around = view.rays(per_px).block(*window)
+        except DistortionError as error:  # at the image's border, where only these rays are
+            return str(error)
         return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch, pixels_around, per_px)
 
     @property
