@@ -127,7 +127,6 @@ class ScanSearch:
         self._comparison = Comparison(
             model.views,
             seen,
-            seen.points_m.mean(axis=0),
             scanner.distances.image(seen),
             scanner.statistics.expected_shares,
             truncation_m,

@@ -93,7 +93,6 @@ class FrameSearch:
         self._comparison = Comparison(
             model.views,
             scene.surface,
-            scene.surface.points_m.mean(axis=0),
             scene.distances(),
             ANY_ECHO,
             tuning.truncation * model.target.radius_m,

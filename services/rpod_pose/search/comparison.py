@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,8 +22,6 @@ class Comparison:
 
     views: ViewModel
     seen: Returns
-    centroid_m: FloatArray
-    """Centroid of the surface that the sensor shows, sensor axes, shape (3,)."""
     image: Image
     """Distances from the nearest return."""
     detection: tuple[float, FloatArray]
@@ -31,6 +30,12 @@ class Comparison:
     """Greatest distance that counts, equal to that of the views' field, m."""
     truncated: bool = False
     """Whether the field of view cuts the target off, so that the returns may show any region of it."""
+
+    @cached_property
+    def centroid_m(self) -> FloatArray:
+        """Centroid of the returns, sensor axes, shape (3,)."""
+        centroid_m: FloatArray = self.seen.points_m.mean(axis=0)
+        return centroid_m
 
     def candidates(self, attitudes: Float32Array, *, compared: int, refined: int) -> Iterator[PoseArrays]:
         """Yield rough poses of the target in the sensor, least energy first.
@@ -85,7 +90,6 @@ class Comparison:
             attitudes,
             places_m,
             seen=self.seen,
-            centroid_m=self.centroid_m,
             points=self.views.few_points if roughly else self.views.points,
             squares=self.views.squares,
             image=self.image,

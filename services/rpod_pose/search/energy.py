@@ -66,7 +66,6 @@ def energies(
     places_m: Float32Array,
     *,
     seen: Returns,
-    centroid_m: FloatArray,
     points: Points,
     squares: FieldArrays,
     image: Image,
@@ -82,7 +81,6 @@ def energies(
         places_m: first guesses of the target's origin, sensor axes, float32, shape (M, 3); replaced by the
             aligned ones.
         seen: the measurement.
-        centroid_m: centroid of the surface that the sensor shows, sensor axes, shape (3,), m.
         points: surface points of the target.
         squares: squared distance field of the target; its border stands for all places outside.
         image: ``ReturnDistances.image`` of the scan.
@@ -95,7 +93,7 @@ def energies(
     energy = np.empty(len(attitudes), np.float32)
     sight = _Sight(
         np.ascontiguousarray(seen.downsampled(returns).T, np.float32),
-        centroid_m.astype(np.float32),
+        seen.points_m.mean(axis=0).astype(np.float32),
         Image(image.squares, *(np.float32(bound) for bound in image[1:])),
         _Echoes(np.float32(detection[0]), detection[1].astype(np.float32)),
         np.float32(truncation_m**2),
@@ -124,7 +122,7 @@ class _Sight(NamedTuple):
     returns: Float32Array
     """Measured points, sensor axes, shape (3, N), m."""
     centroid: Float32Array
-    """Centroid of the surface that the sensor shows, sensor axes, shape (3,), m."""
+    """Centroid of all measured points, sensor axes, shape (3,), m."""
     image: Image
     echoes: _Echoes
     most: np.float32

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import cv2
 import numpy as np
@@ -73,19 +73,26 @@ class JointFrame:
     """Number of these rays for each pixel, along rows and columns."""
 
     @classmethod
-    def of(
-        cls, frame: PmdFrame, t: FloatArray, *, radius_m: float, tuning: JointTuning
-    ) -> "JointFrame | str":
+    def of(cls, frame: PmdFrame, t: FloatArray, *, radius_m: float, tuning: JointTuning) -> Self | str:
         """Return a frame for a target expected at ``t``, shape (3,), m, or why it cannot be used."""
         if frame.camera.distortion[PLUMB_BOB:].any():
             return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+        try:
+            return cls._prepared(frame, t, radius_m, tuning)
+        except DistortionError as error:
+            return str(error)
+
+    @classmethod
+    def _prepared(cls, frame: PmdFrame, t: FloatArray, radius_m: float, tuning: JointTuning) -> Self:
+        """Return the frame.
+
+        Raises:
+            DistortionError: the lens has no inverse at a pixel that is used.
+        """
         around = _around(frame.camera, t, radius_m)
         radius_px = frame.camera.fx * radius_m / max(t[2], 1e-3)
         stride = _stride(frame, around, radius_px=radius_px, points=tuning.depth.points)
-        try:
-            view = DepthView.of(frame.camera, stride)
-        except DistortionError as error:
-            return str(error)
+        view = DepthView.of(frame.camera, stride)
         amplitude = np.ones_like(frame.depth_m) if frame.amplitude is None else frame.amplitude
         sparse = slice(None, None, SPARSE)
         lit = np.where(frame.depth_m[sparse, sparse] > 0.0, amplitude[sparse, sparse], 0.0)
@@ -110,10 +117,7 @@ class JointFrame:
         per_px = 2 if patch.image.size <= FINE_PX else 1
         lines = around if patch.typical else (slice(0, 1), slice(0, 1))
         window = (slice(per_px * one.start, per_px * one.stop) for one in lines)
-        try:
-            pixels_around = view.rays(per_px).block(*window)
-        except DistortionError as error:  # at the image's border, where only these rays are
-            return str(error)
+        pixels_around = view.rays(per_px).block(*window)
         return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch, pixels_around, per_px)
 
     @property

@@ -123,7 +123,6 @@ def energies_of(attitudes, places_m, scan, *, rounds):
         np.array(attitudes, np.float32),
         places_m,
         seen=seen,
-        centroid_m=seen.points_m.mean(axis=0),
         points=model.points,
         squares=model.squares,
         image=ReturnDistances.of(view).image(seen),
