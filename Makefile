@@ -9,7 +9,7 @@ PEERS := .venv-peers
 SCENARIO ?= mockup-tumbling
 ARGS ?=
 
-.PHONY: help run test check format lint types layers docs bench recording busy reading cluster peers check-viewers setup clean
+.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster peers check-viewers setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -26,7 +26,10 @@ run: $(READY) ## Play a scenario: make run SCENARIO=mockup-oblique
 test: $(READY) ## The tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
-check: format lint types layers test docs ## All that CI checks, but the viewers
+bounds: $(READY) ## Methods on frames that no sensor sends, their compiled code with each index checked
+	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_CACHE_DIR=build/bounds PYTHONPATH=. $(BIN)/python tests/hostile_frames.py 60
+
+check: format lint types layers test bounds docs ## All that CI checks, but the viewers
 
 format: $(READY) ## Formatting, checked
 	$(BIN)/ruff format --check

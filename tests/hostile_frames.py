@@ -1,8 +1,8 @@
-"""Frames and poses that the messages allow and no sensor sends, for every method; run as a program, they are
-tried one after the other.
+"""Frames and poses that the messages allow and no sensor sends, for every method.
 
-The program is for NUMBA_BOUNDSCHECK=1, by which compiled code raises IndexError where it would read beyond an
-array.
+As a program (``make bounds``) it tries as many as its argument says, with NUMBA_BOUNDSCHECK=1, by which
+compiled code raises IndexError where it would read beyond an array. Kernels that are kept on disk are not
+checked, so the program has a cache of its own.
 """
 
 import sys
