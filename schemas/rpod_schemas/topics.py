@@ -51,7 +51,7 @@ class Topic:
     @property
     def bulky(self) -> bool:
         """Whether its messages are large: images and point clouds."""
-        return self.type in (_IMAGE, _POINTS)
+        return self.type in (_IMAGE, COMPRESSED_IMAGE, _POINTS)
 
     @property
     def kept(self) -> int:
@@ -73,6 +73,7 @@ class Topic:
 
 
 _IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 _POINTS = "sensor_msgs/msg/PointCloud2"
 
 TRUTH = Topic("truth/odometry", "nav_msgs/msg/Odometry")

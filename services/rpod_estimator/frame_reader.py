@@ -15,7 +15,9 @@ from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.extrinsics import Extrinsics
 from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
+from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.sensor import SensorInput
+from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_transforms
 from rpod_schemas.sensors import sensor_kind
@@ -51,6 +53,7 @@ class FrameReader:
         """Leading part of the frames, by sensor name; a frame is reported as refused when this part is
         refused."""
         self._readers: dict[str, SensorReader] = {}
+        self._sources: dict[str, SourceConfig] = {}
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
         self._cameras = CameraCheck()
         for sensor in sensors:
@@ -60,11 +63,11 @@ class FrameReader:
         kind = sensor_kind(sensor.kind)
         if kind.info is not None:
             self.latched += (kind.info.of(sensor.name),)
-        self._readers[sensor.name] = open_reader(kind)
-        self.assemblers[sensor.name] = assembler_of(kind)
+        self._sources[sensor.name] = sensor.source
+        self._readers[sensor.name] = open_reader(kind, sensor.source)
+        self.assemblers[sensor.name] = assembler_of(kind, sensor.source)
         self.leading[sensor.name] = next(iter(kind.parts))
-        for name, part in kind.parts.items():
-            topic = part.topic.of(sensor.name)
+        for name, topic in kind.part_topics(sensor.name, sensor.source).items():
             self.streams += (topic,)
             self.parts[topic.name] = sensor.name, name
 
@@ -82,6 +85,15 @@ class FrameReader:
         else:
             self._readers[topic.name.split("/", 1)[0]].learn(received.decode())
 
+    def lasting(self, topic: Topic) -> bool:
+        """Return whether the messages of a stream are valid until another comes, whatever their age."""
+        sensor, part = self.parts[topic.name]
+        return part in self.assemblers[sensor].lasting
+
+    def stamp_ns(self, sensor: str, received: Received) -> int:
+        """Return the middle of exposure or scan of a part, ns of UTC. Raises ``MessageRejectedError``."""
+        return peek_stamp(received.payload) + self._sources[sensor].correction_ns
+
     def measurement(self, sensor: str, frame: Assembled[Received]) -> Measurement:
         """Return a frame decoded and checked, with its mount. Raises ``PartRejectedError``."""
         leading = frame.parts[self.leading[sensor]]
@@ -89,10 +101,11 @@ class FrameReader:
         if data.lens is not None:
             self._check_camera(sensor, data.lens, frame.parts.get("camera_info", leading))
         try:
-            return Measurement(sensor, data, self._extrinsics.mount(sensor, data.frame_id))
+            mount = self._extrinsics.mount(sensor, data.frame_id)
         except ExtrinsicsError as error:
             rejection = MessageRejectedError(Reason.UNKNOWN_FRAME, str(error))
             raise PartRejectedError(leading, rejection) from error
+        return Measurement(sensor, data, self._sources[sensor].boresight_mount(mount))
 
     def _check_camera(self, sensor: str, camera: Camera, received: Received) -> None:
         try:

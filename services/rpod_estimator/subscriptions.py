@@ -11,7 +11,6 @@ from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.frames import PartRejectedError
-from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS
@@ -37,7 +36,8 @@ class Subscriptions:
         for topic in self._reader.streams:
             # A live message that was missed would be too old when it is recovered; in lockstep all services
             # wait.
-            node.subscribe(topic, self._waiting.put, recover=self._in_lockstep)
+            lasting = self._reader.lasting(topic)
+            node.subscribe(topic, self._waiting.put, recover=self._in_lockstep, history=lasting)
 
     @property
     def infos(self) -> Mapping[str, Any]:
@@ -85,9 +85,10 @@ class Subscriptions:
     def _take_part(self, received: Received) -> None:
         sensor, part = self._reader.parts[received.topic.name]
         assembler = self._reader.assemblers[sensor]
-        stamp_ns = peek_stamp(received.payload)
+        stamp_ns = self._reader.stamp_ns(sensor, received)
         try:
-            self._check_freshness(received, stamp_ns)
+            if part not in assembler.lasting:
+                self._check_freshness(received, stamp_ns)
             if stamp_ns == assembler.done_ns and part in assembler.required:
                 raise MessageRejectedError(Reason.DUPLICATE, "the frame of this stamp is already complete")
         except MessageRejectedError as error:

@@ -6,6 +6,7 @@ Each sensor has one slot. A frame that a newer one replaces is counted and not p
 
 from collections import deque
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Generic, TypeVar
 
 PartT = TypeVar("PartT")
@@ -16,6 +17,10 @@ _PATIENCE = 10
 """Frames in a row without an optional part after which the assembler stops waiting for that part."""
 _REMEMBERED = 64
 """Number of finished frames whose late parts are still recognised."""
+_HELD = 16
+"""Number of messages of a lasting part that are kept, for frames that are older than the newest of them."""
+_INTERVALS = 8
+"""Number of intervals between frames whose least counts as the time from one frame to the next."""
 
 
 @dataclass(frozen=True)
@@ -28,17 +33,27 @@ class Assembled(Generic[PartT]):
 
 @dataclass
 class Assembler(Generic[PartT]):
-    """Collects parts that carry the same stamp; the stamps of its frames rise.
+    """Collects parts that carry the same stamp, or nearly the same; the stamps of its frames rise.
 
     Parts may arrive in any order, also across frames, because the bus delivers each topic in its own thread.
 
     A frame is complete when it has all required parts and, as long as the sensor sends them, its optional
     parts. The assembler stops waiting for an optional part when the first part of the next frame arrives,
     or when ``release`` is called.
+
+    A lasting part is valid until another comes. A frame takes the one with its own stamp, else the newest
+    before it, else the oldest one; it waits only for the first.
     """
 
     required: frozenset[str]
     optional: frozenset[str] = frozenset()
+    lasting: frozenset[str] = frozenset()
+    """Parts without which there is no frame, but of which not every frame needs its own."""
+    leading: str = ""
+    """Part whose stamp is the frame's; needed only with ``within_ns``."""
+    within_ns: int = 0
+    """Greatest difference between the stamps of a frame's parts; at most half the time between two frames
+    counts."""
     incomplete: int = 0
     """Number of frames given up because a newer one was complete first."""
     done_ns: int = -1
@@ -46,14 +61,25 @@ class Assembler(Generic[PartT]):
     _pending: dict[int, dict[str, PartT]] = field(default_factory=dict)
     _past: deque[int] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     _without_optional: int = 0
+    _held: dict[str, dict[int, PartT]] = field(default_factory=dict)
+    _leads_ns: deque[int] = field(default_factory=lambda: deque(maxlen=_INTERVALS + 1))
 
     def add(self, name: str, stamp_ns: int, part: PartT) -> list[Assembled[PartT]]:
         """Add a part; return the frames that it completes, oldest first."""
-        if stamp_ns <= self.done_ns or stamp_ns in self._past:
-            self._note_straggler(name, stamp_ns)
+        if name in self.lasting:
+            self._hold(name, stamp_ns, part)
+            return self._complete()
+        frame_ns = self._frame_of(name, stamp_ns)
+        if frame_ns <= self.done_ns or frame_ns in self._past:
+            self._note_straggler(name, frame_ns)
             return []
-        self._pending.setdefault(stamp_ns, {})[name] = part
-        newest_ns = max(self._pending)
+        self._pending.setdefault(frame_ns, {})[name] = part
+        if name == self.leading and frame_ns != stamp_ns:
+            self._pending[stamp_ns] = self._pending.pop(frame_ns)
+        return self._complete()
+
+    def _complete(self) -> list[Assembled[PartT]]:
+        newest_ns = max(self._pending, default=0)
         complete = [
             self._finish(pending_ns)
             for pending_ns in sorted(self._pending)
@@ -65,15 +91,46 @@ class Assembler(Generic[PartT]):
 
     def release(self) -> list[Assembled[PartT]]:
         """Return the frames that lack only optional parts, oldest first, when no parts arrive any more."""
-        ready = [stamp_ns for stamp_ns, parts in self._pending.items() if self.required <= parts.keys()]
+        ready = [stamp_ns for stamp_ns, parts in self._pending.items() if self._usable(parts)]
         return [self._finish(stamp_ns) for stamp_ns in sorted(ready)]
 
     def _satisfied(self, parts: dict[str, PartT], *, newest: bool) -> bool:
         waits = newest and self._without_optional < _PATIENCE
-        return self.required <= parts.keys() and (not waits or self.optional <= parts.keys())
+        return self._usable(parts) and (not waits or self.optional <= parts.keys())
+
+    def _usable(self, parts: dict[str, PartT]) -> bool:
+        return self.required <= parts.keys() and self.lasting <= self._held.keys()
+
+    def _hold(self, name: str, stamp_ns: int, part: PartT) -> None:
+        held = self._held.setdefault(name, {})
+        held[stamp_ns] = part
+        if len(held) > _HELD:
+            del held[next(iter(held))]
+
+    def _valid(self, name: str, stamp_ns: int) -> PartT:
+        """Return the message of a lasting part for a frame."""
+        held = self._held[name]
+        before = [held_ns for held_ns in held if held_ns <= stamp_ns + self.within_ns]
+        return held[max(before) if before else min(held)]
+
+    def _frame_of(self, name: str, stamp_ns: int) -> int:
+        """Return the stamp of the frame to which a part belongs: the nearest one within reach, or its own."""
+        if name == self.leading:
+            self._leads_ns.append(stamp_ns)
+        if not self.within_ns or stamp_ns in self._pending or stamp_ns in self._past:
+            return stamp_ns
+        lacking = [frame_ns for frame_ns, parts in self._pending.items() if name not in parts]
+        others = lacking if name == self.leading else [*lacking, *self._past]
+        nearest_ns = min(others, key=lambda frame_ns: abs(frame_ns - stamp_ns), default=stamp_ns)
+        return nearest_ns if abs(nearest_ns - stamp_ns) <= self._reach_ns() else stamp_ns
+
+    def _reach_ns(self) -> int:
+        intervals = [abs(later - earlier) for earlier, later in pairwise(self._leads_ns) if later != earlier]
+        return min([self.within_ns, *(interval // 2 for interval in intervals)])
 
     def _finish(self, stamp_ns: int) -> Assembled[PartT]:
         parts = self._pending.pop(stamp_ns)
+        parts |= {name: self._valid(name, stamp_ns) for name in self.lasting}
         missing = bool(self.optional - parts.keys())
         self._without_optional = self._without_optional + 1 if missing else 0
         for older_ns in [pending_ns for pending_ns in self._pending if pending_ns < stamp_ns]:

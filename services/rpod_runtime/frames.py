@@ -11,8 +11,10 @@ import numpy as np
 
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.inbox import Received
+from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
+    NANOSECONDS,
     build,
     read_amplitude,
     read_camera,
@@ -27,9 +29,12 @@ from rpod_schemas.types import Float32Array, LidarInfo, LidarScan, PmdFrame, Pmd
 
 ReadT = TypeVar("ReadT")
 
+ICD = SourceConfig()
+"""The source of a sensor that keeps to the interface control document."""
+
 
 class SensorReader(Protocol):
-    """Reads the messages of one sensor."""
+    """Reads the messages of one sensor. It is created as ``(source)``, how the sensor's driver publishes."""
 
     @property
     def said(self) -> Any:
@@ -45,15 +50,17 @@ class SensorReader(Protocol):
         ...
 
 
-def open_reader(kind: SensorKind) -> SensorReader:
+def open_reader(kind: SensorKind, source: SourceConfig = ICD) -> SensorReader:
     """Return a new reader of a kind."""
-    reader: SensorReader = resolve(kind.reader)()
+    reader: SensorReader = resolve(kind.reader)(source)
     return reader
 
 
-def assembler_of(kind: SensorKind) -> Assembler[Received]:
+def assembler_of(kind: SensorKind, source: SourceConfig = ICD) -> Assembler[Any]:
     """Return an assembler of the frames of a kind (ICD section 2)."""
-    return Assembler(kind.required, kind.optional)
+    optional = frozenset(name for name in kind.optional if source.topic(name, kind.leading) is not None)
+    leading, within_ns = next(iter(kind.parts)), round(source.pair_within_s * NANOSECONDS)
+    return Assembler(kind.required, optional, kind.lasting, leading, within_ns)
 
 
 class PartRejectedError(MessageRejectedError):
@@ -67,8 +74,9 @@ class PartRejectedError(MessageRejectedError):
 class PmdReader:
     """Reads the frames of a PMD camera."""
 
-    def __init__(self) -> None:
+    def __init__(self, source: SourceConfig = ICD) -> None:
         self.said: PmdInfo | None = None
+        self._source = source
 
     def learn(self, message: Any) -> None:
         """Store the latched info."""
@@ -98,8 +106,9 @@ class PmdReader:
 class LidarReader:
     """Reads the scans of a LIDAR; each row of a scan has one elevation."""
 
-    def __init__(self) -> None:
+    def __init__(self, source: SourceConfig = ICD) -> None:
         self.said: LidarInfo | None = None
+        self._source = source
 
     def learn(self, message: Any) -> None:
         """Store the latched info, if it holds a scan pattern."""

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from rpod_schemas.config.sensor import EmulatedSensor, MethodConfig, SensorInput
+from rpod_schemas.config.source import SourceConfig
+from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.registry import resolve
 from rpod_schemas.topics import Topic
 from rpod_schemas.types import Source
@@ -20,6 +22,8 @@ class Part:
     """Topic of the message, as ``<camera>/depth/image_raw``."""
     required: bool = True
     """Whether a frame is incomplete without it."""
+    lasting: bool = False
+    """Whether a message is valid until another one comes, so that not every frame needs its own."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +45,8 @@ class SensorKind:
     heard: type[SensorInput]
     """Configuration of the sensor in the estimator: its methods and their data."""
     reader: str
-    """Reference to an ``rpod_runtime.frames.SensorReader``: from the messages of a frame to the methods'
-    input."""
+    """Reference to an ``rpod_runtime.frames.SensorReader``, created with a sensor's ``SourceConfig``: from the
+    messages of a frame to the methods' input."""
     publisher: str
     """Reference to an ``rpod_runtime.sensors.SensorPublisher``: from frames to messages, for drivers and the
     emulator."""
@@ -64,13 +68,33 @@ class SensorKind:
 
     @property
     def required(self) -> frozenset[str]:
-        """Names of the parts without which there is no frame."""
-        return frozenset(name for name, part in self.parts.items() if part.required)
+        """Names of the parts that each frame must have of its own."""
+        return frozenset(name for name, part in self.parts.items() if part.required and not part.lasting)
+
+    @property
+    def lasting(self) -> frozenset[str]:
+        """Names of the parts that are valid until another one comes."""
+        return frozenset(name for name, part in self.parts.items() if part.lasting)
 
     @property
     def optional(self) -> frozenset[str]:
         """Names of the parts that a frame may lack."""
-        return frozenset(self.parts) - self.required
+        return frozenset(self.parts) - self.required - self.lasting
+
+    def part_topics(self, sensor: str, source: SourceConfig) -> dict[str, Topic]:
+        """Return the topics of the parts that a sensor's driver sends, by the part's name.
+
+        Raises:
+            ConfigurationError: the source names a part that the kind does not have, or lacks one without
+                which there is no frame.
+        """
+        found = {name: source.topic(name, part.topic.of(sensor)) for name, part in self.parts.items()}
+        wrong = [f"{name!r} is no part of a {self.title}" for name in source.topics if name not in found]
+        wrong += [f"{name!r} is missing" for name in self.required | self.lasting if found[name] is None]
+        if wrong:
+            known = ", ".join(f"{name}{' (optional)' * (name in self.optional)}" for name in found)
+            raise ConfigurationError(sensor, "source.topics", f"{wrong[0]}; name the topics of {known}")
+        return {name: topic for name, topic in found.items() if topic is not None}
 
     @property
     def topics(self) -> tuple[Topic, ...]:

@@ -15,7 +15,7 @@ PMD = SensorKind(
     title="PMD camera",
     parts={
         "depth": Part(DEPTH),
-        "camera_info": Part(CAMERA_INFO),
+        "camera_info": Part(CAMERA_INFO, lasting=True),
         "amplitude": Part(AMPLITUDE, required=False),
     },
     info=PMD_INFO,

@@ -2,25 +2,24 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, cast
 
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_analysis.log.log import Log, Logged
 from rpod_runtime import Received
-from rpod_runtime.assembler import Assembled
-from rpod_runtime.frames import SensorReader, open_reader
+from rpod_runtime.assembler import Assembled, Assembler
+from rpod_runtime.frames import ICD, SensorReader, assembler_of, open_reader
 from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_pmd_info
 from rpod_schemas.sensors import SensorKind, sensor_kind, sensor_kinds
 from rpod_schemas.topics import CHASER, PMD_INFO, Topic
 from rpod_schemas.types import LidarScan, PmdFrame, PmdInfo, SensorFrame
 from rpod_schemas.wire import GID_BYTES, Attachment
-
-_MOST_PENDING = 8
-"""Largest number of incomplete frames that wait for their parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,21 +30,31 @@ class Sensor:
     kind: str
     """Name of the kind in the registry: ``pmd``, ``lidar``, or a kind of another package."""
     T_chaser_sensor: RigidTransform | None
-    """Mount, from tf_static, else from the configuration; None if neither contains it."""
+    """Mount of the axes with z along the boresight, from tf_static, else from the configuration; None if
+    neither contains it."""
+    source: SourceConfig = ICD
 
     @property
     def leading(self) -> Topic:
         """Topic that has one message for each frame."""
-        return sensor_kind(self.kind).leading.of(self.name)
+        return next(iter(sensor_kind(self.kind).part_topics(self.name, self.source).values()))
 
 
 def find_sensors(log: Log) -> dict[str, Sensor]:
     """Return the sensors of a log by name; they are recognised by the topics and types of their messages.
 
-    If two kinds have the same topics, the configuration in the log decides.
+    If two kinds have the same topics, the configuration in the log decides. It also names the topics of
+    drivers that do not keep to the ICD.
     """
-    sensors: dict[str, Sensor] = {}
     configured = _configured_kinds(log.configuration)
+    sensors: dict[str, Sensor] = {}
+    for name, kind_name in configured.items():
+        source = _configured_source(log.configuration, name)
+        sensor = Sensor(name, kind_name, None, source)
+        if source.topics and _count(log, sensor.leading):
+            mount = _mount(log, name, _frame_id(log, sensor.leading.name))
+            turned = None if mount is None else source.boresight_mount(mount)
+            sensors[name] = replace(sensor, T_chaser_sensor=turned)
     for kind in sensor_kinds():
         _, suffix = kind.leading.name.split("/", 1)
         for topic, info in log.topics.items():
@@ -54,7 +63,9 @@ def find_sensors(log: Log) -> dict[str, Sensor]:
                 continue
             if sensor not in sensors or configured.get(sensor) == kind.name:
                 mount = _mount(log, sensor, _frame_id(log, topic))
-                sensors[sensor] = Sensor(sensor, kind.name, mount)
+                source = _configured_source(log.configuration, sensor)
+                turned = None if mount is None else source.boresight_mount(mount)
+                sensors[sensor] = Sensor(sensor, kind.name, turned, source)
     return sensors
 
 
@@ -85,6 +96,16 @@ def _mount(log: Log, sensor: str, frame_id: str) -> RigidTransform | None:
         frame, T_parent_frame = log.extrinsics[frame]
         T_frame_sensor = T_parent_frame * T_frame_sensor
     return _configured_mount(log.configuration, sensor)
+
+
+def _configured_source(configuration: dict[str, dict[str, Any]], sensor: str) -> SourceConfig:
+    """Return how a sensor's driver published, by the first configuration that says so."""
+    for service in configuration.values():
+        for entry in configured_sensors(service):
+            if entry.get("name") == sensor and entry.get("source"):
+                with suppress(ValueError):
+                    return SourceConfig.model_validate(entry["source"])
+    return ICD
 
 
 def _configured_mount(configuration: dict[str, dict[str, Any]], sensor: str) -> RigidTransform | None:
@@ -129,54 +150,46 @@ def sensor_frames(
 
     Frames that lack a required part, or that an estimator would refuse, are left out.
     """
-    described = sensor_kind(kind)
-    reader = _informed_reader(log, sensor, described)
-    parts = {part.topic.of(sensor).name: name for name, part in described.parts.items()}
-    wanted = {name for topic, name in parts.items() if topic in log.topics}
-    pending: dict[int, dict[str, Logged]] = {}
-    topics = [part.topic.of(sensor) for part in described.parts.values()]
-    for logged in log.messages(*topics, start_ns=start_ns, end_ns=end_ns):
-        stamp_ns = -1
+    described, source = sensor_kind(kind), _configured_source(log.configuration, sensor)
+    reader = _informed_reader(log, sensor, described, source)
+    assembler: Assembler[Logged] = assembler_of(described, source)
+    parts = {topic: name for name, topic in described.part_topics(sensor, source).items()}
+    names = {topic.name: name for topic, name in parts.items()}
+    lasting = [topic for topic, name in parts.items() if name in described.lasting]
+    rare = [topic for topic in lasting if 4 * _count(log, topic) < _count(log, next(iter(parts)))]
+    before = log.messages(*rare, end_ns=start_ns) if rare and start_ns is not None else ()
+    for logged in chain(before, log.messages(*parts, start_ns=start_ns, end_ns=end_ns)):
+        stamp_ns = None
         with log.unreadable.left_out(logged):
-            stamp_ns = peek_stamp(logged.payload)
-        if stamp_ns < 0:
-            continue
-        found = pending.setdefault(stamp_ns, {})
-        found[parts[logged.topic]] = logged
-        if found.keys() == wanted:
-            yield from _complete(log, pending, described, reader, up_to_ns=stamp_ns)
-        elif len(pending) > _MOST_PENDING:
-            yield from _complete(log, pending, described, reader, up_to_ns=min(pending))
-    if pending:
-        yield from _complete(log, pending, described, reader, up_to_ns=max(pending))
+            stamp_ns = peek_stamp(logged.payload) + source.correction_ns
+        if stamp_ns is not None:
+            for frame in assembler.add(names[logged.topic], stamp_ns, logged):
+                yield from _read(log, reader, frame)
+    for frame in assembler.release():
+        yield from _read(log, reader, frame)
 
 
-def _informed_reader(log: Log, sensor: str, kind: SensorKind) -> SensorReader:
-    reader = open_reader(kind)
+def _count(log: Log, topic: Topic) -> int:
+    return log.topics[topic.name].count if topic.name in log.topics else 0
+
+
+def _informed_reader(log: Log, sensor: str, kind: SensorKind, source: SourceConfig) -> SensorReader:
+    reader = open_reader(kind, source)
     for logged in () if kind.info is None else log.messages(kind.info.of(sensor)):
         with suppress(MessageRejectedError):
             reader.learn(logged.decode())
     return reader
 
 
-def _complete(
-    log: Log,
-    pending: dict[int, dict[str, Logged]],
-    kind: SensorKind,
-    reader: SensorReader,
-    *,
-    up_to_ns: int,
-) -> Iterator[SensorFrame]:
-    for stamp_ns in sorted(stamp for stamp in pending if stamp <= up_to_ns):
-        parts = pending.pop(stamp_ns)
-        if kind.required <= parts.keys():
-            received = {name: as_received(part) for name, part in parts.items()}
-            try:
-                yield reader.read(Assembled(stamp_ns, received))
-            except MessageRejectedError:
-                for part in parts.values():
-                    with log.unreadable.left_out(part):
-                        part.decode()
+def _read(log: Log, reader: SensorReader, frame: Assembled[Logged]) -> Iterator[SensorFrame]:
+    """Yield the frame, or note which of its messages cannot be read."""
+    received = {name: as_received(part) for name, part in frame.parts.items()}
+    try:
+        yield reader.read(Assembled(frame.stamp_ns, received))
+    except MessageRejectedError:
+        for part in frame.parts.values():
+            with log.unreadable.left_out(part):
+                part.decode()
 
 
 def pmd_frames(

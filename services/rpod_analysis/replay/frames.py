@@ -13,7 +13,7 @@ from rpod_pose.measurement import Tick
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
 from rpod_runtime.frames import PartRejectedError
-from rpod_schemas.cdr import NANOSECONDS, peek_stamp
+from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_status
 from rpod_schemas.types import EstimatorStatus
@@ -65,7 +65,7 @@ class Frames:
         try:
             if part := self.intake.parts.get(logged.topic):
                 sensor, name = part
-                stamp_ns = peek_stamp(received.payload)
+                stamp_ns = self.intake.stamp_ns(sensor, received)
                 if self.stamps is not None:
                     self.stamps.check(logged, stamp_ns)
                 for frame in self.intake.assemblers[sensor].add(name, stamp_ns, received):

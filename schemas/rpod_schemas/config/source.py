@@ -1,0 +1,110 @@
+"""How the driver of another party publishes a sensor: its topics, stamps and units.
+
+A sensor that keeps to the ICD needs none of it. Files for well-known drivers are in ``deploy/sensors``.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_schemas.config.base import Config, NonNegative, Positive, read_document
+from rpod_schemas.poses import chained, make_pose
+from rpod_schemas.topics import COMPRESSED_IMAGE, Topic
+
+_NANOSECONDS = 1_000_000_000
+_MIDDLE = {"start": 0.5, "middle": 0.0, "end": -0.5}
+"""Time from the stamp to the middle of exposure or scan, over its duration."""
+_TRANSPORTED = {"compressed", "compressedDepth"}
+"""Last parts of the topics of image_transport whose messages are compressed images."""
+
+FORWARD_BORESIGHT = make_pose(rotation=Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
+"""Axes x right, y down, z along the boresight in axes x forward, y left, z up."""
+
+
+class SourceConfig(Config):
+    """How a driver publishes a sensor, where it does not keep to the ICD."""
+
+    topics: dict[str, str] = Field(default_factory=dict)
+    """Topics of the sensor's parts (``depth``, ``camera_info``, ``amplitude``; ``points``), under
+    ``namespace``, or with a leading slash under the bus's own. Where any is given, parts that are not given
+    are not listened to. A topic that ends in ``/compressed`` or ``/compressedDepth`` brings compressed
+    images."""
+    namespace: str = Field(default="", pattern=r"^([A-Za-z0-9_]+(/[A-Za-z0-9_]+)*)?$")
+    """First part of these topics: namespace and name of the driver's node, without slashes at its ends."""
+    stamp: Literal["start", "middle", "end"] = "middle"
+    """Instant of the exposure or scan that the stamps are of."""
+    duration_s: NonNegative = 0.0
+    """Duration of an exposure or scan, s. Set it where ``stamp`` is ``start`` or ``end``; stamps are moved by
+    half of it."""
+    clock_offset_s: float = Field(default=0.0, allow_inf_nan=False)
+    """Length by which the sensor's clock is ahead, s; it is subtracted from the stamps. 37 for a clock that
+    keeps TAI."""
+    pair_within_s: NonNegative = 0.001
+    """Greatest difference between the stamps of a frame's parts, s; it never counts beyond half the time
+    between two frames."""
+    depth: Literal["z", "radial"] = "z"
+    """Meaning of a depth image's pixels: distance along the boresight, or along the pixel's own ray."""
+    axes: Literal["boresight", "forward"] = "boresight"
+    """Axes of the sensor's frame and points: x right, y down, z along the boresight; or x forward, y left, z
+    up (REP 103), as scanners with a turning head have them. The mount is that of the frame as it is."""
+    saturated_amplitude: Positive | None = None
+    """Amplitude from which a pixel is saturated. If left out, it is recognised: by the encoding's largest
+    value, and by a frame's largest value where many pixels have it."""
+
+    @property
+    def to_middle_s(self) -> float:
+        """Time from a stamp to the middle of its exposure or scan, s, by the sensor's clock."""
+        return _MIDDLE[self.stamp] * self.duration_s
+
+    @property
+    def correction_ns(self) -> int:
+        """Difference between the middle of exposure or scan, in UTC, and the stamp, ns."""
+        return round((self.to_middle_s - self.clock_offset_s) * _NANOSECONDS)
+
+    def boresight_mount(self, T_chaser_sensor: RigidTransform) -> RigidTransform:
+        """Return the mount of the sensor's axes x right, y down, z along the boresight."""
+        return chained(T_chaser_sensor, FORWARD_BORESIGHT) if self.axes == "forward" else T_chaser_sensor
+
+    def topic(self, part: str, default: Topic) -> Topic | None:
+        """Return the topic of a part of the sensor's frames; None if the driver does not send this part.
+
+        Args:
+            part: name of the part in the sensor kind.
+            default: topic that the ICD gives the part.
+        """
+        if not self.topics:
+            return default
+        name = self.topics.get(part)
+        if name is None:
+            return None
+        whole = name.lstrip("/") if name.startswith("/") or not self.namespace else f"{self.namespace}/{name}"
+        compressed = whole.rsplit("/", 1)[-1] in _TRANSPORTED
+        return Topic(whole, COMPRESSED_IMAGE if compressed else default.type)
+
+    @model_validator(mode="after")
+    def _the_middle_is_known(self) -> Self:
+        if self.stamp != "middle" and not self.duration_s:
+            raise ValueError(
+                f"stamp is {self.stamp!r}, needs duration_s, the exposure or scan time, to find its middle"
+            )
+        return self
+
+
+def _read(value: Any) -> Any:
+    """Return the document of a source: a file's, or one whose ``preset`` names a file, with changes to it."""
+    if isinstance(value, str | Path):
+        return read_document(Path(value))
+    if isinstance(value, Mapping) and "preset" in value:
+        changes = {name: field for name, field in value.items() if name != "preset"}
+        document = read_document(Path(value["preset"]))
+        if {"topics"} <= changes.keys() & document.keys():
+            changes["topics"] = {**document["topics"], **changes["topics"]}
+        return {**document, **changes}
+    return value
+
+
+Source = Annotated[SourceConfig, BeforeValidator(_read)]
+"""A source, written inline, as the path of a file, or as ``preset: <path>`` with fields that change it."""
