@@ -4,6 +4,7 @@ A reader reads the messages of one sensor and keeps the sensor's info. A sensor 
 readers of the PMD camera and the LIDAR are here.
 """
 
+import logging
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.inbox import Received
+from rpod_runtime.scan_grid import GridInference, rows_are_elevation
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
@@ -22,10 +24,13 @@ from rpod_schemas.messages import (
     read_lidar_info,
     read_pmd_info,
     read_points,
+    time_field,
 )
 from rpod_schemas.registry import resolve
 from rpod_schemas.sensors import SensorKind
 from rpod_schemas.types import Float32Array, LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame
+
+log = logging.getLogger(__name__)
 
 ReadT = TypeVar("ReadT")
 
@@ -107,33 +112,74 @@ class LidarReader:
     """Reads the scans of a LIDAR; each row of a scan has one elevation."""
 
     def __init__(self, source: SourceConfig = ICD) -> None:
-        self.said: LidarInfo | None = None
         self._source = source
+        self._info: LidarInfo | None = None
+        self._inferred = GridInference()
+        self._seen_rows = True
+        self._told: set[str] = set()
+
+    @property
+    def said(self) -> LidarInfo | None:
+        """Info that the LIDAR published, else the scan pattern as its points show it."""
+        return self._info or self._inferred.pattern
 
     def learn(self, message: Any) -> None:
         """Store the latched info, if it holds a scan pattern."""
         info = read_lidar_info(message)
         if info.azimuth_rad.size and info.elevation_rad.size:
-            self.said = info
+            self._info = info
 
     def read(self, frame: Assembled[Received]) -> LidarScan:
         """Return a scan."""
-        rows_are_elevation = self.said is None or self.said.rows_are_elevation
+        scan = read_part(frame.parts["points"], lambda message: self._scan(frame.stamp_ns, message))
+        if self._info is None:
+            time_s = np.zeros(1) if scan.time_s is None else scan.time_s[np.isfinite(scan.time_s)]
+            self._inferred.add(scan.points_m, float(np.ptp(time_s)))
+        return scan
 
-        def read(message: Any) -> LidarScan:
-            fields = read_points(message)
-            if not rows_are_elevation:
-                fields = {name: values.T for name, values in fields.items()}
-            return build(
-                LidarScan,
-                stamp_ns=frame.stamp_ns,
-                frame_id=message.header.frame_id,
-                points_m=_finite(np.stack([fields["x"], fields["y"], fields["z"]], axis=-1)),
-                intensity=fields.get("intensity"),
-                time_s=fields.get("t"),
+    def _scan(self, stamp_ns: int, message: Any) -> LidarScan:
+        fields = read_points(message)
+        item = time_field(message)
+        if item is not None and "t" not in fields:
+            self._tell(
+                f"point field {item.name!r} is neither time from the stamp nor absolute time: ignored, "
+                "so that a scan counts as measured at once"
             )
+        x_m, y_m, z_m = fields["x"], fields["y"], fields["z"]
+        axes = (-y_m, -z_m, x_m) if self._source.axes == "forward" else (x_m, y_m, z_m)
+        points_m = np.stack(axes, axis=-1)
+        time_s = fields.get("t")
+        if time_s is not None and self._source.to_middle_s:
+            time_s = time_s - np.float32(self._source.to_middle_s)
+        intensity = fields.get("intensity")
+        if points_m.ndim == 3 and not self._rows_are_elevation(points_m):
+            points_m = points_m.transpose(1, 0, 2)
+            intensity, time_s = (None if each is None else each.T for each in (intensity, time_s))
+        return build(
+            LidarScan,
+            stamp_ns=stamp_ns,
+            frame_id=message.header.frame_id,
+            points_m=_finite(points_m),
+            intensity=intensity,
+            time_s=time_s,
+        )
 
-        return read_part(frame.parts["points"], read)
+    def _rows_are_elevation(self, points_m: Float32Array) -> bool:
+        """Return the orientation that the points show, else that of the info or of scans before."""
+        seen = rows_are_elevation(points_m)
+        said = None if self._info is None else self._info.rows_are_elevation
+        if seen is None:
+            return self._seen_rows if said is None else said
+        if said not in (None, seen):
+            self._tell(f"info says rows_are_elevation: {said}, but the points show {seen}, which is used")
+        self._seen_rows = seen
+        return seen
+
+    def _tell(self, text: str) -> None:
+        """Log a text once."""
+        if text not in self._told:
+            self._told.add(text)
+            log.warning("%s", text)
 
 
 def read_part(received: Received, read: Callable[[Any], ReadT]) -> ReadT:

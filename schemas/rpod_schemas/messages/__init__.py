@@ -33,7 +33,7 @@ from rpod_schemas.messages.info import (
     write_lidar_info,
     write_pmd_info,
 )
-from rpod_schemas.messages.points import read_points, write_points
+from rpod_schemas.messages.points import read_points, time_field, write_points
 
 __all__ = [
     "NANOSECONDS",
@@ -52,6 +52,7 @@ __all__ = [
     "read_status",
     "read_transforms",
     "read_vector_stamped",
+    "time_field",
     "write_camera",
     "write_clock",
     "write_diagnostics",

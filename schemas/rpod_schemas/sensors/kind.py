@@ -45,8 +45,8 @@ class SensorKind:
     heard: type[SensorInput]
     """Configuration of the sensor in the estimator: its methods and their data."""
     reader: str
-    """Reference to an ``rpod_runtime.frames.SensorReader``, created with a sensor's ``SourceConfig``: from the
-    messages of a frame to the methods' input."""
+    """Reference to an ``rpod_runtime.frames.SensorReader``, created with a sensor's ``SourceConfig``: from
+    the messages of a frame to the methods' input."""
     publisher: str
     """Reference to an ``rpod_runtime.sensors.SensorPublisher``: from frames to messages, for drivers and the
     emulator."""

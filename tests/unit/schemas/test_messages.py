@@ -163,9 +163,9 @@ def test_points_in_too_few_bytes_are_rejected():
     assert rejected.value.reason is Reason.WRONG_SIZE
 
 
-def test_points_as_float64_are_rejected():
+def test_points_of_an_unknown_type_are_rejected():
     message = points_message()
-    message.fields[0].datatype = 8
+    message.fields[0].datatype = 9
     with pytest.raises(MessageRejectedError) as rejected:
         messages.read_points(through_the_wire(message))
     assert rejected.value.reason is Reason.WRONG_TYPE

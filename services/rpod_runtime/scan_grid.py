@@ -1,0 +1,197 @@
+"""The directions of a scanner's rays, inferred from its points where the sensor does not state them.
+
+A method needs the rays without a return as well as the returns. The points of an organised scan tell the
+azimuth or elevation of each row and column that has returns; the other lines follow from these, since
+scanners have nearly even steps. An unorganised scan has only returns. Where their azimuths or elevations
+gather in lines, the lines are the pattern's; otherwise, as in a scan that never repeats, even lines as far
+apart as the points stand for it, with as many lines on both sides again.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_schemas.types import Float32Array, LidarInfo
+
+Angles = NDArray[np.float64]
+_LEAST_LINES = 3
+"""Least number of rows and of columns with returns from which a pattern is inferred."""
+_DECISIVE = 0.5
+"""Greatest scatter within the lines, over that with rows and columns exchanged, that tells which is which."""
+_EVEN = 0.2
+"""Greatest deviation of lines from even steps, over a step, of a pattern that counts as even."""
+_CHANGED = 0.2
+"""Change of a line, over a step, from which on an inferred pattern is replaced."""
+_GATHERED = 4.0
+"""Least ratio of the steps between lines to those within a line."""
+_MARGIN = 8
+"""Least number of lines added on both sides of the points of an unorganised scan."""
+_MOST_LINES = 512
+_OUTSIDE = 0.05
+"""Share of an unorganised scan's points outside its pattern from which on it is inferred anew."""
+_NEIGHBOURS = 400
+"""Number of points whose distance to their neighbour is taken."""
+_SPARSE = 1.2
+"""Distance of the lines over that of the points, where the points form no lines."""
+
+
+def angles_of(points_m: Float32Array) -> tuple[Angles, Angles, NDArray[np.bool_]]:
+    """Return azimuths and elevations of points, shape (..., 3), and which are returns, each shape (...)."""
+    x, y, z = np.moveaxis(points_m.astype(np.float64), -1, 0)
+    range_m = np.sqrt(x * x + y * y + z * z)
+    returned = np.isfinite(range_m) & (range_m > 0.0)
+    safe_m = np.where(returned, range_m, 1.0)
+    azimuth = np.where(returned, np.arctan2(x, z), 0.0)
+    elevation = np.where(returned, np.arcsin(np.clip(y / safe_m, -1.0, 1.0)), 0.0)
+    return azimuth, elevation, returned
+
+
+def rows_are_elevation(points_m: Float32Array) -> bool | None:
+    """Return whether the rows of an organised scan have one elevation each; None if the points do not tell.
+
+    Args:
+        points_m: shape (rows, columns, 3), sensor axes.
+    """
+    azimuth, elevation, returned = angles_of(points_m)
+    if min(returned.any(axis=1).sum(), returned.any(axis=0).sum()) < _LEAST_LINES:
+        return None
+    upright = _scatter(elevation, returned, 1) + _scatter(azimuth, returned, 0)
+    turned = _scatter(azimuth, returned, 1) + _scatter(elevation, returned, 0)
+    if upright < _DECISIVE * turned:
+        return True
+    return False if turned < _DECISIVE * upright else None
+
+
+def _scatter(angles: Angles, returned: NDArray[np.bool_], axis: int) -> float:
+    """Return the median distance of returns from the mean direction of their line, rad."""
+    means = np.angle((np.exp(1j * angles) * returned).sum(axis=axis, keepdims=True))
+    off = np.abs(np.angle(np.exp(1j * (angles - means))))
+    return float(np.median(off[returned]))
+
+
+@dataclass
+class GridInference:
+    """Infers the pattern of one scanner from its scans."""
+
+    pattern: LidarInfo | None = None
+    """The pattern as far as it is known; replaced only where it has changed visibly."""
+    _sums: dict[str, NDArray[np.complex128]] = field(default_factory=dict)
+
+    def add(self, points_m: Float32Array, scan_time_s: float) -> None:
+        """Learn from a scan.
+
+        Args:
+            points_m: points, sensor axes; (rows, columns, 3) with one elevation a row, else (N, 3).
+            scan_time_s: duration of the scan, 0 if it is unknown.
+        """
+        azimuth, elevation, returned = angles_of(points_m)
+        if points_m.ndim == 3:
+            lines = {
+                "azimuth_rad": self._organised("azimuth", azimuth, returned, 0),
+                "elevation_rad": self._organised("elevation", elevation, returned, 1),
+            }
+        else:
+            if self.pattern is not None and self._covers(azimuth[returned], elevation[returned]):
+                return
+            apart_rad = _apart_rad(azimuth[returned], elevation[returned])
+            lines = {
+                "azimuth_rad": _gathered(azimuth[returned], apart_rad, np.pi),
+                "elevation_rad": _gathered(elevation[returned], apart_rad, np.pi / 2.0),
+            }
+        if any(each is None for each in lines.values()) or self._is_known(lines):
+            return
+        said = {name: each for name, each in lines.items() if each is not None}
+        self.pattern = LidarInfo(**said, scan_time_s=scan_time_s, sigma_range_m=0.0)
+
+    def _organised(self, name: str, angles: Angles, returned: NDArray[np.bool_], axis: int) -> Angles | None:
+        """Return the angles of all lines, from the returns of all scans; None as long as they are too few."""
+        sums = (np.exp(1j * angles) * returned).sum(axis=axis)
+        before = self._sums.get(name)
+        if before is None or before.shape != sums.shape:
+            before = np.zeros_like(sums)
+        self._sums[name] = sums = before + sums
+        known = np.flatnonzero(np.abs(sums) > 0.0)
+        if known.size < _LEAST_LINES:
+            return None
+        return _all_lines(known, np.angle(sums[known]), sums.size)
+
+    def _covers(self, azimuth: Angles, elevation: Angles) -> bool:
+        assert self.pattern is not None  # noqa: S101 - asked only then
+        outside = np.zeros(azimuth.shape, bool)
+        for lines, angles in ((self.pattern.azimuth_rad, azimuth), (self.pattern.elevation_rad, elevation)):
+            outside |= (angles < lines.min()) | (angles > lines.max())
+        return float(outside.mean()) <= _OUTSIDE if outside.size else True
+
+    def _is_known(self, lines: dict[str, Angles | None]) -> bool:
+        if self.pattern is None:
+            return False
+        for name, now in lines.items():
+            before = getattr(self.pattern, name)
+            if now is None or now.shape != before.shape:
+                return now is None
+            if np.abs(now - before).max() > _CHANGED * np.median(np.abs(np.diff(before))):
+                return False
+        return True
+
+
+def _all_lines(known: NDArray[np.intp], angles: Angles, count: int) -> Angles | None:
+    """Return the angles of ``count`` lines, of which some are known; None if they are not in order."""
+    turns = 2.0 * np.pi
+    apart = np.diff(known)
+    step = float(np.median((np.diff(angles) + np.pi) % turns - np.pi) / np.median(apart))
+    jumps = np.diff(angles)
+    jumps -= turns * np.round((jumps - step * apart) / turns)
+    angles = angles[0] + np.append(0.0, np.cumsum(jumps))
+    steps = jumps / apart
+    step = float(np.median(steps))
+    if step == 0.0 or (np.sign(steps) != np.sign(step)).any():
+        return None
+    slope, first = np.polyfit(known, angles, 1)
+    index = np.arange(count)
+    if np.abs(first + slope * known - angles).max() <= _EVEN * abs(slope):
+        lines = first + slope * index
+    else:
+        lines = np.interp(index, known, angles)
+        lines += np.where(index < known[0], index - known[0], 0) * step
+        lines += np.where(index > known[-1], index - known[-1], 0) * step
+    return lines - turns * np.round(lines.mean() / turns)
+
+
+def _apart_rad(azimuth: Angles, elevation: Angles) -> float:
+    """Return the median angle from a point to its nearest neighbour; 0 of fewer than two points."""
+    if azimuth.size < 2:
+        return 0.0
+    few = slice(None, None, azimuth.size // _NEIGHBOURS + 1)
+    across = (azimuth[few, None] - azimuth) * np.cos(elevation[few, None])
+    apart = np.hypot(across, elevation[few, None] - elevation)
+    apart[apart < 1e-6] = np.inf
+    return float(np.median(apart.min(axis=1)))
+
+
+def _gathered(angles: Angles, apart_rad: float, most_rad: float) -> Angles | None:
+    """Return the lines in which angles gather, else even ones, and as many again on both sides."""
+    if angles.size < _LEAST_LINES or not apart_rad:
+        return None
+    ordered = np.sort(angles)
+    steps = np.diff(ordered)
+    between = steps > apart_rad / _GATHERED
+    groups = np.split(ordered, np.flatnonzero(between) + 1)
+    within = max(float(np.ptp(group)) for group in groups)
+    means = np.array([group.mean() for group in groups])
+    if len(groups) >= _LEAST_LINES and 2 * len(groups) < angles.size and within < apart_rad / 2.0:
+        step = float(np.diff(means).min())
+        index = np.round((means - means[0]) / step).astype(np.intp)
+        lines = _all_lines(index, means, int(index[-1]) + 1)
+        if lines is None:
+            return None
+    else:
+        step = _SPARSE * apart_rad
+        lines = np.arange(ordered[0], ordered[-1] + step, step)
+    if lines.size > _MOST_LINES:
+        return None
+    step = float(np.median(np.diff(lines)))
+    more = min(max(_MARGIN, lines.size), (_MOST_LINES - lines.size) // 2)
+    beyond = np.arange(1, more + 1) * step
+    lines = np.concatenate((lines[0] - beyond[::-1], lines, lines[-1] + beyond))
+    return lines[np.abs(lines) <= most_rad]

@@ -1,0 +1,90 @@
+"""Directions of a scanner's rays, inferred from its points."""
+
+import numpy as np
+import pytest
+
+from rpod_runtime.scan_grid import GridInference, rows_are_elevation
+
+AZIMUTH = np.radians(np.arange(-20.0, 20.5))
+ELEVATION = np.radians(np.arange(-15.0, 15.5))
+NOISE_RAD = 2e-4
+
+
+def scan(azimuth=AZIMUTH, elevation=ELEVATION, *, half_m=1.5, at_m=10.0, seed=1):
+    """Return the points of a square plate, (rows, columns, 3), NaN beside it; rows are elevations."""
+    rng = np.random.default_rng(seed)
+    el, az = np.meshgrid(elevation, azimuth, indexing="ij")
+    el = el + rng.normal(0.0, NOISE_RAD, el.shape)
+    az = az + rng.normal(0.0, NOISE_RAD, az.shape)
+    rays = np.stack((np.sin(az) * np.cos(el), np.sin(el), np.cos(az) * np.cos(el)), axis=-1)
+    with np.errstate(divide="ignore"):
+        points = rays * (at_m / rays[..., 2:])
+    hit = (np.abs(points[..., :2]) < half_m).all(axis=-1) & (rays[..., 2] > 0.0)
+    return np.where(hit[..., None], points, np.nan).astype(np.float32)
+
+
+def inferred(*scans):
+    grid = GridInference()
+    for points in scans:
+        grid.add(points, 0.0)
+    return grid.pattern
+
+
+@pytest.mark.parametrize("half_m", [0.4, 1.5])
+def test_the_orientation_is_seen_in_the_points(half_m):
+    points = scan(half_m=half_m)
+    assert rows_are_elevation(points) is True
+    assert rows_are_elevation(points.transpose(1, 0, 2)) is False
+    assert rows_are_elevation(np.full((5, 5, 3), np.nan, np.float32)) is None
+
+
+@pytest.mark.parametrize("half_m", [0.8, 1.5])
+def test_lines_without_returns_follow_from_those_with_returns(half_m):
+    pattern = inferred(*(scan(half_m=half_m, seed=seed) for seed in range(3)))
+    step = np.radians(1.0)
+    assert np.abs(pattern.azimuth_rad - AZIMUTH).max() < 0.1 * step
+    assert np.abs(pattern.elevation_rad - ELEVATION).max() < 0.1 * step
+
+
+def test_a_pattern_that_has_not_changed_stays_the_same_object():
+    grid = GridInference()
+    grid.add(scan(), 0.0)
+    first = grid.pattern
+    grid.add(scan(seed=2), 0.0)
+    assert grid.pattern is first
+
+
+def test_a_turning_head_with_uneven_beams():
+    azimuth = np.radians(np.arange(0.0, 360.0, 0.5))
+    elevation = np.radians([-15.0, -11.0, -8.0, -6.0, -4.0, -2.0, 0.0, 3.0, 8.0, 15.0])
+    room = np.stack([scan(azimuth, elevation, half_m=9.0, at_m=3.0)])[0]
+    pattern = inferred(room)
+    assert np.abs(np.angle(np.exp(1j * (pattern.azimuth_rad - azimuth)))).max() < np.radians(0.1)
+    np.testing.assert_allclose(pattern.elevation_rad, elevation, atol=np.radians(0.1))
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.37])
+def test_points_without_order_show_the_lines_on_which_they_lie(shift):
+    azimuth = AZIMUTH + np.radians(shift)
+    points = scan(azimuth).reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    pattern = inferred(np.random.default_rng(3).permutation(points))
+    step = np.radians(1.0)
+    for lines, true in ((pattern.azimuth_rad, azimuth), (pattern.elevation_rad, ELEVATION)):
+        assert np.median(np.diff(lines)) == pytest.approx(step, rel=0.02)
+        nearest = true[np.abs(true[:, None] - lines).argmin(axis=0)]
+        near = np.abs(lines) < np.radians(9.0)
+        assert np.abs(lines - nearest)[near].max() < 0.1 * step
+        assert lines[0] < np.radians(-12.0)
+        assert lines[-1] > np.radians(12.0)
+
+
+def test_a_scan_that_never_repeats_gets_lines_as_far_apart_as_its_points():
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(-1.0, 1.0, (2, 2_000))
+    points = np.stack((x, y, np.full_like(x, 5.0)), axis=-1).astype(np.float32)
+    pattern = inferred(points)
+    apart = np.sqrt(0.16 / 2_000)  # rad: an area of 0.4 x 0.4 rad
+    for lines in (pattern.azimuth_rad, pattern.elevation_rad):
+        assert 0.3 * apart < np.median(np.diff(lines)) < 1.5 * apart
+    assert inferred(points[:2]) is None
