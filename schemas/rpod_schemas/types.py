@@ -37,6 +37,8 @@ from rpod_schemas.poses import Pose
 
 Float32Array = NDArray[np.float32]
 ZERO_6X6 = np.zeros((6, 6))
+LENS_COEFFICIENTS = 8
+"""Number of distortion coefficients of a rational_polynomial lens; plumb_bob has the first five."""
 
 
 def _as_float32(value: Any) -> Float32Array:
@@ -69,7 +71,7 @@ class Stamped(Model):
 
 
 class Camera(Model):
-    """Pinhole intrinsics with plumb_bob distortion; pixel centres at integers (ICD section 1)."""
+    """Pinhole intrinsics and a lens that distorts; pixel centres at integers (ICD section 1)."""
 
     width: Annotated[int, bounded(IMAGE_SIDE)]
     height: Annotated[int, bounded(IMAGE_SIDE)]
@@ -78,7 +80,8 @@ class Camera(Model):
     cx: Annotated[float, bounded(PRINCIPAL_POINT_PX)]
     cy: Annotated[float, bounded(PRINCIPAL_POINT_PX)]
     distortion: Annotated[VectorN, bounded(DISTORTION)] = Field(default_factory=lambda: np.zeros(5))
-    """Distortion coefficients k1, k2, p1, p2, k3, shape (5,)."""
+    """Distortion coefficients k1, k2, p1, p2, k3 of plumb_bob, shape (5,), or these and k4, k5, k6 of
+    rational_polynomial, shape (8,)."""
 
     @model_validator(mode="after")
     def _fits_into_memory(self) -> Self:
@@ -87,6 +90,11 @@ class Camera(Model):
         except ValueError as error:
             raise ValueError(f"width x height {error}") from error
         return self
+
+    @property
+    def coefficients(self) -> NDArray[np.float64]:
+        """Distortion coefficients k1, k2, p1, p2, k3, k4, k5, k6, shape (8,)."""
+        return np.append(self.distortion, np.zeros(LENS_COEFFICIENTS))[:LENS_COEFFICIENTS]
 
     @property
     def K(self) -> NDArray[np.float64]:  # noqa: N802 - the camera matrix's name

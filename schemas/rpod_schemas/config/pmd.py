@@ -15,7 +15,7 @@ from scipy import constants
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.poses import Pose, make_pose
-from rpod_schemas.types import Camera, PmdInfo
+from rpod_schemas.types import LENS_COEFFICIENTS, Camera, PmdInfo
 
 MODULATION_FREQUENCIES_HZ = (5.004e6, 7.5e6, 10.007e6, 15e6, 20.013e6, 25.016e6, 30e6)
 """The seven modulation frequencies of the camera, Hz (Table 1)."""
@@ -255,7 +255,9 @@ class PmdConfig(EmulatedSensor):
         return self
 
     @model_validator(mode="after")
-    def _distortion_is_plumb_bob(self) -> Self:
-        if self.camera.distortion.shape != (5,):
-            raise ValueError("camera.distortion needs five numbers: k1, k2, p1, p2, k3")
+    def _distortion_is_whole(self) -> Self:
+        if self.camera.distortion.shape not in ((5,), (LENS_COEFFICIENTS,)):
+            raise ValueError(
+                "camera.distortion needs five numbers: k1, k2, p1, p2, k3; or eight: with k4, k5, k6"
+            )
         return self

@@ -9,6 +9,7 @@ from rpod_schemas.bounds import AMPLITUDE, DEPTH_M, IMAGE_PIXELS, IMAGE_SIDE
 from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.header import build, within, write_header
+from rpod_schemas.messages.lenses import coefficients
 from rpod_schemas.types import Camera
 
 _ENCODINGS: dict[str, tuple[str, int]] = {
@@ -49,12 +50,12 @@ def read_image(message: Any) -> NDArray[Any]:
 
 
 def read_depth(message: Any) -> NDArray[np.float32]:
-    """Return z-depth, m, float32, of a ``32FC1`` or ``16UC1`` image; NaN for pixels without depth.
+    """Return depth, m, float32, of a ``32FC1`` image in metres, or of ``16UC1`` or ``mono16`` in millimetres.
 
-    An image without any finite pixel is rejected.
+    Pixels without depth are NaN. An image without any finite pixel is rejected.
     """
     image = read_image(message)
-    if message.encoding == "16UC1":
+    if message.encoding in ("16UC1", "mono16"):
         image = np.where(image > 0, image.astype(np.float32) * np.float32(1e-3), np.float32(np.nan))
     elif message.encoding != "32FC1":
         raise MessageRejectedError(Reason.WRONG_TYPE, f"depth in {message.encoding}, needs 32FC1 or 16UC1")
@@ -90,17 +91,12 @@ def write_image(stamp_ns: int, frame_id: str, image: NDArray[Any], encoding: str
 
 
 def read_camera(message: Any) -> Camera:
-    """Return the camera of a sensor_msgs/CameraInfo with plumb_bob distortion, or with none."""
-    if message.distortion_model not in ("", "plumb_bob"):
-        raise MessageRejectedError(
-            Reason.WRONG_TYPE, f"distortion model {message.distortion_model!r}, needs plumb_bob"
-        )
-    distortion = np.zeros(5)
-    if len(message.d) > 5:
-        raise MessageRejectedError(
-            Reason.WRONG_SIZE, f"{len(message.d)} distortion coefficients, plumb_bob has 5"
-        )
-    distortion[: len(message.d)] = message.d
+    """Return the camera of a sensor_msgs/CameraInfo as it is for the images: with its binning and its region.
+
+    Distortion models are plumb_bob, rational_polynomial and equidistant, or none. The size and the camera
+    matrix of the message are those of the full resolution; a region of interest is cut out of it, then
+    ``binning`` x ``binning`` pixels make one.
+    """
     K = message.k
     if not np.isfinite(K).all():
         raise MessageRejectedError(Reason.NOT_FINITE, "camera matrix")
@@ -108,16 +104,23 @@ def read_camera(message: Any) -> Camera:
         raise MessageRejectedError(
             Reason.MALFORMED, f"camera matrix {np.asarray(K).tolist()}, needs fx, 0, cx, 0, fy, cy, 0, 0, 1"
         )
-    return build(
+    within(IMAGE_SIDE, "width", message.width)
+    within(IMAGE_SIDE, "height", message.height)
+    region, by_x, by_y = message.roi, max(message.binning_x, 1), max(message.binning_y, 1)
+    width, height = (region.width or message.width) // by_x, (region.height or message.height) // by_y
+    camera = build(
         Camera,
-        width=message.width,
-        height=message.height,
-        fx=K[0],
-        fy=K[4],
-        cx=K[2],
-        cy=K[5],
-        distortion=distortion,
+        width=width,
+        height=height,
+        fx=K[0] / by_x,
+        fy=K[4] / by_y,
+        cx=(K[2] - region.x_offset - (by_x - 1) / 2.0) / by_x,
+        cy=(K[5] - region.y_offset - (by_y - 1) / 2.0) / by_y,
     )
+    across, down = max(camera.cx, width - camera.cx), max(camera.cy, height - camera.cy)
+    farthest = float(np.hypot(across / camera.fx, down / camera.fy))
+    lens = coefficients(message.distortion_model, tuple(map(float, message.d)), farthest)
+    return build(Camera, **dict(camera) | {"distortion": lens})
 
 
 def write_camera(stamp_ns: int, frame_id: str, camera: Camera) -> Any:
@@ -130,7 +133,7 @@ def write_camera(stamp_ns: int, frame_id: str, camera: Camera) -> Any:
         header=write_header(stamp_ns, frame_id),
         height=camera.height,
         width=camera.width,
-        distortion_model="plumb_bob",
+        distortion_model="plumb_bob" if camera.distortion.size <= 5 else "rational_polynomial",
         d=camera.distortion,
         k=camera.K.ravel(),
         r=np.eye(3).ravel(),

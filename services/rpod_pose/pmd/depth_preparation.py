@@ -27,7 +27,7 @@ from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracke
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.depth_calibration import DepthCalibration, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
-from rpod_schemas.types import Camera, Float32Array, PmdFrame, Source
+from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 _MOST_SIGMA_M, _MOST_SIGMA_DEG = 0.2, 10.0
@@ -217,10 +217,9 @@ def _cosines(
     size: tuple[int, int], intrinsics: tuple[float, float, float, float], distortion: tuple[float, ...]
 ) -> Float32Array | None:
     (width, height), (fx, fy, cx, cy) = size, intrinsics
-    lens = np.zeros(5)
-    if len(distortion) > lens.size:
+    if any(distortion[LENS_COEFFICIENTS:]):
         return None
-    lens[: len(distortion)] = distortion
+    lens = np.array(distortion[:LENS_COEFFICIENTS])
     camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
     try:
         cosine: Float32Array = RayGrid.pinhole(camera).components[2].astype(np.float32)

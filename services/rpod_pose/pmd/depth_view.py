@@ -17,10 +17,9 @@ from rpod_geometry.lens import distort
 from rpod_geometry.rays import RayGrid, cast
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_methods import DepthComparisonConfig, DepthImageConfig
-from rpod_schemas.types import Camera, Float32Array, PmdFrame
+from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 from rpod_target import Target
 
-PLUMB_BOB = 5
 HIDDEN_M = 0.03
 """Distance behind the rendered surface around it from which on a model point is hidden."""
 
@@ -101,7 +100,7 @@ def _key(camera: Camera) -> tuple[_Size, _Intrinsics, tuple[float, ...]]:
 
 def _camera(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...]) -> Camera:
     (width, height), (fx, fy, cx, cy) = size, intrinsics
-    lens = np.resize((*distortion, *np.zeros(PLUMB_BOB)), PLUMB_BOB)
+    lens = np.array(distortion[:LENS_COEFFICIENTS])
     return Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
 
 
@@ -177,8 +176,8 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
     pixels = np.count_nonzero(measured)
     if pixels < config.min_pixels:
         return f"{pixels} pixels with depth, {config.min_pixels} needed"
-    if frame.camera.distortion[PLUMB_BOB:].any():
-        return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+    if frame.camera.distortion[LENS_COEFFICIENTS:].any():
+        return f"distortion has {len(frame.camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
     try:
         view = DepthView.of(frame.camera, config.stride_px)
     except DistortionError as error:

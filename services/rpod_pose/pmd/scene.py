@@ -14,11 +14,11 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView, downsampled
+from rpod_pose.pmd.depth_view import DepthView, downsampled
 from rpod_pose.search.energy import CELLS, Image
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdSceneConfig
-from rpod_schemas.types import Camera, Float32Array, PmdFrame
+from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 DARKEST_PERCENT = 2.0
 """Percentile of the amplitudes of pixels with depth that stands for the darkest of them."""
@@ -172,8 +172,8 @@ def _implausible_camera(camera: Camera, config: PmdSceneConfig) -> str:
 
     A wrong principal point shears the depth image so little that the image itself does not show it.
     """
-    if camera.distortion[PLUMB_BOB:].any():
-        return f"distortion has {len(camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+    if camera.distortion[LENS_COEFFICIENTS:].any():
+        return f"distortion has {len(camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
     off = max(abs((camera.cx + 0.5) / camera.width - 0.5), abs((camera.cy + 0.5) / camera.height - 0.5))
     if not off <= config.most_off_centre:
         return (

@@ -305,8 +305,8 @@ def image(array, encoding):
         (AMPLITUDE, image(np.ones((4, 6, 4), np.uint16), "16UC4"), "wrong_type"),
         (CAMERA_INFO, with_field(wrong_camera(), k=np.full(9, np.nan)), "not_finite"),
         (CAMERA_INFO, with_field(wrong_camera(), k=np.zeros(9)), "malformed"),
-        (CAMERA_INFO, with_field(wrong_camera(), d=np.zeros(8)), "wrong_size"),
-        (CAMERA_INFO, with_field(wrong_camera(), distortion_model="equidistant"), "wrong_type"),
+        (CAMERA_INFO, with_field(wrong_camera(), d=np.ones(8)), "wrong_size"),
+        (CAMERA_INFO, with_field(wrong_camera(), distortion_model="double_sphere"), "wrong_type"),
     ],
 )
 def test_a_part_that_cannot_be_used_is_counted_on_its_own_topic(topic, message, reason):

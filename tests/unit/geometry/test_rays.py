@@ -12,6 +12,8 @@ from rpod_geometry.errors import DistortionError
 from rpod_geometry.lens import distort, undistort
 from rpod_geometry.rays import Hits, RayGrid, cast, cast_pose
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.messages.lenses import coefficients
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera
 
@@ -180,6 +182,40 @@ def test_undistort_inverts_distort(slope: tuple[float, float], k1: float, p1: fl
     camera = CAMERA.model_copy(update={"distortion": np.array([k1, 0.1, p1, -p1, 0.0])})
     there = distort(np.array(slope)[:, None], camera)
     np.testing.assert_allclose(undistort(there, camera)[:, 0], slope, atol=1e-9)
+
+
+KINECT = np.array([5.26, 3.55, 4e-5, -9e-5, 0.18, 5.59, 5.41, 0.95])
+"""As the depth camera of an Azure Kinect has them: no numerator or denominator near 1."""
+
+
+def test_a_rational_lens_is_that_of_opencv_and_has_an_inverse() -> None:
+    slopes = np.random.default_rng(5).uniform(-1.4, 1.4, (2, 200))
+    camera = CAMERA.model_copy(update={"distortion": KINECT})
+    there = distort(slopes, camera)
+    points = np.vstack((slopes, np.ones(200))).T
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), KINECT)
+    np.testing.assert_allclose(there.T, expected[:, 0], atol=1e-9)
+    np.testing.assert_allclose(undistort(there, camera), slopes, atol=1e-6)
+
+
+@pytest.mark.parametrize(("most_deg", "most_px"), [(55.0, 0.002), (70.0, 0.1)])
+def test_a_fisheye_lens_is_that_of_opencv(most_deg: float, most_px: float) -> None:
+    k = (0.05, -0.02, 0.01, -0.003)
+    rng = np.random.default_rng(6)
+    theta, turn = np.radians(most_deg) * rng.uniform(0.01, 1.0, 200), rng.uniform(0.0, 2.0 * np.pi, 200)
+    slopes = np.tan(theta) * np.stack((np.cos(turn), np.sin(turn)))
+    points = np.vstack((slopes, np.ones(200))).T[:, None]
+    expected, _ = cv2.fisheye.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array(k))
+    fitted = coefficients("equidistant", k, float(np.linalg.norm(expected, axis=-1).max()))
+    camera = CAMERA.model_copy(update={"distortion": fitted})
+    there = distort(slopes, camera)
+    assert np.abs(there.T - expected[:, 0]).max() * 300.0 < most_px
+    np.testing.assert_allclose(undistort(there, camera), slopes, atol=1e-5)
+
+
+def test_a_fisheye_lens_that_sees_too_far_is_refused() -> None:
+    with pytest.raises(MessageRejectedError, match="80 deg"):
+        coefficients("fisheye", (0.0, 0.0, 0.0, 0.0), 1.5)
 
 
 def test_a_distortion_that_folds_the_image_is_refused_by_pixel() -> None:

@@ -85,7 +85,7 @@ def image_message(**changes):
     ("changes", "reason"),
     [
         ({"encoding": "rgb8"}, Reason.WRONG_TYPE),
-        ({"encoding": "mono16"}, Reason.WRONG_TYPE),
+        ({"encoding": "mono8"}, Reason.WRONG_TYPE),
         ({"width": 7}, Reason.WRONG_SIZE),
         ({"height": 5}, Reason.WRONG_SIZE),
         ({"height": 0}, Reason.WRONG_SIZE),
@@ -115,14 +115,32 @@ def test_a_camera_survives_the_wire():
     np.testing.assert_array_equal(got.distortion, camera.distortion)
 
 
+def test_binning_and_region_of_a_camera_are_those_of_its_images():
+    message = messages.write_camera(1, "c", Camera(width=640, height=480, fx=600, fy=602, cx=319.5, cy=239.5))
+    message.binning_x = message.binning_y = 2
+    roi = message.roi
+    roi.x_offset, roi.y_offset, roi.width, roi.height = 100, 40, 400, 320
+    got = messages.read_camera(through_the_wire(message))
+    assert (got.width, got.height, got.fx, got.fy) == (200, 160, 300.0, 301.0)
+    # the principal point lies between pixels 219 and 220 of the region: in the middle of pixel 109.5
+    assert (got.cx, got.cy) == (109.5, 99.5)
+
+
+def test_the_lens_of_a_wide_camera_survives_the_wire():
+    lens = np.array([5.26, 3.55, 4e-5, -9e-5, 0.18, 5.59, 5.41, 0.95])
+    camera = Camera(width=640, height=576, fx=504, fy=504, cx=320, cy=330, distortion=lens)
+    got = messages.read_camera(through_the_wire(messages.write_camera(1, "c", camera)))
+    np.testing.assert_array_equal(got.distortion, lens)
+
+
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
-        ("distortion_model", "equidistant", Reason.WRONG_TYPE),
+        ("distortion_model", "double_sphere", Reason.WRONG_TYPE),
         ("k", np.full(9, np.nan), Reason.NOT_FINITE),
         ("k", np.zeros(9), Reason.MALFORMED),
         ("k", np.array([5.0, 0, 0, 0, 5.0, 0, 1.0, 1.0, 1.0]), Reason.MALFORMED),
-        ("d", np.zeros(8), Reason.WRONG_SIZE),
+        ("d", np.ones(8), Reason.WRONG_SIZE),
         ("width", 0, Reason.MALFORMED),
     ],
 )

@@ -24,7 +24,7 @@ MIDDLE = 2
 
 
 class Lens(NamedTuple):
-    """A camera's matrix and distortion (plumb_bob, as in CameraInfo)."""
+    """A camera's matrix and distortion (plumb_bob or rational_polynomial, as in CameraInfo)."""
 
     fx: float
     fy: float
@@ -35,6 +35,9 @@ class Lens(NamedTuple):
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
 
 
 class EdgeArrays(NamedTuple):
@@ -113,13 +116,16 @@ class Step(NamedTuple):
 def imaged(x: float, y: float, lens: Lens) -> Imaged:
     """Return the pixel that images the slopes x / z and y / z, and the derivatives by them.
 
-    Source: the plumb_bob model of OpenCV's camera calibration; derivatives by the product rule, with
-    d r^2 = 2 x dx + 2 y dy.
+    Source: the rational model of OpenCV's camera calibration, of which plumb_bob is a part; derivatives by
+    the product and quotient rules, with d r^2 = 2 x dx + 2 y dy.
     """
     k1, k2, p1, p2, k3 = lens.k1, lens.k2, lens.p1, lens.p2, lens.k3
+    k4, k5, k6 = lens.k4, lens.k5, lens.k6
     r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    growth = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+    below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
+    slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3) - radial * (k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))
+    growth = 2.0 * slope / below
     column = lens.fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + lens.cx
     row = lens.fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + lens.cy
     across = growth * x * y + 2.0 * p1 * x + 2.0 * p2 * y

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays
-from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView
+from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.config.pmd_joint import JointEdgeConfig, JointTuning
-from rpod_schemas.types import Camera, Float32Array, PmdFrame
+from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 MARGIN_PX = 16
 """Margin around the projection of the target's bounding sphere."""
@@ -75,8 +75,8 @@ class JointFrame:
     @classmethod
     def of(cls, frame: PmdFrame, t: FloatArray, *, radius_m: float, tuning: JointTuning) -> Self | str:
         """Return a frame for a target expected at ``t``, shape (3,), m, or why it cannot be used."""
-        if frame.camera.distortion[PLUMB_BOB:].any():
-            return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+        if frame.camera.distortion[LENS_COEFFICIENTS:].any():
+            return f"distortion has {len(frame.camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
         try:
             return cls._prepared(frame, t, radius_m, tuning)
         except DistortionError as error:
@@ -124,7 +124,7 @@ class JointFrame:
     def lens(self) -> Lens:
         """The camera, as the kernels take it."""
         camera = self.view.camera
-        return Lens(camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion.tolist())
+        return Lens(camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients.tolist())
 
     @property
     def pixels(self) -> CoarsePixels:
@@ -154,11 +154,29 @@ def _around(camera: Camera, t: FloatArray, radius_m: float) -> _Window:
     if t[2] <= 2.0 * radius_m:
         return slice(0, camera.height), slice(0, camera.width)
     radius = radius_m / (t[2] - radius_m)
+    if camera.coefficients[LENS_COEFFICIENTS - 3 :].any():
+        return _around_in_wide_view(camera, t[:2] / t[2], radius)
     column, row = camera.fx * t[0] / t[2] + camera.cx, camera.fy * t[1] / t[2] + camera.cy
     across, down = camera.fx * radius + MARGIN_PX, camera.fy * radius + MARGIN_PX
     return _between(row - down, row + down, camera.height), _between(
         column - across, column + across, camera.width
     )
+
+
+def _around_in_wide_view(camera: Camera, middle: FloatArray, radius: float) -> _Window:
+    """Return the window of the pixels whose slopes differ from the middle's by at most the radius.
+
+    Raises:
+        DistortionError: the lens distortion cannot be inverted.
+    """
+    near = (np.abs(DepthView.of(camera, STRIDES_PX[0]).slopes - middle) <= radius).all(axis=-1)
+    lines = (np.flatnonzero(near.any(axis=axis)) for axis in (1, 0))
+    sizes = (camera.height, camera.width)
+    rows, columns = (
+        _between(line[0] - MARGIN_PX, line[-1] + MARGIN_PX, size) if line.size else slice(0, 0)
+        for line, size in zip(lines, sizes, strict=True)
+    )
+    return rows, columns
 
 
 def _between(first: float, last: float, size: int) -> slice:

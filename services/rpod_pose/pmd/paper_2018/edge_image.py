@@ -16,9 +16,8 @@ from rpod_geometry.errors import DistortionError
 from rpod_geometry.lens import distort, undistort
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_amplitude import EdgeImageConfig
-from rpod_schemas.types import Camera, Float32Array, PmdFrame
+from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
-PLUMB_BOB = 5
 WHITE = 255.0
 BRIGHTNESS_STRIDE = 2
 """Stride, across and down, of the pixels from which the image's brightness is estimated."""
@@ -73,8 +72,8 @@ def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
     """
     if frame.amplitude is None:
         return "no amplitude image was sent"
-    if frame.camera.distortion[PLUMB_BOB:].any():
-        return f"distortion has {len(frame.camera.distortion)} coefficients, plumb_bob has {PLUMB_BOB}"
+    if frame.camera.distortion[LENS_COEFFICIENTS:].any():
+        return f"distortion has {len(frame.camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
     light = _scaled(frame.amplitude, config)
     if isinstance(light, str):
         return light
