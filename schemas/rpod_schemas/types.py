@@ -163,6 +163,9 @@ class PmdFrame(SensorFrame):
     camera: Camera
     info: PmdInfo | None = None
     """Info of the camera; None if it sends none."""
+    saturated: Image | None = None
+    """Pixels whose amplitude is saturated, so that it is at least what the image says and their depth is NaN,
+    bool, shape (height, width); None if there are none."""
 
     @property
     def lens(self) -> Camera:
@@ -182,8 +185,9 @@ class PmdFrame(SensorFrame):
         size = (self.camera.height, self.camera.width)
         if self.depth_m.shape != size:
             raise ValueError(f"depth image is {self.depth_m.shape}, camera_info says {size}")
-        if self.amplitude is not None and self.amplitude.shape != size:
-            raise ValueError(f"amplitude image is {self.amplitude.shape}, camera_info says {size}")
+        for name, image in (("amplitude", self.amplitude), ("saturation", self.saturated)):
+            if image is not None and image.shape != size:
+                raise ValueError(f"{name} image is {image.shape}, camera_info says {size}")
         return self
 
 

@@ -46,8 +46,8 @@ def decompressed(message: Any) -> Any:
     if image.ndim != 2 or image.dtype.name not in _ENCODINGS:
         raise MessageRejectedError(
             Reason.WRONG_TYPE,
-            f"{message.format!r} holds {image.shape[2:] or 1} channels of {image.dtype}, needs one of uint8 or "
-            "uint16",
+            f"{message.format!r} holds {image.shape[2:] or 1} channels of {image.dtype}, needs one of "
+            "uint8 or uint16",
         )
     known = "16UC1" if encoding == "16UC1" else _ENCODINGS[image.dtype.name]
     return write_image(read_stamp(message.header), message.header.frame_id, image, known)

@@ -9,8 +9,12 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from rpod_geometry.errors import DistortionError
+from rpod_geometry.lens import ray_cosines
 from rpod_runtime.assembler import Assembled, Assembler
+from rpod_runtime.codecs import decompressed
 from rpod_runtime.inbox import Received
 from rpod_runtime.scan_grid import GridInference, rows_are_elevation
 from rpod_schemas.config.source import SourceConfig
@@ -28,12 +32,19 @@ from rpod_schemas.messages import (
 )
 from rpod_schemas.registry import resolve
 from rpod_schemas.sensors import SensorKind
-from rpod_schemas.types import Float32Array, LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame
+from rpod_schemas.topics import COMPRESSED_IMAGE
+from rpod_schemas.types import Camera, Float32Array, LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame
 
 log = logging.getLogger(__name__)
 
 ReadT = TypeVar("ReadT")
 
+_HEADED_BYTES = 12
+"""Size of a message's CDR header and stamp."""
+_LEAST_PILE = 16
+"""Least number of pixels with an image's largest value by which it counts as clipped."""
+_PILED, _LEVELS = 5.0, 8
+"""Least number of such pixels over that of each of the next lower values, and number of these values."""
 ICD = SourceConfig()
 """The source of a sensor that keeps to the interface control document."""
 
@@ -82,6 +93,7 @@ class PmdReader:
     def __init__(self, source: SourceConfig = ICD) -> None:
         self.said: PmdInfo | None = None
         self._source = source
+        self._cosines: tuple[bytes, Float32Array] | None = None
 
     def learn(self, message: Any) -> None:
         """Store the latched info."""
@@ -89,23 +101,69 @@ class PmdReader:
 
     def read(self, frame: Assembled[Received]) -> PmdFrame:
         """Return a frame: depth, amplitude where it was sent, lens model, and the camera's info."""
-        amplitude = frame.parts.get("amplitude")
         camera = read_part(frame.parts["camera_info"], read_camera)
         size = (camera.height, camera.width)
         frame_id, depth_m = read_part(
             frame.parts["depth"],
-            lambda message: (str(message.header.frame_id), sized(read_depth(message), size)),
+            lambda message: (str(message.header.frame_id), sized(read_depth(_plain(message)), size)),
         )
+        if self._source.depth == "radial":
+            depth_m = self._along_boresight(frame.parts["camera_info"], camera, depth_m)
+        amplitude = saturated = None
+        if sent := frame.parts.get("amplitude"):
+            amplitude = read_part(sent, lambda message: sized(read_amplitude(_plain(message)), size))
+            saturated = saturated_pixels(amplitude, self._source.saturated_amplitude)
+        if saturated is not None:
+            depth_m = np.where(saturated, np.float32(np.nan), depth_m)
+            depth_m.setflags(write=False)
         return PmdFrame(
             stamp_ns=frame.stamp_ns,
             frame_id=frame_id,
             depth_m=depth_m,
-            amplitude=read_part(amplitude, lambda message: sized(read_amplitude(message), size))
-            if amplitude
-            else None,
+            amplitude=amplitude,
             camera=camera,
             info=self.said,
+            saturated=saturated,
         )
+
+    def _along_boresight(self, received: Received, camera: Camera, range_m: Float32Array) -> Float32Array:
+        """Return the z-depth of radial distances."""
+        payload = bytes(received.payload[_HEADED_BYTES:])  # all but the stamp
+        if self._cosines is None or self._cosines[0] != payload:
+            try:
+                self._cosines = payload, ray_cosines(camera).astype(np.float32)
+            except DistortionError as error:
+                rejection = MessageRejectedError(Reason.MALFORMED, str(error))
+                raise PartRejectedError(received, rejection) from error
+        depth_m = range_m * self._cosines[1]
+        depth_m.setflags(write=False)
+        return depth_m
+
+
+def saturated_pixels(amplitude: NDArray[Any], limit: float | None) -> NDArray[np.bool_] | None:
+    """Return the pixels of an amplitude image that are saturated, same shape; None if there are none.
+
+    Without a limit these are the pixels with the largest value of an integer type, or with the largest of the
+    image if far more have it than the values just below, which means that it is clipped there.
+    """
+    if limit is not None:
+        saturated = amplitude >= limit
+        return saturated if saturated.any() else None
+    largest = np.nanmax(amplitude, initial=0)
+    if amplitude.dtype.kind == "u" and largest == np.iinfo(amplitude.dtype).max:
+        return amplitude == largest
+    saturated = amplitude == largest
+    piled = np.count_nonzero(saturated)
+    if piled < _LEAST_PILE or not largest > 0:
+        return None
+    _, counts = np.unique(amplitude[(amplitude < largest) & (amplitude > largest / 2)], return_counts=True)
+    gradual = counts.size >= _LEVELS and piled > _PILED * counts[-_LEVELS:].mean()
+    return saturated if gradual else None
+
+
+def _plain(message: Any) -> Any:
+    """Return an image that is not compressed."""
+    return decompressed(message) if message.__msgtype__ == COMPRESSED_IMAGE else message
 
 
 class LidarReader:

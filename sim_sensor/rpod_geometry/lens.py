@@ -47,6 +47,19 @@ def undistort(distorted: FloatArray, camera: Camera) -> FloatArray:
     return slopes
 
 
+def ray_cosines(camera: Camera) -> FloatArray:
+    """Return z-depth over radial distance of every pixel, shape (height, width).
+
+    Raises:
+        DistortionError: the distortion folds the image over itself.
+    """
+    column, row = np.arange(camera.width), np.arange(camera.height)
+    x, y = np.meshgrid((column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy)
+    u, v = undistort(np.stack((x, y)), camera)
+    cosines: FloatArray = 1.0 / np.sqrt(1.0 + u * u + v * v)
+    return cosines
+
+
 @np.errstate(all="ignore")  # divergence is detected by the last step
 def _newton_step(
     slopes: FloatArray, distorted: FloatArray, camera: Camera

@@ -136,6 +136,10 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     range_m = np.nan_to_num(depth_m / rays[2], nan=0.0).astype(np.float32)
     nearby = _around(rays, range_m, REACH * radius_m)
     amplitude, lit, blind, least = _amplitudes(frame.amplitude, view, range_m == 0.0, dim)
+    if frame.saturated is not None:  # lit, by an amplitude that is unknown
+        saturated = frame.saturated[view.offset :: view.stride, view.offset :: view.stride]
+        amplitude[saturated] = 0.0
+        lit |= saturated & (range_m == 0.0)
     range_m = np.where(nearby, range_m, np.float32(0.0))
     points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
     if len(points_m) < config.min_points:

@@ -157,7 +157,8 @@ def across_edge(at: Imaged, towards: tuple[float, float, float], x: float, y: fl
 def steepest(image: Float32Array, line: Profile, reach: float, least: float) -> Step:
     """Return the position and size of the steepest change along a line.
 
-    A line cannot be searched if it leaves the image, is dark in its middle, or is clipped all along.
+    A line cannot be searched if it leaves the image, is dark in its middle, is clipped all along, or meets
+    pixels that are unknown (NaN).
 
     Args:
         image: shape (rows, columns).
@@ -183,6 +184,8 @@ def steepest(image: Float32Array, line: Profile, reach: float, least: float) -> 
         upper = image[i, j] + a * (image[i, j + 1] - image[i, j])
         lower = image[i + 1, j] + a * (image[i + 1, j + 1] - image[i + 1, j])
         profile[k + most] = upper + b * (lower - upper)
+        if np.isnan(profile[k + most]):
+            return Step(0.0, -1.0)
         lowest, highest = min(lowest, profile[k + most]), max(highest, profile[k + most])
         if abs(k) <= MIDDLE:
             brightest = max(brightest, profile[k + most])

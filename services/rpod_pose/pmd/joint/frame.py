@@ -35,6 +35,8 @@ LIT_SHARE = 0.25
 """Least amplitude in the estimate of the noise, over the median amplitude."""
 CHANGE_SIGMAS = 3.0
 """Least change of amplitude that counts as an edge, over its noise."""
+MIXED_BLURS = 2.0
+"""Distance from a saturated pixel, over the blur, within which the smoothed amplitude is not used."""
 _NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0, 0.0)
 _Window = tuple[slice, slice]
 """A window of the image: rows and columns."""
@@ -113,7 +115,11 @@ class JointFrame:
         if frame.amplitude is None:
             shade[:] = np.nan
         else:
-            patch = _patch(frame.amplitude, around, typical=typical, config=tuning.edges)
+            patch = _patch(frame, frame.amplitude, around, typical=typical, config=tuning.edges)
+        if frame.saturated is not None:
+            shade[_widened(frame.saturated, 1)[view.offset :: view.stride, view.offset :: view.stride]] = (
+                np.nan
+            )
         per_px = 2 if patch.image.size <= FINE_PX else 1
         lines = around if patch.typical else (slice(0, 1), slice(0, 1))
         window = (slice(per_px * one.start, per_px * one.stop) for one in lines)
@@ -187,24 +193,41 @@ def _between(first: float, last: float, size: int) -> slice:
 
 
 def _patch(
-    amplitude: NDArray[np.generic], around: _Window, *, typical: float, config: JointEdgeConfig
+    frame: PmdFrame,
+    amplitude: NDArray[np.generic],
+    around: _Window,
+    *,
+    typical: float,
+    config: JointEdgeConfig,
 ) -> Patch:
     """Return the smoothed amplitude around the target, with the least change that counts and its noise.
 
-    The typical amplitude of pixels with depth is only a start: depth may be left on dark parts alone.
+    The typical amplitude of pixels with depth is only a start: depth may be left on dark parts alone. Pixels
+    that the smoothing mixes with saturated ones are NaN: an edge of what is clipped is not one of the target.
     """
     rows, columns = around
     part = np.nan_to_num(amplitude[around].astype(np.float32))
     if min(part.shape) < MIN_PATCH:
         return _NO_PATCH
+    saturated = None if frame.saturated is None else frame.saturated[around]
+    if saturated is not None:
+        part[saturated] = 0.0  # unknown, in the estimates that follow
     typical = typical_of(part, typical or float(np.median(part[part >= part.mean()])))
     if typical <= 0.0:
         return _NO_PATCH
     noise = noise_of_change(config.blur_px) * noise_of(part, LIT_SHARE * typical)
     np.minimum(part, config.clip * typical, out=part)
     smooth: NDArray[np.float32] = cv2.GaussianBlur(part, (0, 0), config.blur_px)  # type: ignore[assignment]
+    if saturated is not None:
+        smooth[_widened(saturated, math.ceil(MIXED_BLURS * config.blur_px))] = np.nan
     least = max(config.least_contrast * typical, CHANGE_SIGMAS * noise)
     return Patch(smooth, float(columns.start), float(rows.start), least, noise, typical)
+
+
+def _widened(mask: NDArray[np.bool_], by_px: int) -> NDArray[np.bool_]:
+    """Return the pixels at most ``by_px`` rows and columns from one of a mask, same shape."""
+    side = 2 * by_px + 1
+    return cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
 
 
 class DepthImages(NamedTuple):

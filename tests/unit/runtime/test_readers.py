@@ -1,0 +1,125 @@
+"""Readers of sensors: images as drivers send them, compressed, radial or saturated."""
+
+import cv2
+import numpy as np
+import pytest
+
+from rpod_runtime import Received
+from rpod_runtime.assembler import Assembled
+from rpod_runtime.codecs import decompressed
+from rpod_runtime.frames import LidarReader, PartRejectedError, PmdReader, saturated_pixels
+from rpod_schemas.cdr import encode, message_class
+from rpod_schemas.config.source import SourceConfig
+from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.messages import write_camera, write_header, write_image, write_points
+from rpod_schemas.poses import make_pose
+from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, COMPRESSED_IMAGE, DEPTH, POINTS, Topic
+from rpod_schemas.types import Camera
+from rpod_schemas.wire import Attachment
+
+CAMERA = Camera(width=60, height=40, fx=50.0, fy=51.0, cx=29.5, cy=19.5)
+FORWARD = make_pose(translation_m=[0.5, 0.0, 0.2])
+DEPTH_MM = np.arange(1000, 3400, dtype=np.uint16).reshape(40, 60)
+
+
+def received(topic, message):
+    return Received(topic, "k", memoryview(bytes(encode(message))), Attachment(1, 0, bytes(16)), 0, 0.0)
+
+
+def compressed(image, form, suffix=".png", before=b""):
+    data = np.frombuffer(before + cv2.imencode(suffix, image)[1].tobytes(), np.uint8)
+    return message_class(COMPRESSED_IMAGE)(header=write_header(1, "c"), format=form, data=data)
+
+
+def frame(depth, amplitude=None, camera=CAMERA):
+    parts = {"depth": depth, "camera_info": write_camera(1, "c", camera)}
+    if amplitude is not None:
+        parts["amplitude"] = amplitude
+    topics = {"depth": DEPTH, "camera_info": CAMERA_INFO, "amplitude": AMPLITUDE}
+    sent = {}
+    for name, message in parts.items():
+        topic = topics[name].of("pmd")
+        sent[name] = received(Topic(topic.name, message.__msgtype__), message)
+    return Assembled(1, sent)
+
+
+def plain(image, encoding):
+    return write_image(1, "c", image, encoding)
+
+
+def test_compressed_depth_of_16uc1_loses_nothing():
+    sent = frame(compressed(DEPTH_MM, "16UC1; compressedDepth png", before=bytes(12)))
+    np.testing.assert_allclose(PmdReader().read(sent).depth_m, DEPTH_MM * 1e-3, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("suffix", "most"), [(".png", 0), (".jpg", 3)])
+def test_a_compressed_amplitude_is_read(suffix, most):
+    image = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 200, (40, 60), np.uint8), (0, 0), 4)
+    sent = frame(plain(DEPTH_MM, "16UC1"), compressed(image, "mono8; jpeg compressed mono8", suffix))
+    assert np.abs(PmdReader().read(sent).amplitude.astype(int) - image).max() <= most
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        (compressed(DEPTH_MM, "32FC1; compressedDepth png", before=bytes(12)), "loses depth"),
+        (compressed(DEPTH_MM, "16UC1; compressedDepth rvl", before=bytes(12)), "set its format to png"),
+        (compressed(DEPTH_MM, "16UC1; compressedDepth png", before=bytes(7)), "cannot be decoded"),
+        (compressed(np.zeros((4, 4, 3), np.uint8), "bgr8; png compressed bgr8"), "channels"),
+    ],
+)
+def test_what_no_codec_restores_is_refused(message, reason):
+    with pytest.raises(MessageRejectedError, match=reason):
+        decompressed(message)
+
+
+@pytest.mark.parametrize("distortion", [np.zeros(5), np.array([-0.3, 0.1, 0.001, 0.0, 0.0])])
+def test_radial_depth_becomes_depth_along_the_boresight(distortion):
+    camera = CAMERA.model_copy(update={"distortion": distortion})
+    column, row = np.meshgrid(np.arange(60.0), np.arange(40.0))
+    pixels = np.stack((column, row), axis=-1).reshape(-1, 1, 2)
+    rays = cv2.undistortPoints(pixels, camera.K, distortion).reshape(40, 60, 2)
+    radial_m = (2.0 * np.sqrt(1.0 + (rays**2).sum(axis=-1))).astype(np.float32)
+    reader = PmdReader(SourceConfig(depth="radial"))
+    for _ in range(2):
+        read = reader.read(frame(plain(radial_m, "32FC1"), camera=camera))
+        np.testing.assert_allclose(read.depth_m, 2.0, rtol=1e-4)
+
+
+def test_radial_depth_of_a_lens_without_an_inverse_is_refused():
+    folding = CAMERA.model_copy(update={"distortion": np.array([-8.0, 0, 0, 0, 0])})
+    with pytest.raises(PartRejectedError, match="no inverse"):
+        PmdReader(SourceConfig(depth="radial")).read(frame(plain(DEPTH_MM, "16UC1"), camera=folding))
+
+
+def noisy(scale, largest, dtype):
+    image = np.random.default_rng(2).normal(500.0, 150.0, (200, 300)) * scale
+    return np.clip(image, 0.0, largest).astype(dtype)
+
+
+def test_saturation_is_recognised_by_the_encoding_or_by_a_pile():
+    assert saturated_pixels(noisy(1.0, 65535, np.uint16), None) is None
+    for image in (noisy(100.0, 65535, np.uint16), noisy(5.0, 4095, np.uint16), noisy(0.002, 1.0, np.float32)):
+        np.testing.assert_array_equal(saturated_pixels(image, None), image == image.max())
+    assert np.count_nonzero(saturated_pixels(noisy(1.0, 65535, np.uint16), 900.0)) > 100
+    flat = np.where(np.arange(6000).reshape(60, 100) % 7 < 3, 255, 0).astype(np.uint16)
+    assert saturated_pixels(flat, None) is None  # a mask, not a clipped image
+
+
+def test_the_depth_of_saturated_pixels_is_not_used():
+    amplitude = np.full((40, 60), 900, np.uint16)
+    amplitude[10:20, 10:20] = 65535
+    read = PmdReader().read(frame(plain(DEPTH_MM, "16UC1"), plain(amplitude, "mono16")))
+    np.testing.assert_array_equal(read.saturated, amplitude == 65535)
+    np.testing.assert_array_equal(np.isnan(read.depth_m), read.saturated)
+
+
+def test_points_with_x_forward_are_turned_to_the_boresight():
+    ahead = {"x": np.float32([5, 6]), "y": np.float32([1, 1]), "z": np.float32([2, 2])}
+    cloud = write_points(1, "os_lidar", {**ahead, "t": np.float32([0.0, 0.1])})
+    source = SourceConfig(axes="forward", stamp="start", duration_s=0.1)
+    scan = LidarReader(source).read(Assembled(1, {"points": received(POINTS.of("lidar"), cloud)}))
+    np.testing.assert_array_equal(scan.points_m, [[-1, -2, 5], [-1, -2, 6]])
+    np.testing.assert_allclose(scan.time_s, [-0.05, 0.05])
+    mount = source.boresight_mount(SourceConfig().boresight_mount(FORWARD))
+    np.testing.assert_allclose(mount.apply([-1.0, -2.0, 5.0]), FORWARD.apply([5.0, 1.0, 2.0]))
