@@ -38,7 +38,7 @@ def strange_frames() -> dict[str, PmdFrame]:
     """Return frames that show no target, or nothing that a camera could have seen."""
     rng = np.random.default_rng(5)
     folded = CAMERA.model_copy(update={"distortion": np.array([-9.0, 0.0, 0.0, 0.0, 0.0])})
-    fisheye = CAMERA.model_copy(update={"distortion": np.full(8, 0.1)})
+    fisheye = CAMERA.model_copy(update={"distortion": np.full(9, 0.1)})
     unnamed = CAMERA.model_copy(update={"distortion": np.zeros(0)})
     noise = rng.uniform(0.1, 9.0, (CAMERA.height, CAMERA.width))
     return {

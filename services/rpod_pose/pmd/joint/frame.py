@@ -210,12 +210,11 @@ def _patch(
     if min(part.shape) < MIN_PATCH:
         return _NO_PATCH
     saturated = None if frame.saturated is None else frame.saturated[around]
-    if saturated is not None:
-        part[saturated] = 0.0  # unknown, in the estimates that follow
     typical = typical_of(part, typical or float(np.median(part[part >= part.mean()])))
     if typical <= 0.0:
         return _NO_PATCH
-    noise = noise_of_change(config.blur_px) * noise_of(part, LIT_SHARE * typical)
+    known = part if saturated is None else np.where(saturated, np.float32(0.0), part)
+    noise = noise_of_change(config.blur_px) * noise_of(known, LIT_SHARE * typical)
     np.minimum(part, config.clip * typical, out=part)
     smooth: NDArray[np.float32] = cv2.GaussianBlur(part, (0, 0), config.blur_px)  # type: ignore[assignment]
     if saturated is not None:
