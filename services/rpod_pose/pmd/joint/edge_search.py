@@ -7,6 +7,7 @@ Real-Time Visual Tracking of Complex Structures, IEEE PAMI 24(7), 2002).
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_schemas.arrays import FloatArray
@@ -19,6 +20,7 @@ MOST_REACH = 32
 """Greatest length of a profile in both directions, px."""
 FLAT = 0.02
 """Least change along a profile over the change that counts: noise changes more, glints and blackouts less."""
+NOT_SATURATED = np.zeros((0, 0), np.uint8)
 MIDDLE = 2
 """Half length of the middle of a profile, px."""
 
@@ -77,6 +79,8 @@ class Patch(NamedTuple):
     """Standard deviation of a change of amplitude over two pixels."""
     typical: float
     """Median amplitude of the target; 0 if nothing is searched."""
+    saturated: NDArray[np.uint8] = NOT_SATURATED
+    """1 where saturated pixels shift edges, shape (rows, columns); shape (0, 0) if none is saturated."""
 
 
 class Imaged(NamedTuple):
@@ -157,8 +161,7 @@ def across_edge(at: Imaged, towards: tuple[float, float, float], x: float, y: fl
 def steepest(image: Float32Array, line: Profile, reach: float, least: float) -> Step:
     """Return the position and size of the steepest change along a line.
 
-    A line cannot be searched if it leaves the image, is dark in its middle, is clipped all along, or meets
-    pixels that are unknown (NaN).
+    A line cannot be searched if it leaves the image, is dark in its middle, or is clipped all along.
 
     Args:
         image: shape (rows, columns).
@@ -184,8 +187,6 @@ def steepest(image: Float32Array, line: Profile, reach: float, least: float) -> 
         upper = image[i, j] + a * (image[i, j + 1] - image[i, j])
         lower = image[i + 1, j] + a * (image[i + 1, j + 1] - image[i + 1, j])
         profile[k + most] = upper + b * (lower - upper)
-        if np.isnan(profile[k + most]):
-            return Step(0.0, -1.0)
         lowest, highest = min(lowest, profile[k + most]), max(highest, profile[k + most])
         if abs(k) <= MIDDLE:
             brightest = max(brightest, profile[k + most])

@@ -42,6 +42,9 @@ SCALE = 0.2
 """Geman-McClure scale of an edge's residual over the reach of its search."""
 BLUNTNESS_PX = 1.4
 """Standard deviation of an edge's position by noise, px, per noise of its change over the change itself."""
+SHIFT_PX = 0.5
+"""Standard deviation of the shift, towards the darker side, that all edges beside saturated pixels share: a
+fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel."""
 NEAREST_M = 0.3
 """Least distance in the weights of edges."""
 
@@ -107,6 +110,8 @@ class EdgeEvidence(NamedTuple):
     """Number of these within the scale."""
     expected: float
     """Expected number of these within the scale at the right pose."""
+    shifted: int
+    """Number of inliers beside saturated pixels."""
 
 
 class JointEvidence(NamedTuple):
@@ -148,7 +153,7 @@ def add_edge_points(
     edges, lens, patch, expected_edges = sight
     places, directions = edges.places_m, edges.directions
     R, t = pose.R, pose.t
-    squares, inliers, checked, found, expected = 0.0, 0, 0, 0, 0.0
+    squares, inliers, checked, found, expected, shifted = 0.0, 0, 0, 0, 0.0, 0
     c2 = (SCALE * reach) ** 2
     for m in range(len(expected_edges.sample)):
         n = expected_edges.sample[m]
@@ -182,7 +187,9 @@ def add_edge_points(
         if e2 < c2:
             inliers += 1
             squares += e2
-    return EdgeEvidence(squares, inliers, checked, found, expected)
+            if patch.saturated.size:
+                shifted += patch.saturated[int(row + place * down), int(column + place * across)]
+    return EdgeEvidence(squares, inliers, checked, found, expected, shifted)
 
 
 @kernel
@@ -216,6 +223,7 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
         variance = max(edges.squares_px2 / edges.inliers, edge_errors.noise_px**2)
         variance /= min(edge_errors.most_edges, edges.inliers)
         widened = (reach / edge_errors.reach_px) ** 4
+        variance += (SHIFT_PX * edges.shifted / edges.inliers) ** 2
         total += sums / (edges.inliers * widened * (variance + (depth.slack_m * px_per_m) ** 2))
     total[SUMS - 2] += 1.0 / depth.bias_m**2
     total[SUMS - 1] += state.bias_m / depth.bias_m**2

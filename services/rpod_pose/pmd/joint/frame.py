@@ -13,7 +13,7 @@ from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
-from rpod_pose.pmd.joint.edge_search import CoarsePixels, Lens, Patch
+from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.config.pmd_joint import JointEdgeConfig, JointTuning
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
@@ -36,7 +36,7 @@ LIT_SHARE = 0.25
 CHANGE_SIGMAS = 3.0
 """Least change of amplitude that counts as an edge, over its noise."""
 MIXED_BLURS = 2.0
-"""Distance from a saturated pixel, over the blur, within which the smoothed amplitude is not used."""
+"""Distance from a saturated pixel, over the blur, within which edges are shifted."""
 _NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0, 0.0)
 _Window = tuple[slice, slice]
 """A window of the image: rows and columns."""
@@ -202,8 +202,7 @@ def _patch(
 ) -> Patch:
     """Return the smoothed amplitude around the target, with the least change that counts and its noise.
 
-    The typical amplitude of pixels with depth is only a start: depth may be left on dark parts alone. Pixels
-    that the smoothing mixes with saturated ones are NaN: an edge of what is clipped is not one of the target.
+    The typical amplitude of pixels with depth is only a start: depth may be left on dark parts alone.
     """
     rows, columns = around
     part = np.nan_to_num(amplitude[around].astype(np.float32))
@@ -217,10 +216,11 @@ def _patch(
     noise = noise_of_change(config.blur_px) * noise_of(known, LIT_SHARE * typical)
     np.minimum(part, config.clip * typical, out=part)
     smooth: NDArray[np.float32] = cv2.GaussianBlur(part, (0, 0), config.blur_px)  # type: ignore[assignment]
-    if saturated is not None:
-        smooth[_widened(saturated, math.ceil(MIXED_BLURS * config.blur_px))] = np.nan
     least = max(config.least_contrast * typical, CHANGE_SIGMAS * noise)
-    return Patch(smooth, float(columns.start), float(rows.start), least, noise, typical)
+    mixed = NOT_SATURATED
+    if saturated is not None:
+        mixed = _widened(saturated, math.ceil(MIXED_BLURS * config.blur_px)).view(np.uint8)
+    return Patch(smooth, float(columns.start), float(rows.start), least, noise, typical, mixed)
 
 
 def _widened(mask: NDArray[np.bool_], by_px: int) -> NDArray[np.bool_]:
