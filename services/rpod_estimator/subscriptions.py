@@ -7,7 +7,10 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from rpod_estimator.frame_reader import Arrived, FrameReader
+from rpod_estimator.stamp_watch import StampWatch
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.frames import PartRejectedError
@@ -31,6 +34,7 @@ class Subscriptions:
         self._reader = FrameReader(config.sensors)
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
+        self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
         for topic in self._reader.streams:
@@ -86,6 +90,8 @@ class Subscriptions:
         sensor, part = self._reader.parts[received.topic.name]
         assembler = self._reader.assemblers[sensor]
         stamp_ns = self._reader.stamp_ns(sensor, received)
+        if part == self._reader.leading[sensor] and not self._in_lockstep:
+            self._watch(sensor, stamp_ns, received.arrival_ns)
         try:
             if part not in assembler.lasting:
                 self._check_freshness(received, stamp_ns)
@@ -97,6 +103,13 @@ class Subscriptions:
             raise
         self._put(sensor, assembler.add(part, stamp_ns, received))
         self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
+
+    def _watch(self, sensor: str, stamp_ns: int, arrival_ns: int) -> None:
+        watch = self._watches[sensor]
+        watch.add(stamp_ns, arrival_ns)
+        self._node.health.measure(f"stamp_age_s/{sensor}", watch.age_s)
+        if np.isfinite(watch.drift_ppm):
+            self._node.health.measure(f"clock_drift_ppm/{sensor}", watch.drift_ppm)
 
     def _put(self, sensor: str, frames: list[Assembled[Received]]) -> None:
         for frame in frames:

@@ -5,11 +5,13 @@ from threading import Thread
 import numpy as np
 import pytest
 
+from rpod_estimator.stamp_watch import StampWatch
 from rpod_estimator.subscriptions import Subscriptions
 from rpod_runtime import BusClock, Received, WallClock
 from rpod_runtime.health import HealthBook
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.messages import (
     write_camera,
     write_clock,
@@ -37,13 +39,14 @@ class FakeNode:
 
     def __init__(self, time_source):
         self.health = HealthBook("estimator")
-        self.sinks, self.recovered = {}, {}
+        self.sinks, self.recovered, self.past = {}, {}, {}
         self.clock = BusClock() if time_source == "clock" else WallClock()
         self.refused = []
 
     def subscribe(self, topic, sink, *, recover=False, history=False):
         self.sinks[topic] = sink
         self.recovered[topic] = recover
+        self.past[topic] = history
 
     def reject(self, topic, error):
         self.refused.append((topic, str(error.reason)))
@@ -517,3 +520,73 @@ def test_a_camera_without_a_positive_frequency_is_not_believed():
     assert bench.arrived() == []
     assert bench.node.refused == [("pmd/info", "malformed")]
     assert bench.inputs.infos["pmd"] is None
+
+
+# --- drivers that do not keep to the ICD ---
+
+
+def test_a_camera_info_once_a_second_or_from_before_is_enough():
+    bench = Bench()
+    assert [topic.name for topic, past in bench.node.past.items() if past] == ["pmd/camera_info"]
+    bench.send(CAMERA_INFO.of("pmd"), write_camera(NOW_NS - 3_600 * SECOND_NS, "pmd_optical", CAMERA))
+    found = []
+    for number in range(5):
+        stamp_ns = NOW_NS - SECOND_NS // 2 + number * 10**7
+        bench.send(DEPTH.of("pmd"), write_image(stamp_ns, "pmd_optical", DEPTH_M, "32FC1"))
+        found += bench.arrived()
+    assert len(found) == 4  # the last one waits for its amplitude
+    assert all(arrived.measurement is not None for arrived in found)
+
+
+def test_without_a_camera_info_no_frame_is_complete():
+    bench = Bench()
+    for number in range(12):
+        stamp_ns = NOW_NS - SECOND_NS // 2 + number * 10**7
+        bench.send(DEPTH.of("pmd"), write_image(stamp_ns, "pmd_optical", DEPTH_M, "32FC1"))
+    assert bench.arrived() == []
+    assert bench.counters["incomplete/pmd"] == 4
+
+
+FOREIGN = {
+    "topics": {"depth": "depth/image", "camera_info": "/other/info", "amplitude": "ir/image"},
+    "namespace": "robot/cam",
+    "stamp": "start",
+    "duration_s": 0.02,
+    "clock_offset_s": 37.0,
+    "pair_within_s": 0.002,
+}
+
+
+def test_topics_stamps_and_pairing_of_a_driver_are_configuration():
+    bench = Bench(sensors=[{"kind": "pmd", "name": "front", "source": FOREIGN, "T_chaser_sensor": {}}])
+    names = {topic.name: topic for topic in bench.node.sinks}
+    sent_ns = NOW_NS + 37 * SECOND_NS
+    bench.send(names["other/info"], write_camera(sent_ns, "c", CAMERA))
+    bench.send(names["robot/cam/depth/image"], write_image(sent_ns, "c", DEPTH_M, "32FC1"))
+    image = np.ones((4, 6), np.uint16)
+    bench.send(names["robot/cam/ir/image"], write_image(sent_ns + 1_500_000, "c", image, "mono16"))
+    (arrived,) = bench.arrived()
+    assert (arrived.sensor, arrived.stamp_ns) == ("front", NOW_NS + 10_000_000)
+    assert arrived.measurement.data.amplitude is not None
+    assert bench.node.health.diagnostic(0).values["stamp_age_s/front"] == "-0.01"
+
+
+@pytest.mark.parametrize(
+    ("source", "text"),
+    [
+        ({"topics": {"depth": "d"}}, "'camera_info' is missing"),
+        ({"topics": {"depth": "d", "camera_info": "c", "infra": "i"}}, "'infra' is no part of a PMD camera"),
+    ],
+)
+def test_topics_that_make_no_frame_are_told(source, text):
+    with pytest.raises(ConfigurationError, match=text):
+        Bench(sensors=[{"kind": "pmd", "source": source}])
+
+
+def test_drift_of_a_clock_is_seen_through_the_delays():
+    watch, rng = StampWatch(), np.random.default_rng(1)
+    for second in np.arange(0.0, 30.0, 0.05):
+        delay_s = 0.003 + rng.exponential(0.004)
+        watch.add(round((100.0 + second * (1.0 + 50e-6) - delay_s) * 1e9), round((100.0 + second) * 1e9))
+    assert watch.drift_ppm == pytest.approx(50.0, abs=15.0)
+    assert watch.age_s == pytest.approx(0.003 - 29 * 50e-6, abs=0.001)

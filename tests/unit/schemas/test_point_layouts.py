@@ -12,8 +12,8 @@ SINCE_S = np.linspace(0.0, 0.09, 6)
 NUMBERS = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
 LAYOUTS = {
-    # ouster-lidar/ouster-ros, ouster-ros/include/ouster_ros/os_point.h, commit 24d9c7e: a PCL point, whose x, y,
-    # z fill 16 bytes; t in ns from the stamp, that of the first column
+    # ouster-lidar/ouster-ros, ouster-ros/include/ouster_ros/os_point.h, commit 24d9c7e: a PCL point, whose
+    # x, y, z fill 16 bytes; t in ns from the stamp, that of the first column
     "ouster": (
         48,
         {"x": ("f4", 0), "y": ("f4", 4), "z": ("f4", 8), "intensity": ("f4", 16), "t": ("u4", 20),
@@ -44,7 +44,8 @@ LAYOUTS = {
     # the same driver's CustomMsg, as converters write it into a cloud
     "livox custom": (
         20,
-        {"x": ("f4", 0), "y": ("f4", 4), "z": ("f4", 8), "reflectivity": ("u1", 12), "offset_time": ("u4", 16)},
+        {"x": ("f4", 0), "y": ("f4", 4), "z": ("f4", 8), "reflectivity": ("u1", 12),
+         "offset_time": ("u4", 16)},
         "offset_time", SINCE_S * 1e9,
     ),
     "milliseconds": (

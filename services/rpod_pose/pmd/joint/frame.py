@@ -35,6 +35,8 @@ LIT_SHARE = 0.25
 """Least amplitude in the estimate of the noise, over the median amplitude."""
 CHANGE_SIGMAS = 3.0
 """Least change of amplitude that counts as an edge, over its noise."""
+MOST_SATURATED = 0.8
+"""Greatest share of saturated pixels among the lit ones: with more, edges are those of what is clipped."""
 MIXED_BLURS = 2.0
 """Distance from a saturated pixel, over the blur, within which edges are shifted."""
 _NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0, 0.0)
@@ -80,18 +82,23 @@ class JointFrame:
         if frame.camera.distortion[LENS_COEFFICIENTS:].any():
             return f"distortion has {len(frame.camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
         try:
-            return cls._prepared(frame, t, radius_m, tuning)
+            around = _around(frame.camera, t, radius_m)
+            if (share := _saturated_share(frame, around)) > MOST_SATURATED:
+                most = f"{MOST_SATURATED:.0%} at most; expose shorter"
+                return f"{share:.0%} of the lit pixels are saturated, {most}"
+            return cls._prepared(frame, t, around, radius_m=radius_m, tuning=tuning)
         except DistortionError as error:
             return str(error)
 
     @classmethod
-    def _prepared(cls, frame: PmdFrame, t: FloatArray, radius_m: float, tuning: JointTuning) -> Self:
-        """Return the frame.
+    def _prepared(
+        cls, frame: PmdFrame, t: FloatArray, around: _Window, *, radius_m: float, tuning: JointTuning
+    ) -> Self:
+        """Return the frame with the edges of a window.
 
         Raises:
             DistortionError: the lens has no inverse at a pixel that is used.
         """
-        around = _around(frame.camera, t, radius_m)
         radius_px = frame.camera.fx * radius_m / max(t[2], 1e-3)
         stride = _stride(frame, around, radius_px=radius_px, points=tuning.depth.points)
         view = DepthView.of(frame.camera, stride)
@@ -136,6 +143,14 @@ class JointFrame:
     def pixels(self) -> CoarsePixels:
         """Positions of the coarse pixels."""
         return CoarsePixels(self.view.stride, self.view.offset)
+
+
+def _saturated_share(frame: PmdFrame, around: _Window) -> float:
+    """Return the share of saturated pixels among those that are saturated or have depth."""
+    if frame.saturated is None:
+        return 0.0
+    saturated = np.count_nonzero(frame.saturated[around])
+    return float(saturated / max(1, saturated + np.count_nonzero(frame.depth_m[around] > 0.0)))
 
 
 def _trust(sigma_m: FloatArray, strength: FloatArray, other_m: float) -> FloatArray:

@@ -155,6 +155,31 @@ def test_a_glint_over_two_fifths_of_both_images_costs_little() -> None:
     assert_within(error(registration), 1.0, 0.015)
 
 
+def saturated(share: float) -> PmdFrame:
+    """Return the frame with an amplitude clipped for a share of the lit pixels, as a reader hands it over."""
+    lit = FRAME.amplitude[FRAME.depth_m > 0.0]  # type: ignore[index]
+    gain = 65535.0 / np.quantile(lit, 1.0 - share)
+    amplitude = np.minimum(FRAME.amplitude * gain, 65535.0).astype(np.uint16)
+    clipped = amplitude == 65535
+    depth_m = np.where(clipped, np.float32(np.nan), FRAME.depth_m)
+    return FRAME.model_copy(update={"amplitude": amplitude, "saturated": clipped, "depth_m": depth_m})
+
+
+@pytest.mark.parametrize("share", [0.1, 0.6])
+def test_a_saturated_amplitude_widens_the_covariance(share: float) -> None:
+    clean = TRACKER.track(FRAME, off(TRUTH, 0.5, 0.01))
+    registration = TRACKER.track(saturated(share), off(TRUTH, 0.5, 0.01))
+    assert registration.continues_track
+    assert_within(error(registration), 0.5, 0.01)
+    assert np.trace(registration.covariance[3:, 3:]) > 2.0 * np.trace(clean.covariance[3:, 3:])
+
+
+def test_where_all_is_saturated_there_is_no_pose() -> None:
+    registration = TRACKER.track(saturated(0.999), off(TRUTH, 0.5, 0.01))
+    assert not registration.continues_track
+    assert "saturated" in registration.belief.reason
+
+
 def test_a_lens_that_distorts_is_undone() -> None:
     camera = CAMERA.camera.model_copy(update={"distortion": np.array((-0.2, 0.1, 0.003, -0.002, 0.0))})
     config = CAMERA.model_copy(update={"camera": camera})

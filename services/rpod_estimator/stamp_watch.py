@@ -1,0 +1,44 @@
+"""A sensor's stamps against their arrival: how old its frames are, and how its clock drifts.
+
+The difference between arrival and stamp is the transport's delay plus the offset of the sensor's clock, which
+one direction alone cannot separate. Delays only add, so that the least difference in each second follows the
+clock.
+"""
+
+from collections import deque
+
+import numpy as np
+
+from rpod_schemas.messages import NANOSECONDS
+
+_SECONDS = 60
+"""Number of seconds over which the drift is estimated."""
+_LEAST_SECONDS = 10
+
+
+class StampWatch:
+    """Measures the stamps of one sensor."""
+
+    def __init__(self) -> None:
+        self._least_s: deque[tuple[int, float]] = deque(maxlen=_SECONDS)
+        """Second of arrival, and least age on arrival in it, s."""
+
+    def add(self, stamp_ns: int, arrival_ns: int) -> None:
+        """Take the stamp of a frame, corrected by its source, and the time of its arrival."""
+        second, age_s = arrival_ns // NANOSECONDS, (arrival_ns - stamp_ns) / NANOSECONDS
+        if self._least_s and self._least_s[-1][0] == second:
+            age_s = min(age_s, self._least_s.pop()[1])
+        self._least_s.append((second, age_s))
+
+    @property
+    def age_s(self) -> float:
+        """Least age on arrival in the last second with frames, s; negative if stamps are ahead."""
+        return self._least_s[-1][1] if self._least_s else float("nan")
+
+    @property
+    def drift_ppm(self) -> float:
+        """Rate of the sensor's clock over this machine's, less 1, in 1e-6; NaN in the first ten seconds."""
+        if len(self._least_s) < _LEAST_SECONDS:
+            return float("nan")
+        second, age_s = np.array(self._least_s).T
+        return float(-1e6 * np.polyfit(second - second[0], age_s, 1)[0])
