@@ -147,12 +147,12 @@ def saturated_pixels(amplitude: NDArray[Any], limit: float | None) -> NDArray[np
     image if far more have it than the values just below, which means that it is clipped there.
     """
     if limit is not None:
-        saturated = amplitude >= limit
-        return saturated if saturated.any() else None
+        beyond: NDArray[np.bool_] = amplitude >= limit
+        return beyond if beyond.any() else None
     largest = np.nanmax(amplitude, initial=0)
+    saturated: NDArray[np.bool_] = amplitude == largest
     if amplitude.dtype.kind == "u" and largest == np.iinfo(amplitude.dtype).max:
-        return amplitude == largest
-    saturated = amplitude == largest
+        return saturated
     piled = np.count_nonzero(saturated)
     if piled < _LEAST_PILE or not largest > 0:
         return None

@@ -155,7 +155,8 @@ def _all_lines(known: NDArray[np.intp], angles: Angles, count: int) -> Angles | 
         lines = np.interp(index, known, angles)
         lines += np.where(index < known[0], index - known[0], 0) * step
         lines += np.where(index > known[-1], index - known[-1], 0) * step
-    return lines - turns * np.round(lines.mean() / turns)
+    centred: Angles = lines - turns * np.round(lines.mean() / turns)
+    return centred
 
 
 def _apart_rad(azimuth: Angles, elevation: Angles) -> float:

@@ -47,26 +47,27 @@ def find_sensors(log: Log) -> dict[str, Sensor]:
     drivers that do not keep to the ICD.
     """
     configured = _configured_kinds(log.configuration)
-    sensors: dict[str, Sensor] = {}
-    for name, kind_name in configured.items():
-        source = _configured_source(log.configuration, name)
-        sensor = Sensor(name, kind_name, None, source)
-        if source.topics and _count(log, sensor.leading):
-            mount = _mount(log, name, _frame_id(log, sensor.leading.name))
-            turned = None if mount is None else source.boresight_mount(mount)
-            sensors[name] = replace(sensor, T_chaser_sensor=turned)
+    sensors = {
+        name: _sensor(log, name, kind)
+        for name, kind in configured.items()
+        if _configured_source(log.configuration, name).topics
+    }
+    sensors = {name: sensor for name, sensor in sensors.items() if _count(log, sensor.leading)}
     for kind in sensor_kinds():
         _, suffix = kind.leading.name.split("/", 1)
         for topic, info in log.topics.items():
-            sensor, _, rest = topic.partition("/")
+            name, _, rest = topic.partition("/")
             if rest != suffix or info.type != kind.leading.type or not info.count:
                 continue
-            if sensor not in sensors or configured.get(sensor) == kind.name:
-                mount = _mount(log, sensor, _frame_id(log, topic))
-                source = _configured_source(log.configuration, sensor)
-                turned = None if mount is None else source.boresight_mount(mount)
-                sensors[sensor] = Sensor(sensor, kind.name, turned, source)
+            if name not in sensors or configured.get(name) == kind.name:
+                sensors[name] = _sensor(log, name, kind.name)
     return sensors
+
+
+def _sensor(log: Log, name: str, kind: str) -> Sensor:
+    sensor = Sensor(name, kind, None, _configured_source(log.configuration, name))
+    mount = _mount(log, name, _frame_id(log, sensor.leading.name))
+    return sensor if mount is None else replace(sensor, T_chaser_sensor=sensor.source.boresight_mount(mount))
 
 
 def _configured_kinds(configuration: dict[str, dict[str, Any]]) -> dict[str, str]:

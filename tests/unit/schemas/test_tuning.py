@@ -25,8 +25,9 @@ FEWEST_WORDS = 4
 def estimator_fields() -> dict[str, FieldInfo]:
     """All public leaves, of one LIDAR and one PMD camera with their default methods.
 
-    What every service has (its bus, its name) is the facility's. The parameters of the papers' methods are
-    documented with them. Neither is counted. All that a calibration file holds is.
+    What every service has (its bus, its name) is the facility's, and ``source`` describes the driver of
+    another party. The parameters of the papers' methods are documented with them. None of these is counted.
+    All that a calibration file holds is.
     """
     found = {
         name: field
@@ -35,7 +36,11 @@ def estimator_fields() -> dict[str, FieldInfo]:
     }
     for model in (LidarInput, PmdInput):
         kind = model.model_fields["kind"].default
-        found |= {f"sensors.{kind}.{name}": field for name, field in public_fields(model).items()}
+        found |= {
+            f"sensors.{kind}.{name}": field
+            for name, field in public_fields(model).items()
+            if not name.startswith("source.")
+        }
     return found
 
 

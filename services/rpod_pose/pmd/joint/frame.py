@@ -149,8 +149,8 @@ def _saturated_share(frame: PmdFrame, around: _Window) -> float:
     """Return the share of saturated pixels among those that are saturated or have depth."""
     if frame.saturated is None:
         return 0.0
-    saturated = np.count_nonzero(frame.saturated[around])
-    return float(saturated / max(1, saturated + np.count_nonzero(frame.depth_m[around] > 0.0)))
+    saturated = int(np.count_nonzero(frame.saturated[around]))
+    return saturated / max(1, saturated + int(np.count_nonzero(frame.depth_m[around] > 0.0)))
 
 
 def _trust(sigma_m: FloatArray, strength: FloatArray, other_m: float) -> FloatArray:
@@ -190,7 +190,8 @@ def _around_in_wide_view(camera: Camera, middle: FloatArray, radius: float) -> _
     Raises:
         DistortionError: the lens distortion cannot be inverted.
     """
-    near = (np.abs(DepthView.of(camera, STRIDES_PX[0]).slopes - middle) <= radius).all(axis=-1)
+    away: FloatArray = np.abs(DepthView.of(camera, STRIDES_PX[0]).slopes - middle)
+    near: NDArray[np.bool_] = np.all(away <= radius, axis=-1)
     lines = (np.flatnonzero(near.any(axis=axis)) for axis in (1, 0))
     sizes = (camera.height, camera.width)
     rows, columns = (

@@ -9,7 +9,7 @@ IMAGE = Topic("<camera>/image_raw", "sensor_msgs/msg/Image")
 MONO = SensorKind(
     name="mono",
     title="monocular camera",
-    parts={"image": Part(IMAGE), "camera_info": Part(CAMERA_INFO)},
+    parts={"image": Part(IMAGE), "camera_info": Part(CAMERA_INFO, lasting=True)},
     emulated=MonoConfig,
     heard=MonoInput,
     reader="rpod_mono_camera.bus:MonoReader",
