@@ -25,6 +25,8 @@ _CHANGED = 0.2
 """Change of a line, over a step, from which on an inferred pattern is replaced."""
 _GATHERED = 4.0
 """Least ratio of the steps between lines to those within a line."""
+_STRAY = 0.25
+"""Least number of points of a line over the usual one; fewer are strays between lines."""
 _MARGIN = 8
 """Least number of lines added on both sides of the points of an unorganised scan."""
 _MOST_LINES = 512
@@ -178,12 +180,15 @@ def _gathered(angles: Angles, apart_rad: float, most_rad: float) -> Angles | Non
     steps = np.diff(ordered)
     between = steps > apart_rad / _GATHERED
     groups = np.split(ordered, np.flatnonzero(between) + 1)
-    within = max(float(np.ptp(group)) for group in groups)
+    usual = float(np.median([group.size for group in groups]))
+    groups = [group for group in groups if group.size >= _STRAY * usual]
+    within = float(np.median([np.ptp(group) for group in groups]))
     means = np.array([group.mean() for group in groups])
     if len(groups) >= _LEAST_LINES and 2 * len(groups) < angles.size and within < apart_rad / 2.0:
-        step = float(np.diff(means).min())
+        step = float(np.median(np.diff(means)))
         index = np.round((means - means[0]) / step).astype(np.intp)
-        lines = _all_lines(index, means, int(index[-1]) + 1)
+        index, first = np.unique(index, return_index=True)
+        lines = _all_lines(index, means[first], int(index[-1]) + 1)
         if lines is None:
             return None
     else:
