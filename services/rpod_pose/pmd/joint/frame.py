@@ -124,9 +124,8 @@ class JointFrame:
         else:
             patch = _patch(frame, frame.amplitude, around, typical=typical, config=tuning.edges)
         if frame.saturated is not None:
-            shade[_widened(frame.saturated, 1)[view.offset :: view.stride, view.offset :: view.stride]] = (
-                np.nan
-            )
+            coarse = slice(view.offset, None, view.stride)
+            shade[_widened(frame.saturated, 1)[coarse, coarse]] = np.nan
         per_px = 2 if patch.image.size <= FINE_PX else 1
         lines = around if patch.typical else (slice(0, 1), slice(0, 1))
         window = (slice(per_px * one.start, per_px * one.stop) for one in lines)
