@@ -5,6 +5,7 @@ Each sensor has one slot. A frame that a newer one replaces is counted and not p
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Generic, TypeVar
@@ -19,6 +20,8 @@ _REMEMBERED = 64
 """Number of finished frames whose late parts are still recognised."""
 _HELD = 16
 """Number of messages of a lasting part that are kept, for frames that are older than the newest of them."""
+_USUAL = 3
+"""Number of last frames with a lasting part of their own after which the next one waits for its own."""
 _INTERVALS = 8
 """Number of intervals between frames whose least counts as the time from one frame to the next."""
 
@@ -42,7 +45,8 @@ class Assembler(Generic[PartT]):
     or when ``release`` is called.
 
     A lasting part is valid until another comes. A frame takes the one with its own stamp, else the newest
-    before it, else the oldest one; it waits only for the first.
+    before it, else the oldest one. It waits for the first one, and for its own where the last frames had
+    theirs.
     """
 
     required: frozenset[str]
@@ -83,7 +87,7 @@ class Assembler(Generic[PartT]):
         complete = [
             self._finish(pending_ns)
             for pending_ns in sorted(self._pending)
-            if self._satisfied(self._pending[pending_ns], newest=pending_ns == newest_ns)
+            if self._satisfied(pending_ns, newest=pending_ns == newest_ns)
         ]
         while len(self._pending) > _PENDING:
             self._give_up(min(self._pending))
@@ -94,9 +98,24 @@ class Assembler(Generic[PartT]):
         ready = [stamp_ns for stamp_ns, parts in self._pending.items() if self._usable(parts)]
         return [self._finish(stamp_ns) for stamp_ns in sorted(ready)]
 
-    def _satisfied(self, parts: dict[str, PartT], *, newest: bool) -> bool:
+    def _satisfied(self, stamp_ns: int, *, newest: bool) -> bool:
+        parts = self._pending[stamp_ns]
+        if not self._usable(parts):
+            return False
         waits = newest and self._without_optional < _PATIENCE
-        return self._usable(parts) and (not waits or self.optional <= parts.keys())
+        return (not waits or self.optional <= parts.keys()) and (not newest or self._has_own(stamp_ns))
+
+    def _has_own(self, stamp_ns: int) -> bool:
+        """Return whether a frame has its own lasting parts, as far as the last frames had theirs."""
+        last = list(self._past)[-_USUAL:]
+        return not any(
+            len(last) == _USUAL and all(map(self._owns(name), last)) and not self._owns(name)(stamp_ns)
+            for name in self.lasting
+        )
+
+    def _owns(self, name: str) -> Callable[[int], bool]:
+        held = self._held[name]
+        return lambda stamp_ns: any(abs(held_ns - stamp_ns) <= self.within_ns for held_ns in held)
 
     def _usable(self, parts: dict[str, PartT]) -> bool:
         return self.required <= parts.keys() and self.lasting <= self._held.keys()

@@ -188,3 +188,56 @@ def test_once_nothing_comes_any_more_a_frame_goes_without_its_optional_part():
     assert feed(waiting, ("camera_info", 6)) == []
     assert stamps(waiting.release()) == [6]
     assert waiting.done_ns == 6
+
+
+# --- parts that are valid until another comes, and stamps that differ a little ---
+
+
+def lasting(within_ns=0):
+    return Assembler(frozenset({"depth"}), frozenset(), frozenset({"camera_info"}), "depth", within_ns)
+
+
+def test_a_lasting_part_serves_all_frames_until_another_comes():
+    frames = feed(lasting(), ("depth", 1), ("depth", 2), ("camera_info", 2), ("depth", 3), ("camera_info", 4))
+    frames += feed(camera := lasting(), ("camera_info", 2), ("depth", 3), ("camera_info", 4), ("depth", 5))
+    assert [(frame.stamp_ns, frame.parts["camera_info"][1]) for frame in frames] == [
+        (1, 2), (2, 2), (3, 2), (3, 2), (5, 4),
+    ]  # fmt: skip
+    assert camera.incomplete == 0
+
+
+def test_where_each_frame_had_a_lasting_part_of_its_own_the_next_one_waits_for_it():
+    camera = lasting()
+    for stamp in range(1, 6):
+        before = feed(camera, ("depth", stamp))
+        after = feed(camera, ("camera_info", stamp))
+        assert stamps(before + after) == [stamp]
+    assert after[0].parts["camera_info"] == ("camera_info", 5)
+    assert feed(camera, ("depth", 6)) == []
+    assert stamps(feed(camera, ("depth", 7))) == [6, 7]  # not for ever, and no longer after one without
+
+
+def near(within_ns):
+    return Assembler(frozenset({"depth"}), frozenset({"amplitude"}), frozenset(), "depth", within_ns)
+
+
+@given(st.lists(st.integers(-9, 9), min_size=6, max_size=6), st.booleans())
+def test_parts_within_the_tolerance_are_one_frame_with_the_leading_parts_stamp(jitter, amplitude_first):
+    arrivals = []
+    for number, off in enumerate(jitter, start=1):
+        pair = [("depth", 100 * number), ("amplitude", 100 * number + off)]
+        arrivals += reversed(pair) if amplitude_first else pair
+    camera = near(9)
+    frames = feed(camera, *arrivals)
+    assert stamps(frames) == [100, 200, 300, 400, 500, 600]
+    pairs = [frame.parts["amplitude"][1] - frame.stamp_ns for frame in frames]
+    assert pairs == jitter
+    assert camera.incomplete == 0
+
+
+def test_the_tolerance_never_exceeds_half_the_time_between_two_frames():
+    camera = near(1_000)
+    feed(camera, *((name, stamp) for stamp in (100, 200) for name in ("depth", "amplitude")))
+    frames = feed(camera, ("depth", 300), ("amplitude", 360), ("depth", 400), ("amplitude", 400))
+    assert "amplitude" not in frames[0].parts
+    assert frames[1].parts["amplitude"] == ("amplitude", 360)
