@@ -1,5 +1,6 @@
 """The estimator daemon: connects the estimator to the bus and the clock."""
 
+import time
 from threading import Event
 
 from rpod_estimator.estimator import TICK_S, Estimator
@@ -8,7 +9,6 @@ from rpod_estimator.subscriptions import Subscriptions
 from rpod_runtime import Node
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
-from rpod_schemas.types import Health, Mode
 from rpod_target import load_target
 
 
@@ -28,9 +28,10 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
                 if config.time_source == "clock":
                     for output in estimator.let_time_pass(arrived.stamp_ns):
                         outputs.publish(output)
-                outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)
+                output = estimator.process(arrived)
+                outputs.publish(output, since_s=arrived.arrival_s)
+                subscriptions.health.judge(arrived, output.status, time.monotonic())
             outputs.publish(estimator.tick(node.clock.settled_ns()))
-            level = Health.WARN if estimator.mode == Mode.LOST else Health.OK
-            node.health.report(level, estimator.mode.name.lower())
+            subscriptions.health.report(estimator.mode, time.monotonic())
         for arrived in subscriptions.rest():  # each frame gets a status or is counted
             outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)

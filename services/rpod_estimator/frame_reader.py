@@ -33,6 +33,8 @@ class Arrived:
     """Arrival of the last part, monotonic clock."""
     measurement: Measurement | None
     reason: str = ""
+    refused: str = ""
+    """Kind of the reason, a ``Reason``; empty if there is a measurement."""
 
 
 class FrameReader:

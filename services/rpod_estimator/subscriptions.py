@@ -3,11 +3,14 @@
 The estimator subscribes to sensors, ``tf_static`` and the clock only, never to the truth.
 """
 
+import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from rpod_estimator.frame_reader import Arrived, FrameReader
+from rpod_estimator.input_book import clock_hint
+from rpod_estimator.input_health import InputHealth
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.frames import PartRejectedError
@@ -32,6 +35,7 @@ class Subscriptions:
         self._reader = FrameReader(config.sensors)
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
+        self.health = InputHealth(node.health, self._reader.leading, now_s=time.monotonic())
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
         for topic in self._reader.streams:
@@ -86,15 +90,20 @@ class Subscriptions:
         sensor, part = self._reader.parts[received.topic.name]
         assembler = self._reader.assemblers[sensor]
         stamp_ns = peek_stamp(received.payload)
+        if part == self._reader.leading[sensor]:
+            self.health.books[sensor].hear(received.arrival_s)
         try:
             self._check_freshness(received, stamp_ns)
             if stamp_ns == assembler.done_ns and part in assembler.required:
                 raise MessageRejectedError(Reason.DUPLICATE, "the frame of this stamp is already complete")
         except MessageRejectedError as error:
             if part == self._reader.leading[sensor]:
-                self._refused.append(Arrived(sensor, stamp_ns, received.arrival_s, None, str(error)))
+                refused = Arrived(sensor, stamp_ns, received.arrival_s, None, str(error), error.reason)
+                self._refused.append(refused)
             raise
         self._put(sensor, assembler.add(part, stamp_ns, received))
+        for frame in assembler.take_given_up():
+            self.health.give_up(sensor, frame, received.arrival_s)
         self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
 
     def _put(self, sensor: str, frames: list[Assembled[Received]]) -> None:
@@ -112,13 +121,13 @@ class Subscriptions:
         if age_s > self._config.max_age_s:
             raise MessageRejectedError(
                 Reason.LATE,
-                f"{age_s:.3f} s old, max_age_s is {self._config.max_age_s:g}; check the sensor's clock",
+                f"{age_s:.3f} s old, max_age_s is {self._config.max_age_s:g}; {clock_hint(-age_s, stamp_ns)}",
             )
         if age_s < -self._config.max_future_s:
             raise MessageRejectedError(
                 Reason.FUTURE,
                 f"{-age_s:.3f} s ahead of {self._config.time_source} time, max_future_s is "
-                f"{self._config.max_future_s:g}; check the sensor's clock",
+                f"{self._config.max_future_s:g}; {clock_hint(-age_s, stamp_ns)}",
             )
 
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
@@ -127,5 +136,5 @@ class Subscriptions:
             measurement = self._reader.measurement(sensor, frame)
         except PartRejectedError as error:
             self._node.reject(error.topic, error)
-            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error))
+            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
         return Arrived(sensor, frame.stamp_ns, arrival_s, measurement)

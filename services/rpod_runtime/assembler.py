@@ -16,6 +16,8 @@ _PATIENCE = 10
 """Frames in a row without an optional part after which the assembler stops waiting for that part."""
 _REMEMBERED = 64
 """Number of finished frames whose late parts are still recognised."""
+_EXPLAINED = 64
+"""Largest number of frames given up whose missing parts wait to be asked for."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,18 @@ class Assembled(Generic[PartT]):
 
     stamp_ns: int
     parts: dict[str, PartT]
+
+
+@dataclass(frozen=True)
+class GivenUp:
+    """A frame that never became complete."""
+
+    stamp_ns: int
+    parts: frozenset[str]
+    """Names of the parts that came."""
+    lacks: dict[str, int | None]
+    """Required parts that did not come: time from the frame's stamp to the nearest stamp of such a part, ns;
+    None if none came lately."""
 
 
 @dataclass
@@ -46,9 +60,12 @@ class Assembler(Generic[PartT]):
     _pending: dict[int, dict[str, PartT]] = field(default_factory=dict)
     _past: deque[int] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     _without_optional: int = 0
+    _given_up: deque[GivenUp] = field(default_factory=lambda: deque(maxlen=_EXPLAINED))
+    _stamps_ns: dict[str, deque[int]] = field(default_factory=dict)
 
     def add(self, name: str, stamp_ns: int, part: PartT) -> list[Assembled[PartT]]:
         """Add a part; return the frames that it completes, oldest first."""
+        self._stamps_ns.setdefault(name, deque(maxlen=2 * _PENDING)).append(stamp_ns)
         if stamp_ns <= self.done_ns or stamp_ns in self._past:
             self._note_straggler(name, stamp_ns)
             return []
@@ -68,6 +85,12 @@ class Assembler(Generic[PartT]):
         ready = [stamp_ns for stamp_ns, parts in self._pending.items() if self.required <= parts.keys()]
         return [self._finish(stamp_ns) for stamp_ns in sorted(ready)]
 
+    def take_given_up(self) -> list[GivenUp]:
+        """Return the frames given up since the last call, the newest ones only."""
+        given_up = list(self._given_up)
+        self._given_up.clear()
+        return given_up
+
     def _satisfied(self, parts: dict[str, PartT], *, newest: bool) -> bool:
         waits = newest and self._without_optional < _PATIENCE
         return self.required <= parts.keys() and (not waits or self.optional <= parts.keys())
@@ -82,15 +105,21 @@ class Assembler(Generic[PartT]):
         self._past.append(stamp_ns)
         return Assembled(stamp_ns, parts)
 
-    def _give_up(self, stamp_ns: int) -> None:
-        self._pending.pop(stamp_ns, None)
+    def _give_up(self, stamp_ns: int, part: str = "") -> None:
+        parts = self._pending.pop(stamp_ns, {}).keys() | ({part} if part else set())
+        lacks = {name: self._nearest(name, stamp_ns) for name in sorted(self.required - parts)}
+        self._given_up.append(GivenUp(stamp_ns, frozenset(parts), lacks))
         self._past.append(stamp_ns)
         self.incomplete += 1
+
+    def _nearest(self, name: str, stamp_ns: int) -> int | None:
+        steps = (part_ns - stamp_ns for part_ns in self._stamps_ns.get(name, ()))
+        return min(steps, key=abs, default=None)
 
     def _note_straggler(self, name: str, stamp_ns: int) -> None:
         """Wait for an optional part again if it arrives late, yet before the next frame."""
         if stamp_ns not in self._past:
-            self._give_up(stamp_ns)
+            self._give_up(stamp_ns, name)
         elif name in self.optional and stamp_ns == self.done_ns and not self._pending:
             self._without_optional = 0
 

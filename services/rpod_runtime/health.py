@@ -64,6 +64,14 @@ class HealthBook:
             self._warning = f"look at {name}"
             self._changed = True
 
+    def tell(self, name: str, text: str) -> None:
+        """Set a text for the operator in the diagnostics; an empty one is removed."""
+        with self._lock:
+            if text:
+                self._texts[name] = text
+            else:
+                self._texts.pop(name, None)
+
     def report(self, level: Health, message: str) -> None:
         """Set the level and the message of the service; a change is published at once."""
         with self._lock:
