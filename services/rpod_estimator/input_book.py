@@ -3,7 +3,6 @@
 It knows neither bus nor clock; times are seconds of one monotonic clock. Its memory is bounded.
 """
 
-import re
 from collections import Counter, deque
 from dataclasses import dataclass
 from math import remainder
@@ -12,6 +11,7 @@ from typing import NamedTuple
 
 from rpod_runtime.assembler import GivenUp
 from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Health
 
 WINDOW_S = 2.0
@@ -29,7 +29,6 @@ _DAY_S = 86_400.0
 _YEAR_NS = 365 * 86_400 * NANOSECONDS
 UNPAIRED, REJECTED = "unpaired", "rejected"
 """Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it."""
-_NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 
 class Loss(NamedTuple):
@@ -50,11 +49,6 @@ class InputState(NamedTuple):
 
 
 OK = InputState(Health.OK, "")
-
-
-def alike(text: str) -> str:
-    """Return what texts have in common that differ only in their figures."""
-    return _NUMBER.sub("…", text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +114,8 @@ class SensorBook:
         frames = len(self._recent)
         if frames < LEAST_FRAMES or now_s - self._since_s < WINDOW_S or 2 * len(losses) <= frames:
             return OK
-        (reason, most), *_ = Counter(alike(loss.text) for loss in losses).most_common(1)
-        latest = next(loss for loss in reversed(losses) if alike(loss.text) == reason)
+        (reason, most), *_ = Counter(without_figures(loss.text) for loss in losses).most_common(1)
+        latest = next(loss for loss in reversed(losses) if without_figures(loss.text) == reason)
         how = "no frame" if len(losses) == frames else f"only {frames - len(losses)} of {frames} frames"
         level = Health.ERROR if len(losses) == frames else Health.WARN
         past_s = now_s - self._recent[0].time_s

@@ -3,9 +3,10 @@
 import logging
 
 from rpod_estimator.frame_reader import Arrived
-from rpod_estimator.input_book import OK, REJECTED, InputState, Loss, SensorBook, alike, unpaired
+from rpod_estimator.input_book import OK, REJECTED, InputState, Loss, SensorBook, unpaired
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.health import HealthBook
+from rpod_schemas.texts import without_figures
 from rpod_schemas.types import EstimatorStatus, Health, Mode
 
 log = logging.getLogger(__name__)
@@ -72,7 +73,7 @@ class InputHealth:
     def _log(self, name: str, state: InputState, now_s: float) -> None:
         """Write a line when a state changes in more than its figures, and each minute while it is not OK."""
         before, told_s = self._told.get(name, (OK, now_s))
-        is_same = (state.level, alike(state.text)) == (before.level, alike(before.text))
+        is_same = (state.level, without_figures(state.text)) == (before.level, without_figures(before.text))
         if is_same and (state.level == Health.OK or now_s - told_s < REMIND_S):
             return
         self._told[name] = state, now_s

@@ -67,10 +67,12 @@ class Delivery:
             self._account.miss(publication, miss.nb)
 
     def reject(self, topic: str, error: MessageRejectedError) -> None:
-        """Count a rejected message; log the first of its kind."""
+        """Count a rejected message; log the first of its kind, and then one a minute."""
         if self._health.reject(topic, error):
             log.warning(
-                "rejected a message on %s: %s; further ones are only counted in diagnostics", topic, error
+                "rejected a message on %s: %s; further ones are counted in diagnostics, and told each minute",
+                topic,
+                error,
             )
 
     def _name(self, pattern: Topic, key: str) -> Topic:

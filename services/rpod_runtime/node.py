@@ -195,7 +195,7 @@ class Node:
             self._stack.callback(subscriber.sample_miss_listener(self._delivery.miss).undeclare)
 
     def reject(self, topic: str, error: MessageRejectedError) -> None:
-        """Count a rejected message; log the first of its kind."""
+        """Count a rejected message; log the first of its kind, and then one a minute."""
         self._delivery.reject(topic, error)
 
     def _entity(self) -> int:

@@ -1,10 +1,14 @@
 """When an operator is told that an input is not used, and in which words."""
 
+import logging
+
 import pytest
 
 from rpod_estimator.input_book import Loss, SensorBook, clock_hint, unpaired
+from rpod_estimator.input_health import InputHealth
 from rpod_runtime.assembler import Assembler
-from rpod_schemas.types import Health
+from rpod_runtime.health import HealthBook
+from rpod_schemas.types import Health, Mode
 
 LATE = Loss("late", "late: 1.200 s old, max_age_s is 1; check the sensor's clock")
 REFUSED = Loss("rejected", "7.5% of 900 pixels contradict the pose, 5% at most")
@@ -61,6 +65,23 @@ def test_frames_before_a_silence_do_not_count():
     book.hear(now_s + 3.0)
     book.use(now_s + 3.0)
     assert book.state(now_s + 3.1).level == Health.OK
+
+
+def test_a_state_that_is_not_ok_is_logged_at_once_and_each_minute_and_so_is_its_end(caplog):
+    caplog.set_level(logging.INFO)
+    health = InputHealth(HealthBook("estimator"), {"pmd": "depth"}, now_s=0.0)
+    book = health.books["pmd"]
+    for second in range(1, 140):
+        book.hear(second)
+        if second < 130:
+            book.lose(Loss("late", f"late: {second}.000 s old"), second)
+        else:
+            book.use(second)
+        health.report(Mode.LOST, second)
+    lines = [record.getMessage() for record in caplog.records]
+    assert [line.partition(" used")[0] for line in lines] == [
+        *["pmd: no frame"] * 3, "pmd: only 1 of 4 frames", "pmd: its frames are"
+    ]  # fmt: skip
 
 
 def test_a_sensor_that_never_sends_is_told():

@@ -1,6 +1,7 @@
 """What becomes of messages on their way to the navigator: taken, passed over, or refused with a reason."""
 
 from threading import Thread
+from time import monotonic
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from rpod_schemas.messages import (
 )
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, LIDAR_INFO, PMD_INFO, POINTS, TF_STATIC
-from rpod_schemas.types import Camera, LidarInfo, PmdInfo
+from rpod_schemas.types import Camera, EstimatorStatus, Health, LidarInfo, Mode, PmdInfo
 from rpod_schemas.wire import Attachment
 
 SECOND_NS = 1_000_000_000
@@ -274,6 +275,53 @@ def test_an_amplitude_that_comes_behind_its_frame_is_no_fault():
     bench.send(AMPLITUDE.of("pmd"), image)
     assert [frame.measurement.data.amplitude for frame in bench.arrived()] == [None]
     assert not [name for name in bench.counters if name.startswith("rejected")]
+
+
+# --- told to the operator ---
+
+
+def told(bench, now_s=3.0):
+    """Return level and message of the diagnostics after all frames have been processed."""
+    for arrived in bench.arrived():
+        accepted = arrived.measurement is not None
+        status = EstimatorStatus(
+            stamp_ns=arrived.stamp_ns, frame_id="chaser", mode=Mode.TRACKING,
+            sensor=arrived.sensor, accepted=accepted, reason=arrived.reason,
+        )  # fmt: skip
+        bench.inputs.health.judge(arrived, status, now_s)
+    bench.inputs.health.report(Mode.TRACKING, now_s)
+    diagnostic = bench.node.health.diagnostic(0)
+    return diagnostic.level, diagnostic.message, diagnostic.values
+
+
+@pytest.mark.parametrize(
+    ("shift_s", "camera_shift_ns", "level", "words"),
+    [
+        (0.0, 0, Health.OK, "tracking"),
+        (37.0, 0, Health.ERROR, "future: 37.000 s ahead of wall time, max_future_s is 0.05; is it TAI?"),
+        (-5.0, 0, Health.ERROR, "late: 5.000 s old, max_age_s is 1; check the sensor's clock"),
+        (0.0, 1_000, Health.ERROR, "depth without camera_info: the nearest one is stamped 0.001 ms later"),
+        (0.0, None, Health.ERROR, "depth without camera_info, which does not come at all"),
+    ],
+    ids=["good", "TAI", "slow clock", "camera_info 1 us off", "no camera_info"],
+)
+def test_frames_that_are_not_used_are_told_with_figures_and_remedy(
+    shift_s, camera_shift_ns, level, words, caplog
+):
+    start_s, bench = monotonic(), Bench()
+    for number in range(40):
+        time_ns, time_s = NOW_NS + number * SECOND_NS // 16, start_s + number / 16
+        stamp_ns = time_ns + round(shift_s * SECOND_NS)
+        how = {"arrival_ns": time_ns, "arrival_s": time_s}
+        if camera_shift_ns is not None:
+            camera = write_camera(stamp_ns + camera_shift_ns, "pmd_optical", CAMERA)
+            bench.send(CAMERA_INFO.of("pmd"), camera, **how)
+        bench.send(DEPTH.of("pmd"), write_image(stamp_ns, "pmd_optical", DEPTH_M, "32FC1"), **how)
+        found = told(bench, time_s)
+    assert found[0] == level
+    assert words in found[1]
+    lines = [record.getMessage() for record in caplog.records if record.getMessage().startswith("pmd: no")]
+    assert len(lines) == (level == Health.ERROR)
 
 
 # --- refused for what they hold ---
