@@ -8,7 +8,7 @@ from rpod_estimator.outputs import Outputs
 from rpod_estimator.subscriptions import Subscriptions
 from rpod_runtime import Node
 from rpod_schemas.config.estimator import EstimatorConfig
-from rpod_schemas.control import ResetRequest
+from rpod_schemas.control import Accepted, ResetRequest
 from rpod_target import load_target
 
 
@@ -19,9 +19,15 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     with Node(config, version=version, stop=stop) as node:
         node.target_digest = target.digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target.frames)
-        node.serve("reset", ResetRequest, estimator.request_reset)
+
+        def reset(request: ResetRequest) -> Accepted:
+            subscriptions.request_reset(request)
+            return estimator.request_reset(request)
+
+        node.serve("reset", ResetRequest, reset)
         node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
         while not stop.is_set():
+            subscriptions.pin(estimator.pins_setups)
             arrived = subscriptions.newest(TICK_S)
             estimator.learn(subscriptions.infos)
             if arrived is not None:

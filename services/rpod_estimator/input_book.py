@@ -10,6 +10,7 @@ from statistics import median
 from typing import NamedTuple
 
 from rpod_runtime.assembler import GivenUp
+from rpod_schemas.errors import Reason
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Health
@@ -22,6 +23,8 @@ PERIODS = 3.0
 """Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""
 TAI_S = 37.0
 """Time by which TAI is ahead of UTC since 2017."""
+AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA})
+"""Kinds of losses that are told with the first frame: the sensor is not set up as it was."""
 _LATENCY_S = 1.0
 _ZONE_S = 1800.0
 """Time zones differ by multiples of it."""
@@ -110,6 +113,9 @@ class SensorBook:
             return InputState(Health.WARN, f"{self.name}: {self._silence(silent_s, others=others)}")
         while len(self._recent) > LEAST_FRAMES and now_s - self._recent[0].time_s > WINDOW_S:
             self._recent.popleft()
+        newest = self._recent[-1].loss if self._recent else None
+        if newest is not None and newest.kind in AT_ONCE:
+            return InputState(Health.ERROR, f"{self.name}: {newest.text}")
         losses = [frame.loss for frame in self._recent if frame.loss is not None]
         frames = len(self._recent)
         if frames < LEAST_FRAMES or now_s - self._since_s < WINDOW_S or 2 * len(losses) <= frames:

@@ -6,6 +6,8 @@ from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.input_book import OK, REJECTED, InputState, Loss, SensorBook, unpaired
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.health import HealthBook
+from rpod_runtime.holders import Peer
+from rpod_schemas.errors import Reason
 from rpod_schemas.texts import without_figures
 from rpod_schemas.types import EstimatorStatus, Health, Mode
 
@@ -32,10 +34,15 @@ class InputHealth:
         self._told: dict[str, tuple[InputState, float]] = {}
         self._next_s = now_s
         self._state = OK
+        self._rival_topics: set[str] = set()
+        self.rivals: list[tuple[str, Peer, Peer]] = []
+        """Publishers beside the one that is used: topic, the one that is used, the other one."""
 
     def judge(self, arrived: Arrived, status: EstimatorStatus, now_s: float) -> None:
         """Note what became of a frame."""
         book = self.books[arrived.sensor]
+        if arrived.refused == Reason.SECOND_PUBLISHER:
+            return  # told of as a rival
         if status.accepted:
             book.use(now_s)
         else:
@@ -67,8 +74,27 @@ class InputHealth:
             state = book.state(now_s)
             self._log(sensor, state, now_s)
             states.append(state)
+        rivals = self._rivals_state()
+        self._log("publishers", rivals, now_s)
+        states.append(rivals)
         text = "; ".join(state.text for state in states if state.text)
         return InputState(max(state.level for state in states), text)
+
+    def _rivals_state(self) -> InputState:
+        for topic in {name for name, *_ in self.rivals}.symmetric_difference(self._rival_topics):
+            self._health.tell(f"publishers/{topic}", "")
+        self._rival_topics = {name for name, *_ in self.rivals}
+        for topic, used, other in self.rivals:
+            self._health.tell(f"publishers/{topic}", f"{used} is used, {other} is not")
+        if not self.rivals:
+            return OK
+        topic, used, other = self.rivals[0]
+        more = f" and {len(self.rivals) - 1} more topics" if len(self.rivals) > 1 else ""
+        return InputState(
+            Health.WARN,
+            f"two publishers on {topic}{more}: {used} is used, {other} is not; stop one of them, or `reset` "
+            "with keep_gid of the one to keep",
+        )
 
     def _log(self, name: str, state: InputState, now_s: float) -> None:
         """Write a line when a state changes in more than its figures, and each minute while it is not OK."""
@@ -78,6 +104,6 @@ class InputHealth:
             return
         self._told[name] = state, now_s
         if state.level == Health.OK:
-            log.info("%s: its frames are used again", name)
+            log.info("%s: in order again", name)
         else:
             log.log(logging.ERROR if state.level == Health.ERROR else logging.WARNING, "%s", state.text)

@@ -6,6 +6,8 @@ The estimator subscribes to sensors, ``tf_static`` and the clock only, never to 
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
+from queue import SimpleQueue
+from threading import Lock
 from typing import Any
 
 from rpod_estimator.frame_reader import Arrived, FrameReader
@@ -13,11 +15,15 @@ from rpod_estimator.input_book import clock_hint
 from rpod_estimator.input_health import InputHealth
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
+from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
+from rpod_runtime.holders import Holders, SecondPublisherError
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.topics import Topic
 
 _WAITING_PARTS = 512
 """Largest number of parts between the bus and the assembler; about 200 MB of images."""
@@ -36,6 +42,10 @@ class Subscriptions:
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
         self.health = InputHealth(node.health, self._reader.leading, now_s=time.monotonic())
+        self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic]]()
+        self._resets: SimpleQueue[str] = SimpleQueue()
+        self._lock = Lock()
+        node.watch_publishers(lambda session, topic: self._gone.put((session, topic)))
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
         for topic in self._reader.streams:
@@ -47,6 +57,29 @@ class Subscriptions:
     def infos(self) -> Mapping[str, Any]:
         """Info that each sensor has published of itself, by sensor name; None where there is none."""
         return self._reader.infos
+
+    def pin(self, pinned: bool) -> None:
+        """Require of sensors that they stay set up as they are, or not."""
+        self._reader.pinned = pinned
+
+    def request_reset(self, request: ResetRequest) -> None:
+        """Let the next valid publishers hold their topics, or those of the session of ``keep_gid``.
+
+        Raises:
+            RefusedError: no publisher has this gid.
+        """
+        if request.keep_gid is None:
+            self._resets.put("")
+            return
+        with self._lock:
+            peers = {*self._holders.peers, *self._reader.peers}
+        found = [peer for peer in peers if peer.gid.hex() == request.keep_gid]
+        if not found or not found[0].session:
+            known = ", ".join(sorted(map(str, peers))) or "none"
+            raise RefusedError(
+                f"keep_gid: no publisher with this gid and a session is known; known are {known}"
+            )
+        self._resets.put(found[0].session)
 
     def newest(self, timeout_s: float) -> Arrived | None:
         """Return the newest complete frame with the oldest stamp over all sensors; None after the timeout.
@@ -64,21 +97,36 @@ class Subscriptions:
 
     def _take_in(self, timeout_s: float) -> None:
         parts = self._waiting.wait(timeout_s)
-        for received in self._latched.wait(0.0) + parts:
-            try:
-                self._take(received)
-            except MessageRejectedError as error:
-                self._node.reject(received.topic.name, error)
+        with self._lock:
+            self._take_all(parts)
         if timeout_s and not parts and not self._in_lockstep:
             for sensor, assembler in self._reader.assemblers.items():
                 self._put(sensor, assembler.release())
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
 
+    def _take_all(self, parts: list[Received]) -> None:
+        while not self._gone.empty():
+            session, topic = self._gone.get()
+            self._holders.leave(topic.name, session)
+            if topic in self._reader.latched:
+                self._reader.leave(session, topic)
+        while not self._resets.empty():
+            keep = self._resets.get()
+            self._holders.release(keep=keep, now_s=time.monotonic())
+            self._reader.forget(keep=keep)
+        for received in self._latched.wait(0.0) + parts:
+            try:
+                self._take(received)
+            except MessageRejectedError as error:
+                self._node.reject(received.topic.name, error)
+        self.health.rivals = [*self._holders.rivals(time.monotonic()), *self._reader.rivals]
+
     def _next(self) -> Arrived | None:
         if self._refused:
             return self._refused.popleft()
         chosen = self._newest.take()
-        return self._arrived(*chosen) if chosen else None
+        with self._lock:
+            return self._arrived(*chosen) if chosen else None
 
     def _take(self, received: Received) -> None:
         if received.topic.name in self._reader.parts:
@@ -90,17 +138,20 @@ class Subscriptions:
         sensor, part = self._reader.parts[received.topic.name]
         assembler = self._reader.assemblers[sensor]
         stamp_ns = peek_stamp(received.payload)
-        if part == self._reader.leading[sensor]:
-            self.health.books[sensor].hear(received.arrival_s)
+        leads = part == self._reader.leading[sensor]
         try:
             self._check_freshness(received, stamp_ns)
             if stamp_ns == assembler.done_ns and part in assembler.required:
                 raise MessageRejectedError(Reason.DUPLICATE, "the frame of this stamp is already complete")
         except MessageRejectedError as error:
-            if part == self._reader.leading[sensor]:
+            if leads:
+                self.health.books[sensor].hear(received.arrival_s)
                 refused = Arrived(sensor, stamp_ns, received.arrival_s, None, str(error), error.reason)
                 self._refused.append(refused)
             raise
+        self._holders.admit(received.topic.name, received.peer, received.arrival_s)
+        if leads:
+            self.health.books[sensor].hear(received.arrival_s)
         self._put(sensor, assembler.add(part, stamp_ns, received))
         for frame in assembler.take_given_up():
             self.health.give_up(sensor, frame, received.arrival_s)
@@ -134,6 +185,10 @@ class Subscriptions:
         arrival_s = max(part.arrival_s for part in frame.parts.values())
         try:
             measurement = self._reader.measurement(sensor, frame)
+            for part in frame.parts.values():
+                self._holders.hold(part.topic.name, part.peer, part.arrival_s)
+        except SecondPublisherError as error:
+            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
         except PartRejectedError as error:
             self._node.reject(error.topic, error)
             return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)

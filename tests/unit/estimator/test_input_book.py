@@ -80,7 +80,7 @@ def test_a_state_that_is_not_ok_is_logged_at_once_and_each_minute_and_so_is_its_
         health.report(Mode.LOST, second)
     lines = [record.getMessage() for record in caplog.records]
     assert [line.partition(" used")[0] for line in lines] == [
-        *["pmd: no frame"] * 3, "pmd: only 1 of 4 frames", "pmd: its frames are"
+        *["pmd: no frame"] * 3, "pmd: only 1 of 4 frames", "pmd: in order again"
     ]  # fmt: skip
 
 

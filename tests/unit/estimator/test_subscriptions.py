@@ -8,9 +8,12 @@ import pytest
 
 from rpod_estimator.subscriptions import Subscriptions
 from rpod_runtime import BusClock, Received, WallClock
+from rpod_runtime.errors import RefusedError
 from rpod_runtime.health import HealthBook
+from rpod_runtime.holders import Peer
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.control import ResetRequest
 from rpod_schemas.messages import (
     write_camera,
     write_clock,
@@ -33,6 +36,9 @@ CLOUD = {name: np.arange(6, dtype=np.float32).reshape(2, 3) for name in ("x", "y
 MOUNT = make_pose(translation_m=[0.0, -0.05, 0.0])
 
 
+NOBODY, EMULATOR, DRIVER = Peer(bytes(16)), Peer(b"e" * 16, "e0"), Peer(b"d" * 16, "d0")
+
+
 class FakeNode:
     """Keeps the sinks, so that a test hands messages to them, and the books of a real node."""
 
@@ -45,6 +51,9 @@ class FakeNode:
     def subscribe(self, topic, sink, *, recover=False):
         self.sinks[topic] = sink
         self.recovered[topic] = recover
+
+    def watch_publishers(self, gone):
+        self.gone = gone
 
     def reject(self, topic, error):
         self.refused.append((topic, str(error.reason)))
@@ -59,9 +68,12 @@ class Bench:
         self.node = FakeNode(config.get("time_source", "wall"))
         self.inputs = Subscriptions(self.node, EstimatorConfig(target="mockup", sensors=sensors, **config))
 
-    def send(self, topic, message, *, arrival_ns=NOW_NS, damage=lambda payload: payload, arrival_s=0.0):
+    def send(
+        self, topic, message, *, arrival_ns=NOW_NS, damage=lambda payload: payload, arrival_s=0.0, by=NOBODY
+    ):
         payload = memoryview(bytes(damage(encode(message))))
-        received = Received(topic, "k", payload, Attachment(1, 0, bytes(16)), arrival_ns, arrival_s)
+        attachment = Attachment(1, 0, by.gid)
+        received = Received(topic, "k", payload, attachment, arrival_ns, arrival_s, session=by.session)
         self.node.sinks[topic](received)
 
     def send_frame(self, stamp_ns, *, amplitude=True, frame_id="pmd_optical", camera=CAMERA, **how):
@@ -322,6 +334,141 @@ def test_frames_that_are_not_used_are_told_with_figures_and_remedy(
     assert words in found[1]
     lines = [record.getMessage() for record in caplog.records if record.getMessage().startswith("pmd: no")]
     assert len(lines) == (level == Health.ERROR)
+
+
+# --- several publishers ---
+
+
+class Stage:
+    """A bench on which frames of several publishers arrive one after the other."""
+
+    def __init__(self):
+        self.bench = Bench(sensors=[{"kind": "pmd"}])
+        self.now_s = monotonic()
+        self.number = 0
+
+    def wait(self, seconds):
+        self.now_s += seconds
+
+    def mount(self, by, x_m=0.0):
+        mount = make_pose(translation_m=[x_m, -0.05, 0.0])
+        message = write_transforms(0, [("chaser", "pmd_optical", mount)])
+        self.bench.send(TF_STATIC, message, arrival_s=self.now_s, by=by)
+
+    def frame(self, by, *, tracked=True, camera=CAMERA):
+        """Let a frame arrive; return where its camera is mounted, None where it is not used."""
+        self.number += 1
+        stamp_ns = NOW_NS + self.number * 1_000_000
+        self.bench.inputs.pin(tracked)
+        how = {"arrival_s": self.now_s, "arrival_ns": stamp_ns}
+        self.bench.send_frame(stamp_ns, by=by, camera=camera, **how)
+        found = self.bench.arrived()
+        self.reason = found[0].reason if found else ""
+        return found[0].measurement.T_chaser_sensor.translation[0] if found and not self.reason else None
+
+
+@pytest.fixture
+def stage(monkeypatch):
+    stage = Stage()
+    monkeypatch.setattr("time.monotonic", lambda: stage.now_s)
+    stage.mount(EMULATOR)
+    assert stage.frame(EMULATOR) == 0.0
+    return stage
+
+
+def test_a_second_publisher_is_not_used_and_told_with_both_gids(stage):
+    stage.mount(DRIVER, x_m=1.0)
+    assert stage.frame(DRIVER) is None
+    assert stage.frame(EMULATOR) == 0.0
+    level, message, values = told(stage.bench, stage.now_s)
+    assert level == Health.WARN
+    for peer in (EMULATOR, DRIVER):
+        assert f"{peer.gid.hex()} (session {peer.session})" in message
+        assert peer.gid.hex() in values["publishers/pmd/depth/image_raw"]
+        assert peer.gid.hex() in values["publishers/tf_static of pmd_optical"]
+    assert ("pmd/depth/image_raw", "second_publisher") in stage.bench.node.refused
+
+
+@pytest.mark.parametrize("gone", [True, False], ids=["its token is gone", "it is silent for 2 s"])
+def test_a_successor_with_the_same_mount_goes_on_without_a_word(stage, gone):
+    stage.mount(DRIVER)
+    if gone:
+        for topic in (TF_STATIC, *(each.of("pmd") for each in (DEPTH, CAMERA_INFO, AMPLITUDE))):
+            stage.bench.node.gone(EMULATOR.session, topic)
+    else:
+        stage.wait(1.9)
+        assert stage.frame(DRIVER) is None
+        stage.wait(0.2)
+    assert stage.frame(DRIVER) == 0.0
+    assert stage.frame(EMULATOR) is None
+    stage.wait(3.0)
+    assert stage.frame(DRIVER) == 0.0
+    assert told(stage.bench, stage.now_s)[0] == Health.OK
+
+
+@pytest.mark.parametrize("successor", [EMULATOR, DRIVER], ids=["the same publisher", "a successor"])
+def test_another_mount_is_not_used_while_tracked_until_a_reset(stage, successor):
+    if successor != EMULATOR:
+        stage.wait(2.5)
+    stage.mount(successor, x_m=1.0)
+    assert stage.frame(successor) is None
+    assert stage.reason.startswith("other_setup: the mount has moved by 1.000 m and 0.00 deg since tracking")
+    assert successor.gid.hex() in stage.reason
+    stage.bench.send_frame(NOW_NS + 10**9, arrival_ns=NOW_NS + 10**9, by=successor, arrival_s=stage.now_s)
+    level, message, _ = told(stage.bench, stage.now_s)
+    assert level == Health.ERROR
+    assert "the mount has moved by 1.000 m" in message
+    stage.bench.inputs.request_reset(ResetRequest())
+    stage.number += 2000
+    assert stage.frame(successor) == 1.0
+
+
+def test_another_mount_is_used_before_anything_is_tracked(stage):
+    stage.mount(EMULATOR, x_m=1.0)
+    assert stage.frame(EMULATOR, tracked=False) == 1.0
+
+
+def test_a_mount_that_is_put_right_is_used_again(stage):
+    stage.mount(EMULATOR, x_m=1.0)
+    assert stage.frame(EMULATOR) is None
+    stage.mount(EMULATOR)
+    assert stage.frame(EMULATOR) == 0.0
+
+
+def test_another_lens_is_not_used_while_tracked(stage):
+    other = CAMERA.model_copy(update={"fx": 6.0})
+    assert [stage.frame(EMULATOR, camera=other) for _ in range(30)] == [None] * 30
+    assert "fx is 6, not 5 as in the frames before; `reset` the estimator" in stage.reason
+    stage.bench.inputs.request_reset(ResetRequest())
+    assert stage.frame(EMULATOR, camera=other) == 0.0
+
+
+def test_another_info_is_not_used_while_tracked_but_another_exposure_is(stage):
+    def announce(frequency_hz, exposure_s):
+        info = PmdInfo(
+            modulation_frequency_hz=np.array([frequency_hz]), integration_time_s=exposure_s,
+            electrons_per_count=1.0, saturation_count=100.0,
+        )  # fmt: skip
+        stage.bench.send(PMD_INFO.of("pmd"), write_pmd_info(0, "pmd_optical", info), by=EMULATOR)
+
+    announce(2e7, 1e-3)
+    assert stage.frame(EMULATOR) == 0.0
+    announce(2e7, 2e-3)
+    assert stage.frame(EMULATOR) == 0.0
+    announce(3e7, 2e-3)
+    assert stage.frame(EMULATOR) is None
+    assert "modulation_frequency_hz of the sensor's info has changed from 2e+07 to 3e+07" in stage.reason
+    assert stage.bench.inputs.infos["pmd"].modulation_frequency_hz == [2e7]
+
+
+def test_a_reset_may_name_the_gid_to_keep(stage):
+    stage.mount(DRIVER, x_m=1.0)
+    assert stage.frame(DRIVER) is None
+    with pytest.raises(RefusedError, match=f"known are {DRIVER.gid.hex()} .*{EMULATOR.gid.hex()}"):
+        stage.bench.inputs.request_reset(ResetRequest(keep_gid="0" * 32))
+    stage.bench.inputs.request_reset(ResetRequest(keep_gid=DRIVER.gid.hex()))
+    assert stage.frame(EMULATOR) is None
+    assert stage.frame(DRIVER) == 1.0
 
 
 # --- refused for what they hold ---
