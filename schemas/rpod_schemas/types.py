@@ -316,6 +316,16 @@ class EstimatorStatus(Stamped):
     """Numbers from which the belief follows, by name; each name carries its unit or is a share."""
 
 
+class EstimateValidity(Stamped):
+    """Whether the newest estimate may be used now (EstimateValidity.msg)."""
+
+    valid: bool
+    age_s: float
+    """Age of the newest measurement that the estimate holds, s; NaN if there is none."""
+    reason: Text
+    """Reason why the estimate is not valid; empty if it is."""
+
+
 class Health(IntEnum):
     """Level of a diagnostic (diagnostic_msgs/DiagnosticStatus)."""
 

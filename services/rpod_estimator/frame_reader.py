@@ -24,7 +24,7 @@ from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import TF_STATIC, Topic
 from rpod_schemas.types import Camera
 
-_STAMP_END = 12
+STAMP_END = 12
 """End of the encapsulation header and the stamp in a message's bytes."""
 
 
@@ -40,6 +40,8 @@ class Arrived:
     reason: str = ""
     refused: str = ""
     """Kind of the reason, a ``Reason``; empty if there is a measurement."""
+    repeats: int = 0
+    """Number of frames in a row, up to this one, whose content is that of the frame before."""
 
 
 class FrameReader:
@@ -134,7 +136,7 @@ class FrameReader:
         for name in self._infos.names:
             given = self._infos.rivals(name)
             for other, received in given[1:]:
-                if received.payload[_STAMP_END:] != given[0][1].payload[_STAMP_END:]:
+                if received.payload[STAMP_END:] != given[0][1].payload[STAMP_END:]:
                     yield name, given[0][0], other
 
     @property

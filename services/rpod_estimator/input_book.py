@@ -71,6 +71,8 @@ class SensorBook:
         """Number of frames that were not used, by kind of loss."""
         self.examples: dict[str, str] = {}
         """Last loss of each kind, in words."""
+        self.repeats = 0
+        """Number of its newest frames that are identical to the one before them."""
         self._recent: deque[_Frame] = deque(maxlen=1024)
         self._gaps_s: deque[float] = deque(maxlen=9)
         self._heard_s: float | None = None
@@ -119,7 +121,7 @@ class SensorBook:
         losses = [frame.loss for frame in self._recent if frame.loss is not None]
         frames = len(self._recent)
         if frames < LEAST_FRAMES or now_s - self._since_s < WINDOW_S or 2 * len(losses) <= frames:
-            return OK
+            return self._frozen()
         (reason, most), *_ = Counter(without_figures(loss.text) for loss in losses).most_common(1)
         latest = next(loss for loss in reversed(losses) if without_figures(loss.text) == reason)
         how = "no frame" if len(losses) == frames else f"only {frames - len(losses)} of {frames} frames"
@@ -128,6 +130,14 @@ class SensorBook:
         return InputState(
             level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {latest.text}"
         )
+
+    def _frozen(self) -> InputState:
+        if self.repeats < LEAST_FRAMES:
+            return OK
+        text = (
+            f"{self.name}: its last {self.repeats + 1} frames are identical to the bit; is the sensor frozen?"
+        )
+        return InputState(Health.WARN, text)
 
     def _silence(self, silent_s: float, *, others: bool) -> str:
         if others:

@@ -43,6 +43,7 @@ class InputHealth:
         book = self.books[arrived.sensor]
         if arrived.refused == Reason.SECOND_PUBLISHER:
             return  # told of as a rival
+        book.repeats = arrived.repeats
         if status.accepted:
             book.use(now_s)
         else:

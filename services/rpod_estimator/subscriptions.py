@@ -10,7 +10,9 @@ from queue import SimpleQueue
 from threading import Lock
 from typing import Any
 
-from rpod_estimator.frame_reader import Arrived, FrameReader
+import numpy as np
+
+from rpod_estimator.frame_reader import STAMP_END, Arrived, FrameReader
 from rpod_estimator.input_book import clock_hint
 from rpod_estimator.input_health import InputHealth
 from rpod_runtime import BusClock, Inbox, Node, Received
@@ -45,6 +47,7 @@ class Subscriptions:
         self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic]]()
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()
+        self._contents: dict[str, tuple[memoryview, int]] = {}
         node.watch_publishers(lambda session, topic: self._gone.put((session, topic)))
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
@@ -192,4 +195,12 @@ class Subscriptions:
         except PartRejectedError as error:
             self._node.reject(error.topic, error)
             return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
-        return Arrived(sensor, frame.stamp_ns, arrival_s, measurement)
+        return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, repeats=self._repeats(sensor, frame))
+
+    def _repeats(self, sensor: str, frame: Assembled[Received]) -> int:
+        """Return how many frames in a row have had the same content: noise never repeats to the bit."""
+        content = frame.parts[self._reader.leading[sensor]].payload[STAMP_END:]
+        before, repeats = self._contents.get(sensor, (memoryview(b""), 0))
+        repeats = repeats + 1 if np.array_equal(np.asarray(content), np.asarray(before)) else 0
+        self._contents[sensor] = content, repeats
+        return repeats

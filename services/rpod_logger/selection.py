@@ -7,7 +7,16 @@ import zenoh
 
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import sensor_kinds
-from rpod_schemas.topics import ESTIMATE, ESTIMATE_FRAME, ESTIMATE_POSE, STATUS, TOPICS, Namespace, Topic
+from rpod_schemas.topics import (
+    ESTIMATE,
+    ESTIMATE_FRAME,
+    ESTIMATE_POSE,
+    STATUS,
+    TOPICS,
+    VALIDITY,
+    Namespace,
+    Topic,
+)
 
 
 def patterns() -> list[Topic]:
@@ -26,7 +35,7 @@ def _pattern(topic: Topic) -> Topic:
         return topic.of("*")
     if topic == ESTIMATE_FRAME:
         return topic.under("*").at("*")
-    return topic.under("*") if topic in (ESTIMATE, ESTIMATE_POSE, STATUS) else topic
+    return topic.under("*") if topic in (ESTIMATE, ESTIMATE_POSE, VALIDITY, STATUS) else topic
 
 
 class Extras:

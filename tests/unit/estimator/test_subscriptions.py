@@ -314,8 +314,9 @@ def told(bench, now_s=3.0):
         (-5.0, 0, Health.ERROR, "late: 5.000 s old, max_age_s is 1; check the sensor's clock"),
         (0.0, 1_000, Health.ERROR, "depth without camera_info: the nearest one is stamped 0.001 ms later"),
         (0.0, None, Health.ERROR, "depth without camera_info, which does not come at all"),
+        (0.0, 0, Health.WARN, "frames are identical to the bit; is the sensor frozen?"),
     ],
-    ids=["good", "TAI", "slow clock", "camera_info 1 us off", "no camera_info"],
+    ids=["good", "TAI", "slow clock", "camera_info 1 us off", "no camera_info", "frozen"],
 )
 def test_frames_that_are_not_used_are_told_with_figures_and_remedy(
     shift_s, camera_shift_ns, level, words, caplog
@@ -328,7 +329,8 @@ def test_frames_that_are_not_used_are_told_with_figures_and_remedy(
         if camera_shift_ns is not None:
             camera = write_camera(stamp_ns + camera_shift_ns, "pmd_optical", CAMERA)
             bench.send(CAMERA_INFO.of("pmd"), camera, **how)
-        bench.send(DEPTH.of("pmd"), write_image(stamp_ns, "pmd_optical", DEPTH_M, "32FC1"), **how)
+        depth_m = DEPTH_M if level == Health.WARN else DEPTH_M + np.float32(1e-3 * number)
+        bench.send(DEPTH.of("pmd"), write_image(stamp_ns, "pmd_optical", depth_m, "32FC1"), **how)
         found = told(bench, time_s)
     assert found[0] == level
     assert words in found[1]
