@@ -70,6 +70,6 @@ class _Service:
     def publish(self, output: Output | None, arrived: Arrived | None = None) -> None:
         """Publish a result, and with it whether it is valid."""
         if output is not None:
-            self._validity.take(output, arrived, now_s=self._beacon.now_s())
+            self._validity.take(output, arrived, now_s=self._beacon.arrival_s(arrived))
             since_s = arrived.arrival_s if arrived is not None else None
             self._outputs.publish(output, self._beacon.current(), since_s=since_s)

@@ -13,7 +13,7 @@ from rpod_runtime.assembler import GivenUp
 from rpod_schemas.errors import Reason
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.texts import without_figures
-from rpod_schemas.types import Health
+from rpod_schemas.types import Health, SensorSync
 
 WINDOW_S = 2.0
 """Time span of the frames that are judged."""
@@ -73,6 +73,8 @@ class SensorBook:
         """Last loss of each kind, in words."""
         self.repeats = 0
         """Number of its newest frames that are identical to the one before them."""
+        self.sync = SensorSync()
+        """How the sensor keeps time, by its driver."""
         self._recent: deque[_Frame] = deque(maxlen=1024)
         self._gaps_s: deque[float] = deque(maxlen=9)
         self._heard_s: float | None = None
@@ -121,7 +123,7 @@ class SensorBook:
         losses = [frame.loss for frame in self._recent if frame.loss is not None]
         frames = len(self._recent)
         if frames < LEAST_FRAMES or now_s - self._since_s < WINDOW_S or 2 * len(losses) <= frames:
-            return self._frozen()
+            return self._doubtful()
         (reason, most), *_ = Counter(without_figures(loss.text) for loss in losses).most_common(1)
         latest = next(loss for loss in reversed(losses) if without_figures(loss.text) == reason)
         how = "no frame" if len(losses) == frames else f"only {frames - len(losses)} of {frames} frames"
@@ -131,7 +133,13 @@ class SensorBook:
             level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {latest.text}"
         )
 
-    def _frozen(self) -> InputState:
+    def _doubtful(self) -> InputState:
+        if self.sync.ptp == "unlocked":
+            offset_s = self.sync.ptp_offset_s
+            offset = "" if offset_s is None else f", it is {offset_s:.6f} s off"
+            return InputState(
+                Health.WARN, f"{self.name}: its clock is not locked to PTP{offset}; look at ptp4l"
+            )
         if self.repeats < LEAST_FRAMES:
             return OK
         text = (

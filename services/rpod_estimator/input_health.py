@@ -2,14 +2,16 @@
 
 import logging
 
+from pydantic import ValidationError
+
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.input_book import OK, REJECTED, InputState, Loss, SensorBook, unpaired
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.health import HealthBook
 from rpod_runtime.holders import Peer
-from rpod_schemas.errors import Reason
+from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.texts import without_figures
-from rpod_schemas.types import EstimatorStatus, Health, Mode
+from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Mode, SensorSync
 
 log = logging.getLogger(__name__)
 
@@ -56,6 +58,20 @@ class InputHealth:
             book.lose(unpaired(frame, leading), now_s)
         else:
             book.hear_others(now_s)
+
+    def hear(self, diagnostic: Diagnostic) -> None:
+        """Repeat what a driver says of how a sensor keeps time. Raises ``MessageRejectedError``."""
+        for sensor, book in self.books.items():
+            try:
+                sync = SensorSync.read(sensor, diagnostic.values)
+            except ValidationError as error:
+                problem = error.errors(include_url=False)[0]
+                text = f"sync/{sensor}/{problem['loc'][0]} of {diagnostic.name}: {problem['msg']}"
+                raise MessageRejectedError(Reason.MALFORMED, text) from error
+            if sync is not None:
+                book.sync = sync
+                for name, value in sync.values(sensor).items():
+                    self._health.tell(name, value)
 
     def report(self, mode: Mode, now_s: float) -> None:
         """Write level, message and counters into the diagnostics; log what is not used."""

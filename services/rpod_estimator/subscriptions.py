@@ -24,8 +24,8 @@ from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.topics import Topic
+from rpod_schemas.messages import NANOSECONDS, read_diagnostics
+from rpod_schemas.topics import DIAGNOSTICS, Topic
 
 _WAITING_PARTS = 512
 """Largest number of parts between the bus and the assembler; about 200 MB of images."""
@@ -51,6 +51,7 @@ class Subscriptions:
         node.watch_publishers(lambda session, topic: self._gone.put((session, topic)))
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
+        node.subscribe(DIAGNOSTICS, self._latched.put)
         for topic in self._reader.streams:
             # A live message that was missed would be too old when it is recovered; in lockstep all services
             # wait.
@@ -134,6 +135,10 @@ class Subscriptions:
     def _take(self, received: Received) -> None:
         if received.topic.name in self._reader.parts:
             self._take_part(received)
+        elif received.topic.name == DIAGNOSTICS.name:
+            for diagnostic in read_diagnostics(received.decode()):
+                if diagnostic.name != self._config.instance:  # which repeats what drivers say
+                    self.health.hear(diagnostic)
         else:
             self._reader.learn(received)
 

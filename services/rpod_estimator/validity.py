@@ -61,7 +61,7 @@ class Validity:
         self._lock = Lock()
 
     def take(self, output: Output, arrived: Arrived | None = None, *, now_s: float) -> None:
-        """Note a result of the estimator, and the frame that it is of."""
+        """Note a result of the estimator, and the frame that it is of, which arrived at ``now_s``."""
         with self._lock:
             self._mode = output.status.mode
             if output.odometry is not None:
@@ -131,6 +131,10 @@ class Beacon:
     def now_s(self) -> float:
         """Return the time in which the age of measurements counts: monotonic, or that of the bus."""
         return self._clock.now_ns() / NANOSECONDS if self._is_silent else time.monotonic()
+
+    def arrival_s(self, arrived: Arrived | None) -> float:
+        """Return the time of arrival of a frame, so that its processing counts; now if there is none."""
+        return arrived.arrival_s if arrived is not None and not self._is_silent else self.now_s()
 
     def current(self) -> EstimateValidity:
         """Return the validity now."""

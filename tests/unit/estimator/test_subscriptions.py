@@ -17,6 +17,7 @@ from rpod_schemas.control import ResetRequest
 from rpod_schemas.messages import (
     write_camera,
     write_clock,
+    write_diagnostics,
     write_image,
     write_lidar_info,
     write_pmd_info,
@@ -24,8 +25,26 @@ from rpod_schemas.messages import (
     write_transforms,
 )
 from rpod_schemas.poses import make_pose
-from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, LIDAR_INFO, PMD_INFO, POINTS, TF_STATIC
-from rpod_schemas.types import Camera, EstimatorStatus, Health, LidarInfo, Mode, PmdInfo
+from rpod_schemas.topics import (
+    AMPLITUDE,
+    CAMERA_INFO,
+    DEPTH,
+    DIAGNOSTICS,
+    LIDAR_INFO,
+    PMD_INFO,
+    POINTS,
+    TF_STATIC,
+)
+from rpod_schemas.types import (
+    Camera,
+    Diagnostic,
+    EstimatorStatus,
+    Health,
+    LidarInfo,
+    Mode,
+    PmdInfo,
+    SensorSync,
+)
 from rpod_schemas.wire import Attachment
 
 SECOND_NS = 1_000_000_000
@@ -336,6 +355,25 @@ def test_frames_that_are_not_used_are_told_with_figures_and_remedy(
     assert words in found[1]
     lines = [record.getMessage() for record in caplog.records if record.getMessage().startswith("pmd: no")]
     assert len(lines) == (level == Health.ERROR)
+
+
+def test_what_a_driver_says_of_ptp_and_trigger_is_repeated():
+    bench = Bench()
+    sync = SensorSync(ptp="unlocked", ptp_offset_s=0.0012, trigger="hardware", trigger_missed=3)
+    for name, ptp in (("driver", "unlocked"), ("estimator", "locked"), ("other", "fine")):
+        values = sync.values("pmd") | {"sync/pmd/ptp": ptp, "sync/other/ptp": "locked", "rate_hz": "15"}
+        diagnostic = Diagnostic(stamp_ns=1, name=name, level=Health.OK, message="", values=values)
+        bench.send(DIAGNOSTICS, write_diagnostics([diagnostic]))
+    assert bench.arrived() == []
+    start_s = monotonic()
+    for number in range(40):
+        bench.inputs.health.books["pmd"].hear(start_s + number / 16)
+        bench.inputs.health.books["pmd"].use(start_s + number / 16)
+    level, message, values = told(bench, start_s + 2.5)
+    assert level == Health.WARN
+    assert message == "tracking; pmd: its clock is not locked to PTP, it is 0.001200 s off; look at ptp4l"
+    assert {name: value for name, value in values.items() if name.startswith("sync/")} == sync.values("pmd")
+    assert bench.node.refused == [("diagnostics", "malformed")]
 
 
 # --- several publishers ---
