@@ -37,7 +37,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
                             service.publish(output)
                     service.process(arrived)
                 service.publish(estimator.tick(node.clock.settled_ns()))
-                subscriptions.health.report(estimator.mode, time.monotonic())
+                subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted
                 service.process(arrived)
 

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.state import Output
@@ -10,6 +11,7 @@ from rpod_runtime import Node
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import (
     NANOSECONDS,
+    write_image,
     write_odometry,
     write_pose_stamped,
     write_status,
@@ -18,6 +20,7 @@ from rpod_schemas.messages import (
 )
 from rpod_schemas.topics import (
     CHASER,
+    CONTRADICTION,
     ESTIMATE,
     ESTIMATE_FRAME,
     ESTIMATE_POSE,
@@ -42,6 +45,7 @@ class Outputs:
             (node.publisher(ESTIMATE_FRAME.under(prefix).at(name)), T_target_frame)
             for name, T_target_frame in frames.items()
         ]
+        self._contradiction = node.publisher(CONTRADICTION.under(prefix))
         self._validity = node.publisher(VALIDITY.under(prefix))
         self._status = node.publisher(STATUS.under(prefix))
         self._tf = node.publisher(TF)
@@ -66,6 +70,10 @@ class Outputs:
                 self._tf_ns = odometry.stamp_ns
                 transform = (CHASER, TARGET_ESTIMATE, odometry.pose)
                 self._tf.publish(write_transforms(odometry.stamp_ns, [transform]))
+        if output.refused is not None:
+            image = output.refused.marks.marked * np.uint8(255)
+            message = write_image(output.status.stamp_ns, output.refused.frame_id, image, "mono8")
+            self._contradiction.publish(message)
         self.tell(validity)
         status = output.status
         if since_s is not None:

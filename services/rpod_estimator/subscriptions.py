@@ -43,7 +43,9 @@ class Subscriptions:
         self._reader = FrameReader(config.sensors)
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
-        self.health = InputHealth(node.health, self._reader.leading, now_s=time.monotonic())
+        self.heard_until_s = time.monotonic()
+        """Time up to which all that arrived has been taken in, monotonic clock."""
+        self.health = InputHealth(node.health, self._reader.leading, now_s=self.heard_until_s)
         self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic]]()
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()
@@ -101,6 +103,7 @@ class Subscriptions:
 
     def _take_in(self, timeout_s: float) -> None:
         parts = self._waiting.wait(timeout_s)
+        self.heard_until_s = time.monotonic()
         with self._lock:
             self._take_all(parts)
         if timeout_s and not parts and not self._in_lockstep:

@@ -5,9 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_estimator.outputs import Outputs
-from rpod_pose.navigation.state import Output
+from rpod_pose.belief import PixelMarks
+from rpod_pose.navigation.state import Output, RefusedPixels
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.messages import read_pose, write_status
+from rpod_schemas.messages import read_image, read_pose, write_status
 from rpod_schemas.poses import covariance_at, make_pose
 from rpod_schemas.types import EstimateValidity, EstimatorStatus, Mode, Odometry
 
@@ -50,7 +51,11 @@ def test_a_frame_of_the_target_is_published_with_the_covariance_at_its_place_bef
         pose_covariance=covariance,
     )
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.TRACKING, sensor="pmd")
-    Outputs(node, "second", {"grapple": GRAPPLE}).publish(Output(status, odometry), VALID)
+    refused = RefusedPixels("pmd_optical", PixelMarks(np.eye(3, dtype=np.bool_), 4))
+    Outputs(node, "second", {"grapple": GRAPPLE}).publish(Output(status, odometry, refused), VALID)
+    marks = node.messages["second/contradiction"]
+    assert (marks.header.frame_id, marks.header.stamp.nanosec) == ("pmd_optical", 1)
+    np.testing.assert_array_equal(read_image(marks), 255 * np.eye(3))
     message = node.messages["second/frames/grapple"]
     assert message.header.frame_id == "chaser"
     np.testing.assert_allclose(read_pose(message.pose.pose).as_matrix(), (POSE * GRAPPLE).as_matrix())
