@@ -1,6 +1,6 @@
 """Subscriptions of the estimator: they check the age of messages and keep the newest complete frame.
 
-The estimator subscribes to sensors, ``tf_static`` and the clock only, never to the truth.
+The estimator subscribes to sensors, ``tf_static``, diagnostics and the clock only, never to the truth.
 """
 
 import time
@@ -195,6 +195,8 @@ class Subscriptions:
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
         arrival_s = max(part.arrival_s for part in frame.parts.values())
         try:
+            for part in frame.parts.values():
+                self._holders.check(part.topic.name, part.peer, part.arrival_s)
             measurement = self._reader.measurement(sensor, frame)
             for part in frame.parts.values():
                 self._holders.hold(part.topic.name, part.peer, part.arrival_s)

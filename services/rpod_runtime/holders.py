@@ -88,7 +88,7 @@ class Holders:
             del topic.others[old]
         while len(topic.others) > MOST_PEERS:
             del topic.others[min(topic.others, key=lambda other: topic.others[other])]
-        self._check(name, topic, peer, now_s)
+        self.check(name, peer, now_s)
 
     def hold(self, name: str, peer: Peer, now_s: float) -> None:
         """Note a valid message, whose publisher becomes the holder if there is none.
@@ -99,16 +99,19 @@ class Holders:
         topic = self._topics.setdefault(name, _Topic())
         if topic.holder == peer:
             return
-        self._check(name, topic, peer, now_s)
+        self.check(name, peer, now_s)
         topic.others.pop(peer, None)
         if topic.holder is not None:
             topic.others[topic.holder] = topic.heard_s
         topic.holder, topic.heard_s = peer, now_s
         topic.gaps_s.clear()
 
-    def _check(self, name: str, topic: _Topic, peer: Peer, now_s: float) -> None:
-        if topic.holder is not None and topic.holds(now_s):
-            raise SecondPublisherError(name, topic.holder, peer)
+    def check(self, name: str, peer: Peer, now_s: float) -> None:
+        """Raise ``SecondPublisherError`` if another publisher holds the topic."""
+        topic = self._topics.get(name)
+        holder = topic.holder if topic is not None and topic.holds(now_s) else None
+        if holder is not None and holder != peer:
+            raise SecondPublisherError(name, holder, peer)
 
     def leave(self, name: str, session: str) -> None:
         """Note that the publisher of a session is gone: its liveliness token is."""
