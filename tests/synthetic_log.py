@@ -43,6 +43,7 @@ from rpod_schemas.topics import (
     CAMERA_INFO,
     CHASER,
     CLOCK,
+    CONTRADICTION,
     DEPTH,
     DIAGNOSTICS,
     ESTIMATE,
@@ -140,6 +141,8 @@ class Frame:
     """Of (dp, dtheta), chaser axes."""
     reason: str = ""
     nis: float = float("nan")
+    marked: Any = None
+    """Pixels that contradict the pose, shape (rows, columns); None for none."""
     latency_s: float = 0.06
     processing_s: float = 0.03
 
@@ -173,6 +176,8 @@ class SyntheticRun:
     skipped: Callable[[int], bool] = field(default=lambda _number: False)
     """Which frames, by number, the estimator passes over."""
     dropped: int = 0
+    late: int = 0
+    """Frames that the estimator says it refused because they were late."""
     unlogged: int = 0
     """Depth images that were published and did not reach the log, from the second one on."""
     amplitude_until_s: float = np.inf
@@ -316,6 +321,9 @@ class _LogWriter:
             nis=frame.nis,
             processing_s=frame.processing_s,
         )
+        if frame.marked is not None:
+            image = write_image(stamp_ns, self.frame_id, frame.marked * np.uint8(255), "mono8")
+            self.put(CONTRADICTION, stamp_ns, image, delay_s=frame.latency_s)
         self.put(STATUS, stamp_ns, write_status(status), delay_s=frame.latency_s)
 
     def diagnostics(self, time_s: float) -> None:
@@ -327,6 +335,9 @@ class _LogWriter:
             values = {f"published/{topic.name}": str(self.sequences[topic.name]) for topic in topics}
             if service == "estimator":
                 values[f"dropped/{self.run.name}"] = str(self.run.dropped)
+                values[f"inputs/{self.run.name}/used"] = "7"
+                values[f"inputs/{self.run.name}/not_used/late"] = str(self.run.late)
+                values[f"input/{self.run.name}/late"] = "late: 1.250 s old"
             diagnostic = Diagnostic(
                 stamp_ns=stamp_ns, name=service, level=Health.OK, message="running", values=values
             )

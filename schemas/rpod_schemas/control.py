@@ -71,6 +71,9 @@ class ResetRequest(Config):
     """Stamp of the pose; by default now."""
     covariance: Covariance6 | None = None
     """Covariance of (dp, dtheta), ICD section 1."""
+    keep_gid: str | None = Field(default=None, pattern=r"^[0-9a-f]{32}$")
+    """A publisher's gid, hexadecimal digits: the topics of its session are used from now on, whoever else
+    publishes them. By default the next valid publishers are used."""
 
     @field_validator("pose")
     @classmethod

@@ -50,6 +50,9 @@ class Reason(StrEnum):
     FUTURE = "future"
     UNKNOWN_FRAME = "unknown_frame"
     OTHER_CAMERA = "other_camera"
+    OTHER_SETUP = "other_setup"
+    SECOND_PUBLISHER = "second_publisher"
+    TOO_MANY = "too_many"
     OLD_ATTACHMENT = "old_attachment"
 
 

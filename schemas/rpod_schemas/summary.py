@@ -34,6 +34,24 @@ class FrameCount(Config):
     """Number of messages that were published but are not in the log."""
 
 
+class LostFrames(Config):
+    """Frames that the estimator did not use for one kind of reason."""
+
+    frames: Count
+    """Number of frames."""
+    last: str
+    """The last reason, with its figures and the remedy."""
+
+
+class InputAccount(Config):
+    """What became of a sensor's frames at the estimator, by its own account."""
+
+    used: Count
+    """Number of frames whose measurement was accepted."""
+    not_used: dict[str, LostFrames]
+    """Frames that were not used, by kind of reason."""
+
+
 class EstimateCount(Config):
     """Numbers of frames and estimates."""
 
@@ -169,6 +187,8 @@ class Summary(Config):
     """Numbers of messages by topic."""
     estimates: EstimateCount
     """Numbers of frames and estimates."""
+    inputs: dict[str, InputAccount] = Field(default_factory=dict)
+    """What became of the frames of each sensor at the estimator."""
     modes: Tracking
     """Shares of tracking."""
     error: ErrorSummary | None

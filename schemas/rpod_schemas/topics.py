@@ -92,6 +92,8 @@ LIDAR_INFO = Topic("<lidar>/info", "rpod_msgs/msg/LidarInfo", latched=True)
 ESTIMATE = Topic("estimate/odometry", "nav_msgs/msg/Odometry")
 ESTIMATE_POSE = Topic("estimate/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
 ESTIMATE_FRAME = Topic("estimate/frames/<frame>", "geometry_msgs/msg/PoseWithCovarianceStamped")
+CONTRADICTION = Topic("estimate/contradiction", _IMAGE)
+VALIDITY = Topic("estimate/validity", "rpod_msgs/msg/EstimateValidity")
 STATUS = Topic("estimate/status", "rpod_msgs/msg/EstimatorStatus")
 COMMAND = Topic("guidance/command", "geometry_msgs/msg/TwistStamped")
 IMU = Topic("chaser/imu", "sensor_msgs/msg/Imu")
@@ -99,7 +101,8 @@ DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
 TOPICS: tuple[Topic, ...] = (
     TRUTH, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, CAMERA_INFO, PHASE, PMD_INFO,
-    POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME, STATUS, COMMAND, IMU, DIAGNOSTICS,
+    POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME, CONTRADICTION, VALIDITY,
+    STATUS, COMMAND, IMU, DIAGNOSTICS,
 )  # fmt: skip
 """All topics, in the order of the ICD's table."""
 

@@ -4,6 +4,7 @@ Arrays are views of the received bytes if the layout allows it, so that they may
 nanoseconds of UTC since the Unix epoch (ICD section 1).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated, Any, Literal, Self
@@ -36,6 +37,8 @@ from rpod_schemas.bounds import (
 from rpod_schemas.poses import Pose
 
 Float32Array = NDArray[np.float32]
+SYNC = "sync/"
+"""First part of the values of diagnostics that tell how sensors keep time."""
 ZERO_6X6 = np.zeros((6, 6))
 LENS_COEFFICIENTS = 8
 """Number of distortion coefficients of a rational_polynomial lens; plumb_bob has the first five."""
@@ -326,6 +329,45 @@ class EstimatorStatus(Stamped):
     """Belief of the method in its pose, which the filter's gate may still reject."""
     evidence: dict[str, float] = Field(default_factory=dict)
     """Numbers from which the belief follows, by name; each name carries its unit or is a share."""
+
+
+class EstimateValidity(Stamped):
+    """Whether the newest estimate may be used now (EstimateValidity.msg)."""
+
+    valid: bool
+    age_s: float
+    """Age of the newest measurement that the estimate holds, s; NaN if there is none."""
+    reason: Text
+    """Reason why the estimate is not valid; empty if it is."""
+
+
+class SensorSync(Model):
+    """How a sensor keeps time, as its driver knows it; None for what is not known."""
+
+    ptp: Literal["locked", "unlocked", "none"] | None = None
+    """Whether the sensor's clock is locked to a PTP master."""
+    ptp_offset_s: float | None = None
+    """Offset from the PTP master, s."""
+    trigger: Literal["hardware", "software", "none"] | None = None
+    """Source of the trigger of each frame."""
+    trigger_missed: Annotated[int, Field(ge=0)] | None = None
+    """Number of triggers without a frame."""
+
+    def values(self, sensor: str) -> dict[str, str]:
+        """Return what is known as values of diagnostics (ICD section 2)."""
+        known = self.model_dump(exclude_none=True)
+        return {f"{SYNC}{sensor}/{name}": f"{value}" for name, value in known.items()}
+
+    @classmethod
+    def read(cls, sensor: str, values: Mapping[str, str]) -> "SensorSync | None":
+        """Return what diagnostics tell of a sensor; None if that is nothing.
+
+        Raises:
+            pydantic.ValidationError: a value is not one of those of the ICD.
+        """
+        prefix = f"{SYNC}{sensor}/"
+        told = {name: value for key, value in values.items() if (name := key.removeprefix(prefix)) != key}
+        return cls(**{name: told[name] for name in cls.model_fields if name in told}) if told else None
 
 
 class Health(IntEnum):

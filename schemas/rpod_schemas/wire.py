@@ -88,6 +88,11 @@ def publisher_tokens(namespace: Namespace) -> str:
     return f"@ros2_lv/{namespace.domain}/*/*/*/MP/*/*/*/*/*/*/*"
 
 
+def session_of_token(token: str) -> str:
+    """Return the Zenoh identity of the session that declared a token."""
+    return token.split("/")[2]
+
+
 def topic_of_token(token: str, namespace: Namespace) -> Topic | None:
     """Return the topic that an endpoint's token names; None if it is not of this namespace."""
     name, wire_type = token.split("/")[9:11]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
@@ -23,10 +23,11 @@ from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_diagnostics, read_status, read_transforms
 from rpod_schemas.poses import between, pose_error
 from rpod_schemas.topics import DIAGNOSTICS, STATUS, TARGET, TARGET_ESTIMATE, TF
-from rpod_schemas.types import Mode
+from rpod_schemas.types import Diagnostic, Health, Mode
 from rpod_target import NO_SYMMETRY, load_equivalence
 
 _STYLES = {Mode.TRACKING: "green", Mode.VERIFYING: "yellow", Mode.ACQUIRING: "yellow", Mode.LOST: "red"}
+_LEVELS = {Health.WARN: "yellow", Health.ERROR: "red"}
 _PLAIN_PERIOD_S = 5.0
 _VIEW = ViewConfig.model_fields["instance"].default
 
@@ -44,6 +45,8 @@ class _Seen:
     position_m: float = float("nan")
     rates_hz: dict[str, float] = field(default_factory=dict)
     counted: dict[str, tuple[int, int]] = field(default_factory=dict)
+    troubles: dict[str, Diagnostic] = field(default_factory=dict)
+    """Last diagnostic of each service whose level is not OK."""
 
 
 class Progress:
@@ -94,10 +97,12 @@ class Progress:
             except MessageRejectedError:
                 continue
         if self._live:
-            self._live.update(self._table())
+            self._live.update(self._screen())
         elif time.monotonic() - self._plain_s > _PLAIN_PERIOD_S:
             self._plain_s = time.monotonic()
             self._console.print("  ".join(text.plain for text in self._cells()))
+            for text in self._troubles():
+                self._console.print(text, soft_wrap=True, highlight=False)
 
     def _take(self, received: Received) -> None:
         message = received.decode()
@@ -113,6 +118,9 @@ class Progress:
             for diagnostic in read_diagnostics(message):
                 if diagnostic.name == _VIEW:
                     self._print_view(diagnostic.message)
+                self._seen.troubles.pop(diagnostic.name, None)
+                if diagnostic.level != Health.OK:
+                    self._seen.troubles[diagnostic.name] = diagnostic
                 self._take_counters(diagnostic.stamp_ns, diagnostic.values)
 
     def _print_view(self, message: str) -> None:
@@ -166,7 +174,13 @@ class Progress:
             Text(f"error {seen.attitude_deg:.2f} deg  {1e3 * seen.position_m:.0f} mm" if seen.truth else ""),
         ]
 
-    def _table(self) -> Table:
+    def _troubles(self) -> list[Text]:
+        return [
+            Text(f"{each.level.name} {each.name}: {each.message}", style=_LEVELS.get(each.level, "yellow"))
+            for each in self._seen.troubles.values()
+        ]
+
+    def _screen(self) -> Group:
         grid = Table.grid(padding=(0, 2))
         grid.add_row(*self._cells())
-        return grid
+        return Group(grid, *self._troubles())

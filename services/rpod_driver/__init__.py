@@ -2,6 +2,6 @@
 
 from rpod_driver.errors import DriverError
 from rpod_driver.host import main, run
-from rpod_driver.ports import CameraDriver, Driver, LidarDriver
+from rpod_driver.ports import CameraDriver, Driver, LidarDriver, Synchronised
 
-__all__ = ["CameraDriver", "Driver", "DriverError", "LidarDriver", "main", "run"]
+__all__ = ["CameraDriver", "Driver", "DriverError", "LidarDriver", "Synchronised", "main", "run"]

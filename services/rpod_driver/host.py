@@ -10,7 +10,7 @@ from threading import Event
 from typing import Any
 
 from rpod_driver.errors import DriverError, SilentSensorError, WrongKindError
-from rpod_driver.ports import Driver
+from rpod_driver.ports import Driver, Synchronised
 from rpod_runtime import Node, lifecycle
 from rpod_runtime.sensors import open_publisher
 from rpod_schemas.config.base import load
@@ -131,6 +131,9 @@ class Host:
         age_s = time.monotonic() - self._heard_s
         self._node.health.measure("last_frame_age_s", age_s)
         self._node.health.measure("rate_hz", self._rate_hz())
+        if isinstance(self._driver, Synchronised):
+            for name, value in self._driver.sync().values(self._config.name).items():
+                self._node.health.tell(name, value)
         if self._trouble:
             return Health.ERROR, self._trouble
         if self.finished:

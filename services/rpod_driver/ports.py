@@ -1,9 +1,9 @@
 """The ports of drivers. Emulator, recording and real device are equal behind them."""
 
 from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
-from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame
+from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame, SensorSync
 
 
 class Driver(Protocol):
@@ -26,6 +26,15 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Release the device; it is called once after each ``connect`` that succeeded."""
+        ...
+
+
+@runtime_checkable
+class Synchronised(Protocol):
+    """A driver that knows how its sensor keeps time; a driver need not be one."""
+
+    def sync(self) -> SensorSync:
+        """Return how the sensor keeps time now; called each second, it must return at once."""
         ...
 
 

@@ -1,14 +1,17 @@
 """The estimator daemon: connects the estimator to the bus and the clock."""
 
+import time
 from threading import Event
 
 from rpod_estimator.estimator import TICK_S, Estimator
+from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.outputs import Outputs
 from rpod_estimator.subscriptions import Subscriptions
+from rpod_estimator.validity import Beacon, Validity
+from rpod_pose.navigation.state import Output
 from rpod_runtime import Node
 from rpod_schemas.config.estimator import EstimatorConfig
-from rpod_schemas.control import ResetRequest
-from rpod_schemas.types import Health, Mode
+from rpod_schemas.control import Accepted, ResetRequest
 from rpod_target import load_target
 
 
@@ -19,18 +22,54 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     with Node(config, version=version, stop=stop) as node:
         node.target_digest = target.digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target.frames)
-        node.serve("reset", ResetRequest, estimator.request_reset)
-        node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
-        while not stop.is_set():
-            arrived = subscriptions.newest(TICK_S)
-            estimator.learn(subscriptions.infos)
-            if arrived is not None:
-                if config.time_source == "clock":
-                    for output in estimator.let_time_pass(arrived.stamp_ns):
-                        outputs.publish(output)
-                outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)
-            outputs.publish(estimator.tick(node.clock.settled_ns()))
-            level = Health.WARN if estimator.mode == Mode.LOST else Health.OK
-            node.health.report(level, estimator.mode.name.lower())
-        for arrived in subscriptions.rest():  # each frame gets a status or is counted
-            outputs.publish(estimator.process(arrived), since_s=arrived.arrival_s)
+        validity = Validity(config.stale_after_s)
+        with Beacon(validity, outputs.tell, node.clock) as beacon:
+            service = _Service(estimator, subscriptions, outputs, validity, beacon)
+            node.serve("reset", ResetRequest, service.reset)
+            node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
+            while not stop.is_set():
+                subscriptions.pin(estimator.pins_setups)
+                arrived = subscriptions.newest(TICK_S)
+                estimator.learn(subscriptions.infos)
+                if arrived is not None:
+                    if config.time_source == "clock":
+                        for output in estimator.let_time_pass(arrived.stamp_ns):
+                            service.publish(output)
+                    service.process(arrived)
+                service.publish(estimator.tick(node.clock.settled_ns()))
+                subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
+            for arrived in subscriptions.rest():  # each frame gets a status or is counted
+                service.process(arrived)
+
+
+class _Service:
+    """The estimator with all that is told of its results."""
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        subscriptions: Subscriptions,
+        outputs: Outputs,
+        validity: Validity,
+        beacon: Beacon,
+    ) -> None:
+        self._estimator, self._subscriptions = estimator, subscriptions
+        self._outputs, self._validity, self._beacon = outputs, validity, beacon
+
+    def reset(self, request: ResetRequest) -> Accepted:
+        """Start again, with the sensors as they are set up now."""
+        self._subscriptions.request_reset(request)
+        return self._estimator.request_reset(request)
+
+    def process(self, arrived: Arrived) -> None:
+        """Process a frame and publish the result."""
+        output = self._estimator.process(arrived)
+        self.publish(output, arrived)
+        self._subscriptions.health.judge(arrived, output.status, time.monotonic())
+
+    def publish(self, output: Output | None, arrived: Arrived | None = None) -> None:
+        """Publish a result, and with it whether it is valid."""
+        if output is not None:
+            self._validity.take(output, arrived, now_s=self._beacon.arrival_s(arrived))
+            since_s = arrived.arrival_s if arrived is not None else None
+            self._outputs.publish(output, self._beacon.current(), since_s=since_s)

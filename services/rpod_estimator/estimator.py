@@ -57,6 +57,11 @@ class Estimator:
         """State of the navigator."""
         return self._state.mode
 
+    @property
+    def pins_setups(self) -> bool:
+        """Whether the sensors must stay set up as they are: a track uses them."""
+        return self.mode != Mode.ACQUIRING and self._config.changed_setup == "refuse"
+
     def learn(self, infos: Mapping[str, Any]) -> None:
         """Create a sensor's methods when what they need is known, and again when its info changes.
 

@@ -4,10 +4,11 @@ Parts are identified by topic and by the stamp in their first bytes. Only frames
 processed are decoded.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rpod_estimator.setup_check import Setup, SetupCheck
 from rpod_pose.measurement import Measurement
 from rpod_pose.pmd.camera_check import CameraCheck
 from rpod_runtime import Received
@@ -15,6 +16,7 @@ from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.extrinsics import Extrinsics
 from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
+from rpod_runtime.holders import Announcements, Peer
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.config.source import SourceConfig
@@ -23,6 +25,9 @@ from rpod_schemas.messages import read_transforms
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import TF_STATIC, Topic
 from rpod_schemas.types import Camera
+
+STAMP_END = 12
+"""End of the encapsulation header and the stamp in a message's bytes."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,10 @@ class Arrived:
     """Arrival of the last part, monotonic clock."""
     measurement: Measurement | None
     reason: str = ""
+    refused: str = ""
+    """Kind of the reason, a ``Reason``; empty if there is a measurement."""
+    repeats: int = 0
+    """Number of frames in a row, up to this one, whose content is that of the frame before."""
 
 
 class FrameReader:
@@ -54,6 +63,13 @@ class FrameReader:
         refused."""
         self._readers: dict[str, SensorReader] = {}
         self._sources: dict[str, SourceConfig] = {}
+        self.pinned = False
+        """Whether sensors must stay set up as they are, because a track uses them."""
+        self._kinds = {sensor.name: sensor_kind(sensor.kind) for sensor in sensors}
+        self._infos: Announcements[Received] = Announcements()
+        self._read_infos: dict[str, Received] = {}
+        self._setups = SetupCheck()
+        self._frame_ids: dict[str, str] = {}
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
         self._cameras = CameraCheck()
         for sensor in sensors:
@@ -73,17 +89,64 @@ class FrameReader:
 
     @property
     def infos(self) -> Mapping[str, Any]:
-        """Info that each sensor has published of itself, by sensor name; None where there is none."""
-        return {sensor: reader.said for sensor, reader in self._readers.items()}
+        """Info that each sensor has published of itself, by sensor name; None where there is none.
+
+        For a sensor whose info has changed while it is pinned, this is the one before.
+        """
+        said = {sensor: reader.said for sensor, reader in self._readers.items()}
+        return {name: self._setups.info(name, info) if self.pinned else info for name, info in said.items()}
 
     def learn(self, received: Received) -> None:
         """Store the content of a latched message. Raises ``MessageRejectedError``."""
         topic = received.topic
         if topic.name == TF_STATIC.name:
             for _, parent, child, pose in read_transforms(received.decode()):
-                self._extrinsics.set(parent, child, pose)
+                self._extrinsics.set(parent, child, pose, received.peer)
+            return
+        sensor = topic.name.split("/", 1)[0]
+        open_reader(self._kinds[sensor]).learn(received.decode())  # refuses what cannot be used
+        self._infos.put(topic.name, received.peer, received)
+        self._inform(sensor, received.session)
+
+    def _inform(self, sensor: str, session: str) -> None:
+        """Let a sensor's reader know the info that counts for the frames of a session."""
+        info = self._kinds[sensor].info
+        found = self._infos.of(info.of(sensor).name, session) if info is not None else None
+        if found is not None and found[1] is not self._read_infos.get(sensor):
+            self._read_infos[sensor] = found[1]
+            self._readers[sensor].learn(found[1].decode())
+
+    def leave(self, session: str, topic: Topic) -> None:
+        """Note that the publisher of a session on a latched topic is gone."""
+        if topic.name == TF_STATIC.name:
+            self._extrinsics.announced.leave(lambda _: True, session)
         else:
-            self._readers[topic.name.split("/", 1)[0]].learn(received.decode())
+            self._infos.leave(lambda name: name == topic.name, session)
+
+    def forget(self, *, keep: str = "") -> None:
+        """Accept sensors as they are set up now; with ``keep``, as this session has them."""
+        self._setups.forget()
+        self._cameras = CameraCheck()
+        self._extrinsics.announced.release(keep=keep)
+        self._infos.release(keep=keep)
+
+    @property
+    def rivals(self) -> Iterator[tuple[str, Peer, Peer]]:
+        """Publishers that differ about a mount or an info: what, the one that is used, another one."""
+        for frame_id in self._frame_ids.values():
+            if found := self._extrinsics.rivals(frame_id):
+                yield f"{TF_STATIC.name} of {frame_id}", *found
+        for name in self._infos.names:
+            given = self._infos.rivals(name)
+            for other, received in given[1:]:
+                if received.payload[STAMP_END:] != given[0][1].payload[STAMP_END:]:
+                    yield name, given[0][0], other
+
+    @property
+    def peers(self) -> Iterator[Peer]:
+        """Publishers of mounts and infos."""
+        yield from self._extrinsics.announced.peers
+        yield from self._infos.peers
 
     def lasting(self, topic: Topic) -> bool:
         """Return whether the messages of a stream are valid until another comes, whatever their age."""
@@ -97,18 +160,25 @@ class FrameReader:
     def measurement(self, sensor: str, frame: Assembled[Received]) -> Measurement:
         """Return a frame decoded and checked, with its mount. Raises ``PartRejectedError``."""
         leading = frame.parts[self.leading[sensor]]
+        self._inform(sensor, leading.session)
         data = self._readers[sensor].read(frame)
         if data.lens is not None:
             self._check_camera(sensor, data.lens, frame.parts.get("camera_info", leading))
+        self._frame_ids[sensor] = data.frame_id
         try:
-            mount = self._extrinsics.mount(sensor, data.frame_id)
+            mount = self._extrinsics.mount(sensor, data.frame_id, leading.session)
         except ExtrinsicsError as error:
             rejection = MessageRejectedError(Reason.UNKNOWN_FRAME, str(error))
             raise PartRejectedError(leading, rejection) from error
+        try:
+            setup = Setup(mount, self._readers[sensor].said)
+            self._setups.check(sensor, setup, source=leading.peer, pinned=self.pinned)
+        except MessageRejectedError as rejection:
+            raise PartRejectedError(leading, rejection) from rejection
         return Measurement(sensor, data, self._sources[sensor].boresight_mount(mount))
 
     def _check_camera(self, sensor: str, camera: Camera, received: Received) -> None:
         try:
-            self._cameras.check(sensor, camera)
+            self._cameras.check(sensor, camera, pinned=self.pinned)
         except MessageRejectedError as rejection:
             raise PartRejectedError(received, rejection) from rejection

@@ -3,18 +3,33 @@
 import time
 from collections.abc import Mapping
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.state import Output
 from rpod_runtime import Node
+from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import (
     NANOSECONDS,
+    write_image,
     write_odometry,
     write_pose_stamped,
     write_status,
     write_transforms,
+    write_validity,
 )
-from rpod_schemas.topics import CHASER, ESTIMATE, ESTIMATE_FRAME, ESTIMATE_POSE, STATUS, TARGET_ESTIMATE, TF
+from rpod_schemas.topics import (
+    CHASER,
+    CONTRADICTION,
+    ESTIMATE,
+    ESTIMATE_FRAME,
+    ESTIMATE_POSE,
+    STATUS,
+    TARGET_ESTIMATE,
+    TF,
+    VALIDITY,
+)
+from rpod_schemas.types import EstimateValidity, EstimatorStatus
 
 _TF_PERIOD_NS = NANOSECONDS // 25
 
@@ -23,23 +38,28 @@ class Outputs:
     """Publishers of the estimator's results; ``frames`` are the target's, T_target_frame by name."""
 
     def __init__(self, node: Node, prefix: str, frames: Mapping[str, RigidTransform]) -> None:
+        self._node = node
         self._odometry = node.publisher(ESTIMATE.under(prefix))
         self._pose = node.publisher(ESTIMATE_POSE.under(prefix))
         self._frames = [
             (node.publisher(ESTIMATE_FRAME.under(prefix).at(name)), T_target_frame)
             for name, T_target_frame in frames.items()
         ]
+        self._contradiction = node.publisher(CONTRADICTION.under(prefix))
+        self._validity = node.publisher(VALIDITY.under(prefix))
         self._status = node.publisher(STATUS.under(prefix))
         self._tf = node.publisher(TF)
         self._tf_ns = 0
 
-    def publish(self, output: Output | None, *, since_s: float | None = None) -> None:
+    def tell(self, validity: EstimateValidity) -> None:
+        """Publish the validity of the newest estimate."""
+        self._validity.publish(write_validity(validity))
+
+    def publish(self, output: Output, validity: EstimateValidity, *, since_s: float | None = None) -> None:
         """Publish a result; the status comes last, because lockstep waits for it.
 
         ``since_s`` is the arrival of the frame's last part on the monotonic clock.
         """
-        if output is None:
-            return
         odometry = output.odometry
         if odometry is not None:
             self._odometry.publish(write_odometry(odometry))
@@ -50,7 +70,22 @@ class Outputs:
                 self._tf_ns = odometry.stamp_ns
                 transform = (CHASER, TARGET_ESTIMATE, odometry.pose)
                 self._tf.publish(write_transforms(odometry.stamp_ns, [transform]))
+        if output.refused is not None:
+            image = output.refused.marks.marked * np.uint8(255)
+            message = write_image(output.status.stamp_ns, output.refused.frame_id, image, "mono8")
+            self._contradiction.publish(message)
+        self.tell(validity)
         status = output.status
         if since_s is not None:
             status = status.model_copy(update={"processing_s": time.monotonic() - since_s})
-        self._status.publish(write_status(status))
+        self._publish_status(status)
+
+    def _publish_status(self, status: EstimatorStatus) -> None:
+        """Publish a status; one beyond the bounds is told as such, because each frame gets one."""
+        try:
+            message = write_status(status)
+        except MessageRejectedError as error:
+            self._node.reject(self._status.topic.name, error)
+            kept = status.model_dump(include={"stamp_ns", "frame_id", "mode", "sensor"})
+            message = write_status(EstimatorStatus(**kept, reason=f"the status cannot be told: {error}"))
+        self._status.publish(message)

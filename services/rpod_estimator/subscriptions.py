@@ -1,22 +1,31 @@
 """Subscriptions of the estimator: they check the age of messages and keep the newest complete frame.
 
-The estimator subscribes to sensors, ``tf_static`` and the clock only, never to the truth.
+The estimator subscribes to sensors, ``tf_static``, diagnostics and the clock only, never to the truth.
 """
 
+import time
 from collections import deque
 from collections.abc import Iterator, Mapping
+from queue import SimpleQueue
+from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from rpod_estimator.frame_reader import Arrived, FrameReader
+from rpod_estimator.frame_reader import STAMP_END, Arrived, FrameReader
+from rpod_estimator.input_book import clock_hint
+from rpod_estimator.input_health import InputHealth
 from rpod_estimator.stamp_watch import StampWatch
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
+from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
+from rpod_runtime.holders import Holders, SecondPublisherError
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.messages import NANOSECONDS, read_diagnostics
+from rpod_schemas.topics import DIAGNOSTICS, Topic
 
 _WAITING_PARTS = 512
 """Largest number of parts between the bus and the assembler; about 200 MB of images."""
@@ -35,8 +44,17 @@ class Subscriptions:
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
         self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
+        self.heard_until_s = time.monotonic()
+        """Time up to which all that arrived has been taken in, monotonic clock."""
+        self.health = InputHealth(node.health, self._reader.leading, now_s=self.heard_until_s)
+        self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic]]()
+        self._resets: SimpleQueue[str] = SimpleQueue()
+        self._lock = Lock()
+        self._contents: dict[str, tuple[memoryview, int]] = {}
+        node.watch_publishers(lambda session, topic: self._gone.put((session, topic)))
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
+        node.subscribe(DIAGNOSTICS, self._latched.put)
         for topic in self._reader.streams:
             # A live message that was missed would be too old when it is recovered; in lockstep all services
             # wait.
@@ -47,6 +65,29 @@ class Subscriptions:
     def infos(self) -> Mapping[str, Any]:
         """Info that each sensor has published of itself, by sensor name; None where there is none."""
         return self._reader.infos
+
+    def pin(self, pinned: bool) -> None:
+        """Require of sensors that they stay set up as they are, or not."""
+        self._reader.pinned = pinned
+
+    def request_reset(self, request: ResetRequest) -> None:
+        """Let the next valid publishers hold their topics, or those of the session of ``keep_gid``.
+
+        Raises:
+            RefusedError: no publisher has this gid.
+        """
+        if request.keep_gid is None:
+            self._resets.put("")
+            return
+        with self._lock:
+            peers = {*self._holders.peers, *self._reader.peers}
+        found = [peer for peer in peers if peer.gid.hex() == request.keep_gid]
+        if not found or not found[0].session:
+            known = ", ".join(sorted(map(str, peers))) or "none"
+            raise RefusedError(
+                f"keep_gid: no publisher with this gid and a session is known; known are {known}"
+            )
+        self._resets.put(found[0].session)
 
     def newest(self, timeout_s: float) -> Arrived | None:
         """Return the newest complete frame with the oldest stamp over all sensors; None after the timeout.
@@ -64,25 +105,45 @@ class Subscriptions:
 
     def _take_in(self, timeout_s: float) -> None:
         parts = self._waiting.wait(timeout_s)
-        for received in self._latched.wait(0.0) + parts:
-            try:
-                self._take(received)
-            except MessageRejectedError as error:
-                self._node.reject(received.topic.name, error)
+        self.heard_until_s = time.monotonic()
+        with self._lock:
+            self._take_all(parts)
         if timeout_s and not parts and not self._in_lockstep:
             for sensor, assembler in self._reader.assemblers.items():
                 self._put(sensor, assembler.release())
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
 
+    def _take_all(self, parts: list[Received]) -> None:
+        while not self._gone.empty():
+            session, topic = self._gone.get()
+            self._holders.leave(topic.name, session)
+            if topic in self._reader.latched:
+                self._reader.leave(session, topic)
+        while not self._resets.empty():
+            keep = self._resets.get()
+            self._holders.release(keep=keep, now_s=time.monotonic())
+            self._reader.forget(keep=keep)
+        for received in self._latched.wait(0.0) + parts:
+            try:
+                self._take(received)
+            except MessageRejectedError as error:
+                self._node.reject(received.topic.name, error)
+        self.health.rivals = [*self._holders.rivals(time.monotonic()), *self._reader.rivals]
+
     def _next(self) -> Arrived | None:
         if self._refused:
             return self._refused.popleft()
         chosen = self._newest.take()
-        return self._arrived(*chosen) if chosen else None
+        with self._lock:
+            return self._arrived(*chosen) if chosen else None
 
     def _take(self, received: Received) -> None:
         if received.topic.name in self._reader.parts:
             self._take_part(received)
+        elif received.topic.name == DIAGNOSTICS.name:
+            for diagnostic in read_diagnostics(received.decode()):
+                if diagnostic.name != self._config.instance:  # which repeats what drivers say
+                    self.health.hear(diagnostic)
         else:
             self._reader.learn(received)
 
@@ -90,7 +151,8 @@ class Subscriptions:
         sensor, part = self._reader.parts[received.topic.name]
         assembler = self._reader.assemblers[sensor]
         stamp_ns = self._reader.stamp_ns(sensor, received)
-        if part == self._reader.leading[sensor] and not self._in_lockstep:
+        leads = part == self._reader.leading[sensor]
+        if leads and not self._in_lockstep:
             self._watch(sensor, stamp_ns, received.arrival_ns)
         try:
             if part not in assembler.lasting:
@@ -98,10 +160,17 @@ class Subscriptions:
             if stamp_ns == assembler.done_ns and part in assembler.required:
                 raise MessageRejectedError(Reason.DUPLICATE, "the frame of this stamp is already complete")
         except MessageRejectedError as error:
-            if part == self._reader.leading[sensor]:
-                self._refused.append(Arrived(sensor, stamp_ns, received.arrival_s, None, str(error)))
+            if leads:
+                self.health.books[sensor].hear(received.arrival_s)
+                refused = Arrived(sensor, stamp_ns, received.arrival_s, None, str(error), error.reason)
+                self._refused.append(refused)
             raise
+        self._holders.admit(received.topic.name, received.peer, received.arrival_s)
+        if leads:
+            self.health.books[sensor].hear(received.arrival_s)
         self._put(sensor, assembler.add(part, stamp_ns, received))
+        for frame in assembler.take_given_up():
+            self.health.give_up(sensor, frame, received.arrival_s)
         self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
 
     def _watch(self, sensor: str, stamp_ns: int, arrival_ns: int) -> None:
@@ -126,20 +195,34 @@ class Subscriptions:
         if age_s > self._config.max_age_s:
             raise MessageRejectedError(
                 Reason.LATE,
-                f"{age_s:.3f} s old, max_age_s is {self._config.max_age_s:g}; check the sensor's clock",
+                f"{age_s:.3f} s old, max_age_s is {self._config.max_age_s:g}; {clock_hint(-age_s, stamp_ns)}",
             )
         if age_s < -self._config.max_future_s:
             raise MessageRejectedError(
                 Reason.FUTURE,
                 f"{-age_s:.3f} s ahead of {self._config.time_source} time, max_future_s is "
-                f"{self._config.max_future_s:g}; check the sensor's clock",
+                f"{self._config.max_future_s:g}; {clock_hint(-age_s, stamp_ns)}",
             )
 
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
         arrival_s = max(part.arrival_s for part in frame.parts.values())
         try:
+            for part in frame.parts.values():
+                self._holders.check(part.topic.name, part.peer, part.arrival_s)
             measurement = self._reader.measurement(sensor, frame)
+            for part in frame.parts.values():
+                self._holders.hold(part.topic.name, part.peer, part.arrival_s)
+        except SecondPublisherError as error:
+            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
         except PartRejectedError as error:
             self._node.reject(error.topic, error)
-            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error))
-        return Arrived(sensor, frame.stamp_ns, arrival_s, measurement)
+            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
+        return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, repeats=self._repeats(sensor, frame))
+
+    def _repeats(self, sensor: str, frame: Assembled[Received]) -> int:
+        """Return how many frames in a row have had the same content: noise never repeats to the bit."""
+        content = frame.parts[self._reader.leading[sensor]].payload[STAMP_END:]
+        before, repeats = self._contents.get(sensor, (memoryview(b""), 0))
+        repeats = repeats + 1 if np.array_equal(np.asarray(content), np.asarray(before)) else 0
+        self._contents[sensor] = content, repeats
+        return repeats

@@ -7,7 +7,17 @@ import zenoh
 
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import sensor_kinds
-from rpod_schemas.topics import ESTIMATE, ESTIMATE_FRAME, ESTIMATE_POSE, STATUS, TOPICS, Namespace, Topic
+from rpod_schemas.topics import (
+    CONTRADICTION,
+    ESTIMATE,
+    ESTIMATE_FRAME,
+    ESTIMATE_POSE,
+    STATUS,
+    TOPICS,
+    VALIDITY,
+    Namespace,
+    Topic,
+)
 
 
 def patterns() -> list[Topic]:
@@ -21,12 +31,15 @@ def patterns() -> list[Topic]:
     ]
 
 
+_ESTIMATES = ESTIMATE, ESTIMATE_POSE, CONTRADICTION, VALIDITY, STATUS
+
+
 def _pattern(topic: Topic) -> Topic:
     if topic.name.startswith("<"):
         return topic.of("*")
     if topic == ESTIMATE_FRAME:
         return topic.under("*").at("*")
-    return topic.under("*") if topic in (ESTIMATE, ESTIMATE_POSE, STATUS) else topic
+    return topic.under("*") if topic in _ESTIMATES else topic
 
 
 class Extras:

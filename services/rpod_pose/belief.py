@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.special import softmax
 
@@ -36,6 +37,22 @@ class Rival:
 
 
 @dataclass(frozen=True, eq=False)
+class PixelMarks:
+    """Pixels of a frame that are inconsistent with a pose, on a coarser grid than the frame's."""
+
+    marked: NDArray[np.bool_]
+    """Which pixels, shape (rows, columns)."""
+    stride: int
+    """Distance of two of the coarse pixels in pixels of the frame."""
+
+    @property
+    def centre_px(self) -> tuple[int, int]:
+        """Column and row of the frame around which most of the marked pixels lie: their median."""
+        row, column = (int(self.stride * (np.median(places) + 0.5)) for places in np.nonzero(self.marked))
+        return column, row
+
+
+@dataclass(frozen=True, eq=False)
 class Belief:
     """A method's confidence in its own result."""
 
@@ -46,6 +63,8 @@ class Belief:
     """The numbers that the level follows from, by name; each name carries its unit or is a share."""
     rivals: tuple[Rival, ...] = ()
     """Other poses that explain the measurement, likeliest first; for an accepted pose, unlikely ones."""
+    marks: PixelMarks | None = None
+    """Which pixels of the frame are inconsistent with the pose; None if it is not known."""
     insufficient: str = ""
     """Reason why the measurement alone cannot begin a track, although a running track may use it."""
 

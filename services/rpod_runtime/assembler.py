@@ -24,6 +24,8 @@ _USUAL = 3
 """Number of last frames with a lasting part of their own after which the next one waits for its own."""
 _INTERVALS = 8
 """Number of intervals between frames whose least counts as the time from one frame to the next."""
+_EXPLAINED = 64
+"""Largest number of frames given up whose missing parts wait to be asked for."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,18 @@ class Assembled(Generic[PartT]):
 
     stamp_ns: int
     parts: dict[str, PartT]
+
+
+@dataclass(frozen=True)
+class GivenUp:
+    """A frame that never became complete."""
+
+    stamp_ns: int
+    parts: frozenset[str]
+    """Names of the parts that came."""
+    lacks: dict[str, int | None]
+    """Needed parts that did not come: time from the frame's stamp to the nearest stamp of such a part,
+    ns; None if none came lately."""
 
 
 @dataclass
@@ -67,9 +81,12 @@ class Assembler(Generic[PartT]):
     _without_optional: int = 0
     _held: dict[str, dict[int, PartT]] = field(default_factory=dict)
     _leads_ns: deque[int] = field(default_factory=lambda: deque(maxlen=_INTERVALS + 1))
+    _given_up: deque[GivenUp] = field(default_factory=lambda: deque(maxlen=_EXPLAINED))
+    _stamps_ns: dict[str, deque[int]] = field(default_factory=dict)
 
     def add(self, name: str, stamp_ns: int, part: PartT) -> list[Assembled[PartT]]:
         """Add a part; return the frames that it completes, oldest first."""
+        self._stamps_ns.setdefault(name, deque(maxlen=2 * _PENDING)).append(stamp_ns)
         if name in self.lasting:
             self._hold(name, stamp_ns, part)
             return self._complete()
@@ -97,6 +114,12 @@ class Assembler(Generic[PartT]):
         """Return the frames that lack only optional parts, oldest first, when no parts arrive any more."""
         ready = [stamp_ns for stamp_ns, parts in self._pending.items() if self._usable(parts)]
         return [self._finish(stamp_ns) for stamp_ns in sorted(ready)]
+
+    def take_given_up(self) -> list[GivenUp]:
+        """Return the frames given up since the last call, the newest ones only."""
+        given_up = list(self._given_up)
+        self._given_up.clear()
+        return given_up
 
     def _satisfied(self, stamp_ns: int, *, newest: bool) -> bool:
         parts = self._pending[stamp_ns]
@@ -158,15 +181,22 @@ class Assembler(Generic[PartT]):
         self._past.append(stamp_ns)
         return Assembled(stamp_ns, parts)
 
-    def _give_up(self, stamp_ns: int) -> None:
-        self._pending.pop(stamp_ns, None)
+    def _give_up(self, stamp_ns: int, part: str = "") -> None:
+        parts = self._pending.pop(stamp_ns, {}).keys() | ({part} if part else set())
+        missing = (self.required - parts) | (self.lasting - self._held.keys())
+        lacks = {name: self._nearest(name, stamp_ns) for name in sorted(missing)}
+        self._given_up.append(GivenUp(stamp_ns, frozenset(parts), lacks))
         self._past.append(stamp_ns)
         self.incomplete += 1
+
+    def _nearest(self, name: str, stamp_ns: int) -> int | None:
+        steps = (part_ns - stamp_ns for part_ns in self._stamps_ns.get(name, ()))
+        return min(steps, key=abs, default=None)
 
     def _note_straggler(self, name: str, stamp_ns: int) -> None:
         """Wait for an optional part again if it arrives late, yet before the next frame."""
         if stamp_ns not in self._past:
-            self._give_up(stamp_ns)
+            self._give_up(stamp_ns, name)
         elif name in self.optional and stamp_ns == self.done_ns and not self._pending:
             self._without_optional = 0
 

@@ -20,6 +20,9 @@ log = logging.getLogger(__name__)
 _REPLAYED = zenoh.CongestionControl.BLOCK
 """Congestion control of replies from a cache. Publishers of this package use DROP for live messages."""
 
+_MOST_PUBLISHERS = 4096
+"""Largest number of publishers that are remembered; the oldest is forgotten first."""
+
 Sink = Callable[[Received], None]
 
 
@@ -31,7 +34,8 @@ class Delivery:
         self._topics: dict[str, Topic] = {}
         """Topic of each key that matched a pattern."""
         self._publications: dict[str, Publication] = {}
-        self._gids: set[bytes] = set()
+        self._sessions: dict[bytes, str] = {}
+        """Zenoh identity of the session of each publisher, by gid."""
 
     def take(self, topic: Topic, sample: zenoh.Sample, sink: Sink) -> None:
         """Deliver a message of a topic or of a pattern, unless it is a duplicate or unusable."""
@@ -41,7 +45,7 @@ class Delivery:
         try:
             attachment = _attachment(sample)
             self._account_for(key, sample, attachment)
-            sink(_received(topic, key, sample, attachment))
+            sink(_received(topic, key, sample, attachment, self._sessions.get(attachment.gid, "")))
         except JumpError as error:
             self._health.warn(f"sequence_jump/{topic.name}", str(error.jump))
             self.reject(topic.name, error)
@@ -67,10 +71,12 @@ class Delivery:
             self._account.miss(publication, miss.nb)
 
     def reject(self, topic: str, error: MessageRejectedError) -> None:
-        """Count a rejected message; log the first of its kind."""
+        """Count a rejected message; log the first of its kind, and then one a minute."""
         if self._health.reject(topic, error):
             log.warning(
-                "rejected a message on %s: %s; further ones are only counted in diagnostics", topic, error
+                "rejected a message on %s: %s; further ones are counted in diagnostics, and told each minute",
+                topic,
+                error,
             )
 
     def _name(self, pattern: Topic, key: str) -> Topic:
@@ -79,9 +85,13 @@ class Delivery:
         return topic
 
     def _account_for(self, key: str, sample: zenoh.Sample, attachment: Attachment) -> None:
-        if attachment.gid not in self._gids and sample.source_info:
-            self._gids.add(attachment.gid)
-            self._publications[str(sample.source_info.source_id)] = key, attachment.gid
+        if attachment.gid not in self._sessions and sample.source_info:
+            source = sample.source_info.source_id
+            if len(self._sessions) >= _MOST_PUBLISHERS:
+                del self._sessions[next(iter(self._sessions))]
+                del self._publications[next(iter(self._publications))]
+            self._sessions[attachment.gid] = str(source.zid)
+            self._publications[str(source)] = key, attachment.gid
         fetched = sample.congestion_control == _REPLAYED
         self._account.take(key, attachment, fetched=fetched)
 
@@ -99,7 +109,9 @@ def _is_numbered(sample: zenoh.Sample) -> bool:
     return True
 
 
-def _received(topic: Topic, key: str, sample: zenoh.Sample, attachment: Attachment) -> Received:
+def _received(
+    topic: Topic, key: str, sample: zenoh.Sample, attachment: Attachment, session: str = ""
+) -> Received:
     payload = memoryview(sample.payload.to_bytes())
     encoding = "" if topic.type else str(sample.encoding)
-    return Received(topic, key, payload, attachment, time.time_ns(), encoding=encoding)
+    return Received(topic, key, payload, attachment, time.time_ns(), encoding=encoding, session=session)

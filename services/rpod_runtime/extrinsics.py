@@ -4,12 +4,15 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime.errors import ExtrinsicsError
+from rpod_runtime.holders import UNKNOWN_PEER, Announcements, Peer
 from rpod_schemas.bounds import MOUNT_M
 from rpod_schemas.poses import chained, rotation_of
 from rpod_schemas.topics import CHASER
 
 _AGREE_M = 1e-4
 _AGREE_RAD = 1e-4
+MOST_LINKS = 100
+"""Largest number of transforms from a sensor to the chaser."""
 
 
 class Extrinsics:
@@ -17,20 +20,23 @@ class Extrinsics:
 
     def __init__(self, configured: dict[str, RigidTransform | None]) -> None:
         self._configured = configured
-        self._parents: dict[str, tuple[str, RigidTransform]] = {}
+        self.announced: Announcements[tuple[str, RigidTransform]] = Announcements()
+        """Parent and T_parent_child by child frame, as each publisher gives them."""
 
-    def set(self, parent: str, child: str, T_parent_child: RigidTransform) -> None:
-        """Store one static transform."""
-        self._parents[child] = parent, T_parent_child
+    def set(self, parent: str, child: str, T_parent_child: RigidTransform, peer: Peer = UNKNOWN_PEER) -> None:
+        """Store a static transform of a publisher. Raises ``MessageRejectedError`` if there are too many."""
+        self.announced.put(child, peer, (parent, T_parent_child))
 
-    def mount(self, sensor: str, frame_id: str) -> RigidTransform:
+    def mount(self, sensor: str, frame_id: str, session: str = "") -> RigidTransform:
         """Return the mount of a sensor whose messages are stamped with a frame.
+
+        Transforms that ``session``, which sends the messages, has published itself count first.
 
         Raises:
             ExtrinsicsError: no source gives the mount, two sources differ, or the sensor is too far from the
                 chaser's origin.
         """
-        measured = self._chain(frame_id)
+        measured = self._chain(frame_id, session)
         configured = self._configured.get(sensor)
         mount = configured if measured is None else measured
         if mount is None:
@@ -42,26 +48,36 @@ class Extrinsics:
             MOUNT_M.check(float(np.linalg.norm(mount.translation)))
         except ValueError as error:
             raise ExtrinsicsError(f"distance of {frame_id!r} from {CHASER!r} {error}") from error
-        if measured is not None and configured is not None and _differ(measured, configured):
+        if measured is not None and configured is not None and differ(measured, configured):
             raise ExtrinsicsError(
                 f"tf_static and the configured T_chaser_sensor of {sensor!r} differ: correct one of them, "
                 "or leave T_chaser_sensor out of the configuration"
             )
         return mount
 
-    def _chain(self, frame_id: str) -> RigidTransform | None:
+    def _chain(self, frame_id: str, session: str) -> RigidTransform | None:
         T_frame_sensor = RigidTransform.identity()
         frame = frame_id
-        for _ in range(len(self._parents) + 1):
+        for _ in range(MOST_LINKS):
             if frame == CHASER:
                 return T_frame_sensor
-            if frame not in self._parents:
+            found = self.announced.of(frame, session)
+            if found is None:
                 return None
-            frame, T_parent_child = self._parents[frame]
+            _, (frame, T_parent_child) = found
             T_frame_sensor = chained(T_parent_child, T_frame_sensor)
         return None  # the frames form a loop
 
+    def rivals(self, frame_id: str) -> tuple[Peer, Peer] | None:
+        """Return two publishers that give a frame another place; None if all agree."""
+        given = self.announced.rivals(frame_id)
+        for other, (parent, pose) in given[1:]:
+            if parent != given[0][1][0] or differ(given[0][1][1], pose):
+                return given[0][0], other
+        return None
 
-def _differ(first: RigidTransform, second: RigidTransform) -> bool:
+
+def differ(first: RigidTransform, second: RigidTransform) -> bool:
+    """Return whether two poses differ by more than rounding."""
     step = chained(first.inv(), second)
     return bool(abs(step.translation).max() > _AGREE_M or rotation_of(step).magnitude() > _AGREE_RAD)

@@ -1,11 +1,15 @@
 """Counters and health of a service, and the diagnostics that carry them."""
 
+import time
 from collections import Counter
 from collections.abc import Callable
 from threading import Lock
 
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.types import Diagnostic, Health
+
+_REMIND_S = 60.0
+"""Time between two lines about rejected messages of one kind."""
 
 
 class HealthBook:
@@ -21,6 +25,7 @@ class HealthBook:
         self._measures: dict[str, float] = {}
         self._texts: dict[str, str] = {}
         self._warning = ""
+        self._told_s: dict[str, float] = {}
         self._level, self._message = Health.OK, "starting"
         self._check: Callable[[], tuple[Health, str]] | None = None
         self._changed = True
@@ -41,14 +46,20 @@ class HealthBook:
             self._measures[name] = value
 
     def reject(self, topic: str, rejection: MessageRejectedError | Reason) -> bool:
-        """Count a rejected message by topic and reason; return whether it is the first of its kind."""
+        """Count a rejected message by topic and reason; return whether to write a line about it.
+
+        A line is due for the first one of its kind, and then once a minute.
+        """
         reason = rejection if isinstance(rejection, Reason) else rejection.reason
         name = f"rejected/{topic}/{reason}"
         with self._lock:
             self._counters[name] += 1
-            first = self._counters[name] == 1
-            self._changed |= first
-        return first
+            told_s, now_s = self._told_s.get(name), time.monotonic()
+            due = told_s is None or now_s - told_s >= _REMIND_S
+            if due:
+                self._told_s[name] = now_s
+            self._changed |= told_s is None
+        return due
 
     def obey(self, verb: str, request: str) -> None:
         """Count an accepted command and keep its text, so that a log shows which commands were given."""
@@ -63,6 +74,14 @@ class HealthBook:
             self._texts[name] = text
             self._warning = f"look at {name}"
             self._changed = True
+
+    def tell(self, name: str, text: str) -> None:
+        """Set a text for the operator in the diagnostics; an empty one is removed."""
+        with self._lock:
+            if text:
+                self._texts[name] = text
+            else:
+                self._texts.pop(name, None)
 
     def report(self, level: Health, message: str) -> None:
         """Set the level and the message of the service; a change is published at once."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from threading import Condition
 from typing import Any
 
+from rpod_runtime.holders import Peer
 from rpod_schemas.cdr import decode
 from rpod_schemas.topics import Topic
 from rpod_schemas.wire import Attachment
@@ -29,6 +30,13 @@ class Received:
     """Time of arrival, monotonic clock; for processing times."""
     encoding: str = ""
     """Encoding that the publisher declared; set only where the type is unknown."""
+    session: str = ""
+    """Zenoh identity of the publisher's session; empty if it is unknown."""
+
+    @property
+    def peer(self) -> Peer:
+        """Publisher of the message."""
+        return Peer(self.attachment.gid, self.session)
 
     def decode(self) -> Any:
         """Return the ROS message; raises ``MessageRejectedError``."""

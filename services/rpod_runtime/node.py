@@ -34,7 +34,7 @@ from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_diagnostics
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Topic
 from rpod_schemas.types import Health
-from rpod_schemas.wire import GraphNode, publisher_tokens, topic_of_token
+from rpod_schemas.wire import GraphNode, publisher_tokens, session_of_token, topic_of_token
 
 log = logging.getLogger(__name__)
 
@@ -147,6 +147,18 @@ class Node:
         )
         self._stack.callback(watcher.undeclare)
 
+    def watch_publishers(self, gone: Callable[[str, Topic], None]) -> None:
+        """Call ``gone`` with session and topic, in the bus's thread, when a publisher's token vanishes."""
+
+        def take(token: zenoh.Sample) -> None:
+            key = str(token.key_expr)
+            topic = topic_of_token(key, self._keys)
+            if token.kind == zenoh.SampleKind.DELETE and topic is not None:
+                gone(session_of_token(key), topic)
+
+        watcher = self._session.liveliness().declare_subscriber(publisher_tokens(self._keys), take)
+        self._stack.callback(watcher.undeclare)
+
     def _subscribe(
         self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool
     ) -> None:
@@ -195,7 +207,7 @@ class Node:
             self._stack.callback(subscriber.sample_miss_listener(self._delivery.miss).undeclare)
 
     def reject(self, topic: str, error: MessageRejectedError) -> None:
-        """Count a rejected message; log the first of its kind."""
+        """Count a rejected message; log the first of its kind, and then one a minute."""
         self._delivery.reject(topic, error)
 
     def _entity(self) -> int:

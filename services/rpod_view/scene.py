@@ -18,11 +18,11 @@ from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, o
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.messages import read_odometry, read_status, read_transforms
+from rpod_schemas.messages import read_diagnostics, read_odometry, read_status, read_transforms
 from rpod_schemas.poses import pose_error
 from rpod_schemas.sensors import SensorKind, sensor_kinds
-from rpod_schemas.topics import ESTIMATE, STATUS, TARGET, TF, TF_STATIC, TRUTH, Topic
-from rpod_schemas.types import EstimatorStatus, Mode, Odometry, SensorFrame
+from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, STATUS, TARGET, TF, TF_STATIC, TRUTH, Topic
+from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Mode, Odometry, SensorFrame
 from rpod_target import Equivalence
 from rpod_view.track import Track
 
@@ -33,6 +33,7 @@ _PATIENCE_NS = NANOSECONDS
 _ENOUGH_NS = 16_000_000
 """Shortest time between two messages of the truth that are decoded, ns."""
 _MOST_WAITING = 512
+_MOST_TROUBLES = 20
 
 
 def sensor_topics() -> tuple[Topic, ...]:
@@ -43,7 +44,7 @@ def sensor_topics() -> tuple[Topic, ...]:
 
 def pose_topics(prefix: str) -> tuple[Topic, ...]:
     """Return the drawn topics besides frames and truth; ``prefix`` is that of the estimates."""
-    return TF_STATIC, ESTIMATE.under(prefix), STATUS.under(prefix)
+    return TF_STATIC, ESTIMATE.under(prefix), STATUS.under(prefix), DIAGNOSTICS
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,8 @@ class Scene:
         """The last estimate."""
         self.status: EstimatorStatus | None = None
         """The last status."""
+        self.troubles: dict[str, Diagnostic] = {}
+        """Last diagnostic of each service whose level is not OK."""
         self._estimate, self._status = ESTIMATE.under(prefix).name, STATUS.under(prefix).name
         self._extrinsics = Extrinsics({})
         self._kinds = sensor_kinds()
@@ -108,8 +111,16 @@ class Scene:
             self._take_truth(received)
         elif name in (TF.name, TF_STATIC.name):
             self._take_transforms(received)
+        elif name == DIAGNOSTICS.name:
+            self._take_diagnostics(read_diagnostics(received.decode()))
         else:
             self._take_part(received)
+
+    def _take_diagnostics(self, diagnostics: list[Diagnostic]) -> None:
+        for diagnostic in diagnostics:
+            self.troubles.pop(diagnostic.name, None)
+            if diagnostic.level != Health.OK and len(self.troubles) < _MOST_TROUBLES:
+                self.troubles[diagnostic.name] = diagnostic
 
     def _take_estimate(self, odometry: Odometry) -> None:
         self.newest = odometry

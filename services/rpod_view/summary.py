@@ -1,8 +1,10 @@
 """A short table of the navigator's state for the operator."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
-from rpod_schemas.types import EstimatorStatus, Mode, Source
+from rpod_schemas.types import Diagnostic, EstimatorStatus, Mode, Source
 from rpod_view.scene import Scored
 from rpod_view.shading import MILLIMETRES, band
 
@@ -17,10 +19,11 @@ SOURCES = {
 """Names of the pose's sources."""
 
 
-def summary(status: EstimatorStatus | None, scored: Scored | None) -> str:
-    """Return Markdown of the last status and the last estimate with its errors."""
+def summary(status: EstimatorStatus | None, scored: Scored | None, troubles: Iterable[Diagnostic]) -> str:
+    """Return Markdown of the last status, the last estimate with its errors, and what services warn of."""
+    told = "".join(f"\n\n**{each.level.name}** {each.name}: {each.message}" for each in troubles)
     if status is None:
-        return "# no estimator\n\nWaiting for the estimator's first status."
+        return f"# no estimator\n\nWaiting for the estimator's first status.{told}"
     rows = [
         ("source", SOURCES[status.source]),
         ("measurement", "accepted" if status.accepted else f"rejected: {status.reason or '-'}"),
@@ -29,7 +32,7 @@ def summary(status: EstimatorStatus | None, scored: Scored | None) -> str:
     if status.mode == Mode.TRACKING and scored is not None:
         rows += _rows_of(scored)
     table = "\n".join(f"| {name} | {value} |" for name, value in rows)
-    return f"# {status.mode.name}\n\n| | |\n|---|---|\n{table}"
+    return f"# {status.mode.name}\n\n| | |\n|---|---|\n{table}{told}"
 
 
 def _rows_of(scored: Scored) -> list[tuple[str, str]]:

@@ -60,6 +60,9 @@ class View:
             self._summarise(statuses[-1].stamp_ns)
         elif frames and self._scene.status is None:
             self._summarise(frames[-1].data.stamp_ns)
+        elif troubles := self._scene.troubles:
+            known_ns = max(self._scene.truth.newest_ns, self._scene.estimates.newest_ns)
+            self._summarise(known_ns if known_ns >= 0 else max(each.stamp_ns for each in troubles.values()))
         return len(frames)
 
     def _draw_frames(self) -> list[Frame]:
@@ -79,7 +82,10 @@ class View:
             self._drawing.poses(stamp_ns, scene.truth.at(stamp_ns), scene.estimate_at(stamp_ns), scene.newest)
 
     def _summarise(self, stamp_ns: int) -> None:
-        text = rr.TextDocument(summary(self._scene.status, self._scored), media_type="text/markdown")
+        text = rr.TextDocument(
+            summary(self._scene.status, self._scored, self._scene.troubles.values()),
+            media_type="text/markdown",
+        )
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
         self._recording.log(SUMMARY, text)
 

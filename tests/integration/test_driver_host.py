@@ -38,7 +38,7 @@ from rpod_schemas.topics import (
     POINTS,
     TF_STATIC,
 )
-from rpod_schemas.types import Camera, Diagnostic, Health, LidarInfo, LidarScan, PmdFrame, PmdInfo
+from rpod_schemas.types import Camera, Diagnostic, Health, LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorSync
 
 TIMEOUT_S = 20.0
 EXAMPLE = Path(rpod_driver.__file__).parent / "examples" / "recorded_frames.py"
@@ -120,6 +120,9 @@ class Scripted:
 
     def close(self) -> None:
         self.closed += 1
+
+    def sync(self):
+        return SensorSync(ptp="locked", trigger="hardware")
 
 
 def silent() -> Iterator[None]:
@@ -262,6 +265,7 @@ def test_a_driver_that_hangs_in_its_device_is_told(bus):
         release.set()
     assert told.level is Health.ERROR
     assert float(told.values["last_frame_age_s"]) > 0.2
+    assert (told.values["sync/pmd/ptp"], told.values["sync/pmd/trigger"]) == ("locked", "hardware")
 
 
 def test_a_frame_that_cannot_be_published_is_counted_and_the_next_one_is(bus):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_log import Frame, SyntheticRun, see_depth, see_points
+from synthetic_log import TINY_CAMERA, Frame, SyntheticRun, see_depth, see_points
 
 from rpod_analysis.report import group_parts, tell_apart, write_comparison, write_report
 from rpod_schemas.summary import Comparison, Summary
@@ -131,6 +131,20 @@ def test_the_wireframe_lies_on_the_surface_that_the_camera_saw(body):
         assert (points >= (left, top)).all()
         assert (points <= (left + width, top + height)).all()
         assert np.ptp(points, axis=0).max() * 5.0 / CAMERA.fx < 2.2 * target.radius_m
+
+
+def test_what_was_not_used_is_told_and_the_pixels_of_a_refused_frame_are_shown(tmp_path):
+    marked = np.zeros((6, 8), np.bool_)
+    marked[2, 5] = True
+    refused = Frame(mode=Mode.LOST, reason="a detail contradicts the pose", marked=marked)
+    run = SyntheticRun(duration_s=1.0, frame=lambda number, _: refused if number == 4 else Frame(), late=3)
+    page = write_report([run.write(tmp_path / "run.mcap")]).html.read_text("utf-8")
+    section = page[page.index('id="refused"') :]
+    side = TINY_CAMERA.width / 8
+    assert section.count(f'class="marks" d="M{5 * side - 0.5:.1f} {2 * side - 0.5:.1f}h{side:.1f}') == 2
+    assert "a detail contradicts the pose" in section
+    inputs = page[page.index('id="inputs"') :]
+    assert 'not used: late</td><td class="n">3</td><td>late: 1.250 s old' in inputs
 
 
 def test_a_lidars_returns_are_drawn(tmp_path):

@@ -167,6 +167,13 @@ class EstimatorConfig(ServiceConfig, EstimatorSettings):
     max_age_s: Positive = 1.0
     """Largest age of a frame on arrival, s; older frames are late and not used. Raise it for slow links or
     long exposures; the estimates are then delayed as much."""
+    stale_after_s: Positive = 0.2
+    """Longest time without a new measurement in which an estimate is valid, s; one and a half periods of a
+    slower sensor. Set it to what your robot tolerates; ``estimate/validity`` tells when it has passed."""
+    changed_setup: Literal["refuse", "accept"] = "refuse"
+    """What to do with a sensor whose mount, lens or info changes while the target is tracked. ``refuse`` does
+    not use its frames until a reset; set ``accept`` if a driver may correct them in service, and nobody else
+    can publish."""
     max_future_s: NonNegative = 0.05
     """Largest time by which a frame's stamp may be in the future, s; frames beyond it are not used. Raise it
     if the clocks of sensor and estimator differ by more."""

@@ -18,7 +18,14 @@ from rpod_schemas.messages.geometry import (
     write_vector_stamped,
 )
 from rpod_schemas.messages.header import build, read_stamp, write_header, write_stamp
-from rpod_schemas.messages.health import read_diagnostics, read_status, write_diagnostics, write_status
+from rpod_schemas.messages.health import (
+    read_diagnostics,
+    read_status,
+    read_validity,
+    write_diagnostics,
+    write_status,
+    write_validity,
+)
 from rpod_schemas.messages.images import (
     read_amplitude,
     read_camera,
@@ -51,6 +58,7 @@ __all__ = [
     "read_stamp",
     "read_status",
     "read_transforms",
+    "read_validity",
     "read_vector_stamped",
     "time_field",
     "write_camera",
@@ -67,5 +75,6 @@ __all__ = [
     "write_stamp",
     "write_status",
     "write_transforms",
+    "write_validity",
     "write_vector_stamped",
 ]

@@ -10,7 +10,7 @@ from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.geometry import read_pose, write_pose
 from rpod_schemas.messages.header import build, read_stamp, within, write_header
-from rpod_schemas.types import Diagnostic, EstimatorStatus, Hypothesis
+from rpod_schemas.types import Diagnostic, EstimateValidity, EstimatorStatus, Hypothesis
 
 
 def read_status(message: Any) -> EstimatorStatus:
@@ -81,7 +81,17 @@ def _not_negative(message: Any, *fields: str) -> None:
 
 
 def write_status(status: EstimatorStatus) -> Any:
-    """Return an rpod_msgs/EstimatorStatus."""
+    """Return an rpod_msgs/EstimatorStatus.
+
+    Raises:
+        MessageRejectedError: no reader would accept it; the text names the field.
+    """
+    message = _status_message(status)
+    read_status(message)
+    return message
+
+
+def _status_message(status: EstimatorStatus) -> Any:
     return message_class("rpod_msgs/msg/EstimatorStatus")(
         header=write_header(status.stamp_ns, status.frame_id),
         mode=int(status.mode),
@@ -102,6 +112,28 @@ def write_status(status: EstimatorStatus) -> Any:
         evidence_values=np.array(list(status.evidence.values()), np.float64),
         hypothesis_names=[item.name for item in status.hypotheses],
         hypothesis_log_likelihoods=np.array([item.log_likelihood for item in status.hypotheses], np.float64),
+    )
+
+
+def read_validity(message: Any) -> EstimateValidity:
+    """Read an rpod_msgs/EstimateValidity."""
+    return build(
+        EstimateValidity,
+        stamp_ns=read_stamp(message.header),
+        frame_id=message.header.frame_id,
+        valid=message.valid,
+        age_s=message.age_s,
+        reason=message.reason,
+    )
+
+
+def write_validity(validity: EstimateValidity) -> Any:
+    """Return an rpod_msgs/EstimateValidity."""
+    return message_class("rpod_msgs/msg/EstimateValidity")(
+        header=write_header(validity.stamp_ns, validity.frame_id),
+        valid=validity.valid,
+        age_s=validity.age_s,
+        reason=validity.reason,
     )
 
 

@@ -4,7 +4,8 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 
 from rpod_analysis.log.log import Logged
-from rpod_schemas.summary import FrameCount
+from rpod_schemas.summary import FrameCount, InputAccount, LostFrames
+from rpod_schemas.texts import without_figures
 from rpod_schemas.topics import SENSOR_CACHE
 from rpod_schemas.types import Diagnostic, Health
 
@@ -14,6 +15,9 @@ _INCOMPLETE = "incomplete"
 _PASSED_OVER = (f"{_DROPPED}/", f"{_INCOMPLETE}/")
 """Counters of each sensor: complete frames that a newer one replaced, and frames that were never complete."""
 _COMMANDS = "commands/"
+_INPUTS, _LOSS = "inputs/", "input/"
+"""Counters of the frames of each sensor that an estimator used or not, and texts that tell why not."""
+_MOST_LOSSES = 500
 _MOST_COMMANDS = 12
 _MOST_ALARMS = 100
 """Largest number of kinds of alarms that are counted separately."""
@@ -66,6 +70,8 @@ class Account:
     commands: list[Command] = field(default_factory=list)
     """Commands that services accepted, the first ones only."""
     command_count: int = 0
+    losses: dict[tuple[str, str, str], str] = field(default_factory=dict)
+    """Last text about frames that a service did not use, by service, sensor and kind; the first ones only."""
     _lives: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
 
     def take(self, logged: Logged) -> None:
@@ -78,7 +84,7 @@ class Account:
     def hear(self, diagnostic: Diagnostic) -> None:
         """Add a service's counters, and its alarm if the level is ERROR."""
         if diagnostic.level == Health.ERROR:
-            alarm = f"{diagnostic.name}: {diagnostic.message}"
+            alarm = without_figures(f"{diagnostic.name}: {diagnostic.message}")
             known = alarm in self.alarms or len(self.alarms) < _MOST_ALARMS
             self.alarms[alarm if known else f"{diagnostic.name}: other errors"] += 1
         now, ended = self.counters[diagnostic.name], self._lives[diagnostic.name]
@@ -90,6 +96,14 @@ class Account:
                 if name.startswith(_COMMANDS) and value + ended[name] > now[name]:
                     self._take_command(diagnostic, name.removeprefix(_COMMANDS))
                 now[name] = value + ended[name]
+            elif name.startswith(_LOSS):
+                self._take_loss(diagnostic.name, name, text)
+
+    def _take_loss(self, service: str, name: str, text: str) -> None:
+        sensor, _, kind = name.removeprefix(_LOSS).partition("/")
+        loss = service, sensor, kind
+        if loss in self.losses or len(self.losses) < _MOST_LOSSES:
+            self.losses[loss] = text
 
     def _take_command(self, diagnostic: Diagnostic, verb: str) -> None:
         self.command_count += 1
@@ -121,6 +135,24 @@ class Account:
                 by_sensor = [value for name, value in counters.items() if name.startswith(_PASSED_OVER)]
                 total += sum(by_sensor) if by_sensor else counters[_DROPPED]
         return total
+
+    def inputs(self, status_topic: str) -> dict[str, InputAccount]:
+        """Return what became of the frames of each sensor at the estimator that publishes this status."""
+        found: dict[str, InputAccount] = {}
+        for service, counters in self.counters.items():
+            if _PUBLISHED + status_topic not in counters:
+                continue
+            for name, count in counters.items():
+                if not name.startswith(_INPUTS):
+                    continue
+                sensor, outcome, *kind = name.removeprefix(_INPUTS).split("/", 2)
+                account = found.setdefault(sensor, InputAccount(used=0, not_used={}))
+                if kind:
+                    text = self.losses.get((service, sensor, kind[0]), "")
+                    account.not_used[kind[0]] = LostFrames(frames=count, last=text)
+                elif outcome == "used":
+                    found[sensor] = account.model_copy(update={"used": count})
+        return found
 
     def passed_over(self, status_topic: str, sensor: str) -> tuple[int, int]:
         """Return the numbers of a sensor's dropped and incomplete frames at the estimator of this status."""

@@ -18,7 +18,8 @@ from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_status
 from rpod_schemas.types import EstimatorStatus
 
-_BY_ARRIVAL = tuple(f"{reason}:" for reason in (Reason.LATE, Reason.FUTURE, Reason.DUPLICATE))
+_ARRIVALS = Reason.LATE, Reason.FUTURE, Reason.DUPLICATE, Reason.SECOND_PUBLISHER
+_BY_ARRIVAL = tuple(f"{reason}:" for reason in _ARRIVALS)
 """Reasons for which a live run refused a frame by its time of arrival, which only that run can know."""
 _PATIENCE_NS = NANOSECONDS
 """Largest delay between the arrival of a status and that of its frame."""

@@ -160,6 +160,7 @@ class _Feed:
             started_s = time.perf_counter()
             output = self._estimator.process(event)
             self.processing_s.append(time.perf_counter() - started_s)
+            self._intake.pinned = self._estimator.pins_setups
             yield output
 
     def _tick(self, now_ns: int) -> Iterator[Output]:

@@ -18,7 +18,7 @@ from rpod_analysis.report.figures import error_figure, state_figure
 from rpod_analysis.report.figures_path import path_figure
 from rpod_analysis.report.figures_statistics import consistency_figure, timing_figure
 from rpod_analysis.report.plot_data import PlotData
-from rpod_analysis.report.snapshots import Snapshot, Wireframes, take_snapshots
+from rpod_analysis.report.snapshots import Snapshot, Wireframes, take_refused, take_snapshots
 from rpod_analysis.scoring.frame_errors import named_frames
 from rpod_analysis.scoring.run import StreamedRun
 from rpod_analysis.scoring.run_checks import Check, assess, find_checks, headline
@@ -57,6 +57,8 @@ class ReportContent:
     """Errors that services reported, the most frequent first."""
     checks: tuple[Check, ...]
     snapshots: tuple[Snapshot, ...]
+    refused: tuple[Snapshot, ...]
+    """Frames that were refused for their pixels, with these pixels."""
     unreadable: tuple[UnreadableKind, ...]
     """Messages that cannot be read."""
     target: str
@@ -109,6 +111,7 @@ def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None
     wireframes, target_note = _targets(log, run.prefix)
     alarms = run.account.alarms
     snapshots = tuple(take_snapshots(log, run, plot_data, wireframes))
+    refused = tuple(take_refused(log, run, wireframes))
     summary = summarise(log, run, totals, report=report)  # last, because it contains what could not be read
     return ReportContent(
         name=name,
@@ -127,6 +130,7 @@ def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None
         alarms=tuple(alarms.most_common(_MOST_REASONS)),
         checks=tuple(find_checks(summary, alarms.total())),
         snapshots=snapshots,
+        refused=refused,
         unreadable=log.unreadable.kinds,
         target=wireframes.truth.name if wireframes.truth else "",
         target_note=target_note,

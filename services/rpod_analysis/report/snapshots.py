@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -18,6 +18,9 @@ from rpod_analysis.scoring.run import Run, StreamedRun
 from rpod_analysis.scoring.score import Track, interpolate
 from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.arrays import Array, FloatArray
+from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.messages import read_image, read_stamp
+from rpod_schemas.topics import CONTRADICTION
 from rpod_schemas.types import Camera, Float32Array, FrameImage, SensorFrame
 from rpod_target import Target
 
@@ -62,6 +65,8 @@ class Snapshot:
     estimate_path: str
     """SVG path of the wireframe at the estimate; empty if there is none."""
     truth_path: str
+    marks_path: str = ""
+    """SVG path of the pixels that contradict the pose; empty if there are none."""
 
 
 class Wireframes(NamedTuple):
@@ -82,6 +87,48 @@ def take_snapshots(log: Log, run: StreamedRun, plot_data: PlotData, wireframes: 
         for frame in _read_frame(log, run.at(stamp_ns), sensor, stamp_ns)
         if (snapshot := _snapshot(run.at(stamp_ns), sensor, frame, wireframes))
     ]
+
+
+def take_refused(log: Log, run: StreamedRun, wireframes: Wireframes) -> list[Snapshot]:
+    """Return about four frames that were refused for their pixels, spread over the run, with these pixels."""
+    topic = CONTRADICTION.under(run.prefix).name
+    stamps_ns = {}
+    for logged in log.messages(topic):
+        with log.unreadable.left_out(logged):
+            stamps_ns[peek_stamp(logged.payload)] = logged.log_ns
+    chosen = list(stamps_ns)
+    places = np.linspace(0, len(chosen) - 1, min(_SAMPLES, len(chosen))).astype(np.int64)
+    marks = {}
+    for place in places:
+        log_ns = stamps_ns[chosen[place]]
+        for logged in log.messages(topic, start_ns=log_ns, end_ns=log_ns + 1):
+            with log.unreadable.left_out(logged):
+                message = logged.decode()
+                marks[read_stamp(message.header)] = read_image(message)
+    return [
+        replace(
+            snapshot, note=_refusal(run.at(stamp_ns), stamp_ns), marks_path=_marks_path(marked, frame.lens)
+        )
+        for stamp_ns, marked in marks.items()
+        for sensor in run.sensors.values()
+        if stamp_ns in run.at(stamp_ns).frames[sensor.name].stamp_ns
+        for frame in _read_frame(log, run.at(stamp_ns), sensor, stamp_ns)
+        if frame.lens is not None and (snapshot := _snapshot(run.at(stamp_ns), sensor, frame, wireframes))
+    ]
+
+
+def _refusal(run: Run, stamp_ns: int) -> str:
+    """Return the reason in the status of a frame."""
+    reasons = run.statuses.reason[run.statuses.stamp_ns == stamp_ns]
+    return str(reasons[0]) if reasons.size else "refused"
+
+
+def _marks_path(marked: Array, camera: Camera) -> str:
+    """Return an SVG path of squares over the marked pixels of an image that covers the camera's image."""
+    rows, columns = np.nonzero(marked)
+    side = camera.width / marked.shape[1]
+    squares = zip(side * columns - 0.5, side * rows - 0.5, strict=True)
+    return "".join(f"M{x:.1f} {y:.1f}h{side:.1f}v{side:.1f}h-{side:.1f}z" for x, y in squares)
 
 
 def _sample_stamps(plot_data: PlotData, sensor: Sensor) -> list[int]:

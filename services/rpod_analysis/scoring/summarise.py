@@ -36,6 +36,7 @@ def summarise(
             unscored=totals.unscored,
             lost_s=totals.lost_ns * 1e-9,
         ),
+        inputs=run.account.inputs(run.status_topic),
         modes=totals.modes(),
         error=totals.error(),
         frame_errors=totals.frame_errors(),

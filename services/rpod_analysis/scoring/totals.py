@@ -3,7 +3,6 @@
 Source: ICD section 1 ("Errors") and section 6 (``summary.json``).
 """
 
-import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,9 +23,9 @@ from rpod_schemas.summary import (
     Innovation,
     Tracking,
 )
+from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Mode
 
-_NUMBER = re.compile(r"(?<![A-Za-z])-?\d+(\.\d+)?(e-?\d+)?")
 _MOST_KINDS = 200
 _MOST_CHANGES = 12
 _OTHERS = "other reasons"
@@ -62,7 +61,7 @@ class Kinds:
 
     def add(self, text: str) -> None:
         """Count a text."""
-        kind = _NUMBER.sub("…", text)
+        kind = without_figures(text)
         known = kind in self._counts or len(self._counts) < _MOST_KINDS
         self._counts[kind if known else _OTHERS] += 1
 

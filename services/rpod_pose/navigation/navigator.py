@@ -23,7 +23,7 @@ from rpod_pose.belief import SYMMETRY, Record
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, start, to_odometry
 from rpod_pose.navigation.history import History, PoseMeasurement, apply
-from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
+from rpod_pose.navigation.state import GivenPose, NavigatorState, Output, RefusedPixels
 from rpod_pose.ports import Acquisition, Deskew, Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
@@ -288,12 +288,15 @@ class Navigator:
             belief=measured.belief.level,
             evidence=dict(measured.belief.evidence),
         )
+        marks = measured.belief.marks if reason else None
+        refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
         if state.mode != Mode.TRACKING or state.history is None:
-            return Output(status, None)
+            return Output(status, None, refused)
         newest = state.history.state
         stamp_ns = max(event.stamp_ns, newest.stamp_ns, state.shown_ns)
         shown = predict(newest, stamp_ns, self._settings.filter)
-        return Output(status, to_odometry(shown, frame_id=CHASER, child_frame_id=TARGET_ESTIMATE))
+        odometry = to_odometry(shown, frame_id=CHASER, child_frame_id=TARGET_ESTIMATE)
+        return Output(status, odometry, refused)
 
     def _hypotheses(
         self, state: NavigatorState, event: Measurement, found: Acquisition | None

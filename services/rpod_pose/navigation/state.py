@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.belief import Record
+from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.history import History
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import EstimatorStatus, Mode, Odometry
@@ -45,8 +45,19 @@ class NavigatorState:
 
 
 @dataclass(frozen=True, eq=False)
+class RefusedPixels:
+    """Pixels of a frame that contradict the pose at which it was compared with the target."""
+
+    frame_id: str
+    """Frame of the sensor."""
+    marks: PixelMarks
+
+
+@dataclass(frozen=True, eq=False)
 class Output:
     """Output of a step."""
 
     status: EstimatorStatus
     odometry: Odometry | None
+    refused: RefusedPixels | None = None
+    """Pixels for which the frame was refused; None if it was not, or if they are not known."""

@@ -27,8 +27,10 @@ class CameraCheck:
         self._known: dict[str, Camera] = {}
         self._others: Counter[str] = Counter()
 
-    def check(self, sensor: str, camera: Camera) -> None:
+    def check(self, sensor: str, camera: Camera, *, pinned: bool = False) -> None:
         """Accept a frame's camera if it is the first, equals the known one, or is another one that stays.
+
+        While the camera is ``pinned``, because a track uses it, no other one is accepted.
 
         Raises:
             MessageRejectedError: the camera is none of these; the text names the field and both values.
@@ -37,9 +39,10 @@ class CameraCheck:
         if not why:
             self._others[sensor] = 0
             return
-        self._others[sensor] += 1
-        if self._others[sensor] <= _PATIENCE:
-            raise MessageRejectedError(Reason.OTHER_CAMERA, f"{why} in the frames before")
+        self._others[sensor] += not pinned
+        if pinned or self._others[sensor] <= _PATIENCE:
+            remedy = "; `reset` the estimator if the new one is right" * pinned
+            raise MessageRejectedError(Reason.OTHER_CAMERA, f"{why} in the frames before{remedy}")
         self._known[sensor] = camera
         self._others[sensor] = 0
 

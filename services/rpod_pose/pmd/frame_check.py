@@ -14,7 +14,7 @@ their number in one small patch. Missing surface is very rare at the right pose,
 allowed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +69,8 @@ class Contradictions:
     """Greatest number of inconsistent pixels in one patch."""
     most_missing: int
     """Greatest number of pixels in one patch that are as dark as the sky where surface is rendered."""
+    marked: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_), compare=False)
+    """Which coarse pixels are inconsistent with the pose, shape (rows, columns)."""
 
     @property
     def explained_share(self) -> float:
@@ -147,12 +149,13 @@ class Shown(NamedTuple):
 
 
 class PixelCounts(NamedTuple):
-    """Numbers of pixels that are inconsistent with a pose: the fields of ``Contradictions``."""
+    """Pixels that are inconsistent with a pose: the fields of ``Contradictions``."""
 
     pixels: int
     inconsistent: int
     most_in_patch: int
     most_missing: int
+    marked: NDArray[np.bool_]
 
 
 def contradictions(
@@ -219,9 +222,9 @@ def sky_amplitude(
 def count_inconsistent(
     seen: SeenPixels, shown: Shown, shades: Shades, tolerated: Tolerated, patch: int
 ) -> PixelCounts:
-    """Return the numbers of checked pixels and of inconsistent ones, and the greatest numbers in one patch.
+    """Return the numbers of checked pixels and of inconsistent ones, the greatest in one patch, and which.
 
-    The last two are the numbers of inconsistent pixels and of pixels with missing surface in one patch.
+    Those in one patch are the numbers of inconsistent pixels and of pixels with missing surface.
 
     Args:
         seen: the frame's coarse pixels.
@@ -236,6 +239,7 @@ def count_inconsistent(
     tolerance, bias, reach, reflected = tolerated
     rows, columns = owner.shape
     full = np.zeros((2, rows + patch, columns + patch), np.int32)
+    marked = np.zeros((rows, columns), np.bool_)
     pixels, inconsistent = 0, 0
     for i in range(rows):
         for j in range(columns):
@@ -259,9 +263,10 @@ def count_inconsistent(
             else:
                 continue
             inconsistent += 1
+            marked[i, j] = True
             full[0, i : i + patch, j : j + patch] += 1
             full[1, i : i + patch, j : j + patch] += is_missing
-    return PixelCounts(pixels, inconsistent, full[0].max(), full[1].max())
+    return PixelCounts(pixels, inconsistent, full[0].max(), full[1].max(), marked)
 
 
 @kernel

@@ -1,15 +1,19 @@
 """What the estimator publishes of a result."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_estimator.outputs import Outputs
-from rpod_pose.navigation.state import Output
-from rpod_schemas.messages import read_pose
+from rpod_pose.belief import PixelMarks
+from rpod_pose.navigation.state import Output, RefusedPixels
+from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.messages import read_image, read_pose, write_status
 from rpod_schemas.poses import covariance_at, make_pose
-from rpod_schemas.types import EstimatorStatus, Mode, Odometry
+from rpod_schemas.types import EstimateValidity, EstimatorStatus, Mode, Odometry
 
 POSE = make_pose(rotation=Rotation.from_rotvec([0.3, -0.4, 1.0]), translation_m=(0.0, 0.5, 8.0))
+VALID = EstimateValidity(stamp_ns=1, frame_id="chaser", valid=True, age_s=0.05, reason="")
 GRAPPLE = make_pose(rotation=Rotation.from_rotvec([0.0, 1.0, 0.0]), translation_m=(1.5, 0.0, -0.5))
 
 
@@ -17,18 +21,21 @@ class Node:
     """Keeps what is published, by topic, in the order of publication."""
 
     def __init__(self):
-        self.messages = {}
+        self.messages, self.refused = {}, []
 
     def publisher(self, topic):
-        return Publisher(self.messages, topic.name)
+        return Publisher(self.messages, topic)
+
+    def reject(self, topic, _):
+        self.refused.append(topic)
 
 
 class Publisher:
-    def __init__(self, messages, name):
-        self._messages, self._name = messages, name
+    def __init__(self, messages, topic):
+        self._messages, self.topic = messages, topic
 
     def publish(self, message):
-        self._messages[self._name] = message
+        self._messages[self.topic.name] = message
 
 
 def test_a_frame_of_the_target_is_published_with_the_covariance_at_its_place_before_the_status():
@@ -44,7 +51,11 @@ def test_a_frame_of_the_target_is_published_with_the_covariance_at_its_place_bef
         pose_covariance=covariance,
     )
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.TRACKING, sensor="pmd")
-    Outputs(node, "second", {"grapple": GRAPPLE}).publish(Output(status, odometry))
+    refused = RefusedPixels("pmd_optical", PixelMarks(np.eye(3, dtype=np.bool_), 4))
+    Outputs(node, "second", {"grapple": GRAPPLE}).publish(Output(status, odometry, refused), VALID)
+    marks = node.messages["second/contradiction"]
+    assert (marks.header.frame_id, marks.header.stamp.nanosec) == ("pmd_optical", 1)
+    np.testing.assert_array_equal(read_image(marks), 255 * np.eye(3))
     message = node.messages["second/frames/grapple"]
     assert message.header.frame_id == "chaser"
     np.testing.assert_allclose(read_pose(message.pose.pose).as_matrix(), (POSE * GRAPPLE).as_matrix())
@@ -52,4 +63,18 @@ def test_a_frame_of_the_target_is_published_with_the_covariance_at_its_place_bef
     expected = covariance_at(covariance, arm_m)
     np.testing.assert_allclose(message.pose.covariance.reshape(6, 6), expected)
     assert expected[0, 0] > covariance[0, 0]
-    assert list(node.messages)[-1] == "second/status"
+    assert list(node.messages)[-2:] == ["second/validity", "second/status"]
+    validity = node.messages["second/validity"]
+    assert (validity.valid, validity.age_s) == (True, 0.05)
+
+
+def test_a_status_beyond_the_bounds_is_not_sent_and_told_with_the_fields_name():
+    node = Node()
+    status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.ACQUIRING, sensor="pmd", cost_m2=-1.0)
+    with pytest.raises(MessageRejectedError, match="cost_m2 is -1, needs 0 or more"):
+        write_status(status)
+    Outputs(node, "estimate", {}).publish(Output(status, None), VALID)
+    sent = node.messages["estimate/status"]
+    assert (sent.sensor, sent.accepted) == ("pmd", False)
+    assert "cost_m2 is -1" in sent.reason
+    assert node.refused == ["estimate/status"]

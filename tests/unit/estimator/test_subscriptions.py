@@ -1,6 +1,7 @@
 """What becomes of messages on their way to the navigator: taken, passed over, or refused with a reason."""
 
 from threading import Thread
+from time import monotonic
 
 import numpy as np
 import pytest
@@ -8,13 +9,17 @@ import pytest
 from rpod_estimator.stamp_watch import StampWatch
 from rpod_estimator.subscriptions import Subscriptions
 from rpod_runtime import BusClock, Received, WallClock
+from rpod_runtime.errors import RefusedError
 from rpod_runtime.health import HealthBook
+from rpod_runtime.holders import Peer
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.messages import (
     write_camera,
     write_clock,
+    write_diagnostics,
     write_image,
     write_lidar_info,
     write_pmd_info,
@@ -22,8 +27,26 @@ from rpod_schemas.messages import (
     write_transforms,
 )
 from rpod_schemas.poses import make_pose
-from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, LIDAR_INFO, PMD_INFO, POINTS, TF_STATIC
-from rpod_schemas.types import Camera, LidarInfo, PmdInfo
+from rpod_schemas.topics import (
+    AMPLITUDE,
+    CAMERA_INFO,
+    DEPTH,
+    DIAGNOSTICS,
+    LIDAR_INFO,
+    PMD_INFO,
+    POINTS,
+    TF_STATIC,
+)
+from rpod_schemas.types import (
+    Camera,
+    Diagnostic,
+    EstimatorStatus,
+    Health,
+    LidarInfo,
+    Mode,
+    PmdInfo,
+    SensorSync,
+)
 from rpod_schemas.wire import Attachment
 
 SECOND_NS = 1_000_000_000
@@ -32,6 +55,9 @@ CAMERA = Camera(width=6, height=4, fx=5.0, fy=5.0, cx=2.5, cy=1.5)
 DEPTH_M = np.full((4, 6), 3.0, np.float32)
 CLOUD = {name: np.arange(6, dtype=np.float32).reshape(2, 3) for name in ("x", "y", "z", "intensity")}
 MOUNT = make_pose(translation_m=[0.0, -0.05, 0.0])
+
+
+NOBODY, EMULATOR, DRIVER = Peer(bytes(16)), Peer(b"e" * 16, "e0"), Peer(b"d" * 16, "d0")
 
 
 class FakeNode:
@@ -48,6 +74,9 @@ class FakeNode:
         self.recovered[topic] = recover
         self.past[topic] = history
 
+    def watch_publishers(self, gone):
+        self.gone = gone
+
     def reject(self, topic, error):
         self.refused.append((topic, str(error.reason)))
         self.health.reject(topic, error)
@@ -61,9 +90,12 @@ class Bench:
         self.node = FakeNode(config.get("time_source", "wall"))
         self.inputs = Subscriptions(self.node, EstimatorConfig(target="mockup", sensors=sensors, **config))
 
-    def send(self, topic, message, *, arrival_ns=NOW_NS, damage=lambda payload: payload, arrival_s=0.0):
+    def send(
+        self, topic, message, *, arrival_ns=NOW_NS, damage=lambda payload: payload, arrival_s=0.0, by=NOBODY
+    ):
         payload = memoryview(bytes(damage(encode(message))))
-        received = Received(topic, "k", payload, Attachment(1, 0, bytes(16)), arrival_ns, arrival_s)
+        attachment = Attachment(1, 0, by.gid)
+        received = Received(topic, "k", payload, attachment, arrival_ns, arrival_s, session=by.session)
         self.node.sinks[topic](received)
 
     def send_frame(self, stamp_ns, *, amplitude=True, frame_id="pmd_optical", camera=CAMERA, **how):
@@ -277,6 +309,209 @@ def test_an_amplitude_that_comes_behind_its_frame_is_no_fault():
     bench.send(AMPLITUDE.of("pmd"), image)
     assert [frame.measurement.data.amplitude for frame in bench.arrived()] == [None]
     assert not [name for name in bench.counters if name.startswith("rejected")]
+
+
+# --- told to the operator ---
+
+
+def told(bench, now_s=3.0):
+    """Return level and message of the diagnostics after all frames have been processed."""
+    for arrived in bench.arrived():
+        accepted = arrived.measurement is not None
+        status = EstimatorStatus(
+            stamp_ns=arrived.stamp_ns, frame_id="chaser", mode=Mode.TRACKING,
+            sensor=arrived.sensor, accepted=accepted, reason=arrived.reason,
+        )  # fmt: skip
+        bench.inputs.health.judge(arrived, status, now_s)
+    bench.inputs.health.report(Mode.TRACKING, now_s)
+    diagnostic = bench.node.health.diagnostic(0)
+    return diagnostic.level, diagnostic.message, diagnostic.values
+
+
+@pytest.mark.parametrize(
+    ("shift_s", "camera_shift_ns", "level", "words"),
+    [
+        (0.0, 0, Health.OK, "tracking"),
+        (37.0, 0, Health.ERROR, "future: 37.000 s ahead of wall time, max_future_s is 0.05; is it TAI?"),
+        (-5.0, 0, Health.ERROR, "late: 5.000 s old, max_age_s is 1; check the sensor's clock"),
+        (0.0, 1_000, Health.OK, "tracking"),
+        (0.0, None, Health.ERROR, "depth without camera_info, which does not come at all"),
+        (0.0, 0, Health.WARN, "frames are identical to the bit; is the sensor frozen?"),
+    ],
+    ids=["good", "TAI", "slow clock", "camera_info 1 us off", "no camera_info", "frozen"],
+)
+def test_frames_that_are_not_used_are_told_with_figures_and_remedy(
+    shift_s, camera_shift_ns, level, words, caplog
+):
+    start_s, bench = monotonic(), Bench()
+    for number in range(40):
+        time_ns, time_s = NOW_NS + number * SECOND_NS // 16, start_s + number / 16
+        stamp_ns = time_ns + round(shift_s * SECOND_NS)
+        how = {"arrival_ns": time_ns, "arrival_s": time_s}
+        if camera_shift_ns is not None:
+            camera = write_camera(stamp_ns + camera_shift_ns, "pmd_optical", CAMERA)
+            bench.send(CAMERA_INFO.of("pmd"), camera, **how)
+        depth_m = DEPTH_M if level == Health.WARN else DEPTH_M + np.float32(1e-3 * number)
+        bench.send(DEPTH.of("pmd"), write_image(stamp_ns, "pmd_optical", depth_m, "32FC1"), **how)
+        found = told(bench, time_s)
+    assert found[0] == level
+    assert words in found[1]
+    lines = [record.getMessage() for record in caplog.records if record.getMessage().startswith("pmd: no")]
+    assert len(lines) == (level == Health.ERROR)
+
+
+def test_what_a_driver_says_of_ptp_and_trigger_is_repeated():
+    bench = Bench()
+    sync = SensorSync(ptp="unlocked", ptp_offset_s=0.0012, trigger="hardware", trigger_missed=3)
+    for name, ptp in (("driver", "unlocked"), ("estimator", "locked"), ("other", "fine")):
+        values = sync.values("pmd") | {"sync/pmd/ptp": ptp, "sync/other/ptp": "locked", "rate_hz": "15"}
+        diagnostic = Diagnostic(stamp_ns=1, name=name, level=Health.OK, message="", values=values)
+        bench.send(DIAGNOSTICS, write_diagnostics([diagnostic]))
+    assert bench.arrived() == []
+    start_s = monotonic()
+    for number in range(40):
+        bench.inputs.health.books["pmd"].hear(start_s + number / 16)
+        bench.inputs.health.books["pmd"].use(start_s + number / 16)
+    level, message, values = told(bench, start_s + 2.5)
+    assert level == Health.WARN
+    assert message == "tracking; pmd: its clock is not locked to PTP, it is 0.001200 s off; look at ptp4l"
+    assert {name: value for name, value in values.items() if name.startswith("sync/")} == sync.values("pmd")
+    assert bench.node.refused == [("diagnostics", "malformed")]
+
+
+# --- several publishers ---
+
+
+class Stage:
+    """A bench on which frames of several publishers arrive one after the other."""
+
+    def __init__(self):
+        self.bench = Bench(sensors=[{"kind": "pmd"}])
+        self.now_s = monotonic()
+        self.number = 0
+
+    def wait(self, seconds):
+        self.now_s += seconds
+
+    def mount(self, by, x_m=0.0):
+        mount = make_pose(translation_m=[x_m, -0.05, 0.0])
+        message = write_transforms(0, [("chaser", "pmd_optical", mount)])
+        self.bench.send(TF_STATIC, message, arrival_s=self.now_s, by=by)
+
+    def frame(self, by, *, tracked=True, camera=CAMERA):
+        """Let a frame arrive; return where its camera is mounted, None where it is not used."""
+        self.number += 1
+        stamp_ns = NOW_NS + self.number * 1_000_000
+        self.bench.inputs.pin(tracked)
+        how = {"arrival_s": self.now_s, "arrival_ns": stamp_ns}
+        self.bench.send_frame(stamp_ns, by=by, camera=camera, **how)
+        found = self.bench.arrived()
+        self.reason = found[0].reason if found else ""
+        return found[0].measurement.T_chaser_sensor.translation[0] if found and not self.reason else None
+
+
+@pytest.fixture
+def stage(monkeypatch):
+    stage = Stage()
+    monkeypatch.setattr("time.monotonic", lambda: stage.now_s)
+    stage.mount(EMULATOR)
+    assert stage.frame(EMULATOR) == 0.0
+    return stage
+
+
+def test_a_second_publisher_is_not_used_and_told_with_both_gids(stage):
+    stage.mount(DRIVER, x_m=1.0)
+    assert stage.frame(DRIVER) is None
+    assert stage.frame(EMULATOR) == 0.0
+    level, message, values = told(stage.bench, stage.now_s)
+    assert level == Health.WARN
+    for peer in (EMULATOR, DRIVER):
+        assert f"{peer.gid.hex()} (session {peer.session})" in message
+        assert peer.gid.hex() in values["publishers/pmd/depth/image_raw"]
+        assert peer.gid.hex() in values["publishers/tf_static of pmd_optical"]
+    assert ("pmd/depth/image_raw", "second_publisher") in stage.bench.node.refused
+
+
+@pytest.mark.parametrize("gone", [True, False], ids=["its token is gone", "it is silent for 2 s"])
+def test_a_successor_with_the_same_mount_goes_on_without_a_word(stage, gone):
+    stage.mount(DRIVER)
+    if gone:
+        for topic in (TF_STATIC, *(each.of("pmd") for each in (DEPTH, CAMERA_INFO, AMPLITUDE))):
+            stage.bench.node.gone(EMULATOR.session, topic)
+    else:
+        stage.wait(1.9)
+        assert stage.frame(DRIVER) is None
+        stage.wait(0.2)
+    assert stage.frame(DRIVER) == 0.0
+    assert stage.frame(EMULATOR) is None
+    stage.wait(3.0)
+    assert stage.frame(DRIVER) == 0.0
+    assert told(stage.bench, stage.now_s)[0] == Health.OK
+
+
+@pytest.mark.parametrize("successor", [EMULATOR, DRIVER], ids=["the same publisher", "a successor"])
+def test_another_mount_is_not_used_while_tracked_until_a_reset(stage, successor):
+    if successor != EMULATOR:
+        stage.wait(2.5)
+    stage.mount(successor, x_m=1.0)
+    assert stage.frame(successor) is None
+    assert stage.reason.startswith("other_setup: the mount has moved by 1.000 m and 0.00 deg since tracking")
+    assert successor.gid.hex() in stage.reason
+    stage.bench.send_frame(NOW_NS + 10**9, arrival_ns=NOW_NS + 10**9, by=successor, arrival_s=stage.now_s)
+    level, message, _ = told(stage.bench, stage.now_s)
+    assert level == Health.ERROR
+    assert "the mount has moved by 1.000 m" in message
+    stage.bench.inputs.request_reset(ResetRequest())
+    stage.number += 2000
+    assert stage.frame(successor) == 1.0
+
+
+def test_another_mount_is_used_before_anything_is_tracked(stage):
+    stage.mount(EMULATOR, x_m=1.0)
+    assert stage.frame(EMULATOR, tracked=False) == 1.0
+
+
+def test_a_mount_that_is_put_right_is_used_again(stage):
+    stage.mount(EMULATOR, x_m=1.0)
+    assert stage.frame(EMULATOR) is None
+    stage.mount(EMULATOR)
+    assert stage.frame(EMULATOR) == 0.0
+
+
+def test_another_lens_is_not_used_while_tracked(stage):
+    other = CAMERA.model_copy(update={"fx": 6.0})
+    assert [stage.frame(EMULATOR, camera=other) for _ in range(30)] == [None] * 30
+    assert "fx is 6, not 5 as in the frames before; `reset` the estimator" in stage.reason
+    stage.bench.inputs.request_reset(ResetRequest())
+    assert stage.frame(EMULATOR, camera=other) == 0.0
+
+
+def test_another_info_is_not_used_while_tracked_but_another_exposure_is(stage):
+    def announce(frequency_hz, exposure_s):
+        info = PmdInfo(
+            modulation_frequency_hz=np.array([frequency_hz]), integration_time_s=exposure_s,
+            electrons_per_count=1.0, saturation_count=100.0,
+        )  # fmt: skip
+        stage.bench.send(PMD_INFO.of("pmd"), write_pmd_info(0, "pmd_optical", info), by=EMULATOR)
+
+    announce(2e7, 1e-3)
+    assert stage.frame(EMULATOR) == 0.0
+    announce(2e7, 2e-3)
+    assert stage.frame(EMULATOR) == 0.0
+    announce(3e7, 2e-3)
+    assert stage.frame(EMULATOR) is None
+    assert "modulation_frequency_hz of the sensor's info has changed from 2e+07 to 3e+07" in stage.reason
+    assert stage.bench.inputs.infos["pmd"].modulation_frequency_hz == [2e7]
+
+
+def test_a_reset_may_name_the_gid_to_keep(stage):
+    stage.mount(DRIVER, x_m=1.0)
+    assert stage.frame(DRIVER) is None
+    with pytest.raises(RefusedError, match=f"known are {DRIVER.gid.hex()} .*{EMULATOR.gid.hex()}"):
+        stage.bench.inputs.request_reset(ResetRequest(keep_gid="0" * 32))
+    stage.bench.inputs.request_reset(ResetRequest(keep_gid=DRIVER.gid.hex()))
+    assert stage.frame(EMULATOR) is None
+    assert stage.frame(DRIVER) == 1.0
 
 
 # --- refused for what they hold ---

@@ -1,3 +1,5 @@
+import time
+
 from rpod_runtime.health import HealthBook
 from rpod_runtime.inbox import Inbox, Received
 from rpod_schemas.errors import Reason
@@ -28,14 +30,18 @@ def test_what_does_not_fit_an_inbox_is_counted_and_the_newest_stay():
     assert inbox.overflowed == 3
 
 
-def test_rejections_are_counted_by_topic_and_reason_and_the_first_is_told():
+def test_rejections_are_counted_by_topic_and_reason_and_told_each_minute(monkeypatch):
     health = HealthBook("estimator")
     assert health.reject("pmd/depth/image_raw", Reason.LATE)
     assert not health.reject("pmd/depth/image_raw", Reason.LATE)
     assert health.reject("pmd/depth/image_raw", Reason.MALFORMED)
+    later_s = time.monotonic() + 61.0
+    monkeypatch.setattr(time, "monotonic", lambda: later_s)
+    assert health.reject("pmd/depth/image_raw", Reason.MALFORMED)
+    assert not health.reject("pmd/depth/image_raw", Reason.MALFORMED)
     counters = health.counters()
     assert counters["rejected/pmd/depth/image_raw/late"] == 2
-    assert counters["rejected/pmd/depth/image_raw/malformed"] == 1
+    assert counters["rejected/pmd/depth/image_raw/malformed"] == 3
 
 
 def test_a_change_of_health_is_seen_once():

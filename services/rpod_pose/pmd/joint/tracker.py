@@ -13,6 +13,7 @@ of the pose names it.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from math import radians
 
@@ -20,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
-from rpod_pose.belief import Belief, contradicted, doubtful
+from rpod_pose.belief import Belief, PixelMarks, contradicted, doubtful
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
@@ -170,6 +171,10 @@ class JointTracker:
         inconsistent = self._contradictions(seen, R, t, bias)
         in_place = edges_in_place(tuning.verdict, edges=found.found, expected=expected, checked=checked)
         belief = self._belief(inconsistent, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
+        if inconsistent.reason(tuning.check):
+            marks = PixelMarks(inconsistent.marked, seen.view.stride)
+            reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
+            belief = replace(belief, reason=reason, marks=marks)
         to_sensor = np.zeros((6, 6))
         to_sensor[:3, :3] = to_sensor[3:, 3:] = R
         covariance = np.linalg.inv(information + self._weak)[:6, :6]

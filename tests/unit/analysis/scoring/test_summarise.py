@@ -254,6 +254,31 @@ def test_alarms_are_counted_by_what_they_say():
     assert account.alarms == {"logger: disk full": 2}
 
 
+def test_an_alarm_with_other_figures_is_the_same_alarm():
+    account = Account()
+    for age in ("1.200", "1.300"):
+        message = f"pmd: no frame used: late: {age} s old"
+        account.hear(Diagnostic(stamp_ns=0, name="e", level=Health.ERROR, message=message, values={}))
+    assert account.alarms == {"e: pmd: no frame used: late: … s old": 2}
+
+
+def test_what_became_of_a_sensors_frames_is_read_from_the_estimators_diagnostics():
+    account = Account()
+    for number in (1, 2):
+        values = {
+            "published/estimate/status": "9",
+            "inputs/pmd/used": str(number),
+            "inputs/pmd/not_used/late": str(2 * number),
+            "input/pmd/late": f"late: {number}.000 s old",
+        }
+        account.hear(Diagnostic(stamp_ns=0, name="estimator", level=Health.OK, message="", values=values))
+    inputs = account.inputs("estimate/status")
+    assert {sensor: each.model_dump() for sensor, each in inputs.items()} == {
+        "pmd": {"used": 2, "not_used": {"late": {"frames": 4, "last": "late: 2.000 s old"}}}
+    }
+    assert account.inputs("other/status") == {}
+
+
 def test_every_frame_of_a_sensor_is_told_of_once():
     flow = SensorFlow("pmd", published=20, accepted=10, rejected=3, dropped=4, incomplete=1)
     assert flow.rest == 2

@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.rays import RayGrid, cast
+from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.rendering import FineRanges, Rendering
@@ -85,7 +86,10 @@ def test_a_dark_place_where_surface_should_be_contradicts_and_a_wiped_one_does_n
 def test_a_bright_place_where_no_surface_should_be_contradicts():
     images = seen()
     images[2][2:8, 2:8] = LIT
-    assert "a detail contradicts" in compared(images).reason(LIMITS)
+    found = compared(images)
+    assert "a detail contradicts" in found.reason(LIMITS)
+    assert np.argwhere(found.marked).tolist() == [[i, j] for i in range(2, 8) for j in range(2, 8)]
+    assert PixelMarks(found.marked, STRIDE).centre_px == (20, 20)
 
 
 def test_a_few_dark_pixels_say_that_a_surface_is_missing_where_as_many_wrong_ranges_may_be_noise():

@@ -1,0 +1,10 @@
+"""Texts for operators: what those have in common that differ only in their figures."""
+
+import re
+
+_FIGURE = re.compile(r"(?<![A-Za-z])-?\d+(\.\d+)?(e-?\d+)?")
+
+
+def without_figures(text: str) -> str:
+    """Return a text with an ellipsis in place of each number, so that texts of one kind are equal."""
+    return _FIGURE.sub("…", text)

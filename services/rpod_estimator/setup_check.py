@@ -1,0 +1,86 @@
+"""Refuses frames whose sensor is no longer set up as it was when the running track used it.
+
+A mount that moves by a metre moves the estimate by a metre, and no measurement of this sensor tells the
+difference. Nobody can know which of the two is right, so the operator decides, by a reset or by a policy.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_runtime.extrinsics import differ
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.poses import chained, rotation_of
+
+_MAY_CHANGE = frozenset({"integration_time_s"})
+"""Fields of an info that a sensor changes by itself: its exposure."""
+_SHOWN = 4
+"""Largest number of values that a text shows."""
+
+
+class Setup(NamedTuple):
+    """The data of a sensor that a frame alone does not tell."""
+
+    T_chaser_sensor: RigidTransform
+    info: Any
+    """Info message of the sensor; None if it sends none."""
+
+
+class SetupCheck:
+    """Remembers how each sensor was set up in the last frame that was used."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, Setup] = {}
+
+    def check(self, sensor: str, setup: Setup, *, source: object, pinned: bool) -> None:
+        """Take note of a frame's setup.
+
+        Args:
+            sensor: name of the sensor.
+            setup: setup of the sensor at this frame.
+            source: publisher of the frame, for the operator.
+            pinned: whether the setup must be that of the frames before, if there are any.
+
+        Raises:
+            MessageRejectedError: it is pinned and another one; the text says what changed, and by how much.
+        """
+        known = self._known.setdefault(sensor, setup)
+        if pinned and (changed := _difference(known, setup)):
+            raise MessageRejectedError(
+                Reason.OTHER_SETUP,
+                f"{changed} since tracking began, frames of {source}; `reset` the estimator if the new one "
+                "is right, stop its publisher if not",
+            )
+        self._known[sensor] = setup
+
+    def info(self, sensor: str, newest: Any) -> Any:
+        """Return the info of the last frame that was used; ``newest`` if there was none."""
+        known = self._known.get(sensor)
+        return newest if known is None or known.info is None else known.info
+
+    def forget(self) -> None:
+        """Accept any setup from now on."""
+        self._known.clear()
+
+
+def _difference(known: Setup, setup: Setup) -> str:
+    if differ(known.T_chaser_sensor, setup.T_chaser_sensor):
+        step = chained(known.T_chaser_sensor.inv(), setup.T_chaser_sensor)
+        moved_m = float(np.linalg.norm(step.translation))
+        turned_deg = float(np.rad2deg(rotation_of(step).magnitude()))
+        return f"the mount has moved by {moved_m:.3f} m and {turned_deg:.2f} deg"
+    if known.info is None or known.info is setup.info:
+        return ""
+    before, now = dict(known.info), dict(setup.info)
+    for field in before.keys() - _MAY_CHANGE:
+        if not np.array_equal(before[field], now[field]):
+            return (
+                f"{field} of the sensor's info has changed from {_text(before[field])} to {_text(now[field])}"
+            )
+    return ""
+
+
+def _text(value: Any) -> str:
+    values = np.atleast_1d(value)
+    return ", ".join(f"{each:g}" for each in values) if values.size <= _SHOWN else f"{values.size} values"

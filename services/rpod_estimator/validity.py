@@ -1,0 +1,163 @@
+"""Whether the newest estimate may be used now: a flag and an age that a robot cannot overlook.
+
+An estimate is valid while it is supported by measurements that are new, accepted and not contradicted. It is
+told with each estimate and between them by a thread, so that a main loop that is busy cannot hide it.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from statistics import median
+from threading import Event, Lock, Thread
+from types import TracebackType
+from typing import Self
+
+from rpod_estimator.frame_reader import Arrived
+from rpod_estimator.input_book import AT_ONCE
+from rpod_pose.navigation.state import Output
+from rpod_runtime import BusClock
+from rpod_runtime.clock import Clock
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.topics import CHASER
+from rpod_schemas.types import EstimateValidity, Mode
+
+PERIODS = 1.5
+"""Number of its own periods in which a slow sensor must deliver its next measurement."""
+BEACON_S = 0.1
+"""Longest time between two messages."""
+_MARGIN_S = 1e-3
+
+
+@dataclass
+class _Sensor:
+    arrival_s: float | None = None
+    """Arrival of its last frame."""
+    new_s: float | None = None
+    """Arrival of its last frame that was accepted, with content that differs from the frame before."""
+    gaps_s: deque[float] = field(default_factory=lambda: deque(maxlen=9))
+    contradiction: str = ""
+    repeats: int = 0
+    """Number of frames since then that are identical to it."""
+
+    def deadline_s(self, stale_after_s: float) -> float:
+        """Return the time up to which its last measurement supports an estimate."""
+        allowed_s = max(stale_after_s, PERIODS * median(self.gaps_s or [0.0]))
+        return float("-inf") if self.new_s is None else self.new_s + allowed_s
+
+
+class Validity:
+    """Follows what supports the newest estimate. Safe to use from several threads.
+
+    Args:
+        stale_after_s: longest time without a new measurement, of a sensor that is not slower.
+    """
+
+    def __init__(self, stale_after_s: float) -> None:
+        self._stale_after_s = stale_after_s
+        self._sensors: dict[str, _Sensor] = {}
+        self._mode = Mode.ACQUIRING
+        self._stamp_ns = self._measured_ns = 0
+        self._lock = Lock()
+
+    def take(self, output: Output, arrived: Arrived | None = None, *, now_s: float) -> None:
+        """Note a result of the estimator, and the frame that it is of, which arrived at ``now_s``."""
+        with self._lock:
+            self._mode = output.status.mode
+            if output.odometry is not None:
+                self._stamp_ns = output.odometry.stamp_ns
+            if arrived is not None:
+                self._take_frame(output, arrived, now_s)
+
+    def _take_frame(self, output: Output, arrived: Arrived, now_s: float) -> None:
+        sensor = self._sensors.setdefault(arrived.sensor, _Sensor())
+        if sensor.arrival_s is not None:
+            sensor.gaps_s.append(max(now_s - sensor.arrival_s, 0.0))
+        sensor.arrival_s, sensor.repeats = now_s, arrived.repeats
+        sensor.contradiction = output.status.reason if arrived.refused in AT_ONCE else ""
+        if output.status.accepted and not arrived.repeats:
+            sensor.new_s = now_s
+            self._measured_ns = max(self._measured_ns, arrived.stamp_ns)
+
+    def at(self, now_s: float, now_ns: int) -> EstimateValidity:
+        """Return the validity of the newest estimate at a time, by the monotonic clock and by the stamps'."""
+        with self._lock:
+            reason = self._reason(now_s)
+            age_s = (now_ns - self._measured_ns) / NANOSECONDS if self._measured_ns else float("nan")
+            return EstimateValidity(
+                stamp_ns=self._stamp_ns, frame_id=CHASER, valid=not reason, age_s=age_s, reason=reason
+            )
+
+    def deadline_s(self) -> float:
+        """Return the time at which the estimate becomes invalid without another measurement."""
+        with self._lock:
+            return self._deadline_s()
+
+    def _deadline_s(self) -> float:
+        return max((each.deadline_s(self._stale_after_s) for each in self._sensors.values()), default=0.0)
+
+    def _reason(self, now_s: float) -> str:
+        if self._mode != Mode.TRACKING:
+            return f"the target is not tracked: {self._mode.name}"
+        for name, sensor in self._sensors.items():
+            if sensor.contradiction:
+                return f"{name}: {sensor.contradiction}"
+            if sensor.repeats and now_s > sensor.deadline_s(self._stale_after_s):
+                return f"{name} is frozen: its last {sensor.repeats + 1} frames are identical"
+        if now_s > self._deadline_s():
+            newest_s = max(each.new_s or 0.0 for each in self._sensors.values())
+            return f"no new measurement was accepted for {now_s - newest_s:.2f} s"
+        return ""
+
+
+class Beacon:
+    """Tells the validity between the estimates: at once when it ends, and otherwise every ``BEACON_S``.
+
+    Where time comes from the bus it is silent, because a thread of its own would make runs differ; there the
+    validity is told with each result.
+
+    Args:
+        validity: the validity to tell.
+        tell: function that publishes it.
+        clock: time of the stamps.
+    """
+
+    def __init__(self, validity: Validity, tell: Callable[[EstimateValidity], None], clock: Clock) -> None:
+        self._validity, self._tell, self._clock = validity, tell, clock
+        self._is_silent = isinstance(clock, BusClock)
+        self._stop = Event()
+        self._thread = Thread(target=self._run, name="validity", daemon=True)
+
+    def now_s(self) -> float:
+        """Return the time in which the age of measurements counts: monotonic, or that of the bus."""
+        return self._clock.now_ns() / NANOSECONDS if self._is_silent else time.monotonic()
+
+    def arrival_s(self, arrived: Arrived | None) -> float:
+        """Return the time of arrival of a frame, so that its processing counts; now if there is none."""
+        return arrived.arrival_s if arrived is not None and not self._is_silent else self.now_s()
+
+    def current(self) -> EstimateValidity:
+        """Return the validity now."""
+        return self._validity.at(self.now_s(), self._clock.now_ns())
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join()
+        if not self._is_silent:
+            ended = {"valid": False, "reason": "the estimator has ended"}
+            self._tell(self.current().model_copy(update=ended))
+
+    def _run(self) -> None:
+        while not self._is_silent and not self._stop.wait(self._wait_s()):
+            self._tell(self.current())
+
+    def _wait_s(self) -> float:
+        """Return the time to the next message: when the estimate becomes invalid, if that is earlier."""
+        left_s = self._validity.deadline_s() - self.now_s()
+        return min(BEACON_S, left_s + _MARGIN_S) if left_s > 0.0 else BEACON_S

@@ -1,0 +1,131 @@
+"""When an operator is told that an input is not used, and in which words."""
+
+import logging
+
+import pytest
+
+from rpod_estimator.input_book import Loss, SensorBook, clock_hint, unpaired
+from rpod_estimator.input_health import InputHealth
+from rpod_runtime.assembler import Assembler
+from rpod_runtime.health import HealthBook
+from rpod_schemas.types import Health, Mode
+
+LATE = Loss("late", "late: 1.200 s old, max_age_s is 1; check the sensor's clock")
+REFUSED = Loss("rejected", "7.5% of 900 pixels contradict the pose, 5% at most")
+US = 1_000
+
+
+def book_after(losses, *, rate_hz=8.0):
+    """Return a book, and the time, after frames with these losses; None stands for a frame that was used."""
+    book, now_s = SensorBook("pmd", "depth", now_s=0.0), 0.0
+    for loss in losses:
+        now_s += 1.0 / rate_hz
+        book.hear(now_s)
+        if loss is None:
+            book.use(now_s)
+        else:
+            book.lose(loss, now_s)
+    return book, now_s
+
+
+@pytest.mark.parametrize(
+    ("losses", "level", "words"),
+    [
+        ([None] * 30, Health.OK, ""),
+        ([LATE, None] * 15, Health.OK, ""),
+        (
+            [None, LATE, LATE] * 10,
+            Health.WARN,
+            "pmd: only 5 of 17 frames used in 2.0 s; 12 of 17: late: 1.200",
+        ),
+        ([LATE] * 30, Health.ERROR, "pmd: no frame used in 2.0 s; 17 of 17: late: 1.200 s old"),
+        ([REFUSED, LATE, LATE] * 10, Health.ERROR, " of 17: late"),
+        ([LATE] * 30 + [None] * 21, Health.OK, ""),
+        ([LATE] * 10, Health.OK, ""),
+    ],
+    ids=["used", "half", "most", "all", "two reasons", "used again", "not yet two seconds"],
+)
+def test_the_level_follows_the_share_of_frames_that_were_not_used(losses, level, words):
+    book, now_s = book_after(losses)
+    state = book.state(now_s)
+    assert state.level == level
+    assert words in state.text
+    assert bool(words) == bool(state.text)
+
+
+def test_of_a_slow_sensor_the_last_four_frames_are_judged():
+    assert book_after([LATE] * 3, rate_hz=0.3)[0].state(10.0).level == Health.OK
+    book, now_s = book_after([LATE] * 5, rate_hz=0.3)
+    assert book.state(now_s).level == Health.ERROR
+
+
+def test_frames_before_a_silence_do_not_count():
+    book, now_s = book_after([LATE] * 30)
+    assert book.state(now_s + 3.0).text == "pmd: no frame for 3 s; look at its driver"
+    book.hear(now_s + 3.0)
+    book.use(now_s + 3.0)
+    assert book.state(now_s + 3.1).level == Health.OK
+
+
+def test_a_state_that_is_not_ok_is_logged_at_once_and_each_minute_and_so_is_its_end(caplog):
+    caplog.set_level(logging.INFO)
+    health = InputHealth(HealthBook("estimator"), {"pmd": "depth"}, now_s=0.0)
+    book = health.books["pmd"]
+    for second in range(1, 140):
+        book.hear(second)
+        if second < 130:
+            book.lose(Loss("late", f"late: {second}.000 s old"), second)
+        else:
+            book.use(second)
+        health.report(Mode.LOST, second)
+    lines = [record.getMessage() for record in caplog.records]
+    assert [line.partition(" used")[0] for line in lines] == [
+        *["pmd: no frame"] * 3, "pmd: only 1 of 4 frames", "pmd: in order again"
+    ]  # fmt: skip
+
+
+def test_a_sensor_that_never_sends_is_told():
+    book = SensorBook("pmd", "depth", now_s=0.0)
+    assert book.state(1.0).level == Health.OK
+    state = book.state(5.0)
+    assert state == (Health.WARN, "pmd: no frame yet in 5 s; is its driver running, under this name?")
+    book.hear_others(4.0)
+    assert "no depth for 5 s, only other parts" in book.state(5.0).text
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "stamp_ns", "words"),
+    [
+        (37.0, 10**18, "is it TAI?"),
+        (-5.0, 10**18, "source.clock_offset_s"),
+        (7200.01, 10**18, "is it local time?"),
+        (-1.7e9, 10**9, "count from the start of the device"),
+    ],
+)
+def test_a_clock_that_is_off_gets_a_hint(ahead_s, stamp_ns, words):
+    assert words in clock_hint(ahead_s, stamp_ns)
+
+
+@pytest.mark.parametrize(
+    ("step_ns", "words"),
+    [
+        (None, "depth without camera_info, which does not come at all: let the driver publish it"),
+        (
+            US,
+            "camera_info: the nearest one is stamped 0.001 ms later; give all parts of a frame",
+        ),
+        (-US, "0.001 ms earlier"),
+    ],
+)
+def test_a_frame_without_a_part_says_which_one_and_how_far_off_it_is(step_ns, words):
+    assembler = Assembler[int](frozenset({"depth", "camera_info"}))
+    for number in range(20):
+        stamp_ns = number * 10**8
+        assembler.add("depth", stamp_ns, number)
+        if step_ns is not None:
+            assembler.add("camera_info", stamp_ns + step_ns, number)
+    losses = [unpaired(frame, "depth") for frame in assembler.take_given_up() if "depth" in frame.parts]
+    assert len(losses) >= 12
+    assert {loss.kind for loss in losses} == {"unpaired"}
+    assert all(words in loss.text for loss in losses)
+    assert assembler.take_given_up() == []

@@ -1,0 +1,75 @@
+"""Which publisher is used where several publish, without a bus."""
+
+import secrets
+
+import pytest
+
+from rpod_runtime.holders import (
+    MOST_NAMES,
+    MOST_PEERS,
+    Announcements,
+    Holders,
+    Peer,
+    SecondPublisherError,
+)
+from rpod_schemas.errors import MessageRejectedError
+
+FIRST, SECOND = Peer(b"1" * 16, "one"), Peer(b"2" * 16, "two")
+
+
+def hear(holders, peer, now_s):
+    """Let a valid message arrive; return whether it is used."""
+    try:
+        holders.admit("topic", peer, now_s)
+        holders.hold("topic", peer, now_s)
+    except SecondPublisherError:
+        return False
+    return True
+
+
+def test_the_first_valid_publisher_holds_a_topic_not_the_first_one():
+    holders = Holders()
+    holders.admit("topic", FIRST, 0.0)  # its message turns out to be unusable
+    assert hear(holders, SECOND, 0.1)
+    assert not hear(holders, FIRST, 0.2)
+    assert [*holders.rivals(0.3)] == [("topic", SECOND, FIRST)]
+    assert [*holders.rivals(9.0)] == []
+
+
+def test_a_slow_sensor_keeps_its_topic_between_two_scans():
+    holders = Holders()
+    for second in (0.0, 5.0, 10.0):
+        assert hear(holders, FIRST, second)
+    assert not hear(holders, SECOND, 14.9)
+    assert hear(holders, SECOND, 25.1)
+
+
+def test_what_is_remembered_of_publishers_is_bounded():
+    holders, announcements = Holders(), Announcements[int]()
+    assert hear(holders, FIRST, 0.0)
+    announcements.put("frame", FIRST, 0)
+    for number in range(1000):
+        peer = Peer(secrets.token_bytes(16), str(number))
+        hear(holders, FIRST, 1e-3 * number)
+        assert not hear(holders, peer, 1e-3 * number)
+        announcements.put("frame", peer, number)
+    assert len([*holders.peers]) <= MOST_PEERS + 1
+    assert len([*announcements.peers]) <= MOST_PEERS
+    assert announcements.of("frame", "") == (FIRST, 0)
+    for number in range(1, MOST_NAMES):
+        announcements.put(f"frame{number}", FIRST, number)
+    with pytest.raises(MessageRejectedError, match="too_many"):
+        announcements.put("one more", FIRST, 0)
+
+
+def test_of_what_was_announced_the_own_counts_first_then_the_earliest_that_is_not_gone():
+    announcements = Announcements[str]()
+    announcements.put("frame", FIRST, "first")
+    announcements.put("frame", SECOND, "second")
+    assert announcements.of("frame", "two") == (SECOND, "second")
+    assert announcements.of("frame", "another node") == (FIRST, "first")
+    announcements.leave(lambda name: name == "frame", "one")
+    assert announcements.of("frame", "another node") == (SECOND, "second")
+    announcements.leave(lambda name: name == "frame", "two")
+    assert announcements.of("frame", "another node") == (SECOND, "second")
+    assert announcements.of("other", "") is None
