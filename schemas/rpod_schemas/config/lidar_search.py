@@ -6,7 +6,7 @@ from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWNS, Provenance, Tuning
+from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWNS, Limit, Provenance, Tuning
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -53,12 +53,12 @@ class ScanVerdictConfig(Tuning):
     target are never known exactly.
     """
 
-    max_deficit: Annotated[NonNegative, BY_HAND] = 1.0
+    max_deficit: Annotated[NonNegative, Limit("deficit_sigmas"), BY_HAND] = 1.0
     """Largest deficit, expected minus actual log likelihood, in its standard deviations;
     ``max_deficit_per_return`` is added."""
     max_deficit_per_return: Annotated[NonNegative, BY_HAND] = 0.05
     """Largest further deficit for each return."""
-    inconsistent_share: Annotated[Share, BY_HAND] = 0.055
+    inconsistent_share: Annotated[Share, Limit("disagreeing_share"), BY_HAND] = 0.055
     """Share of rays that may be inconsistent with the pose or missing; two standard deviations of their
     number are added, which matter if returns are few."""
     pessimistic: Annotated[

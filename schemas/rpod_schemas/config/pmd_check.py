@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
-from rpod_schemas.config.tuning import BY_HAND, Provenance, Tuning
+from rpod_schemas.config.tuning import BY_HAND, Limit, Provenance, Tuning
 
 
 class PmdCheckConfig(Tuning):
@@ -28,6 +28,7 @@ class PmdCheckConfig(Tuning):
     file."""
     most_inconsistent_share: Annotated[
         Share,
+        Limit("inconsistent_pixel_share"),
         Provenance(
             "hand, mock-up", "right poses had up to 0.024 on emulated frames, the sun behind a camera 7 m off"
         ),
@@ -38,12 +39,15 @@ class PmdCheckConfig(Tuning):
     """Side of a square patch, coarse pixels; about a tenth of a metre if no depth is lost, because a
     misplaced detail is small."""
     most_in_patch: Annotated[
-        Annotated[int, Field(gt=0)], Provenance("hand, mock-up", "right poses had up to 6 on emulated frames")
+        Annotated[int, Field(gt=0)],
+        Limit("inconsistent_pixels_in_patch"),
+        Provenance("hand, mock-up", "right poses had up to 6 on emulated frames"),
     ] = 6
     """Largest number of inconsistent pixels in one patch. Right poses had up to 6. If one pixel in 50 is
     inconsistent, more than six of 25 are so in one patch of a million."""
     most_missing: Annotated[
         Annotated[int, Field(gt=0)],
+        Limit("missing_pixels_in_patch"),
         Provenance("hand, mock-up", "right poses had up to 3 on emulated frames, beside glints"),
     ] = 4
     """Largest number of pixels in one patch that lack a predicted surface. Right poses had up to 3, beside

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.pmd_check import PmdCheckConfig
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, WIDE_PRIOR, Provenance, Tuning
+from rpod_schemas.config.tuning import BUDGET, BY_HAND, WIDE_PRIOR, Limit, Provenance, Tuning
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -83,6 +83,7 @@ class JointVerdictConfig(Tuning):
 
     min_edge_share: Annotated[
         Share,
+        Limit("edges_in_place_share", least=True),
         Provenance(
             "hand, mock-up",
             "noise leaves half of a right pose's edges in their place on emulated frames, 7 m off",
@@ -91,10 +92,11 @@ class JointVerdictConfig(Tuning):
     """Least share of edges found near their place, over those that a rendering of the target shows and that
     exceed the noise of the frame. One over the square root of their number is added to the share, as an
     allowance for chance."""
-    weak_edge_share: Annotated[Share, BY_HAND] = 0.58
+    weak_edge_share: Annotated[Share, Limit("edges_in_place_share", least=True, usual=0.95), BY_HAND] = 0.58
     """Share below which an accepted pose is doubtful; a stream of doubtful frames ends the track."""
     bias_sigmas: Annotated[
         Positive,
+        Limit("range_bias_sigmas"),
         Provenance(
             "hand, mock-up", "right poses had up to 1.0 on emulated frames beside what scale_share allows"
         ),

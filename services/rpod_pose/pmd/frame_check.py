@@ -77,18 +77,18 @@ class Contradictions:
 
     @property
     def evidence(self) -> dict[str, float]:
-        """The numbers by name, for the evidence of a belief."""
+        """The numbers by name, for the evidence of a belief; the share is 0 if the pixels are negligible."""
+        counted = self.inconsistent if self.inconsistent > NEGLIGIBLE else 0
         return {
-            "inconsistent_pixel_share": self.inconsistent / self.pixels if self.pixels else 0.0,
+            "inconsistent_pixel_share": counted / self.pixels if self.pixels else 0.0,
             "inconsistent_pixels_in_patch": float(self.most_in_patch),
             "missing_pixels_in_patch": float(self.most_missing),
         }
 
     def reason(self, limits: PmdCheckConfig) -> str:
         """Return why the pose does not explain the frame; empty if it does."""
-        most = limits.most_inconsistent_share
-        if self.inconsistent > max(most * self.pixels, NEGLIGIBLE):
-            share = self.inconsistent / self.pixels
+        share, most = self.evidence["inconsistent_pixel_share"], limits.most_inconsistent_share
+        if share > most:
             return f"{share:.1%} of {self.pixels} pixels contradict the pose, {most:.0%} at most"
         area = limits.patch_px**2
         if self.most_in_patch > limits.most_in_patch:

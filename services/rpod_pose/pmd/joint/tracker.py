@@ -23,7 +23,7 @@ from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
-from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.edge_consistency import bias_sigmas, edges_in_place, misplaced_edges, wrong_scale
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
 from rpod_pose.pmd.joint.fit import (
@@ -241,11 +241,17 @@ class JointTracker:
     ) -> Belief:
         """Return the belief in a pose by its pixels, its edges and its scale."""
         limits, sigma_m = self._tuning.verdict, self._ranges.bias_m
-        evidence = {**inconsistent.evidence, "edges_in_place_share": in_place, "range_bias_m": bias_m}
+        scale = {"bias_m": bias_m, "sigma_m": sigma_m, "range_m": range_m}
+        evidence = {
+            **inconsistent.evidence,
+            "edges_in_place_share": in_place,
+            "range_bias_m": bias_m,
+            "range_bias_sigmas": bias_sigmas(limits, **scale),
+        }
         reason = (
             inconsistent.reason(self._tuning.check)
             or misplaced_edges(limits, in_place)
-            or wrong_scale(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m)
+            or wrong_scale(limits, **scale)
         )
         if reason:
             return contradicted(reason, **evidence)
