@@ -34,15 +34,25 @@ class ScanModelConfig(Tuning):
     ] = 0.95
     """Largest expected probability that a ray which meets the target returns: holes, edges and mirrors lose
     returns, and the brightness of a surface does not show that."""
-    slack_m: Annotated[Positive, BY_HAND] = 0.008
-    """Standard deviation of the target's faces about their model, m; ``slack_share`` limits it."""
+    slack_sigmas: Annotated[
+        Positive,
+        Provenance("hand, mock-up", "8 mm beside the documented LIDAR's 25 mm: less than a scan can show"),
+    ] = 0.32
+    """Standard deviation of the target's faces about their model, in those of a range; ``slack_share`` limits
+    it."""
     slack_share: Annotated[
         Share, Provenance("physics", "models of satellites are right within 1 to 3 % of their size")
     ] = 0.01
     """Largest standard deviation of the faces about their model, as a share of the target's radius."""
     clutter_share: Annotated[float, Field(gt=0, lt=1), BY_HAND] = 0.02
     """Share of rays whose return, or missing return, carries no information."""
-    clutter_depth_m: Annotated[Positive, BY_HAND] = 20.0
+    clutter_depth_m: Annotated[
+        Positive,
+        Provenance(
+            "hand, mock-up",
+            "a length of the beam, in which clutter may lie anywhere; only its logarithm counts",
+        ),
+    ] = 20.0
     """Depth over which such returns are spread, m."""
 
 
@@ -67,7 +77,7 @@ class ScanVerdictConfig(Tuning):
             "hand, mock-up",
             "a sensor worse than it states, a target that differs from its file; how much is chosen",
         ),
-    ] = ScanModelConfig(noise_scale=2.0, slack_m=0.03, slack_share=0.03, clutter_share=0.05)
+    ] = ScanModelConfig(noise_scale=2.0, slack_sigmas=1.2, slack_share=0.03, clutter_share=0.05)
     """Model of a sensor with larger errors than it states, and of a target that differs from its file."""
 
 

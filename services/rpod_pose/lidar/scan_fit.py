@@ -170,7 +170,7 @@ class ScanModel:
 def _assumptions(config: ScanModelConfig, sigma_range_m: float, radius_m: float) -> Assumptions:
     return Assumptions(
         sigma_m=config.noise_scale * sigma_range_m,
-        slack_m=min(config.slack_m, config.slack_share * radius_m),
+        slack_m=min(config.slack_sigmas * sigma_range_m, config.slack_share * radius_m),
         clutter_share=config.clutter_share,
         clutter_density=config.clutter_share / config.clutter_depth_m,
         least_range_m=config.least_range_m,
