@@ -6,7 +6,7 @@ from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWNS, Limit, Provenance, Tuning
+from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWN_ANGLE, UNKNOWNS, Limit, Provenance, Tuning
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -110,9 +110,7 @@ class ProjectiveIcpTuning(Tuning):
     """Standard deviation of the distance of a return beyond the outline, in those of a range."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
     """Least number of returns, and of returns on faces, of a registration."""
-    unobserved_deg: Annotated[
-        Positive, Provenance("physics", "the standard deviation of an angle of which nothing is known")
-    ] = 104.0
+    unobserved_deg: Annotated[Positive, UNKNOWN_ANGLE] = 104.0
     """Standard deviation of a rotation that neither faces nor outline determine, deg. That of a position is
     the target's radius."""
     model: ScanModelConfig = ScanModelConfig()

@@ -5,27 +5,26 @@ from typing import Annotated
 from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
-from rpod_schemas.config.tuning import BY_HAND, Limit, Provenance, Tuning
+from rpod_schemas.config.tuning import BY_HAND, OF_CAMERA, Limit, Provenance, Tuning
 
 
 class PmdCheckConfig(Tuning):
     """Limits for pixels that are inconsistent with a pose, relative to each pixel's own noise."""
 
-    tolerance_m: Annotated[Positive, BY_HAND] = 0.06
-    """Error above which a range is inconsistent with the pose, m, if it exceeds three times its noise as
-    well."""
-    most_noise_m: Annotated[Positive, BY_HAND] = 0.1
+    tolerance_share: Annotated[Positive, BY_HAND] = 0.064
+    """Error above which a range is inconsistent with the pose, as a share of the target's radius, if it
+    exceeds three times its noise and the uneven error of the camera as well."""
+    most_noise_m: Annotated[Positive, OF_CAMERA] = 0.1
     """Largest noise of a range that is checked, m, estimated from its neighbours; a noisier range is of the
     dark background, not of a surface."""
     reach_px: Annotated[Positive, BY_HAND] = 2.5
     """Largest tolerated displacement of the model's outlines and edges in the image, px. It covers the width
     of a coarse pixel, mixed pixels and the pose's own error."""
-    place_m: Annotated[
+    place_share: Annotated[
         NonNegative,
-        Provenance("hand, mock-up", "twice 3 mm, by which a target may differ from its file; a guess"),
-    ] = 0.006
-    """Further tolerated displacement on the target, m: twice 3 mm, by which the target may differ from its
-    file."""
+        Provenance("hand, mock-up", "twice 0.3 % of the size, by which a target may differ from its file"),
+    ] = 0.0064
+    """Further tolerated displacement on the target, as a share of its radius."""
     most_inconsistent_share: Annotated[
         Share,
         Limit("inconsistent_pixel_share"),

@@ -7,7 +7,16 @@ from pydantic import Field, model_validator
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.pmd_check import PmdCheckConfig
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, WIDE_PRIOR, Limit, Provenance, Tuning
+from rpod_schemas.config.tuning import (
+    BUDGET,
+    BY_HAND,
+    OF_CAMERA,
+    THREE_SIGMA,
+    UNKNOWN_ANGLE,
+    Limit,
+    Provenance,
+    Tuning,
+)
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -27,11 +36,13 @@ class JointDepthConfig(Tuning):
 
     points: Annotated[Count, BUDGET] = 1500
     """Largest and desired number of measured points; their spacing in the image follows from it."""
-    scale_m: Annotated[Positive, BY_HAND] = 0.10
-    """Geman-McClure scale in the first step from a far prediction, m."""
-    final_scale_m: Annotated[Positive, BY_HAND] = 0.03
-    """Geman-McClure scale in the last step, m."""
-    noise_m: Annotated[Positive, BY_HAND] = 0.006
+    scale_share: Annotated[Positive, BY_HAND] = 0.106
+    """Geman-McClure scale in the first step from a far prediction, as a share of the target's radius."""
+    final_scale_share: Annotated[Positive, BY_HAND] = 0.032
+    """The same in the last step; ``scale_sigmas`` limits both."""
+    scale_sigmas: Annotated[Positive, THREE_SIGMA] = 3.0
+    """Least scale, in standard deviations of a range by the frame's noise and ``noise_m``."""
+    noise_m: Annotated[Positive, OF_CAMERA] = 0.006
     """Least standard deviation of a residual, m; the spread of the inliers if that is larger."""
     effective_points: Annotated[
         Count,
@@ -118,8 +129,8 @@ class JointTuning(Tuning):
 
     far_iterations: Annotated[int, Field(ge=0), BUDGET] = 8
     """Number of first steps from a far prediction, on depth alone."""
-    far_scale_m: Annotated[Positive, BY_HAND] = 0.6
-    """Geman-McClure scale of the first of these steps, m."""
+    far_scale_share: Annotated[Positive, BY_HAND] = 0.64
+    """Geman-McClure scale of the first of these steps, as a share of the target's radius."""
     far_points: Annotated[Count, BUDGET] = 400
     """Number of points that these steps use."""
     iterations: Annotated[int, Field(ge=2), BUDGET] = 8
@@ -134,19 +145,18 @@ class JointTuning(Tuning):
     """Share of the expected edges found in their places above which a prediction is near."""
     fair_share: Annotated[Share, BY_HAND] = 0.5
     """Share of agreeing pixels below which a prediction is far: the steps on depth alone are done first."""
-    near_m: Annotated[Positive, BY_HAND] = 0.05
-    """Largest difference between a predicted and a measured range that agree, m, or twice the pixel's
-    noise."""
+    near_depth_share: Annotated[Positive, BY_HAND] = 0.053
+    """Largest difference between a predicted and a measured range that agree, as a share of the target's
+    radius; or the standard deviation of the camera's bias, or twice the pixel's noise."""
     missing_weight: Annotated[Share, BY_HAND] = 0.1
     """Weight of a pixel without depth at a predicted surface, over that of a measured one: glints, dark parts
     and close, bright parts lose their depth."""
     ghost_share: Annotated[Share, BY_HAND] = 0.08
     """Share of the image's mean amplitude below which depth is dropped; in the mean, pixels without depth
     count as dark. Close to a bright target, stray light gives the background a false depth."""
-    unobserved_m: Annotated[Positive, WIDE_PRIOR] = 1.0
-    """Standard deviation of a translation that nothing in the image determines, m."""
-    unobserved_deg: Annotated[Positive, WIDE_PRIOR] = 30.0
-    """Standard deviation of a rotation that nothing in the image determines, deg."""
+    unobserved_deg: Annotated[Positive, UNKNOWN_ANGLE] = 104.0
+    """Standard deviation of a rotation that nothing in the image determines, deg. That of a translation is
+    the target's radius."""
     depth: JointDepthConfig = JointDepthConfig()
     """Residuals of the depth points and their errors."""
     edges: JointEdgeConfig = JointEdgeConfig()
@@ -158,8 +168,8 @@ class JointTuning(Tuning):
 
     @model_validator(mode="after")
     def _narrows(self) -> Self:
-        if self.depth.final_scale_m > self.depth.scale_m:
-            raise ValueError("depth.final_scale_m must not exceed depth.scale_m: the weights narrow")
+        if self.depth.final_scale_share > self.depth.scale_share:
+            raise ValueError("depth.final_scale_share must not exceed depth.scale_share: the weights narrow")
         if self.edges.final_search_px > self.edges.search_px:
             raise ValueError("edges.final_search_px must not exceed edges.search_px: the search narrows")
         if self.verdict.min_edge_share > self.verdict.weak_edge_share:

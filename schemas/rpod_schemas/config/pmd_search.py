@@ -6,7 +6,7 @@ from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, Provenance, Tuning
+from rpod_schemas.config.tuning import BUDGET, BY_HAND, OF_CAMERA, THREE_SIGMA, Provenance, Tuning
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -34,15 +34,14 @@ class PmdSceneConfig(Tuning):
 class PmdModelConfig(Tuning):
     """Expected statistics of a frame's pixels at the right pose; they need not be exact."""
 
-    sigma_m: Annotated[
-        Positive, Provenance("hand, mock-up", "uncalibrated wiggling, as JointDepthConfig.raw")
-    ] = 0.04
+    sigma_m: Annotated[Positive, OF_CAMERA] = 0.04
     """Standard deviation of a depth without its noise, m: uncalibrated wiggling, as
     ``JointDepthConfig.raw``."""
-    most_noise_m: Annotated[Positive, BY_HAND] = 0.1
+    most_noise_m: Annotated[Positive, OF_CAMERA] = 0.1
     """Largest assumed noise of a depth, which neighbouring pixels tell, m."""
-    slack_m: Annotated[Positive, BY_HAND] = 0.015
-    """Standard deviation of the surface along its normal, m; on a steep face it is larger along the ray."""
+    slack_share: Annotated[Positive, BY_HAND] = 0.016
+    """Standard deviation of the surface along its normal, as a share of the target's radius; on a steep face
+    it is larger along the ray."""
     outlier_loss: Annotated[Positive, BY_HAND] = 3.5
     """Largest loss of a depth: mixed pixels and multiple reflections are entirely wrong."""
     strange_log_amplitude: Annotated[
@@ -74,6 +73,13 @@ class PmdAcquisitionTuning(Tuning):
     """Number of surface points that represent the target while attitudes are compared."""
     truncation: Annotated[Positive, BY_HAND] = 0.53
     """Distance above which the cost is constant, over the target's radius."""
+    scale_sigmas: Annotated[Positive, THREE_SIGMA] = 3.0
+    """Least Geman-McClure scale of an alignment, in standard deviations of a range by the frame's noise."""
+    outline_sigma: Annotated[
+        Positive, Provenance("numerics", "the samples follow the best ones, so that the start hardly counts")
+    ] = 0.05
+    """Standard deviation of the first samples in the refinement on the outline: of the angles in rad, and of
+    the place over the target's radius."""
     coarse_points: Annotated[Count, BUDGET] = 128
     """Number of measured points with which candidates are coarsely aligned."""
     fine_points: Annotated[Count, BUDGET] = 500

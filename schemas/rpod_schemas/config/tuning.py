@@ -61,8 +61,15 @@ BY_HAND = Provenance("hand, mock-up", "chosen on emulated frames; no derivation 
 """Provenance of values without a recorded derivation."""
 BUDGET = Provenance("numerics", "a budget of computation: the time grows with it")
 """Provenance of numbers of steps, points and samples."""
-WIDE_PRIOR = Provenance("hand, mock-up", "a wide prior; the value is chosen, not derived")
-"""Provenance of standard deviations for unobserved motions."""
+OF_CAMERA = Provenance(
+    "hand, mock-up",
+    "a length of the camera, whatever it looks at: it follows from the modulation; the value is chosen",
+)
+"""Provenance of errors of a time-of-flight camera's ranges."""
+UNKNOWN_ANGLE = Provenance("physics", "the standard deviation of an angle of which nothing is known")
+"""Provenance of standard deviations for unobserved rotations."""
+THREE_SIGMA = Provenance("physics", "one in 370 normal errors is larger than three standard deviations")
+"""Provenance of distances beyond which an error is no noise."""
 UNKNOWNS = Provenance("physics", "a pose has six unknowns, so that fewer equations determine none")
 """Provenance of least numbers of points."""
 

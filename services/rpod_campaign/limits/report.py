@@ -158,9 +158,7 @@ def _by_any(rows: pl.DataFrame, found: Sequence[Derived], *, today: bool) -> pl.
     return by_any
 
 
-def _kind_rows(
-    right: pl.DataFrame, wrong: pl.DataFrame, found: Sequence[Derived]
-) -> list[tuple[str, str, str, str]]:
+def _kind_rows(right: pl.DataFrame, wrong: pl.DataFrame, found: Sequence[Derived]) -> list[tuple[str, ...]]:
     """Return a row for the right poses, and one for the wrong poses of each start."""
     groups = [("right", right)]
     groups += [

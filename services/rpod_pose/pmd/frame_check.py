@@ -160,7 +160,9 @@ def contradictions(
     rendered: Rendering,
     limits: PmdCheckConfig,
     *,
+    radius_m: float,
     typical: float,
+    uneven_m: float = 0.0,
     bias_m: float = 0.0,
     reflected_m: FloatArray = NOT_REFLECTED,
     fine: FineRanges = COARSE_ONLY,
@@ -171,7 +173,9 @@ def contradictions(
         seen: the frame's coarse pixels.
         rendered: the target at the pose, on the same pixels.
         limits: tolerances of the check.
+        radius_m: radius of the target.
         typical: median amplitude of the target; 0 if it is unknown.
+        uneven_m: standard deviation of range errors that differ across the target.
         bias_m: length by which all ranges are too long.
         reflected_m: length by which light that is reflected twice may lengthen a range at normal incidence,
             for each triangle, shape (T,); empty if it is not known.
@@ -180,8 +184,9 @@ def contradictions(
     bright, glinting = (share * typical for share in BRIGHT)
     sky = sky_amplitude(seen.range_m, seen.amplitude, rendered.triangle, typical)
     shades = Shades(sky if sky < DIM * typical else 0.0, max(bright, sky), glinting)
-    reach_px = limits.reach_px + limits.place_m * rendered.px_per_m
-    tolerated = Tolerated(limits.tolerance_m, bias_m, reach_px, reflected_m)
+    reach_px = limits.reach_px + limits.place_share * radius_m * rendered.px_per_m
+    tolerance_m = max(limits.tolerance_share * radius_m, SIGMAS * uneven_m)
+    tolerated = Tolerated(tolerance_m, bias_m, reach_px, reflected_m)
     shown = Shown(rendered.arrays, fine)
     return Contradictions(*count_inconsistent(seen, shown, shades, tolerated, limits.patch_px))
 
