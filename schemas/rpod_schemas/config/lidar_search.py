@@ -6,7 +6,18 @@ from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWN_ANGLE, UNKNOWNS, Limit, Provenance, Tuning
+from rpod_schemas.config.tuning import (
+    BUDGET,
+    BY_HAND,
+    FIRST_STEP,
+    GRID,
+    ONE_IN_TWENTY,
+    UNKNOWN_ANGLE,
+    UNKNOWNS,
+    Limit,
+    Provenance,
+    Tuning,
+)
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -96,7 +107,7 @@ class ProjectiveIcpTuning(Tuning):
     sufficient, if they determine all motions."""
     fine_steps: Annotated[Count, BUDGET] = 3
     """Number of fine steps, which align all returns with the faces."""
-    widest_share: Annotated[Positive, BY_HAND] = 0.05
+    widest_share: Annotated[Positive, FIRST_STEP] = 0.05
     """Distance above which a return is an outlier in the first step, as a share of the target's radius; never
     below that of the last step."""
     narrowest_sigmas: Annotated[
@@ -143,10 +154,7 @@ class SearchLevelConfig(Tuning):
 class GlobalSearchTuning(Tuning):
     """Numbers of candidates and limits of the global search."""
 
-    levels: Annotated[
-        tuple[SearchLevelConfig, ...],
-        Provenance("hand, mock-up", "numbers of attitudes chosen by time and success on emulated scans"),
-    ] = Field(
+    levels: Annotated[tuple[SearchLevelConfig, ...], BUDGET] = Field(
         default=(
             SearchLevelConfig(attitudes=900, compared=120, refined=16),
             SearchLevelConfig(attitudes=2000, compared=200, refined=20),
@@ -181,14 +189,14 @@ class GlobalSearchTuning(Tuning):
     smaller than 1,000 standard deviations of a range counts less, by the information that it carries."""
     rival_log_likelihood: Annotated[Positive, BY_HAND] = 25.0
     """Largest difference of log likelihood between the best pose and a rival."""
-    siblings: Annotated[Count, BY_HAND] = 2
+    siblings: Annotated[Count, BUDGET] = 2
     """Number of best distinct poses whose turns must have been tried; 1 if the best pose is sure."""
-    turned: Annotated[Count, BY_HAND] = 5
+    turned: Annotated[Count, BUDGET] = 5
     """Largest number of poses whose turns are tried."""
-    turns: Annotated[Count, BY_HAND] = 6
+    turns: Annotated[Count, BUDGET] = 6
     """Number of best turns of each pose that are aligned with the scan: quarter turns about the axes, and
     near-symmetries."""
-    finished: Annotated[Count, BY_HAND] = 4
+    finished: Annotated[Count, BUDGET] = 4
     """Number of best distinct poses that are refined to the end."""
     few_finished: Annotated[Count, BUDGET] = 12
     """Number of best distinct poses that are refined to the end if returns are few: all that may be right
@@ -201,11 +209,11 @@ class GlobalSearchTuning(Tuning):
         Positive, Provenance("physics", "an error of 10 deg has then a probability below 0.5 %")
     ] = 3.5
     """Largest standard deviation of an accepted attitude about its worst axis, deg."""
-    distinct_deg: Annotated[NonNegative, BY_HAND] = 5.0
+    distinct_deg: Annotated[NonNegative, GRID] = 5.0
     """Angle between two attitudes, deg, below which their poses are the same."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
     """Least number of returns of a scan that is searched."""
-    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
+    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), ONE_IN_TWENTY] = 0.95
     """Weight of the best hypothesis below which the result is ambiguous."""
     few_weight: Annotated[
         float,

@@ -10,6 +10,7 @@ from rpod_schemas.config.sensor import MethodConfig
 from rpod_schemas.config.tuning import (
     BUDGET,
     BY_HAND,
+    FIRST_STEP,
     OF_CAMERA,
     THREE_SIGMA,
     UNKNOWN_ANGLE,
@@ -19,6 +20,10 @@ from rpod_schemas.config.tuning import (
 )
 
 Count = Annotated[int, Field(gt=0)]
+CHOICE = Provenance(
+    "numerics", "it chooses the start that is tried first; the next one is tried where its result is refused"
+)
+"""Provenance of what decides with how many steps the tracker begins."""
 
 
 class RangeErrorConfig(Tuning):
@@ -36,7 +41,7 @@ class JointDepthConfig(Tuning):
 
     points: Annotated[Count, BUDGET] = 1500
     """Largest and desired number of measured points; their spacing in the image follows from it."""
-    scale_share: Annotated[Positive, BY_HAND] = 0.106
+    scale_share: Annotated[Positive, FIRST_STEP] = 0.106
     """Geman-McClure scale in the first step from a far prediction, as a share of the target's radius."""
     final_scale_share: Annotated[Positive, BY_HAND] = 0.032
     """The same in the last step; ``scale_sigmas`` limits both."""
@@ -67,7 +72,7 @@ class JointDepthConfig(Tuning):
 class JointEdgeConfig(Tuning):
     """Search for the model's edges along their normals in the amplitude image, and their errors."""
 
-    spacing_share: Annotated[Positive, BY_HAND] = 0.03
+    spacing_share: Annotated[Positive, BUDGET] = 0.03
     """Distance between two samples of an edge, as a share of the target's radius."""
     blur_px: Annotated[Positive, BY_HAND] = 0.8
     """Standard deviation of the smoothing before gradients are taken, px."""
@@ -129,7 +134,7 @@ class JointTuning(Tuning):
 
     far_iterations: Annotated[int, Field(ge=0), BUDGET] = 8
     """Number of first steps from a far prediction, on depth alone."""
-    far_scale_share: Annotated[Positive, BY_HAND] = 0.64
+    far_scale_share: Annotated[Positive, FIRST_STEP] = 0.64
     """Geman-McClure scale of the first of these steps, as a share of the target's radius."""
     far_points: Annotated[Count, BUDGET] = 400
     """Number of points that these steps use."""
@@ -139,11 +144,11 @@ class JointTuning(Tuning):
     near_iterations: Annotated[int, Field(ge=2), BUDGET] = 5
     """Number of these steps, the last ones, that are done from a near prediction; and number of further steps
     with the last scale and reach. From an accurate prediction only the further steps are done."""
-    sharp_share: Annotated[Share, BY_HAND] = 0.55
+    sharp_share: Annotated[Share, CHOICE] = 0.55
     """Share of the expected edges found in their places above which a prediction is accurate."""
-    near_share: Annotated[Share, BY_HAND] = 0.4
+    near_share: Annotated[Share, CHOICE] = 0.4
     """Share of the expected edges found in their places above which a prediction is near."""
-    fair_share: Annotated[Share, BY_HAND] = 0.5
+    fair_share: Annotated[Share, CHOICE] = 0.5
     """Share of agreeing pixels below which a prediction is far: the steps on depth alone are done first."""
     near_depth_share: Annotated[Positive, BY_HAND] = 0.053
     """Largest difference between a predicted and a measured range that agree, as a share of the target's

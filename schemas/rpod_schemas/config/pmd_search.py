@@ -6,7 +6,16 @@ from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, OF_CAMERA, THREE_SIGMA, Provenance, Tuning
+from rpod_schemas.config.tuning import (
+    BUDGET,
+    BY_HAND,
+    GRID,
+    OF_CAMERA,
+    ONE_IN_TWENTY,
+    THREE_SIGMA,
+    Provenance,
+    Tuning,
+)
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -65,9 +74,9 @@ class PmdModelConfig(Tuning):
 class PmdAcquisitionTuning(Tuning):
     """Numbers of candidates and limits of the search."""
 
-    compared: Annotated[Count, BY_HAND] = 300
+    compared: Annotated[Count, BUDGET] = 300
     """Number of the best attitudes that are compared with more of the frame."""
-    refined: Annotated[Count, BY_HAND] = 36
+    refined: Annotated[Count, BUDGET] = 36
     """Number of the best of these that are aligned with the frame and rendered."""
     model_points: Annotated[Count, BUDGET] = 240
     """Number of surface points that represent the target while attitudes are compared."""
@@ -84,20 +93,20 @@ class PmdAcquisitionTuning(Tuning):
     """Number of measured points with which candidates are coarsely aligned."""
     fine_points: Annotated[Count, BUDGET] = 500
     """Number of measured points with which the best poses are refined."""
-    turned: Annotated[Count, BY_HAND] = 3
+    turned: Annotated[Count, BUDGET] = 3
     """Largest number of poses whose turns are tried, near-symmetries and turns about the axes."""
-    turns: Annotated[Count, BY_HAND] = 8
+    turns: Annotated[Count, BUDGET] = 8
     """Number of best turns of each pose that are aligned with the frame."""
-    finished: Annotated[Count, BY_HAND] = 6
+    finished: Annotated[Count, BUDGET] = 6
     """Number of best distinct poses that are refined to the end."""
     rival_loss: Annotated[Positive, BY_HAND] = 200.0
     """Largest difference of loss from the best pose with which one of these is refined on the outline too."""
-    distinct_deg: Annotated[NonNegative, BY_HAND] = 8.0
+    distinct_deg: Annotated[NonNegative, GRID] = 8.0
     """Angle between two attitudes, deg, below which their poses are the same."""
-    near_attitudes: Annotated[Count, BY_HAND] = 12000
+    near_attitudes: Annotated[Count, BUDGET] = 12000
     """Number of attitudes, evenly spread over SO(3), of which those near a roughly known pose are
     compared."""
-    near_refined: Annotated[Count, BY_HAND] = 12
+    near_refined: Annotated[Count, BUDGET] = 12
     """Number of the best of these that are aligned with the frame and rendered."""
     near_deg: Annotated[Positive, BY_HAND] = 45.0
     """Largest angle of an attitude from a roughly known pose, deg, in a search near that pose."""
@@ -110,7 +119,7 @@ class PmdAcquisitionTuning(Tuning):
     the worse a pose must be not to be a rival."""
     independent_pixels_of_shape: Annotated[Positive, BY_HAND] = 45.0
     """The same for depth and outline alone, where the materials may not be those of the file."""
-    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
+    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), ONE_IN_TWENTY] = 0.95
     """Weight of the best hypothesis below which the result is ambiguous."""
 
 

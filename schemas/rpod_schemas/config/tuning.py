@@ -61,6 +61,12 @@ BY_HAND = Provenance("hand, mock-up", "chosen on emulated frames; no derivation 
 """Provenance of values without a recorded derivation."""
 BUDGET = Provenance("numerics", "a budget of computation: the time grows with it")
 """Provenance of numbers of steps, points and samples."""
+GRID = Provenance("numerics", "half the angle between neighbours of the finest grid of attitudes")
+"""Provenance of angles within which two attitudes are the same."""
+FIRST_STEP = Provenance("numerics", "the steps narrow from it: a wider one converges from farther, slower")
+"""Provenance of scales of first steps."""
+ONE_IN_TWENTY = Provenance("physics", "a probability: one in twenty such poses may be wrong by itself")
+"""Provenance of weights of hypotheses."""
 OF_CAMERA = Provenance(
     "hand, mock-up",
     "a length of the camera, whatever it looks at: it follows from the modulation; the value is chosen",
