@@ -30,7 +30,7 @@ class Options(EveryOptions):
     """Least and greatest number of returns of a LIDAR's scan; the range follows from it."""
     filled: tuple[Positive, Positive] = (0.2, 0.8)
     """Least and greatest longest side in the camera's image, over the image's height; the range follows."""
-    world: Worlds = ("documented",)
+    world: Worlds = ("documented", "lambertian", "noisy", "multipath", "faint")
     scenario: str = "tumbling"
     """Scenario with the camera, by name; 'mockup-' may be left out."""
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)

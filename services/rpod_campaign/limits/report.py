@@ -1,5 +1,6 @@
 """``limits``: each limit, today and derived, and what it does to right and wrong poses."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
@@ -43,7 +44,8 @@ def totals(results: Results) -> dict[str, Any]:
         "seed": cell.seed,
         "quantile": cell.quantile,
         "margin": cell.margin,
-        "bodies": len(results),
+        "worlds": sorted({result.cell.world for result in results}),
+        "bodies": _bodies(results),
         "frames": sum(result.summary["frames"] for result in results),
         "limits": {
             each.field.path: {
@@ -76,8 +78,8 @@ def sections(results: Results) -> list[Section]:
     cell, found = results[0].cell, _derived(results)
     right, wrong = _right(results), _wrong(results)
     note = (
-        f"{len(results)} satellites, seed {cell.seed}. A limit is the value that {cell.quantile:.1%} of the "
-        f"right poses meet, widened by {cell.margin:.0%}; one that only warns has a share of its own and no "
+        f"{_bodies(results)} satellites, seed {cell.seed}. A limit is the value that {cell.quantile:.1%} of "
+        f"the right poses meet, widened by {cell.margin:.0%}; one that only warns has a share of its own and no "
         "margin. The interval is that over random choices of the satellites. Alone: refused by no other "
         "derived limit. A limit that refuses no wrong pose alone decides nothing."
     )
@@ -113,12 +115,18 @@ _EFFECTS = ("right_refused", "wrong_refused_today", "wrong_refused", "wrong_refu
 
 def _derived(results: Results) -> list[Derived]:
     """Return the limits of the tracker whose poses are judged."""
-    cell = results[0].cell
-    rows = [result.rows for result in results]
+    cell, by_body = results[0].cell, defaultdict[str, list[pl.DataFrame]](list)
+    for result in results:
+        by_body[result.cell.target].append(result.rows)
+    rows = [pl.concat(several) for several in by_body.values()]
     return [
         derived(field, rows, quantile=cell.quantile, margin=cell.margin)
         for field in limits_in(input_of(cell.sensor).tracking)
     ]
+
+
+def _bodies(results: Results) -> int:
+    return len({result.cell.target for result in results})
 
 
 def _right(results: Results) -> pl.DataFrame:

@@ -61,7 +61,7 @@ def test_the_interval_is_over_satellites_and_without_evidence_today_s_limit_stay
 
 @pytest.mark.parametrize("sensor", ["lidar", "pmd"])
 def test_totals_tell_what_each_limit_refuses_of_right_and_wrong_poses(sensor):
-    (cell,) = CAMPAIGN.cells(Options(target=("hexagonal-body",), sensor="lidar"))
+    (cell,) = CAMPAIGN.cells(Options(target=("hexagonal-body",), sensor="lidar", world=("documented",)))
     fields = limits_in(input_of(sensor).tracking)
     good = {each.limit.evidence: 1.0 if each.limit.least else 0.0 for each in fields}
     bad = good | {fields[0].limit.evidence: 0.5}
@@ -82,7 +82,7 @@ def test_totals_tell_what_each_limit_refuses_of_right_and_wrong_poses(sensor):
 
 
 def test_the_command_judges_right_and_wrong_poses_of_one_scan(tmp_path, capsys):
-    options = {"target": "hexagonal-body,mockup", "trials": "1", "returns": "200,300"}
+    options = {"target": "hexagonal-body,mockup", "trials": "1", "returns": "200,300", "world": "noisy"}
     assert campaign_command("limits", options=options, jobs=1, out=tmp_path, as_json=True) == 0
     printed = json.loads(capsys.readouterr().out)
     assert [cell["frames"] for cell in printed["cells"]] == [1, 1]
