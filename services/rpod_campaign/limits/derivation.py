@@ -77,9 +77,9 @@ def _limit(values: FloatArray, field: LimitField, share: float, margin: float) -
     """Return the limit that a share of the values meets, widened by a margin, with few digits."""
     if field.limit.least:
         bare = float(np.quantile(values, 1.0 - share, method="lower"))
-        return _rounded(bare / (1.0 + margin), floor, whole=field.is_whole)
+        return _rounded(bare - margin * abs(bare), floor, whole=field.is_whole)
     bare = float(np.quantile(values, share, method="higher"))
-    return _rounded(bare * (1.0 + margin), ceil, whole=field.is_whole)
+    return _rounded(bare + margin * abs(bare), ceil, whole=field.is_whole)
 
 
 def _rounded(value: float, way: Callable[[float], int], *, whole: bool) -> float:

@@ -79,8 +79,8 @@ def sections(results: Results) -> list[Section]:
     right, wrong = _right(results), _wrong(results)
     note = (
         f"{_bodies(results)} satellites, seed {cell.seed}. A limit is the value that {cell.quantile:.1%} of "
-        f"the right poses meet, widened by {cell.margin:.0%}; one that only warns has a share of its own and no "
-        "margin. The interval is that over random choices of the satellites. Alone: refused by no other "
+        f"the right poses meet, widened by {cell.margin:.0%}; one that only warns has a share of its own and "
+        "no margin. The interval is that over random choices of the satellites. Alone: refused by no other "
         "derived limit. A limit that refuses no wrong pose alone decides nothing."
     )
     rows = []
