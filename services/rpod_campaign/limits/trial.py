@@ -7,7 +7,6 @@ count here, only the evidence.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,10 +17,15 @@ from rpod_campaign.engine.trial.poses import errors
 from rpod_campaign.engine.trial.sizes import middle_m, with_middle_at
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
-from rpod_campaign.lidar.methods import pattern_of
-from rpod_campaign.lidar.returns import window_of
-from rpod_campaign.population.trial import PopulationCell, Taken, limits_of, measured, start_of
-from rpod_pose.methods import ready_methods
+from rpod_campaign.population.trial import (
+    PopulationCell,
+    Taken,
+    lidar_methods,
+    limits_of,
+    measured,
+    pmd_methods,
+    start_of,
+)
 from rpod_pose.ports import Methods
 from rpod_schemas.config.estimator import LidarInput, PmdInput
 from rpod_schemas.config.tuning import limits_in
@@ -132,8 +136,8 @@ def _turned(truth: RigidTransform, R_sensor_target: Rotation, target: Target) ->
     return with_middle_at(R_sensor_target, truth.apply(middle_m(target)), target)
 
 
-@lru_cache(maxsize=4)
 def _others_methods(cell: LimitsCell) -> Methods:
     """Return the methods that look for the other satellite."""
-    setup = pattern_of(window_of(cell.target).config()) if cell.sensor == "lidar" else ()
-    return ready_methods(input_of(cell.sensor), cached_target(cell.other_target), setup)
+    if cell.sensor == "lidar":
+        return lidar_methods(cell.target, cell.other_target)
+    return pmd_methods(cell.other_target)

@@ -224,8 +224,8 @@ def _photographed(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods,
 @lru_cache(maxsize=4)
 def _lidar_bench(cell: PopulationCell, seed: int) -> tuple[LidarEmulator, Methods]:
     lidar = window_of(cell.target).config()
-    methods = ready_methods(LidarInput(), cached_target(cell.model or cell.target), pattern_of(lidar))
-    return emulator_of(cell.target, lidar, seed, world=cell.world), methods
+    emulator = emulator_of(cell.target, lidar, seed, world=cell.world)
+    return emulator, lidar_methods(cell.target, cell.model or cell.target)
 
 
 @lru_cache(maxsize=4)
@@ -233,8 +233,19 @@ def _pmd_bench(cell: PopulationCell) -> tuple[Scenario, Methods]:
     target = cached_target(cell.target)
     shown = scenario_of(cell.document).model_copy(update={"target": cell.target})
     scenario = reaching(shown, range_filling(target, cell.wanted[0], camera_of(shown)))
-    model = cached_target(cell.model or cell.target)
-    return scenario, ready_methods(pmd_input(DEFAULT, name=camera_of(scenario).name), model)
+    return scenario, pmd_methods(cell.model or cell.target)
+
+
+@lru_cache(maxsize=4)
+def lidar_methods(target: str, model: str) -> Methods:
+    """Return the default methods that look for a model in the scans of a target."""
+    return ready_methods(LidarInput(), cached_target(model), pattern_of(window_of(target).config()))
+
+
+@lru_cache(maxsize=4)
+def pmd_methods(model: str) -> Methods:
+    """Return the default methods that look for a model in the frames of a camera."""
+    return ready_methods(pmd_input(DEFAULT), cached_target(model))
 
 
 @lru_cache(maxsize=64)
