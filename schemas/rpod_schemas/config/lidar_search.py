@@ -67,6 +67,23 @@ class ScanModelConfig(Tuning):
     """Depth over which such returns are spread, m."""
 
 
+class PessimisticConfig(Tuning):
+    """What replaces the fields of the same names in a scan's model, for a worse sensor or target."""
+
+    noise_scale: Annotated[
+        Positive, Provenance("hand, mock-up", "twice the error that the sensor states; the factor is chosen")
+    ] = 2.0
+    """Ratio of the assumed standard deviation of a range to ``sigma_range_m``."""
+    slack_sigmas: Annotated[Positive, BY_HAND] = 1.2
+    """Standard deviation of the target's faces about their model, in those of a range."""
+    slack_share: Annotated[
+        Share, Provenance("physics", "models of satellites are right within 1 to 3 % of their size")
+    ] = 0.03
+    """Largest such standard deviation, as a share of the target's radius."""
+    clutter_share: Annotated[float, Field(gt=0, lt=1), BY_HAND] = 0.05
+    """Share of rays whose return, or missing return, carries no information."""
+
+
 class ScanVerdictConfig(Tuning):
     """Limits of likelihood and of agreeing rays within which a pose explains a scan.
 
@@ -75,20 +92,11 @@ class ScanVerdictConfig(Tuning):
     """
 
     max_deficit: Annotated[NonNegative, Limit("deficit_sigmas"), BY_HAND] = 1.0
-    """Largest deficit, expected minus actual log likelihood, in its standard deviations;
-    ``max_deficit_per_return`` is added."""
-    max_deficit_per_return: Annotated[NonNegative, BY_HAND] = 0.05
-    """Largest further deficit for each return."""
+    """Largest deficit, expected minus actual log likelihood, in its standard deviations."""
     inconsistent_share: Annotated[Share, Limit("disagreeing_share"), BY_HAND] = 0.055
     """Share of rays that may be inconsistent with the pose or missing; two standard deviations of their
     number are added, which matter if returns are few."""
-    pessimistic: Annotated[
-        ScanModelConfig,
-        Provenance(
-            "hand, mock-up",
-            "a sensor worse than it states, a target that differs from its file; how much is chosen",
-        ),
-    ] = ScanModelConfig(noise_scale=2.0, slack_sigmas=1.2, slack_share=0.03, clutter_share=0.05)
+    pessimistic: PessimisticConfig = PessimisticConfig()
     """Model of a sensor with larger errors than it states, and of a target that differs from its file."""
 
 

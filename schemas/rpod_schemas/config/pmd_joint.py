@@ -108,7 +108,7 @@ class JointVerdictConfig(Tuning):
     """Least share of edges found near their place, over those that a rendering of the target shows and that
     exceed the noise of the frame. One over the square root of their number is added to the share, as an
     allowance for chance."""
-    weak_edge_share: Annotated[Share, Limit("edges_in_place_share", least=True, usual=0.95), BY_HAND] = 0.58
+    weak_edge_share: Annotated[Share, Limit("edges_in_place_share", least=True, usual=0.98), BY_HAND] = 0.58
     """Share below which an accepted pose is doubtful; a stream of doubtful frames ends the track."""
     bias_sigmas: Annotated[
         Positive,

@@ -57,14 +57,14 @@ def totals(results: Results) -> dict[str, Any]:
                 "quantile": each.quantile,
                 "right": each.right,
                 "bodies": each.bodies,
-                **{name: _told(share) for name, share in _effect(each, found, right, wrong).items()},
+                **{name: share.told for name, share in _effect(each, found, right, wrong).items()},
             }
             for each in found
         },
         "together": {
             name: {
-                "right_refused": _told(_share(_by_any(right, found, today=today))),
-                "wrong_refused": _told(_share(_by_any(wrong, found, today=today))),
+                "right_refused": _share(_by_any(right, found, today=today)).told,
+                "wrong_refused": _share(_by_any(wrong, found, today=today)).told,
             }
             for name, today in (("today", True), ("derived", False))
         },
@@ -184,14 +184,3 @@ def _kind_rows(right: pl.DataFrame, wrong: pl.DataFrame, found: Sequence[Derived
 
 def _share(which: pl.Series) -> Rate:
     return rate(int(which.sum()), which.len())
-
-
-def _told(share: Rate) -> dict[str, Any]:
-    """Return a share for JSON."""
-    return {
-        "count": share.count,
-        "of": share.of,
-        "rate": share.value,
-        "wilson_low": share.low,
-        "wilson_high": share.high,
-    }

@@ -92,7 +92,8 @@ class ScanModel:
         self._shares = expected_shares(config.surest_detection)
         radius_m = float(np.linalg.norm(surface.faces.triangles_m, axis=2).max())
         self.assumed = _assumptions(config, self.sigma_range_m, radius_m)
-        self._pessimistic = _assumptions(verdict.pessimistic, self.sigma_range_m, radius_m)
+        worse = config.model_copy(update=dict(verdict.pessimistic))
+        self._pessimistic = _assumptions(worse, self.sigma_range_m, radius_m)
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
@@ -126,11 +127,10 @@ class ScanModel:
         their number. ``disagreeing_share`` is the s for which the share that was found is just allowed.
         """
         chance = sqrt(1.0 / returns)
-        beyond = fit.deficit - self._verdict.max_deficit_per_return * returns
         return {
             "deficit": fit.deficit,
             "deficit_sigma": fit.deviation,
-            "deficit_sigmas": beyond / max(fit.deviation, LEAST_DEVIATION),
+            "deficit_sigmas": fit.deficit / max(fit.deviation, LEAST_DEVIATION),
             "returns": float(returns),
             "agreeing_share": fit.agreement.share,
             "disagreeing_share": (sqrt(1.0 - fit.agreement.share + chance**2) - chance) ** 2,

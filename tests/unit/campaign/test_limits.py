@@ -13,6 +13,7 @@ from rpod_campaign.limits.options import Options
 from rpod_campaign.limits.report import sections, summarise, totals
 from rpod_campaign.limits.trial import EVIDENCE, NEAR, OTHER, SCHEMA, SEARCHED, START, input_of
 from rpod_schemas.config.tuning import Limit, LimitField, limits_in
+from rpod_sim_sensor.worlds import WORLDS
 
 MOST = LimitField("most", 6, Limit("inconsistent_pixels_in_patch"), None)
 LEAST = LimitField("least", 0.47, Limit("edges_in_place_share", least=True), None)
@@ -32,6 +33,10 @@ def test_a_limit_is_what_the_share_of_right_poses_meets_and_a_margin():
     assert derived(WARNS, [pl.concat(shares)], quantile=0.98, margin=0.1).value == pytest.approx(0.54)
     assert derived(MOST, [pl.concat(pixels)], quantile=0.98, margin=0.15).value == 12
     assert (least.right, least.bodies) == (101, 1)
+
+
+def test_limits_are_derived_in_the_worlds_that_are_for_design():
+    assert set(Options().world) == {name for name, world in WORLDS.items() if not world.held_out}
 
 
 def test_only_right_poses_that_the_tracker_reached_without_help_in_frames_that_count_give_a_limit():
