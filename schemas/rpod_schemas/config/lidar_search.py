@@ -12,6 +12,7 @@ from rpod_schemas.config.tuning import (
     FIRST_STEP,
     GRID,
     ONE_IN_TWENTY,
+    POPULATION_LIDAR,
     UNKNOWN_ANGLE,
     UNKNOWNS,
     Limit,
@@ -91,9 +92,9 @@ class ScanVerdictConfig(Tuning):
     target are never known exactly.
     """
 
-    max_deficit: Annotated[NonNegative, Limit("deficit_sigmas"), BY_HAND] = 1.0
+    max_deficit: Annotated[NonNegative, Limit("deficit_sigmas"), POPULATION_LIDAR] = 0.83
     """Largest deficit, expected minus actual log likelihood, in its standard deviations."""
-    inconsistent_share: Annotated[Share, Limit("disagreeing_share"), BY_HAND] = 0.055
+    inconsistent_share: Annotated[Share, Limit("disagreeing_share"), POPULATION_LIDAR] = 0.05
     """Share of rays that may be inconsistent with the pose or missing; two standard deviations of their
     number are added, which matter if returns are few."""
     pessimistic: PessimisticConfig = PessimisticConfig()

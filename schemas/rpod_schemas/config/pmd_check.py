@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
-from rpod_schemas.config.tuning import BY_HAND, OF_CAMERA, Limit, Provenance, Tuning
+from rpod_schemas.config.tuning import BY_HAND, OF_CAMERA, POPULATION_PMD, Limit, Provenance, Tuning
 
 
 class PmdCheckConfig(Tuning):
@@ -28,26 +28,23 @@ class PmdCheckConfig(Tuning):
     most_inconsistent_share: Annotated[
         Share,
         Limit("inconsistent_pixel_share"),
-        Provenance(
-            "hand, mock-up", "right poses had up to 0.024 on emulated frames, the sun behind a camera 7 m off"
-        ),
-    ] = 0.04
-    """Largest share of inconsistent pixels among the checked ones. Right poses had up to 0.024, with the sun
-    behind a camera at 7 m."""
+        POPULATION_PMD,
+    ] = 0.045
+    """Largest share of inconsistent pixels among the checked ones."""
     patch_px: Annotated[int, Field(gt=0), BY_HAND] = 5
     """Side of a square patch, coarse pixels; about a tenth of a metre if no depth is lost, because a
     misplaced detail is small."""
     most_in_patch: Annotated[
         Annotated[int, Field(gt=0)],
         Limit("inconsistent_pixels_in_patch"),
-        Provenance("hand, mock-up", "right poses had up to 6 on emulated frames"),
-    ] = 6
-    """Largest number of inconsistent pixels in one patch. Right poses had up to 6. If one pixel in 50 is
-    inconsistent, more than six of 25 are so in one patch of a million."""
+        POPULATION_PMD,
+    ] = 7
+    """Largest number of inconsistent pixels in one patch. If one pixel in 30 is inconsistent, more than seven
+    of 25 are so in one patch of a million."""
     most_missing: Annotated[
         Annotated[int, Field(gt=0)],
         Limit("missing_pixels_in_patch"),
-        Provenance("hand, mock-up", "right poses had up to 3 on emulated frames, beside glints"),
-    ] = 4
-    """Largest number of pixels in one patch that lack a predicted surface. Right poses had up to 3, beside
+        POPULATION_PMD,
+    ] = 3
+    """Largest number of pixels in one patch that lack a predicted surface; at a right pose they are beside
     glints."""

@@ -12,6 +12,7 @@ from rpod_schemas.config.tuning import (
     BY_HAND,
     FIRST_STEP,
     OF_CAMERA,
+    POPULATION_PMD,
     THREE_SIGMA,
     UNKNOWN_ANGLE,
     Limit,
@@ -100,26 +101,26 @@ class JointVerdictConfig(Tuning):
     min_edge_share: Annotated[
         Share,
         Limit("edges_in_place_share", least=True),
-        Provenance(
-            "hand, mock-up",
-            "noise leaves half of a right pose's edges in their place on emulated frames, 7 m off",
-        ),
-    ] = 0.47
+        POPULATION_PMD,
+    ] = 0.46
     """Least share of edges found near their place, over those that a rendering of the target shows and that
     exceed the noise of the frame. One over the square root of their number is added to the share, as an
     allowance for chance."""
-    weak_edge_share: Annotated[Share, Limit("edges_in_place_share", least=True, usual=0.98), BY_HAND] = 0.58
-    """Share below which an accepted pose is doubtful; a stream of doubtful frames ends the track."""
+    weak_edge_share: Annotated[
+        Share, Limit("edges_in_place_share", least=True, usual=0.98), POPULATION_PMD
+    ] = 0.7
+    """Share below which a pose is doubtful: no track begins at it, and a stream of doubtful frames ends a
+    track. One right pose in fifty has less."""
     bias_sigmas: Annotated[
         Positive,
         Limit("range_bias_sigmas"),
         Provenance(
-            "hand, mock-up", "right poses had up to 1.0 on emulated frames beside what scale_share allows"
+            "physics",
+            "95 % of normal errors are smaller; the population, with an uncalibrated camera, would allow 1.2",
         ),
     ] = 2.0
     """Largest bias of the ranges against the distance that the edges give, in standard deviations ``bias_m``
-    of the depth. Right poses had up to 1.0 in addition to ``scale_share``; a target 5 % larger or smaller
-    mostly has more."""
+    of the depth and in addition to ``scale_share``. A target 5 % larger or smaller mostly has more."""
     scale_share: Annotated[NonNegative, BY_HAND] = 0.004
     """Further tolerated bias of the ranges, as a share of the range: errors of the target's size and of the
     focal length."""

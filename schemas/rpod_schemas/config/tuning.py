@@ -76,6 +76,15 @@ UNKNOWN_ANGLE = Provenance("physics", "the standard deviation of an angle of whi
 """Provenance of standard deviations for unobserved rotations."""
 THREE_SIGMA = Provenance("physics", "one in 370 normal errors is larger than three standard deviations")
 """Provenance of distances beyond which an error is no noise."""
+POPULATION_PMD, POPULATION_LIDAR = (
+    Provenance(
+        "campaign",
+        f"rpod campaign limits --sensor {sensor}, seed 5, 12 satellites, quantile 0.995, margin 0.1; "
+        f"docs/limits/{sensor}.json has its worlds and intervals",
+    )
+    for sensor in ("pmd", "lidar")
+)
+"""Provenance of limits that are derived from a population of targets and worlds."""
 UNKNOWNS = Provenance("physics", "a pose has six unknowns, so that fewer equations determine none")
 """Provenance of least numbers of points."""
 

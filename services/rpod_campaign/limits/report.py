@@ -61,6 +61,7 @@ def totals(results: Results) -> dict[str, Any]:
             }
             for each in found
         },
+        "most_doubted_share": max(_doubted_shares(right, found), default=float("nan")),
         "together": {
             name: {
                 "right_refused": _share(_by_any(right, found, today=today)).told,
@@ -140,7 +141,8 @@ def _wrong(results: Results) -> pl.DataFrame:
 
 
 def _seen(results: Results) -> pl.DataFrame:
-    return pl.concat([result.rows for result in results]).filter("seen")
+    named = [result.rows.with_columns(body=pl.lit(result.cell.target)) for result in results]
+    return pl.concat(named).filter("seen")
 
 
 def _effect(
@@ -164,6 +166,13 @@ def _by_any(rows: pl.DataFrame, found: Sequence[Derived], *, today: bool) -> pl.
         if each.field.limit.usual is None:
             by_any |= refused(rows, each.field, each.field.value if today else each.value)
     return by_any
+
+
+def _doubted_shares(right: pl.DataFrame, found: Sequence[Derived]) -> list[float]:
+    """Return for each satellite the share of its right poses that a limit refuses, or warns of."""
+    doubted = [refused(right, each.field, each.value) for each in found]
+    shares = right.select("body", doubted=pl.any_horizontal(doubted)).group_by("body").agg(pl.mean("doubted"))
+    return shares["doubted"].to_list()
 
 
 def _kind_rows(right: pl.DataFrame, wrong: pl.DataFrame, found: Sequence[Derived]) -> list[tuple[str, ...]]:

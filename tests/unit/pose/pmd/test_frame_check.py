@@ -97,7 +97,7 @@ def test_a_few_dark_pixels_say_that_a_surface_is_missing_where_as_many_wrong_ran
     assert compared((range_m, sigma_m, shade)).reason(LIMITS) == ""
     range_m[few], shade[few] = np.nan, SKY
     assert compared((range_m, sigma_m, shade)).reason(LIMITS) == (
-        "a detail is missing: 5 of 25 pixels there are dark, 4 at most"
+        "a detail is missing: 5 of 25 pixels there are dark, 3 at most"
     )
 
 
