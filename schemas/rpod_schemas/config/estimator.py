@@ -108,7 +108,7 @@ class NavigatorTuning(Tuning):
         Share,
         Provenance(
             "campaign",
-            "of no satellite's right poses more than 0.12 are doubted (docs/limits, most_doubted_share); twice that",
+            "twice 0.12: of no satellite are more right poses doubted (docs/limits, most_doubted_share)",
         ),
     ] = 0.25
     """Largest share of a sensor's recent frames, about 90, that may not support the tracked pose. Above it
