@@ -64,8 +64,9 @@ def totals(results: Results) -> dict[str, Any]:
         "most_doubted_share": max(_doubted_shares(right, found), default=float("nan")),
         "together": {
             name: {
-                "right_refused": _share(_by_any(right, found, today=today)).told,
-                "wrong_refused": _share(_by_any(wrong, found, today=today)).told,
+                f"{kind}_{what}": _share(_by_any(rows, found, today=today, warned=what == "doubted")).told
+                for kind, rows in (("right", right), ("wrong", wrong))
+                for what in ("refused", "doubted")
             }
             for name, today in (("today", True), ("derived", False))
         },
@@ -104,7 +105,7 @@ def sections(results: Results) -> list[Section]:
         *("right refused", "wrong refused today", "wrong refused", "wrong refused alone"),
     )
     kinds = Table(
-        "Shares refused by any limit",
+        "Shares at which no track begins: any limit refuses, or warns",
         ("poses", "number", "today", "derived"),
         tuple(_kind_rows(right, wrong, found)),
     )
@@ -159,19 +160,19 @@ def _effect(
     }
 
 
-def _by_any(rows: pl.DataFrame, found: Sequence[Derived], *, today: bool) -> pl.Series:
-    """Return which poses any limit refuses, those that only warn left out."""
+def _by_any(rows: pl.DataFrame, found: Sequence[Derived], *, today: bool, warned: bool = False) -> pl.Series:
+    """Return which poses any limit refuses; with those that only warn, at which poses no track begins."""
     by_any = pl.Series(np.zeros(rows.height, bool))
     for each in found:
-        if each.field.limit.usual is None:
+        if warned or each.field.limit.usual is None:
             by_any |= refused(rows, each.field, each.field.value if today else each.value)
     return by_any
 
 
 def _doubted_shares(right: pl.DataFrame, found: Sequence[Derived]) -> list[float]:
     """Return for each satellite the share of its right poses that a limit refuses, or warns of."""
-    doubted = [refused(right, each.field, each.value) for each in found]
-    shares = right.select("body", doubted=pl.any_horizontal(doubted)).group_by("body").agg(pl.mean("doubted"))
+    doubted = right.select("body", doubted=_by_any(right, found, today=False, warned=True))
+    shares = doubted.group_by("body").agg(pl.mean("doubted"))
     return shares["doubted"].to_list()
 
 
@@ -185,7 +186,7 @@ def _kind_rows(right: pl.DataFrame, wrong: pl.DataFrame, found: Sequence[Derived
         (
             name,
             str(rows.height),
-            *(str(_share(_by_any(rows, found, today=today))) for today in (True, False)),
+            *(str(_share(_by_any(rows, found, today=today, warned=True))) for today in (True, False)),
         )
         for name, rows in groups
     ]
