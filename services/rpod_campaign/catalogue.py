@@ -30,6 +30,7 @@ BUILT_IN = (
     "pmd-verdict",
     "population",
     "model-matrix",
+    "limits",
 )
 """Names of this package's campaigns; the folder of each has the same name, with underscores."""
 

@@ -14,7 +14,7 @@ from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.config.sensor import EmulatedSensor, MethodConfig, SensorInput
 from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
-from rpod_schemas.config.tuning import BY_HAND, Tuning
+from rpod_schemas.config.tuning import BY_HAND, Provenance, Tuning
 from rpod_schemas.poses import Pose
 from rpod_schemas.sensors.fields import HEARD, chosen
 from rpod_schemas.types import Camera
@@ -104,7 +104,13 @@ class NavigatorTuning(Tuning):
     vague_deg: Annotated[Positive, BY_HAND] = 3.0
     """Standard deviation of the predicted attitude, deg, above which a failed prediction is searched
     around."""
-    max_contradicted_share: Annotated[Share, BY_HAND] = 0.25
+    max_contradicted_share: Annotated[
+        Share,
+        Provenance(
+            "campaign",
+            "twice 0.12: of no satellite are more right poses doubted (docs/limits, most_doubted_share)",
+        ),
+    ] = 0.25
     """Largest share of a sensor's recent frames, about 90, that may not support the tracked pose. Above it
     the track is LOST at once. A hypothesis becomes a track below half of this share."""
 

@@ -6,7 +6,19 @@ from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, UNKNOWNS, Provenance, Tuning
+from rpod_schemas.config.tuning import (
+    BUDGET,
+    BY_HAND,
+    FIRST_STEP,
+    GRID,
+    ONE_IN_TWENTY,
+    POPULATION_LIDAR,
+    UNKNOWN_ANGLE,
+    UNKNOWNS,
+    Limit,
+    Provenance,
+    Tuning,
+)
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -34,16 +46,43 @@ class ScanModelConfig(Tuning):
     ] = 0.95
     """Largest expected probability that a ray which meets the target returns: holes, edges and mirrors lose
     returns, and the brightness of a surface does not show that."""
-    slack_m: Annotated[Positive, BY_HAND] = 0.008
-    """Standard deviation of the target's faces about their model, m; ``slack_share`` limits it."""
+    slack_sigmas: Annotated[
+        Positive,
+        Provenance("hand, mock-up", "8 mm beside the documented LIDAR's 25 mm: less than a scan can show"),
+    ] = 0.32
+    """Standard deviation of the target's faces about their model, in those of a range; ``slack_share`` limits
+    it."""
     slack_share: Annotated[
         Share, Provenance("physics", "models of satellites are right within 1 to 3 % of their size")
     ] = 0.01
     """Largest standard deviation of the faces about their model, as a share of the target's radius."""
     clutter_share: Annotated[float, Field(gt=0, lt=1), BY_HAND] = 0.02
     """Share of rays whose return, or missing return, carries no information."""
-    clutter_depth_m: Annotated[Positive, BY_HAND] = 20.0
+    clutter_depth_m: Annotated[
+        Positive,
+        Provenance(
+            "hand, mock-up",
+            "a length of the beam, in which clutter may lie anywhere; only its logarithm counts",
+        ),
+    ] = 20.0
     """Depth over which such returns are spread, m."""
+
+
+class PessimisticConfig(Tuning):
+    """What replaces the fields of the same names in a scan's model, for a worse sensor or target."""
+
+    noise_scale: Annotated[
+        Positive, Provenance("hand, mock-up", "twice the error that the sensor states; the factor is chosen")
+    ] = 2.0
+    """Ratio of the assumed standard deviation of a range to ``sigma_range_m``."""
+    slack_sigmas: Annotated[Positive, BY_HAND] = 1.2
+    """Standard deviation of the target's faces about their model, in those of a range."""
+    slack_share: Annotated[
+        Share, Provenance("physics", "models of satellites are right within 1 to 3 % of their size")
+    ] = 0.03
+    """Largest such standard deviation, as a share of the target's radius."""
+    clutter_share: Annotated[float, Field(gt=0, lt=1), BY_HAND] = 0.05
+    """Share of rays whose return, or missing return, carries no information."""
 
 
 class ScanVerdictConfig(Tuning):
@@ -53,21 +92,12 @@ class ScanVerdictConfig(Tuning):
     target are never known exactly.
     """
 
-    max_deficit: Annotated[NonNegative, BY_HAND] = 1.0
-    """Largest deficit, expected minus actual log likelihood, in its standard deviations;
-    ``max_deficit_per_return`` is added."""
-    max_deficit_per_return: Annotated[NonNegative, BY_HAND] = 0.05
-    """Largest further deficit for each return."""
-    inconsistent_share: Annotated[Share, BY_HAND] = 0.055
+    max_deficit: Annotated[NonNegative, Limit("deficit_sigmas"), POPULATION_LIDAR] = 0.83
+    """Largest deficit, expected minus actual log likelihood, in its standard deviations."""
+    inconsistent_share: Annotated[Share, Limit("disagreeing_share"), POPULATION_LIDAR] = 0.05
     """Share of rays that may be inconsistent with the pose or missing; two standard deviations of their
     number are added, which matter if returns are few."""
-    pessimistic: Annotated[
-        ScanModelConfig,
-        Provenance(
-            "hand, mock-up",
-            "a sensor worse than it states, a target that differs from its file; how much is chosen",
-        ),
-    ] = ScanModelConfig(noise_scale=2.0, slack_m=0.03, slack_share=0.03, clutter_share=0.05)
+    pessimistic: PessimisticConfig = PessimisticConfig()
     """Model of a sensor with larger errors than it states, and of a target that differs from its file."""
 
 
@@ -86,7 +116,7 @@ class ProjectiveIcpTuning(Tuning):
     sufficient, if they determine all motions."""
     fine_steps: Annotated[Count, BUDGET] = 3
     """Number of fine steps, which align all returns with the faces."""
-    widest_share: Annotated[Positive, BY_HAND] = 0.05
+    widest_share: Annotated[Positive, FIRST_STEP] = 0.05
     """Distance above which a return is an outlier in the first step, as a share of the target's radius; never
     below that of the last step."""
     narrowest_sigmas: Annotated[
@@ -100,9 +130,7 @@ class ProjectiveIcpTuning(Tuning):
     """Standard deviation of the distance of a return beyond the outline, in those of a range."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
     """Least number of returns, and of returns on faces, of a registration."""
-    unobserved_deg: Annotated[
-        Positive, Provenance("physics", "the standard deviation of an angle of which nothing is known")
-    ] = 104.0
+    unobserved_deg: Annotated[Positive, UNKNOWN_ANGLE] = 104.0
     """Standard deviation of a rotation that neither faces nor outline determine, deg. That of a position is
     the target's radius."""
     model: ScanModelConfig = ScanModelConfig()
@@ -135,10 +163,7 @@ class SearchLevelConfig(Tuning):
 class GlobalSearchTuning(Tuning):
     """Numbers of candidates and limits of the global search."""
 
-    levels: Annotated[
-        tuple[SearchLevelConfig, ...],
-        Provenance("hand, mock-up", "numbers of attitudes chosen by time and success on emulated scans"),
-    ] = Field(
+    levels: Annotated[tuple[SearchLevelConfig, ...], BUDGET] = Field(
         default=(
             SearchLevelConfig(attitudes=900, compared=120, refined=16),
             SearchLevelConfig(attitudes=2000, compared=200, refined=20),
@@ -173,14 +198,14 @@ class GlobalSearchTuning(Tuning):
     smaller than 1,000 standard deviations of a range counts less, by the information that it carries."""
     rival_log_likelihood: Annotated[Positive, BY_HAND] = 25.0
     """Largest difference of log likelihood between the best pose and a rival."""
-    siblings: Annotated[Count, BY_HAND] = 2
+    siblings: Annotated[Count, BUDGET] = 2
     """Number of best distinct poses whose turns must have been tried; 1 if the best pose is sure."""
-    turned: Annotated[Count, BY_HAND] = 5
+    turned: Annotated[Count, BUDGET] = 5
     """Largest number of poses whose turns are tried."""
-    turns: Annotated[Count, BY_HAND] = 6
+    turns: Annotated[Count, BUDGET] = 6
     """Number of best turns of each pose that are aligned with the scan: quarter turns about the axes, and
     near-symmetries."""
-    finished: Annotated[Count, BY_HAND] = 4
+    finished: Annotated[Count, BUDGET] = 4
     """Number of best distinct poses that are refined to the end."""
     few_finished: Annotated[Count, BUDGET] = 12
     """Number of best distinct poses that are refined to the end if returns are few: all that may be right
@@ -193,11 +218,11 @@ class GlobalSearchTuning(Tuning):
         Positive, Provenance("physics", "an error of 10 deg has then a probability below 0.5 %")
     ] = 3.5
     """Largest standard deviation of an accepted attitude about its worst axis, deg."""
-    distinct_deg: Annotated[NonNegative, BY_HAND] = 5.0
+    distinct_deg: Annotated[NonNegative, GRID] = 5.0
     """Angle between two attitudes, deg, below which their poses are the same."""
     min_points: Annotated[int, Field(ge=6), UNKNOWNS] = 6
     """Least number of returns of a scan that is searched."""
-    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
+    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), ONE_IN_TWENTY] = 0.95
     """Weight of the best hypothesis below which the result is ambiguous."""
     few_weight: Annotated[
         float,

@@ -7,9 +7,24 @@ from pydantic import Field, model_validator
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.pmd_check import PmdCheckConfig
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, WIDE_PRIOR, Provenance, Tuning
+from rpod_schemas.config.tuning import (
+    BUDGET,
+    BY_HAND,
+    FIRST_STEP,
+    OF_CAMERA,
+    POPULATION_PMD,
+    THREE_SIGMA,
+    UNKNOWN_ANGLE,
+    Limit,
+    Provenance,
+    Tuning,
+)
 
 Count = Annotated[int, Field(gt=0)]
+CHOICE = Provenance(
+    "numerics", "it chooses the start that is tried first; the next one is tried where its result is refused"
+)
+"""Provenance of what decides with how many steps the tracker begins."""
 
 
 class RangeErrorConfig(Tuning):
@@ -27,11 +42,13 @@ class JointDepthConfig(Tuning):
 
     points: Annotated[Count, BUDGET] = 1500
     """Largest and desired number of measured points; their spacing in the image follows from it."""
-    scale_m: Annotated[Positive, BY_HAND] = 0.10
-    """Geman-McClure scale in the first step from a far prediction, m."""
-    final_scale_m: Annotated[Positive, BY_HAND] = 0.03
-    """Geman-McClure scale in the last step, m."""
-    noise_m: Annotated[Positive, BY_HAND] = 0.006
+    scale_share: Annotated[Positive, FIRST_STEP] = 0.106
+    """Geman-McClure scale in the first step from a far prediction, as a share of the target's radius."""
+    final_scale_share: Annotated[Positive, BY_HAND] = 0.032
+    """The same in the last step; ``scale_sigmas`` limits both."""
+    scale_sigmas: Annotated[Positive, THREE_SIGMA] = 3.0
+    """Least scale, in standard deviations of a range by the frame's noise and ``noise_m``."""
+    noise_m: Annotated[Positive, OF_CAMERA] = 0.006
     """Least standard deviation of a residual, m; the spread of the inliers if that is larger."""
     effective_points: Annotated[
         Count,
@@ -56,7 +73,7 @@ class JointDepthConfig(Tuning):
 class JointEdgeConfig(Tuning):
     """Search for the model's edges along their normals in the amplitude image, and their errors."""
 
-    spacing_share: Annotated[Positive, BY_HAND] = 0.03
+    spacing_share: Annotated[Positive, BUDGET] = 0.03
     """Distance between two samples of an edge, as a share of the target's radius."""
     blur_px: Annotated[Positive, BY_HAND] = 0.8
     """Standard deviation of the smoothing before gradients are taken, px."""
@@ -83,25 +100,27 @@ class JointVerdictConfig(Tuning):
 
     min_edge_share: Annotated[
         Share,
-        Provenance(
-            "hand, mock-up",
-            "noise leaves half of a right pose's edges in their place on emulated frames, 7 m off",
-        ),
-    ] = 0.47
+        Limit("edges_in_place_share", least=True),
+        POPULATION_PMD,
+    ] = 0.46
     """Least share of edges found near their place, over those that a rendering of the target shows and that
     exceed the noise of the frame. One over the square root of their number is added to the share, as an
     allowance for chance."""
-    weak_edge_share: Annotated[Share, BY_HAND] = 0.58
-    """Share below which an accepted pose is doubtful; a stream of doubtful frames ends the track."""
+    weak_edge_share: Annotated[
+        Share, Limit("edges_in_place_share", least=True, usual=0.98), POPULATION_PMD
+    ] = 0.7
+    """Share below which a pose is doubtful: no track begins at it, and a stream of doubtful frames ends a
+    track. One right pose in fifty has less."""
     bias_sigmas: Annotated[
         Positive,
+        Limit("range_bias_sigmas"),
         Provenance(
-            "hand, mock-up", "right poses had up to 1.0 on emulated frames beside what scale_share allows"
+            "physics",
+            "95 % of normal errors are smaller; the population, with an uncalibrated camera, would allow 1.2",
         ),
     ] = 2.0
     """Largest bias of the ranges against the distance that the edges give, in standard deviations ``bias_m``
-    of the depth. Right poses had up to 1.0 in addition to ``scale_share``; a target 5 % larger or smaller
-    mostly has more."""
+    of the depth and in addition to ``scale_share``. A target 5 % larger or smaller mostly has more."""
     scale_share: Annotated[NonNegative, BY_HAND] = 0.004
     """Further tolerated bias of the ranges, as a share of the range: errors of the target's size and of the
     focal length."""
@@ -116,8 +135,8 @@ class JointTuning(Tuning):
 
     far_iterations: Annotated[int, Field(ge=0), BUDGET] = 8
     """Number of first steps from a far prediction, on depth alone."""
-    far_scale_m: Annotated[Positive, BY_HAND] = 0.6
-    """Geman-McClure scale of the first of these steps, m."""
+    far_scale_share: Annotated[Positive, FIRST_STEP] = 0.64
+    """Geman-McClure scale of the first of these steps, as a share of the target's radius."""
     far_points: Annotated[Count, BUDGET] = 400
     """Number of points that these steps use."""
     iterations: Annotated[int, Field(ge=2), BUDGET] = 8
@@ -126,25 +145,24 @@ class JointTuning(Tuning):
     near_iterations: Annotated[int, Field(ge=2), BUDGET] = 5
     """Number of these steps, the last ones, that are done from a near prediction; and number of further steps
     with the last scale and reach. From an accurate prediction only the further steps are done."""
-    sharp_share: Annotated[Share, BY_HAND] = 0.55
+    sharp_share: Annotated[Share, CHOICE] = 0.55
     """Share of the expected edges found in their places above which a prediction is accurate."""
-    near_share: Annotated[Share, BY_HAND] = 0.4
+    near_share: Annotated[Share, CHOICE] = 0.4
     """Share of the expected edges found in their places above which a prediction is near."""
-    fair_share: Annotated[Share, BY_HAND] = 0.5
+    fair_share: Annotated[Share, CHOICE] = 0.5
     """Share of agreeing pixels below which a prediction is far: the steps on depth alone are done first."""
-    near_m: Annotated[Positive, BY_HAND] = 0.05
-    """Largest difference between a predicted and a measured range that agree, m, or twice the pixel's
-    noise."""
+    near_depth_share: Annotated[Positive, BY_HAND] = 0.053
+    """Largest difference between a predicted and a measured range that agree, as a share of the target's
+    radius; or the standard deviation of the camera's bias, or twice the pixel's noise."""
     missing_weight: Annotated[Share, BY_HAND] = 0.1
     """Weight of a pixel without depth at a predicted surface, over that of a measured one: glints, dark parts
     and close, bright parts lose their depth."""
     ghost_share: Annotated[Share, BY_HAND] = 0.08
     """Share of the image's mean amplitude below which depth is dropped; in the mean, pixels without depth
     count as dark. Close to a bright target, stray light gives the background a false depth."""
-    unobserved_m: Annotated[Positive, WIDE_PRIOR] = 1.0
-    """Standard deviation of a translation that nothing in the image determines, m."""
-    unobserved_deg: Annotated[Positive, WIDE_PRIOR] = 30.0
-    """Standard deviation of a rotation that nothing in the image determines, deg."""
+    unobserved_deg: Annotated[Positive, UNKNOWN_ANGLE] = 104.0
+    """Standard deviation of a rotation that nothing in the image determines, deg. That of a translation is
+    the target's radius."""
     depth: JointDepthConfig = JointDepthConfig()
     """Residuals of the depth points and their errors."""
     edges: JointEdgeConfig = JointEdgeConfig()
@@ -156,8 +174,8 @@ class JointTuning(Tuning):
 
     @model_validator(mode="after")
     def _narrows(self) -> Self:
-        if self.depth.final_scale_m > self.depth.scale_m:
-            raise ValueError("depth.final_scale_m must not exceed depth.scale_m: the weights narrow")
+        if self.depth.final_scale_share > self.depth.scale_share:
+            raise ValueError("depth.final_scale_share must not exceed depth.scale_share: the weights narrow")
         if self.edges.final_search_px > self.edges.search_px:
             raise ValueError("edges.final_search_px must not exceed edges.search_px: the search narrows")
         if self.verdict.min_edge_share > self.verdict.weak_edge_share:

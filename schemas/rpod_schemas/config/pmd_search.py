@@ -6,7 +6,16 @@ from pydantic import Field
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
-from rpod_schemas.config.tuning import BUDGET, BY_HAND, Provenance, Tuning
+from rpod_schemas.config.tuning import (
+    BUDGET,
+    BY_HAND,
+    GRID,
+    OF_CAMERA,
+    ONE_IN_TWENTY,
+    THREE_SIGMA,
+    Provenance,
+    Tuning,
+)
 
 Count = Annotated[int, Field(gt=0)]
 
@@ -34,15 +43,14 @@ class PmdSceneConfig(Tuning):
 class PmdModelConfig(Tuning):
     """Expected statistics of a frame's pixels at the right pose; they need not be exact."""
 
-    sigma_m: Annotated[
-        Positive, Provenance("hand, mock-up", "uncalibrated wiggling, as JointDepthConfig.raw")
-    ] = 0.04
+    sigma_m: Annotated[Positive, OF_CAMERA] = 0.04
     """Standard deviation of a depth without its noise, m: uncalibrated wiggling, as
     ``JointDepthConfig.raw``."""
-    most_noise_m: Annotated[Positive, BY_HAND] = 0.1
+    most_noise_m: Annotated[Positive, OF_CAMERA] = 0.1
     """Largest assumed noise of a depth, which neighbouring pixels tell, m."""
-    slack_m: Annotated[Positive, BY_HAND] = 0.015
-    """Standard deviation of the surface along its normal, m; on a steep face it is larger along the ray."""
+    slack_share: Annotated[Positive, BY_HAND] = 0.016
+    """Standard deviation of the surface along its normal, as a share of the target's radius; on a steep face
+    it is larger along the ray."""
     outlier_loss: Annotated[Positive, BY_HAND] = 3.5
     """Largest loss of a depth: mixed pixels and multiple reflections are entirely wrong."""
     strange_log_amplitude: Annotated[
@@ -66,32 +74,39 @@ class PmdModelConfig(Tuning):
 class PmdAcquisitionTuning(Tuning):
     """Numbers of candidates and limits of the search."""
 
-    compared: Annotated[Count, BY_HAND] = 300
+    compared: Annotated[Count, BUDGET] = 300
     """Number of the best attitudes that are compared with more of the frame."""
-    refined: Annotated[Count, BY_HAND] = 36
+    refined: Annotated[Count, BUDGET] = 36
     """Number of the best of these that are aligned with the frame and rendered."""
     model_points: Annotated[Count, BUDGET] = 240
     """Number of surface points that represent the target while attitudes are compared."""
     truncation: Annotated[Positive, BY_HAND] = 0.53
     """Distance above which the cost is constant, over the target's radius."""
+    scale_sigmas: Annotated[Positive, THREE_SIGMA] = 3.0
+    """Least Geman-McClure scale of an alignment, in standard deviations of a range by the frame's noise."""
+    outline_sigma: Annotated[
+        Positive, Provenance("numerics", "the samples follow the best ones, so that the start hardly counts")
+    ] = 0.05
+    """Standard deviation of the first samples in the refinement on the outline: of the angles in rad, and of
+    the place over the target's radius."""
     coarse_points: Annotated[Count, BUDGET] = 128
     """Number of measured points with which candidates are coarsely aligned."""
     fine_points: Annotated[Count, BUDGET] = 500
     """Number of measured points with which the best poses are refined."""
-    turned: Annotated[Count, BY_HAND] = 3
+    turned: Annotated[Count, BUDGET] = 3
     """Largest number of poses whose turns are tried, near-symmetries and turns about the axes."""
-    turns: Annotated[Count, BY_HAND] = 8
+    turns: Annotated[Count, BUDGET] = 8
     """Number of best turns of each pose that are aligned with the frame."""
-    finished: Annotated[Count, BY_HAND] = 6
+    finished: Annotated[Count, BUDGET] = 6
     """Number of best distinct poses that are refined to the end."""
     rival_loss: Annotated[Positive, BY_HAND] = 200.0
     """Largest difference of loss from the best pose with which one of these is refined on the outline too."""
-    distinct_deg: Annotated[NonNegative, BY_HAND] = 8.0
+    distinct_deg: Annotated[NonNegative, GRID] = 8.0
     """Angle between two attitudes, deg, below which their poses are the same."""
-    near_attitudes: Annotated[Count, BY_HAND] = 12000
+    near_attitudes: Annotated[Count, BUDGET] = 12000
     """Number of attitudes, evenly spread over SO(3), of which those near a roughly known pose are
     compared."""
-    near_refined: Annotated[Count, BY_HAND] = 12
+    near_refined: Annotated[Count, BUDGET] = 12
     """Number of the best of these that are aligned with the frame and rendered."""
     near_deg: Annotated[Positive, BY_HAND] = 45.0
     """Largest angle of an attitude from a roughly known pose, deg, in a search near that pose."""
@@ -104,7 +119,7 @@ class PmdAcquisitionTuning(Tuning):
     the worse a pose must be not to be a rival."""
     independent_pixels_of_shape: Annotated[Positive, BY_HAND] = 45.0
     """The same for depth and outline alone, where the materials may not be those of the file."""
-    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), BY_HAND] = 0.95
+    ambiguous_weight: Annotated[float, Field(gt=0.5, lt=1), ONE_IN_TWENTY] = 0.95
     """Weight of the best hypothesis below which the result is ambiguous."""
 
 

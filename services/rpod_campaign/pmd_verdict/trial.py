@@ -38,8 +38,8 @@ OFF_DEG, OFF_M = 1.0, 0.01
 """Error of the tracker's start: angle, deg, and distance, m."""
 _DRAW, _START, _SUN = 0, 1, 2
 """Streams of random numbers."""
-_EXACT = PmdCheckConfig(tolerance_m=0.03)
-"""Tolerance within which two images without noise count as the same."""
+_EXACT = PmdCheckConfig(tolerance_share=0.032)
+"""Tolerance within which two images without noise count as the same: 3 cm of the mock-up."""
 _EVERY = 3
 """Stride of the compared pixels, that of the tracker at 5 m: the remaining error of the pose is smaller."""
 
@@ -178,9 +178,8 @@ def _alike(seen_m: FloatArray, camera: Camera, target: Target, pose: RigidTransf
     measured_m = np.where(np.isfinite(seen_m), seen_m, np.nan)
     shade = np.where(np.isfinite(seen_m), 1.0, 0.1)
     seen = SeenPixels(measured_m, np.zeros(seen_m.shape), shade)
-    exact = _EXACT.model_copy(update={"tolerance_m": in_proportion(_EXACT.tolerance_m, target)})
-    there = contradictions(seen, expected, exact, typical=1.0)
-    return not there.reason(exact)
+    there = contradictions(seen, expected, _EXACT, radius_m=target.radius_m, typical=1.0)
+    return not there.reason(_EXACT)
 
 
 @lru_cache(maxsize=4)

@@ -85,9 +85,9 @@ def _total(by_satellite: Sequence[pl.DataFrame]) -> dict[str, Any]:
         "bodies": sum(each.height > 0 for each in by_satellite),
         "trials": seen.height,
         "few_pixels": rows.height - seen.height,
-        **{name: _told(_count(seen, condition)) for name, condition in _RATES.items()},
-        "right_that_are_accepted": _told(_count(right, pl.col("accepted"))),
-        "accepted_more_than_10_deg_off": _told(_count(accepted, pl.col("attitude_deg") > FAR_OFF_DEG)),
+        **{name: _count(seen, condition).told for name, condition in _RATES.items()},
+        "right_that_are_accepted": _count(right, pl.col("accepted")).told,
+        "accepted_more_than_10_deg_off": _count(accepted, pl.col("attitude_deg") > FAR_OFF_DEG).told,
         **_accuracy(seen),
         "nees_mean_least_body": min(known, default=None),
         "nees_mean_greatest_body": max(known, default=None),
@@ -103,17 +103,6 @@ def _accuracy(rows: pl.DataFrame) -> dict[str, float | None]:
         "attitude_deg_rms": _rms(good["attitude_deg"]),
         "position_m_rms": _rms(good["position_m"]),
         **consistency(good),
-    }
-
-
-def _told(share: Rate) -> dict[str, Any]:
-    """Return a share for JSON."""
-    return {
-        "count": share.count,
-        "of": share.of,
-        "rate": share.value,
-        "wilson_low": share.low,
-        "wilson_high": share.high,
     }
 
 

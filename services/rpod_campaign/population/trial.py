@@ -97,7 +97,7 @@ its hypotheses is right.
 
 
 @dataclass(frozen=True)
-class _Taken:
+class Taken:
     """A measurement with its truth."""
 
     truth: RigidTransform
@@ -109,7 +109,7 @@ class _Taken:
 def run(cell: PopulationCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one scan or frame."""
     target = cached_target(cell.target)
-    methods, taken = (_scanned if cell.sensor == "lidar" else _photographed)(cell, seed, trial)
+    methods, taken = measured(cell, seed, trial)
     kind, triangles = _described(cell.target)
     row: dict[str, Any] = {
         "truth": numbers(taken.truth),
@@ -121,7 +121,7 @@ def run(cell: PopulationCell, seed: int, trial: int) -> dict[str, Any]:
         "seen": taken.seen,
     }
     if cell.task == "tracking":
-        start = _start(cell, taken.truth, target, seed=seed, trial=trial)
+        start = start_of(cell, taken.truth, target, seed=seed, trial=trial)
         begin_s = time.process_time()
         tracked = methods.tracker.track(taken.measurement, start)
         row["took_s"] = time.process_time() - begin_s
@@ -130,6 +130,11 @@ def run(cell: PopulationCell, seed: int, trial: int) -> dict[str, Any]:
     found = methods.acquirer.acquire(taken.measurement)
     row["took_s"] = time.process_time() - begin_s
     return row | _acquired(cell, found, taken.truth, target)
+
+
+def measured(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, Taken]:
+    """Return the methods of a cell, and the scan or frame of a trial."""
+    return (_scanned if cell.sensor == "lidar" else _photographed)(cell, seed, trial)
 
 
 def limits_of(cell: PopulationCell, target: Target) -> Limits:
@@ -181,7 +186,7 @@ def _scored(limits: Limits, found: Registration, truth: RigidTransform, target: 
     }
 
 
-def _start(
+def start_of(
     cell: PopulationCell, truth: RigidTransform, target: Target, *, seed: int, trial: int
 ) -> RigidTransform:
     """Return the tracker's prediction."""
@@ -194,7 +199,7 @@ def _start(
     return displaced(truth, generator, angle_deg=angle_deg, distance_m=distance_m, target=target)
 
 
-def _scanned(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, _Taken]:
+def _scanned(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, Taken]:
     """Return methods and scan; the logarithm of the number of returns is uniform between the limits."""
     emulator, methods = _lidar_bench(cell, seed)
     generator = stream(seed, trial, _DRAW)
@@ -202,10 +207,10 @@ def _scanned(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, _Tak
     least, greatest = cell.wanted
     returns = exp(generator.uniform(log(least), log(greatest)))
     truth, scan = scan_with_returns(emulator, cell.target, attitude, returns=returns, trial=trial)
-    return methods, _Taken(truth, scan, len(scan.returns_m), seen=True)
+    return methods, Taken(truth, scan, len(scan.returns_m), seen=True)
 
 
-def _photographed(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, _Taken]:
+def _photographed(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, Taken]:
     """Return methods and frame, in any light."""
     scenario, methods = _pmd_bench(cell)
     target = cached_target(cell.target)
@@ -213,14 +218,14 @@ def _photographed(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods,
     truth = framed(target, stage.camera, filled=cell.wanted, generator=stream(seed, trial, _DRAW))
     shot = still(stage, truth, number=trial)
     pixels = int(np.isfinite(shot.frame.depth_m[shot.seen]).sum())
-    return methods, _Taken(truth, shot.frame, pixels, seen=pixels >= LEAST_PIXELS)
+    return methods, Taken(truth, shot.frame, pixels, seen=pixels >= LEAST_PIXELS)
 
 
 @lru_cache(maxsize=4)
 def _lidar_bench(cell: PopulationCell, seed: int) -> tuple[LidarEmulator, Methods]:
     lidar = window_of(cell.target).config()
-    methods = ready_methods(LidarInput(), cached_target(cell.model or cell.target), pattern_of(lidar))
-    return emulator_of(cell.target, lidar, seed, world=cell.world), methods
+    emulator = emulator_of(cell.target, lidar, seed, world=cell.world)
+    return emulator, lidar_methods(cell.target, cell.model or cell.target)
 
 
 @lru_cache(maxsize=4)
@@ -228,8 +233,19 @@ def _pmd_bench(cell: PopulationCell) -> tuple[Scenario, Methods]:
     target = cached_target(cell.target)
     shown = scenario_of(cell.document).model_copy(update={"target": cell.target})
     scenario = reaching(shown, range_filling(target, cell.wanted[0], camera_of(shown)))
-    model = cached_target(cell.model or cell.target)
-    return scenario, ready_methods(pmd_input(DEFAULT, name=camera_of(scenario).name), model)
+    return scenario, pmd_methods(cell.model or cell.target)
+
+
+@lru_cache(maxsize=4)
+def lidar_methods(target: str, model: str) -> Methods:
+    """Return the default methods that look for a model in the scans of a target."""
+    return ready_methods(LidarInput(), cached_target(model), pattern_of(window_of(target).config()))
+
+
+@lru_cache(maxsize=4)
+def pmd_methods(model: str) -> Methods:
+    """Return the default methods that look for a model in the frames of a camera."""
+    return ready_methods(pmd_input(DEFAULT), cached_target(model))
 
 
 @lru_cache(maxsize=64)

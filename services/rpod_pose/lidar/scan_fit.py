@@ -10,6 +10,7 @@ likelihood, therefore measures how inconsistent the scan is with the pose, witho
 comparison: the deficit of a right pose is small and random, that of a wrong one is several units per return.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import sqrt
 from typing import Self
@@ -91,7 +92,8 @@ class ScanModel:
         self._shares = expected_shares(config.surest_detection)
         radius_m = float(np.linalg.norm(surface.faces.triangles_m, axis=2).max())
         self.assumed = _assumptions(config, self.sigma_range_m, radius_m)
-        self._pessimistic = _assumptions(verdict.pessimistic, self.sigma_range_m, radius_m)
+        worse = config.model_copy(update=dict(verdict.pessimistic))
+        self._pessimistic = _assumptions(worse, self.sigma_range_m, radius_m)
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
@@ -105,30 +107,40 @@ class ScanModel:
     def belief(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> Belief:
         """Return the belief that a pose with a known fit explains a scan."""
         rays = fit.agreement
-        evidence = {
-            "deficit": fit.deficit,
-            "deficit_sigma": fit.deviation,
-            "returns": float(seen.returns),
-            "agreeing_share": rays.share,
-        }
-        if self._explains(fit, seen.returns):
+        evidence = self._evidence(fit, seen.returns)
+        if self._explains(evidence):
             return Belief(evidence=evidence)
         less = ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays, self._pessimistic))
-        if self._explains(less, seen.returns):
-            return Belief(evidence=evidence)
+        pessimistic = self._evidence(less, seen.returns)
+        if self._explains(pessimistic):
+            return Belief(evidence=pessimistic)
         reason = (
             f"does not explain the scan: of {seen.returns} returns {rays.inconsistent} contradict the pose, "
             f"{rays.missing:.0f} more are missing"
         )
         return contradicted(reason, **evidence)
 
-    def _explains(self, fit: ScanFit, returns: int) -> bool:
+    def _evidence(self, fit: ScanFit, returns: int) -> dict[str, float]:
+        """Return the numbers by which a fit is believed.
+
+        Of a share s of rays that disagree, s + 2 sqrt(s / returns) may be found: two standard deviations of
+        their number. ``disagreeing_share`` is the s for which the share that was found is just allowed.
+        """
+        chance = sqrt(1.0 / returns)
+        return {
+            "deficit": fit.deficit,
+            "deficit_sigma": fit.deviation,
+            "deficit_sigmas": fit.deficit / max(fit.deviation, LEAST_DEVIATION),
+            "returns": float(returns),
+            "agreeing_share": fit.agreement.share,
+            "disagreeing_share": (sqrt(1.0 - fit.agreement.share + chance**2) - chance) ** 2,
+        }
+
+    def _explains(self, evidence: Mapping[str, float]) -> bool:
         verdict = self._verdict
-        most = verdict.max_deficit * max(fit.deviation, LEAST_DEVIATION)
-        most_inconsistent = verdict.inconsistent_share + 2.0 * sqrt(verdict.inconsistent_share / returns)
         return (
-            fit.deficit <= most + verdict.max_deficit_per_return * returns
-            and fit.agreement.share >= 1.0 - most_inconsistent
+            evidence["deficit_sigmas"] <= verdict.max_deficit
+            and evidence["disagreeing_share"] <= verdict.inconsistent_share
         )
 
     def posterior(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> SampledPosterior:
@@ -158,7 +170,7 @@ class ScanModel:
 def _assumptions(config: ScanModelConfig, sigma_range_m: float, radius_m: float) -> Assumptions:
     return Assumptions(
         sigma_m=config.noise_scale * sigma_range_m,
-        slack_m=min(config.slack_m, config.slack_share * radius_m),
+        slack_m=min(config.slack_sigmas * sigma_range_m, config.slack_share * radius_m),
         clutter_share=config.clutter_share,
         clutter_density=config.clutter_share / config.clutter_depth_m,
         least_range_m=config.least_range_m,

@@ -30,12 +30,13 @@ from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
-_MOST_SIGMA_M, _MOST_SIGMA_DEG = 0.2, 10.0
-"""Greatest standard deviations of a pose for a track to begin at it."""
+_MOST_SIGMA, _MOST_SIGMA_DEG = 0.21, 10.0
+"""Greatest standard deviations of a pose at which a track begins: of the position, over the target's radius,
+and of the attitude, deg."""
 _FARTHEST_M = 15.0
 """Greatest distance of the target in a search without a prediction: beyond, too little light returns."""
-_MARGIN_M = 0.5
-"""Margin around the target's bounding sphere for the error of a prediction."""
+_MARGIN = 1.0 / 15.0
+"""Margin around the target's bounding sphere for the error of a prediction, over the unambiguous range."""
 _LEAST_CONCENTRATION = 0.3
 """Least length of the mean phasor of an image with one distance: 0 for any distance, 1 for a single one."""
 _SPREAD = (0.1, 0.75)
@@ -56,7 +57,7 @@ class DepthPreparation:
     """Unwraps and calibrates the distances of a camera, by its configuration and by the info in the frame."""
 
     def __init__(self, sensor: PmdInput, target: Target) -> None:
-        self._sensor, self._radius_m = sensor, target.radius_m
+        self._sensor, self.radius_m = sensor, target.radius_m
         self._corrections_m = corrections(sensor.calibration)
 
     def refusal(self, frame: PmdFrame) -> str:
@@ -72,7 +73,7 @@ class DepthPreparation:
     def predicted(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> PmdFrame:
         """Return a frame unwrapped around a predicted pose and calibrated."""
         range_m = float(np.linalg.norm(T_sensor_target.translation))
-        return self._applied(frame, range_m, self._radius_m + _MARGIN_M)
+        return self._applied(frame, range_m, self.radius_m + _MARGIN * self._interval_m(frame))
 
     def possible(self, frame: PmdFrame) -> Iterator[PmdFrame]:
         """Yield a frame unwrapped to each possible multiple, nearest first, and calibrated."""
@@ -82,10 +83,10 @@ class DepthPreparation:
             return
         range_m, spread = found
         ranges_m = np.arange(range_m, max(_FARTHEST_M, range_m + 1e-3), self._interval_m(frame)).tolist()
-        least, most = (share * self._radius_m for share in _SPREAD)
+        least, most = (share * self.radius_m for share in _SPREAD)
         fitting_m = [distance_m for distance_m in ranges_m if least <= spread * distance_m <= most]
         for distance_m in fitting_m or ranges_m[:1]:
-            yield self._applied(frame, distance_m, 2.0 * self._radius_m)
+            yield self._applied(frame, distance_m, 2.0 * self.radius_m)
 
     def _frequencies(self, frame: PmdFrame) -> list[tuple[str, tuple[float, ...]]]:
         """Return the sources of the modulation frequencies with their values; the first is used."""
@@ -140,7 +141,8 @@ class PreparedTracker:
         if why := self._preparation.refusal(measurement):
             return Registration.none(Source.NONE, why)
         prepared = self._preparation.predicted(measurement, T_sensor_target)
-        return _determined(self._tracker.track(prepared, T_sensor_target))
+        most_m = _MOST_SIGMA * self._preparation.radius_m
+        return _determined(self._tracker.track(prepared, T_sensor_target), max_sigma_m=most_m)
 
 
 class PreparedAcquirer:
@@ -193,7 +195,7 @@ def _refused(why: str) -> Acquisition:
     return Acquisition(Registration.none(Source.NONE, why))
 
 
-def _determined(registration: Registration) -> Registration:
+def _determined(registration: Registration, *, max_sigma_m: float) -> Registration:
     """Return a registration whose belief says whether the frame alone determines the pose well enough.
 
     A wall that fills the image fits any flat face of the target: such a pose must not begin a track.
@@ -201,7 +203,7 @@ def _determined(registration: Registration) -> Registration:
     if not registration.begins_track:
         return registration
     free_motion = undetermined(
-        registration.covariance, max_sigma_m=_MOST_SIGMA_M, max_sigma_deg=_MOST_SIGMA_DEG
+        registration.covariance, max_sigma_m=max_sigma_m, max_sigma_deg=_MOST_SIGMA_DEG
     )
     return replace(registration, belief=replace(registration.belief, insufficient=free_motion))
 

@@ -63,6 +63,8 @@ class Surface(NamedTuple):
     """Median albedo of each triangle's class, shape (T,)."""
     sigma_log: FloatArray
     """Standard deviation of the albedo's logarithm, shape (T,)."""
+    radius_m: float
+    """Distance of the target's farthest point from its origin."""
 
     @classmethod
     def of(cls, target: Target) -> "Surface":
@@ -73,7 +75,13 @@ class Surface(NamedTuple):
         )
         normals = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), LEAST_AREA)
-        return cls(np.ascontiguousarray(triangles_m), normals, albedos(target)[which], spreads(target)[which])
+        return cls(
+            np.ascontiguousarray(triangles_m),
+            normals,
+            albedos(target)[which],
+            spreads(target)[which],
+            target.radius_m,
+        )
 
 
 class Seen(NamedTuple):
@@ -186,7 +194,7 @@ class PmdFitter:
             ),
             Losses(
                 sigma_m=config.sigma_m,
-                slack_m=config.slack_m,
+                slack_m=config.slack_share * surface.radius_m,
                 outlier=config.outlier_loss,
                 amplitude_outlier=config.amplitude_outlier_loss if known_materials else 0.0,
                 least_log_amplitude=float(np.log(scene.least_amplitude)) if scene.outlined else DARK,

@@ -79,18 +79,18 @@ class Contradictions:
 
     @property
     def evidence(self) -> dict[str, float]:
-        """The numbers by name, for the evidence of a belief."""
+        """The numbers by name, for the evidence of a belief; the share is 0 if the pixels are negligible."""
+        counted = self.inconsistent if self.inconsistent > NEGLIGIBLE else 0
         return {
-            "inconsistent_pixel_share": self.inconsistent / self.pixels if self.pixels else 0.0,
+            "inconsistent_pixel_share": counted / self.pixels if self.pixels else 0.0,
             "inconsistent_pixels_in_patch": float(self.most_in_patch),
             "missing_pixels_in_patch": float(self.most_missing),
         }
 
     def reason(self, limits: PmdCheckConfig) -> str:
         """Return why the pose does not explain the frame; empty if it does."""
-        most = limits.most_inconsistent_share
-        if self.inconsistent > max(most * self.pixels, NEGLIGIBLE):
-            share = self.inconsistent / self.pixels
+        share, most = self.evidence["inconsistent_pixel_share"], limits.most_inconsistent_share
+        if share > most:
             return f"{share:.1%} of {self.pixels} pixels contradict the pose, {most:.0%} at most"
         area = limits.patch_px**2
         if self.most_in_patch > limits.most_in_patch:
@@ -163,7 +163,9 @@ def contradictions(
     rendered: Rendering,
     limits: PmdCheckConfig,
     *,
+    radius_m: float,
     typical: float,
+    uneven_m: float = 0.0,
     bias_m: float = 0.0,
     reflected_m: FloatArray = NOT_REFLECTED,
     fine: FineRanges = COARSE_ONLY,
@@ -174,7 +176,9 @@ def contradictions(
         seen: the frame's coarse pixels.
         rendered: the target at the pose, on the same pixels.
         limits: tolerances of the check.
+        radius_m: radius of the target.
         typical: median amplitude of the target; 0 if it is unknown.
+        uneven_m: standard deviation of range errors that differ across the target.
         bias_m: length by which all ranges are too long.
         reflected_m: length by which light that is reflected twice may lengthen a range at normal incidence,
             for each triangle, shape (T,); empty if it is not known.
@@ -183,8 +187,9 @@ def contradictions(
     bright, glinting = (share * typical for share in BRIGHT)
     sky = sky_amplitude(seen.range_m, seen.amplitude, rendered.triangle, typical)
     shades = Shades(sky if sky < DIM * typical else 0.0, max(bright, sky), glinting)
-    reach_px = limits.reach_px + limits.place_m * rendered.px_per_m
-    tolerated = Tolerated(limits.tolerance_m, bias_m, reach_px, reflected_m)
+    reach_px = limits.reach_px + limits.place_share * radius_m * rendered.px_per_m
+    tolerance_m = max(limits.tolerance_share * radius_m, SIGMAS * uneven_m)
+    tolerated = Tolerated(tolerance_m, bias_m, reach_px, reflected_m)
     shown = Shown(rendered.arrays, fine)
     return Contradictions(*count_inconsistent(seen, shown, shades, tolerated, limits.patch_px))
 

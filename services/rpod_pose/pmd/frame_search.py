@@ -25,14 +25,10 @@ from rpod_target import Target
 
 ANY_ECHO = 0.0, np.ones(1)
 """Steps and table (``energies``) of a sensor that detects everything."""
-FIELD_SCALES = np.geomspace(0.53, 0.106, 6)
-"""Geman-McClure scales of the steps that align a candidate with the frame, over the target's radius."""
-FINE_SCALES = np.geomspace(0.16, 0.053, 6)
-"""Geman-McClure scales of the steps that refine the best candidates, over the target's radius."""
-NOISE_SIGMAS = 3.0
-"""Least scale over the standard deviation of a range: errors of the frame are no outliers."""
-REFINED_SIGMA = 0.05
-"""Standard deviation of the samples in the refinement on outline and amplitude, rad, and over the radius."""
+FIELD_STEPS = np.geomspace(1.0, 0.2, 6)
+"""Geman-McClure scales of the steps that align a candidate with the frame, over the truncation."""
+FINE_STEPS = np.geomspace(0.3, 0.1, 6)
+"""Geman-McClure scales of the steps that refine the best candidates, over the truncation."""
 _ROUNDS, _SAMPLES = 6, 32
 _POWER = 8
 """A Sobol sequence is even at powers of two; 2^8 samples or fewer are used."""
@@ -87,15 +83,16 @@ class FrameSearch:
     ) -> None:
         self._tuning, self._model, self._scene, self._fitter = tuning, model, scene, fitter
         radius_m, noise_m = model.target.radius_m, float(np.median(scene.sigma_m[scene.range_m > 0.0]))
-        self._field_scales_m = np.maximum(FIELD_SCALES * radius_m, NOISE_SIGMAS * noise_m)
-        self._fine_scales_m = np.maximum(FINE_SCALES * radius_m, NOISE_SIGMAS * noise_m)
-        self._refined_sigmas = np.repeat((REFINED_SIGMA * radius_m, REFINED_SIGMA), 3)
+        truncation_m, least_m = tuning.truncation * radius_m, tuning.scale_sigmas * noise_m
+        self._field_scales_m = np.maximum(FIELD_STEPS * truncation_m, least_m)
+        self._fine_scales_m = np.maximum(FINE_STEPS * truncation_m, least_m)
+        self._refined_sigmas = np.repeat((tuning.outline_sigma * radius_m, tuning.outline_sigma), 3)
         self._comparison = Comparison(
             model.views,
             scene.surface,
             scene.distances(),
             ANY_ECHO,
-            tuning.truncation * model.target.radius_m,
+            truncation_m,
         )
         self._few = Points.equal(scene.downsampled(tuning.coarse_points))
         self._fine = Points.equal(scene.downsampled(tuning.fine_points))

@@ -17,8 +17,8 @@ from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
-NEAREST_M = 0.3
-"""Least distance in the conversion of lengths to pixels."""
+NEAREST_M = 0.05
+"""Least distance in the conversion of lengths to pixels: no camera measures nearer."""
 NINE = 9
 """Number of rays: a pixel and its eight neighbours."""
 

@@ -96,7 +96,7 @@ def test_values_that_are_now_tuning_stay_what_the_log_says() -> None:
     pmd, lidar = document["sensors"]
     pmd["tracking"] |= {"far_iterations": 11, "slack_m": 0.002}
     pmd["tracking"]["depth"]["points"] = 777
-    lidar["acquisition"]["tracking"]["verdict"]["pessimistic"]["slack_m"] = 0.07
+    lidar["acquisition"]["tracking"]["verdict"]["pessimistic"]["clutter_share"] = 0.07
     document["navigator"]["vague_deg"] = 4.5
     migrated = check_logged(EstimatorConfig, document, source="run.mcap")
     found = migrated.config.model_dump()
@@ -104,7 +104,7 @@ def test_values_that_are_now_tuning_stay_what_the_log_says() -> None:
     assert (tracking["slack_m"], tracking["tuning"]["far_iterations"]) == (0.002, 11)
     assert tracking["tuning"]["depth"]["points"] == 777
     scans = found["sensors"][1]["acquisition"]["tracking"]["tuning"]
-    assert scans["verdict"]["pessimistic"]["slack_m"] == 0.07
+    assert scans["verdict"]["pessimistic"]["clutter_share"] == 0.07
     assert found["navigator"]["tuning"]["vague_deg"] == 4.5
     assert {"sensors.0.tracking.far_iterations", "navigator.vague_deg"} < set(migrated.tuned)
     assert "sensors.0.tracking.slack_m" not in migrated.tuned

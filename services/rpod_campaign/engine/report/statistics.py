@@ -24,6 +24,12 @@ class Rate:
         """Point estimate of the share; NaN for no trials."""
         return self.count / self.of if self.of else float("nan")
 
+    @property
+    def told(self) -> dict[str, Any]:
+        """The share for JSON."""
+        interval = {"wilson_low": self.low, "wilson_high": self.high}
+        return {"count": self.count, "of": self.of, "rate": self.value, **interval}
+
     def __str__(self) -> str:
         if not self.of:
             return "-"

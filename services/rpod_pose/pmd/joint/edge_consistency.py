@@ -29,6 +29,18 @@ def misplaced_edges(limits: JointVerdictConfig, in_place: float) -> str:
     return f"{in_place:.0%} of the edges are in their place, {limits.min_edge_share:.0%} needed"
 
 
+def bias_sigmas(limits: JointVerdictConfig, *, bias_m: float, sigma_m: float, range_m: float) -> float:
+    """Return the bias of the ranges beyond that of ``scale_share``, in standard deviations of the camera's.
+
+    Args:
+        limits: tolerances.
+        bias_m: length by which all ranges are too long for the edges, as fitted.
+        sigma_m: standard deviation of the camera's bias.
+        range_m: distance of the target.
+    """
+    return max(abs(bias_m) - limits.scale_share * range_m, 0.0) / sigma_m
+
+
 def wrong_scale(limits: JointVerdictConfig, *, bias_m: float, sigma_m: float, range_m: float) -> str:
     """Return why ranges and edges cannot belong to one target; empty if they can.
 
@@ -37,11 +49,11 @@ def wrong_scale(limits: JointVerdictConfig, *, bias_m: float, sigma_m: float, ra
 
     Args:
         limits: tolerances.
-        bias_m: length by which all ranges are too long for the edges, as fitted.
-        sigma_m: standard deviation of the camera's bias.
-        range_m: distance of the target.
+        bias_m: as for ``bias_sigmas``.
+        sigma_m: as for ``bias_sigmas``.
+        range_m: as for ``bias_sigmas``.
     """
-    most_m = limits.bias_sigmas * sigma_m + limits.scale_share * range_m
-    if abs(bias_m) <= most_m:
+    if bias_sigmas(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m) <= limits.bias_sigmas:
         return ""
+    most_m = limits.bias_sigmas * sigma_m + limits.scale_share * range_m
     return f"ranges are {bias_m:+.3f} m off the distance that the edges give, {most_m:.3f} m at most"

@@ -45,8 +45,8 @@ BLUNTNESS_PX = 1.4
 SHIFT_PX = 0.5
 """Standard deviation of the shift, towards the darker side, that all edges beside saturated pixels share: a
 fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel."""
-NEAREST_M = 0.3
-"""Least distance in the weights of edges."""
+NEAREST_M = 0.05
+"""Least distance in the weights of edges: no camera measures nearer."""
 
 
 class EdgeSight(NamedTuple):

@@ -67,6 +67,8 @@ class JointFrame:
     """Median amplitude of the pixels with depth; 0 if these are too few."""
     points_m: FloatArray
     """Points of the depth, sensor axes, shape (N, 3)."""
+    noise_m: float
+    """Median standard deviation of the points' noise; 0 without points."""
     trust: FloatArray
     """Weight of each point, 0 to 1, smaller for dark and therefore noisy points, shape (N,)."""
     patch: Patch
@@ -116,6 +118,7 @@ class JointFrame:
         points_m = np.ascontiguousarray((rays * range_m.ravel()[measured]).T)
         strength = strengths.ravel()[measured]
         typical = float(np.median(strength)) if len(measured) else 1.0
+        noise_m = float(np.median(sigma_m.ravel()[measured])) if len(measured) else 0.0
         trust = _trust(sigma_m.ravel()[measured], strength, tuning.depth.noise_m)
         typical = typical if len(measured) >= tuning.verdict.min_points else 0.0
         patch = _NO_PATCH
@@ -130,7 +133,9 @@ class JointFrame:
         lines = around if patch.typical else (slice(0, 1), slice(0, 1))
         window = (slice(per_px * one.start, per_px * one.stop) for one in lines)
         pixels_around = view.rays(per_px).block(*window)
-        return cls(view, range_m, sigma_m, shade, typical, points_m, trust, patch, pixels_around, per_px)
+        return cls(
+            view, range_m, sigma_m, shade, typical, points_m, noise_m, trust, patch, pixels_around, per_px
+        )
 
     @property
     def lens(self) -> Lens:

@@ -24,7 +24,7 @@ from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
 from rpod_pose.belief import Belief, PixelMarks, contradicted, doubtful
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
-from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.edge_consistency import bias_sigmas, edges_in_place, misplaced_edges, wrong_scale
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
 from rpod_pose.pmd.joint.fit import (
@@ -83,15 +83,17 @@ class JointTracker:
         self._triangles_m = np.ascontiguousarray(target.triangles_m)
         self._edges = edges.arrays
         self._field, self._renderer = field_arrays(target), PatchRenderer(target, tuning.edges)
-        weak = np.repeat((tuning.unobserved_m, radians(tuning.unobserved_deg)), 3)
+        weak = np.repeat((target.radius_m, radians(tuning.unobserved_deg)), 3)
         self._weak = np.diag(np.append(weak**-2, 0.0))
-        scales_m = np.geomspace(tuning.depth.scale_m, tuning.depth.final_scale_m, tuning.iterations)
+        scale, final = tuning.depth.scale_share, tuning.depth.final_scale_share
+        scales_m = target.radius_m * np.geomspace(scale, final, tuning.iterations)
         reaches_px = np.geomspace(tuning.edges.search_px, tuning.edges.final_search_px, tuning.iterations)
         coarse = np.column_stack((scales_m, reaches_px))
         self._narrow = np.tile(coarse[-1], (tuning.near_iterations, 1))
         self._near = np.vstack((coarse[-tuning.near_iterations :], self._narrow))
         self._full = np.vstack((coarse, self._narrow))
-        self._far = np.geomspace(tuning.far_scale_m, tuning.depth.scale_m, tuning.far_iterations)
+        self._far_m = target.radius_m * np.geomspace(tuning.far_scale_share, scale, tuning.far_iterations)
+        self._near_m = max(tuning.near_depth_share * target.radius_m, self._ranges.bias_m)
         self._coarse = SurfaceModel.of(target).coarse_field
         self._depth_errors = DepthErrors(
             tuning.depth.noise_m,
@@ -132,7 +134,8 @@ class JointTracker:
         if len(seen.points_m) >= tuning.verdict.min_points:
             every = max(1, round(len(seen.points_m) / tuning.far_points))
             few = Points.equal(np.ascontiguousarray(seen.points_m[::every]))
-            yield field_aligned(few, pose, self._coarse, self._far), self._full
+            far_m = np.maximum(self._far_m, self._least_scale_m(seen))
+            yield field_aligned(few, pose, self._coarse, far_m), self._full
 
     def _sight(self, seen: JointFrame, pose: PoseArrays) -> EdgeSight:
         """Return the edges that the image should show at a pose."""
@@ -145,11 +148,17 @@ class JointTracker:
     ) -> JointFit:
         """Return the pose after one step for each row of a schedule, shape (S, 2) as in ``JointProblem``."""
         points, state = Points(seen.points_m, seen.trust), State(start, 0.0)
+        schedule = np.maximum(schedule, (self._least_scale_m(seen), 0.0))
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
         if len(first):
             sight = self._sight_at(seen, sight, state.pose)
             state = align(self._problem(points, sight, first), state).state
         return align(self._problem(points, self._sight_at(seen, sight, state.pose), last), state)
+
+    def _least_scale_m(self, seen: JointFrame) -> float:
+        """Return the least Geman-McClure scale: an error that the noise explains is no outlier."""
+        depth = self._tuning.depth
+        return depth.scale_sigmas * max(seen.noise_m, depth.noise_m)
 
     def _problem(self, points: Points, sight: EdgeSight, schedule: FloatArray) -> JointProblem:
         return JointProblem(points, self._field, sight, self._depth_errors, self._edge_errors, schedule)
@@ -194,7 +203,7 @@ class JointTracker:
     def _explained(self, seen: JointFrame, pose: PoseArrays) -> float:
         """Return the share of the checked pixels that agree with a predicted pose."""
         tuning, view = self._tuning, seen.view
-        measured = Measured(seen.range_m, seen.sigma_m, tuning.near_m, tuning.missing_weight)
+        measured = Measured(seen.range_m, seen.sigma_m, self._near_m, tuning.missing_weight)
         agreeing, checked = agreement(
             measured, view.coarse.arrays, self._triangles_m, pose, self._buffers_of(view)
         )
@@ -218,7 +227,14 @@ class JointTracker:
         cast_pose(view.coarse.arrays, self._triangles_m, R, t, True, *buffers)
         images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
         coarse = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._triangles_m, R, t)
-        check = partial(contradictions, typical=seen.typical, bias_m=bias_m, reflected_m=self._reflected_m)
+        check = partial(
+            contradictions,
+            radius_m=self._target.radius_m,
+            typical=seen.typical,
+            uneven_m=self._ranges.uneven_m,
+            bias_m=bias_m,
+            reflected_m=self._reflected_m,
+        )
         found = check(images, coarse, limits)
         if not found.reason(limits) or not seen.patch.typical:
             return found
@@ -246,11 +262,17 @@ class JointTracker:
     ) -> Belief:
         """Return the belief in a pose by its pixels, its edges and its scale."""
         limits, sigma_m = self._tuning.verdict, self._ranges.bias_m
-        evidence = {**inconsistent.evidence, "edges_in_place_share": in_place, "range_bias_m": bias_m}
+        scale = {"bias_m": bias_m, "sigma_m": sigma_m, "range_m": range_m}
+        evidence = {
+            **inconsistent.evidence,
+            "edges_in_place_share": in_place,
+            "range_bias_m": bias_m,
+            "range_bias_sigmas": bias_sigmas(limits, **scale),
+        }
         reason = (
             inconsistent.reason(self._tuning.check)
             or misplaced_edges(limits, in_place)
-            or wrong_scale(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m)
+            or wrong_scale(limits, **scale)
         )
         if reason:
             return contradicted(reason, **evidence)

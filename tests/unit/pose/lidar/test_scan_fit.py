@@ -47,7 +47,7 @@ def drawn(T, *, half, target, view, generator):
     echo = np.maximum(cosine * albedos(target)[face] * (config.least_range_m / ranges_m) ** 2, 1e-9)
     probability = config.surest_detection / (1.0 + (half / echo) ** STEEPNESS)
     returned = met & (generator.random(met.shape) < probability)
-    scale_m = np.hypot(sigma_m, config.slack_m / np.maximum(cosine, STEEPEST))
+    scale_m = np.hypot(sigma_m, config.slack_sigmas * sigma_m / np.maximum(cosine, STEEPEST))
     range_m = np.where(returned, hits.range_m + scale_m * generator.standard_t(4, met.shape), 0.0)
     rays = np.flatnonzero(returned)
     points_m = (view.grid.directions * range_m[..., None]).reshape(-1, 3)[rays]

@@ -17,9 +17,10 @@ from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.poses import make_pose, pose_error
-from rpod_schemas.types import PmdFrame, Source
+from rpod_schemas.types import BeliefLevel, PmdFrame, Source
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target
+from rpod_target.target import DistanceField
 
 SUN_W_M2 = 1361.0 * np.array([0.4, -0.5, -0.768])
 OBLIQUE = make_pose(
@@ -241,3 +242,46 @@ def test_directions_are_even():
     assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
     assert nearest_deg.min() > 10.0
     assert nearest_deg.max() < 20.0
+
+
+@cache
+def scaled(share: float):
+    """Return the mock-up, scaled."""
+    whole, field = target("mockup"), target("mockup").require_field()
+    lengths = ("triangles_m", "edges_m", "model_points_m", "centre_of_mass_m", "radius_m")
+    return replace(
+        whole,
+        digest=f"{whole.digest}-{share:g}",
+        field=DistanceField(
+            share * field.origin_m, share * field.spacing_m, np.float32(share) * field.values
+        ),
+        **{name: share * getattr(whole, name) for name in lengths},
+    )
+
+
+@pytest.mark.parametrize("share", [0.1, 3.0])
+def test_a_body_of_another_size_is_judged_alike_as_far_away_as_its_size(share):
+    """The ranges' noise is scaled, so that no length is left but those of the camera."""
+
+    def placed(T):
+        return make_pose(rotation=T.rotation, translation_m=share * T.translation)
+
+    frame, tracker = seen("mockup", OBLIQUE), JointTracker(JointConfig(), scaled(share))
+    depth_m = (np.float32(share) * frame.depth_m).astype(np.float32)
+    depth_m.setflags(write=False)
+    there = frame.model_copy(update={"depth_m": depth_m})
+    begin = make_pose(rotation=Rotation.from_rotvec((0.02, 0.0, 0.01))) * OBLIQUE
+    half = make_pose(
+        rotation=OBLIQUE.rotation * Rotation.from_euler("y", 180.0, degrees=True),
+        translation_m=OBLIQUE.translation,
+    )
+    for start, believed in ((begin, True), (half, False)):
+        whole = tracking("mockup").track(frame, start)
+        other = tracker.track(there, placed(start))
+        assert whole.belief.level == other.belief.level
+        assert (other.belief.level is BeliefLevel.ACCEPTED) is believed
+    acquired = ViewSearch(PmdAcquisitionConfig(), scaled(share), tracker).acquire(there)
+    assert acquired.outcome is found().outcome is Outcome.ACCEPTED
+    assert_right(
+        OBLIQUE, make_pose(rotation=acquired.pose.rotation, translation_m=acquired.pose.translation / share)
+    )

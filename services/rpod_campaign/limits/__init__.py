@@ -1,0 +1,1 @@
+"""Limits of evidence, derived from a population of random satellites."""
