@@ -367,7 +367,11 @@ class SensorSync(Model):
         """
         prefix = f"{SYNC}{sensor}/"
         told = {name: value for key, value in values.items() if (name := key.removeprefix(prefix)) != key}
-        return cls(**{name: told[name] for name in cls.model_fields if name in told}) if told else None
+        return (
+            cls.model_validate({name: told[name] for name in cls.model_fields if name in told})
+            if told
+            else None
+        )
 
 
 class Health(IntEnum):

@@ -3,6 +3,7 @@
 import time
 from threading import Event
 
+from rpod_estimator.backoff import Backoff
 from rpod_estimator.estimator import TICK_S, Estimator
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.outputs import Outputs
@@ -35,7 +36,8 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
                     if config.time_source == "clock":
                         for output in estimator.let_time_pass(arrived.stamp_ns):
                             service.publish(output)
-                    service.process(arrived)
+                    if not service.rests(arrived):
+                        service.process(arrived)
                 service.publish(estimator.tick(node.clock.settled_ns()))
                 subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted
@@ -55,17 +57,29 @@ class _Service:
     ) -> None:
         self._estimator, self._subscriptions = estimator, subscriptions
         self._outputs, self._validity, self._beacon = outputs, validity, beacon
+        self._backoff = Backoff()
 
     def reset(self, request: ResetRequest) -> Accepted:
         """Start again, with the sensors as they are set up now."""
         self._subscriptions.request_reset(request)
+        self._backoff.end()
         return self._estimator.request_reset(request)
+
+    def rests(self, arrived: Arrived) -> bool:
+        """Return whether a frame is passed over, because searches have been in vain for long."""
+        rests = self._backoff.rests(arrived, time.monotonic())
+        self._subscriptions.health.rest(arrived.sensor if rests else "", self._backoff.pause_s)
+        return rests
 
     def process(self, arrived: Arrived) -> None:
         """Process a frame and publish the result."""
+        began_s = time.monotonic()
         output = self._estimator.process(arrived)
         self.publish(output, arrived)
-        self._subscriptions.health.judge(arrived, output.status, time.monotonic())
+        now_s = time.monotonic()
+        self._subscriptions.health.judge(arrived, output.status, now_s)
+        if not self._beacon.is_silent:  # results must not depend on the machine's speed
+            self._backoff.take(arrived, output, began_s=began_s, now_s=now_s)
 
     def publish(self, output: Output | None, arrived: Arrived | None = None) -> None:
         """Publish a result, and with it whether it is valid."""

@@ -36,6 +36,7 @@ class InputHealth:
         self._told: dict[str, tuple[InputState, float]] = {}
         self._next_s = now_s
         self._state = OK
+        self._pause_s = 0.0
         self._rival_topics: set[str] = set()
         self.rivals: list[tuple[str, Peer, Peer]] = []
         """Publishers beside the one that is used: topic, the one that is used, the other one."""
@@ -58,6 +59,12 @@ class InputHealth:
             book.lose(unpaired(frame, leading), now_s)
         else:
             book.hear_others(now_s)
+
+    def rest(self, sensor: str, pause_s: float) -> None:
+        """Note how long searches rest, and the sensor of a frame that was passed over, if one was."""
+        if sensor:
+            self._health.count(f"dropped/{sensor}")
+        self._pause_s = pause_s
 
     def hear(self, diagnostic: Diagnostic) -> None:
         """Repeat what a driver says of how a sensor keeps time. Raises ``MessageRejectedError``."""
@@ -94,6 +101,8 @@ class InputHealth:
         rivals = self._rivals_state()
         self._log("publishers", rivals, now_s)
         states.append(rivals)
+        if self._pause_s:
+            states.append(InputState(Health.OK, f"searches rest: one frame in {self._pause_s:.1f} s"))
         text = "; ".join(state.text for state in states if state.text)
         return InputState(max(state.level for state in states), text)
 

@@ -124,17 +124,18 @@ class Beacon:
 
     def __init__(self, validity: Validity, tell: Callable[[EstimateValidity], None], clock: Clock) -> None:
         self._validity, self._tell, self._clock = validity, tell, clock
-        self._is_silent = isinstance(clock, BusClock)
+        self.is_silent = isinstance(clock, BusClock)
+        """Whether time comes from the bus."""
         self._stop = Event()
         self._thread = Thread(target=self._run, name="validity", daemon=True)
 
     def now_s(self) -> float:
         """Return the time in which the age of measurements counts: monotonic, or that of the bus."""
-        return self._clock.now_ns() / NANOSECONDS if self._is_silent else time.monotonic()
+        return self._clock.now_ns() / NANOSECONDS if self.is_silent else time.monotonic()
 
     def arrival_s(self, arrived: Arrived | None) -> float:
         """Return the time of arrival of a frame, so that its processing counts; now if there is none."""
-        return arrived.arrival_s if arrived is not None and not self._is_silent else self.now_s()
+        return arrived.arrival_s if arrived is not None and not self.is_silent else self.now_s()
 
     def current(self) -> EstimateValidity:
         """Return the validity now."""
@@ -149,12 +150,12 @@ class Beacon:
     ) -> None:
         self._stop.set()
         self._thread.join()
-        if not self._is_silent:
+        if not self.is_silent:
             ended = {"valid": False, "reason": "the estimator has ended"}
             self._tell(self.current().model_copy(update=ended))
 
     def _run(self) -> None:
-        while not self._is_silent and not self._stop.wait(self._wait_s()):
+        while not self.is_silent and not self._stop.wait(self._wait_s()):
             self._tell(self.current())
 
     def _wait_s(self) -> float:

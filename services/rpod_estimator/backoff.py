@@ -1,0 +1,114 @@
+"""Lets hopeless searches rest: a scene without the target is not searched at every frame for ever.
+
+After ``PATIENCE_S`` of searches in vain, the searches take at most a tenth of the time. This ends with the
+first frame that shows something else than those frames did. The module knows no bus and no clock; times are
+seconds of one monotonic clock.
+"""
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_estimator.frame_reader import Arrived
+from rpod_pose.navigation.state import Output
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import LidarScan, Mode, SensorFrame
+
+PATIENCE_S = 10.0
+"""Time of searches in vain before they rest."""
+SHARE = 0.1
+"""Largest share of the time that searches take then."""
+_BLOCKS = 12
+"""Number of blocks along each side of an image whose content is compared."""
+_TELLING = 0.3
+"""Share of measured pixels from which their mean range counts; that of a few stray ones is noise."""
+_DIRECTIONS = 48
+"""Number of directions along each side of the image of a scan without rows and columns, over a half turn."""
+_REMEMBERED = 32
+"""Number of frames whose contents tell what the scene looks like without the target."""
+_DIFFERENT_BLOCKS = 3
+"""Number of blocks whose content must be another one, so that a frame differs."""
+_MARGIN, _MARGIN_RANGES = 0.1, 0.5
+"""Least change of a block beyond the range of the frames before that counts, and that over this range: for
+normal noise and 32 frames four sigma."""
+
+
+class Backoff:
+    """Decides which frames are searched."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+        self._seen: dict[str, deque[FloatArray]] = {}
+        self._next_s = 0.0
+        self.pause_s = 0.0
+        """Time between two searches; 0 as long as every frame is searched."""
+
+    def rests(self, arrived: Arrived, now_s: float) -> bool:
+        """Return whether a frame need not be searched."""
+        if not self.pause_s or arrived.measurement is None:
+            return False
+        if self._differs(arrived.sensor, content(arrived.measurement.data)):
+            self.end()
+            return False
+        return now_s < self._next_s
+
+    def take(self, arrived: Arrived, output: Output, *, began_s: float, now_s: float) -> None:
+        """Note the result of a frame that was processed from ``began_s`` to ``now_s``."""
+        if arrived.measurement is None:
+            return
+        if output.status.accepted or output.status.mode not in (Mode.ACQUIRING, Mode.LOST):
+            self.end()
+            return
+        self._since_s = began_s if self._since_s is None else self._since_s
+        seen = self._seen.setdefault(arrived.sensor, deque(maxlen=_REMEMBERED))
+        seen.append(content(arrived.measurement.data))
+        if now_s - self._since_s >= PATIENCE_S:
+            self.pause_s = (now_s - began_s) / SHARE
+            self._next_s = began_s + self.pause_s
+
+    def end(self) -> None:
+        """Search every frame again: something has changed."""
+        self._since_s, self.pause_s = None, 0.0
+        self._seen.clear()
+
+    def _differs(self, sensor: str, now: FloatArray) -> bool:
+        seen = self._seen.get(sensor)
+        if not seen or seen[-1].shape != now.shape:
+            return True
+        low, high = np.min(seen, axis=0), np.max(seen, axis=0)
+        margin = _MARGIN + _MARGIN_RANGES * (high - low)
+        return int(((now < low - margin) | (now > high + margin)).any(axis=-1).sum()) >= _DIFFERENT_BLOCKS
+
+
+def content(frame: SensorFrame) -> FloatArray:
+    """Return what a frame shows, coarsely: share of measured pixels and, if large, their mean log range.
+
+    Shape (blocks, 2); a scan is one image of its directions.
+    """
+    range_m = _image(frame)
+    rows, columns = (max(1, side // _BLOCKS) for side in range_m.shape)
+    kept = range_m[: rows * (range_m.shape[0] // rows), : columns * (range_m.shape[1] // columns)]
+    blocks = kept.reshape(kept.shape[0] // rows, rows, kept.shape[1] // columns, columns).swapaxes(1, 2)
+    flat = blocks.reshape(-1, rows * columns)
+    known = np.isfinite(flat) & (flat > 0.0)
+    count = known.sum(axis=1)
+    share = count / flat.shape[1]
+    logs = np.log(np.where(known, flat, 1.0)).sum(axis=1) / np.maximum(count, 1)
+    return np.column_stack([share, np.where(share >= _TELLING, logs, 0.0)])
+
+
+def _image(frame: SensorFrame) -> NDArray[Any]:
+    if frame.images:
+        return np.asarray(frame.images[0].values, np.float32)
+    if isinstance(frame, LidarScan) and frame.organised:
+        range_m: NDArray[Any] = np.linalg.norm(frame.points_m, axis=-1)
+        return range_m
+    returns_m = frame.returns_m
+    up, right = (np.arctan2(returns_m[:, axis], returns_m[:, 2]) for axis in (1, 0))
+    sums, counts = (
+        np.histogram2d(up, right, bins=_DIRECTIONS, range=[[-np.pi / 2, np.pi / 2]] * 2, weights=weights)[0]
+        for weights in (np.linalg.norm(returns_m, axis=1), None)
+    )
+    return np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
