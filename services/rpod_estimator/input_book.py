@@ -17,7 +17,7 @@ from rpod_schemas.types import Health, SensorSync
 
 WINDOW_S = 2.0
 """Time span of the frames that are judged."""
-LEAST_FRAMES = 4
+LEAST_FRAMES = 3
 """Number of frames that are judged where fewer came in ``WINDOW_S``: a slow sensor has few."""
 PERIODS = 3.0
 """Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""

@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 
 REMIND_S = 60.0
 """Time after which a state that is not OK is written to the log again."""
-_PERIOD_S = 0.5
+_PERIOD_S = 1.0
 """Time between two updates of the diagnostics."""
 
 

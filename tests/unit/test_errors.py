@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from rpod_runtime.accounting import Jump
+from rpod_runtime.holders import Peer
 from rpod_schemas.errors import MessageRejectedError, Reason, RpodError
 
 ROOT = Path(__file__).parents[2]
@@ -32,6 +33,7 @@ FACTS = {
     "Reason": Reason.LATE,
     "MessageRejectedError": MessageRejectedError(Reason.LATE, "2 s old"),
     "EntryPoint": EntryPoint("mono", "mono_camera:KIND", "rpod.sensors"),
+    "Peer": Peer(b"\x01" * 16, "a0"),
     "Jump": Jump("0/pmd/info", b"\x01" * 16, 7, 7 + 2**40),
     "Role": "tracking",
     "tuple[str, ...]": ("one", "two"),

@@ -53,8 +53,8 @@ def test_the_level_follows_the_share_of_frames_that_were_not_used(losses, level,
     assert bool(words) == bool(state.text)
 
 
-def test_of_a_slow_sensor_the_last_four_frames_are_judged():
-    assert book_after([LATE] * 3, rate_hz=0.3)[0].state(10.0).level == Health.OK
+def test_of_a_slow_sensor_the_last_three_frames_are_judged():
+    assert book_after([LATE] * 2, rate_hz=0.3)[0].state(10.0).level == Health.OK
     book, now_s = book_after([LATE] * 5, rate_hz=0.3)
     assert book.state(now_s).level == Health.ERROR
 
@@ -80,7 +80,7 @@ def test_a_state_that_is_not_ok_is_logged_at_once_and_each_minute_and_so_is_its_
         health.report(Mode.LOST, second)
     lines = [record.getMessage() for record in caplog.records]
     assert [line.partition(" used")[0] for line in lines] == [
-        *["pmd: no frame"] * 3, "pmd: only 1 of 4 frames", "pmd: in order again"
+        *["pmd: no frame"] * 3, "pmd: only 1 of 3 frames", "pmd: in order again"
     ]  # fmt: skip
 
 
