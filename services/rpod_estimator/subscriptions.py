@@ -210,8 +210,11 @@ class Subscriptions:
             for part in frame.parts.values():
                 self._holders.check(part.topic.name, part.peer, part.arrival_s)
             measurement = self._reader.measurement(sensor, frame)
+            session = frame.parts[self._reader.leading[sensor]].session
             for part in frame.parts.values():
-                self._holders.hold(part.topic.name, part.peer, part.arrival_s)
+                # A part that lasts is as new as the frames of its own session.
+                now_s = arrival_s if part.session == session else part.arrival_s
+                self._holders.hold(part.topic.name, part.peer, now_s)
         except SecondPublisherError as error:
             return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
         except PartRejectedError as error:

@@ -98,6 +98,7 @@ class Holders:
         """
         topic = self._topics.setdefault(name, _Topic())
         if topic.holder == peer:
+            topic.heard_s = max(topic.heard_s, now_s)
             return
         self.check(name, peer, now_s)
         topic.others.pop(peer, None)

@@ -99,7 +99,8 @@ class Bench:
         self.node.sinks[topic](received)
 
     def send_frame(self, stamp_ns, *, amplitude=True, frame_id="pmd_optical", camera=CAMERA, **how):
-        self.send(CAMERA_INFO.of("pmd"), write_camera(stamp_ns, frame_id, camera), **how)
+        if camera is not None:
+            self.send(CAMERA_INFO.of("pmd"), write_camera(stamp_ns, frame_id, camera), **how)
         self.send(DEPTH.of("pmd"), write_image(stamp_ns, frame_id, DEPTH_M, "32FC1"), **how)
         if amplitude:
             image = np.ones((4, 6), np.uint16)
@@ -476,6 +477,18 @@ def test_a_mount_that_is_put_right_is_used_again(stage):
     assert stage.frame(EMULATOR) is None
     stage.mount(EMULATOR)
     assert stage.frame(EMULATOR) == 0.0
+
+
+def test_a_camera_info_that_was_sent_once_is_held_as_long_as_frames_come(stage):
+    other = CAMERA.model_copy(update={"fx": 6.0})
+    for _ in range(5):
+        stage.wait(1.0)
+        assert stage.frame(EMULATOR, camera=None) == 0.0
+        stage.mount(DRIVER)
+        assert stage.frame(DRIVER, camera=other) is None
+    assert ("pmd/camera_info", "second_publisher") in stage.bench.node.refused
+    stage.wait(3.5)
+    assert stage.frame(DRIVER) == 0.0
 
 
 def test_another_lens_is_not_used_while_tracked(stage):
