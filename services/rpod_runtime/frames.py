@@ -16,7 +16,7 @@ from rpod_geometry.lens import ray_cosines
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.codecs import decompressed
 from rpod_runtime.inbox import Received
-from rpod_runtime.scan_grid import GridInference, rows_are_elevation
+from rpod_runtime.scan_grid import GridInference, ahead, angles_of, is_ahead, rows_are_elevation
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
@@ -173,13 +173,18 @@ class LidarReader:
         self._source = source
         self._info: LidarInfo | None = None
         self._inferred = GridInference()
+        self._whole: LidarInfo | None = None
+        self._front: LidarInfo | None = None
         self._seen_rows = True
         self._told: set[str] = set()
 
     @property
     def said(self) -> LidarInfo | None:
-        """Info that the LIDAR published, else the scan pattern as its points show it."""
-        return self._info or self._inferred.pattern
+        """Info that the LIDAR published, else the scan pattern as its points show it; of what lies ahead."""
+        pattern = self._info or self._inferred.pattern
+        if pattern is not self._whole:
+            self._whole, self._front = pattern, None if pattern is None else ahead(pattern)
+        return self._front
 
     def learn(self, message: Any) -> None:
         """Store the latched info, if it holds a scan pattern."""
@@ -193,7 +198,8 @@ class LidarReader:
         if self._info is None:
             time_s = np.zeros(1) if scan.time_s is None else scan.time_s[np.isfinite(scan.time_s)]
             self._inferred.add(scan.points_m, float(np.ptp(time_s)))
-        return scan
+        front = self.said
+        return scan if front is self._whole or self._whole is None else _ahead_of(scan, self._whole)
 
     def _scan(self, stamp_ns: int, message: Any) -> LidarScan:
         fields = read_points(message)
@@ -238,6 +244,16 @@ class LidarReader:
         if text not in self._told:
             self._told.add(text)
             log.warning("%s", text)
+
+
+def _ahead_of(scan: LidarScan, pattern: LidarInfo) -> LidarScan:
+    """Return a scan without the directions that are not ahead."""
+    if scan.organised and scan.points_m.shape[1] == pattern.azimuth_rad.size:
+        kept: Any = (slice(None), is_ahead(pattern.azimuth_rad))
+    else:
+        kept = is_ahead(angles_of(scan.points_m)[0])
+    parts = {"points_m": scan.points_m, "intensity": scan.intensity, "time_s": scan.time_s}
+    return scan.model_copy(update={name: part[kept] for name, part in parts.items() if part is not None})
 
 
 def read_part(received: Received, read: Callable[[Any], ReadT]) -> ReadT:

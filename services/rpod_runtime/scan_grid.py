@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rpod_schemas.types import Float32Array, LidarInfo
 
 Angles = NDArray[np.float64]
+_AHEAD_RAD = np.radians(80.0)
 _LEAST_LINES = 3
 """Least number of rows and of columns with returns from which a pattern is inferred."""
 _DECISIVE = 0.5
@@ -47,6 +48,18 @@ def angles_of(points_m: Float32Array) -> tuple[Angles, Angles, NDArray[np.bool_]
     azimuth = np.where(returned, np.arctan2(x, z), 0.0)
     elevation = np.where(returned, np.arcsin(np.clip(y / safe_m, -1.0, 1.0)), 0.0)
     return azimuth, elevation, returned
+
+
+def is_ahead(azimuth_rad: Angles) -> NDArray[np.bool_]:
+    """Return which azimuths, any shape, are within 80 deg of the boresight: methods see what lies ahead."""
+    near: NDArray[np.bool_] = np.abs(np.angle(np.exp(1j * azimuth_rad))) <= _AHEAD_RAD
+    return near
+
+
+def ahead(pattern: LidarInfo) -> LidarInfo:
+    """Return the part of a pattern that is ahead; the pattern itself if all of it is."""
+    kept = is_ahead(pattern.azimuth_rad)
+    return pattern if kept.all() else pattern.model_copy(update={"azimuth_rad": pattern.azimuth_rad[kept]})
 
 
 def rows_are_elevation(points_m: Float32Array) -> bool | None:
