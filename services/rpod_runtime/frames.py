@@ -41,6 +41,8 @@ ReadT = TypeVar("ReadT")
 
 _HEADED_BYTES = 12
 """Size of a message's CDR header and stamp."""
+_SETTLED = 10
+"""Number of scans with the same orientation after which it counts as known: no driver changes it."""
 _LEAST_PILE = 16
 """Least number of pixels with an image's largest value by which it counts as clipped."""
 _PILED, _LEVELS = 5.0, 8
@@ -149,14 +151,17 @@ def saturated_pixels(amplitude: NDArray[Any], limit: float | None) -> NDArray[np
     if limit is not None:
         beyond: NDArray[np.bool_] = amplitude >= limit
         return beyond if beyond.any() else None
-    largest = np.nanmax(amplitude, initial=0)
+    integers = amplitude.dtype.kind == "u"
+    largest = amplitude.max() if integers else np.nanmax(amplitude, initial=0)
     saturated: NDArray[np.bool_] = amplitude == largest
-    if amplitude.dtype.kind == "u" and largest == np.iinfo(amplitude.dtype).max:
+    if integers and largest == np.iinfo(amplitude.dtype).max:
         return saturated
     piled = np.count_nonzero(saturated)
     if piled < _LEAST_PILE or not largest > 0:
         return None
-    _, counts = np.unique(amplitude[(amplitude < largest) & (amplitude > largest / 2)], return_counts=True)
+    below = amplitude[(amplitude < largest) & (amplitude > largest / 2)]
+    counts = np.bincount(below) if integers else np.unique(below, return_counts=True)[1]
+    counts = counts[counts > 0]
     gradual = counts.size >= _LEVELS and piled > _PILED * counts[-_LEVELS:].mean()
     return saturated if gradual else None
 
@@ -176,6 +181,7 @@ class LidarReader:
         self._whole: LidarInfo | None = None
         self._front: LidarInfo | None = None
         self._seen_rows = True
+        self._shown = 0
         self._told: set[str] = set()
 
     @property
@@ -230,12 +236,15 @@ class LidarReader:
 
     def _rows_are_elevation(self, points_m: Float32Array) -> bool:
         """Return the orientation that the points show, else that of the info or of scans before."""
+        if self._shown >= _SETTLED:
+            return self._seen_rows
         seen = rows_are_elevation(points_m)
         said = None if self._info is None else self._info.rows_are_elevation
         if seen is None:
             return self._seen_rows if said is None else said
         if said not in (None, seen):
             self._tell(f"info says rows_are_elevation: {said}, but the points show {seen}, which is used")
+        self._shown = self._shown + 1 if seen == self._seen_rows else 1
         self._seen_rows = seen
         return seen
 

@@ -22,6 +22,8 @@ _DECISIVE = 0.5
 """Greatest scatter within the lines, over that with rows and columns exchanged, that tells which is which."""
 _EVEN = 0.2
 """Greatest deviation of lines from even steps, over a step, of a pattern that counts as even."""
+_ENOUGH_SCANS = 20
+"""Number of scans with returns in a line after which further ones tell nothing new of it."""
 _CHANGED = 0.2
 """Change of a line, over a step, from which on an inferred pattern is replaced."""
 _GATHERED = 4.0
@@ -92,6 +94,8 @@ class GridInference:
     pattern: LidarInfo | None = None
     """The pattern as far as it is known; replaced only where it has changed visibly."""
     _sums: dict[str, NDArray[np.complex128]] = field(default_factory=dict)
+    _scans: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
+    """Number of scans with returns in each row and each column."""
 
     def add(self, points_m: Float32Array, scan_time_s: float) -> None:
         """Learn from a scan.
@@ -100,6 +104,8 @@ class GridInference:
             points_m: points, sensor axes; (rows, columns, 3) with one elevation a row, else (N, 3).
             scan_time_s: duration of the scan, 0 if it is unknown.
         """
+        if points_m.ndim == 3 and self._nothing_new(points_m):
+            return
         azimuth, elevation, returned = angles_of(points_m)
         if points_m.ndim == 3:
             lines = {
@@ -118,6 +124,15 @@ class GridInference:
             return
         said = {name: each for name, each in lines.items() if each is not None}
         self.pattern = LidarInfo(**said, scan_time_s=scan_time_s, sigma_range_m=0.0)
+
+    def _nothing_new(self, points_m: Float32Array) -> bool:
+        """Return whether enough scans have had returns in all lines in which this one has any."""
+        returned = np.isfinite(points_m[..., 0]) & (points_m != 0.0).any(axis=-1)
+        seen = np.concatenate((returned.any(axis=1), returned.any(axis=0)))
+        if self._scans.shape != seen.shape:
+            self._scans = np.zeros(seen.shape, np.intp)
+        self._scans += seen
+        return self.pattern is not None and bool((self._scans[seen] > _ENOUGH_SCANS).all())
 
     def _organised(self, name: str, angles: Angles, returned: NDArray[np.bool_], axis: int) -> Angles | None:
         """Return the angles of all lines, from the returns of all scans; None as long as they are too few."""
