@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from lidar_scans import strange_scans
 
 from rpod_runtime.scan_grid import GridInference, rows_are_elevation
 
@@ -88,3 +89,13 @@ def test_a_scan_that_never_repeats_gets_lines_as_far_apart_as_its_points():
     for lines in (pattern.azimuth_rad, pattern.elevation_rad):
         assert 0.3 * apart < np.median(np.diff(lines)) < 1.5 * apart
     assert inferred(points[:2]) is None
+
+
+def test_points_that_no_scanner_sends_are_no_end():
+    for name, strange in strange_scans().items():
+        grid = GridInference()
+        for points in (strange.points_m, strange.points_m.reshape(-1, 3)):
+            grid.add(points, 0.0)
+            if points.ndim == 3:
+                rows_are_elevation(points)
+        assert grid.pattern is None or np.isfinite(grid.pattern.azimuth_rad).all(), name
