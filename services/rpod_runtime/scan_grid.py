@@ -201,7 +201,8 @@ def _apart_rad(azimuth: Angles, elevation: Angles) -> float:
     if len(places) < 2:
         return 0.0
     few = places[:: len(places) // _NEIGHBOURS + 1]
-    return float(np.median(KDTree(places).query(few, k=2)[0][:, 1]))
+    apart, _ = KDTree(places).query(few, k=2)
+    return float(np.median(np.asarray(apart)[:, 1]))
 
 
 def _gathered(angles: Angles, apart_rad: float, most_rad: float) -> Angles | None:
