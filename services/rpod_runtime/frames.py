@@ -16,7 +16,7 @@ from rpod_geometry.lens import ray_cosines
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.codecs import decompressed
 from rpod_runtime.inbox import Received
-from rpod_runtime.scan_grid import GridInference, rows_are_elevation
+from rpod_runtime.scan_grid import GridInference, ahead, angles_of, is_ahead, rows_are_elevation
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
@@ -41,6 +41,8 @@ ReadT = TypeVar("ReadT")
 
 _HEADED_BYTES = 12
 """Size of a message's CDR header and stamp."""
+_SETTLED = 10
+"""Number of scans with the same orientation after which it counts as known: no driver changes it."""
 _LEAST_PILE = 16
 """Least number of pixels with an image's largest value by which it counts as clipped."""
 _PILED, _LEVELS = 5.0, 8
@@ -149,14 +151,17 @@ def saturated_pixels(amplitude: NDArray[Any], limit: float | None) -> NDArray[np
     if limit is not None:
         beyond: NDArray[np.bool_] = amplitude >= limit
         return beyond if beyond.any() else None
-    largest = np.nanmax(amplitude, initial=0)
+    integers = amplitude.dtype.kind == "u"
+    largest = amplitude.max() if integers else np.nanmax(amplitude, initial=0)
     saturated: NDArray[np.bool_] = amplitude == largest
-    if amplitude.dtype.kind == "u" and largest == np.iinfo(amplitude.dtype).max:
+    if integers and largest == np.iinfo(amplitude.dtype).max:
         return saturated
     piled = np.count_nonzero(saturated)
     if piled < _LEAST_PILE or not largest > 0:
         return None
-    _, counts = np.unique(amplitude[(amplitude < largest) & (amplitude > largest / 2)], return_counts=True)
+    below = amplitude[(amplitude < largest) & (amplitude > largest / 2)]
+    counts = np.bincount(below) if integers else np.unique(below, return_counts=True)[1]
+    counts = counts[counts > 0]
     gradual = counts.size >= _LEVELS and piled > _PILED * counts[-_LEVELS:].mean()
     return saturated if gradual else None
 
@@ -173,13 +178,19 @@ class LidarReader:
         self._source = source
         self._info: LidarInfo | None = None
         self._inferred = GridInference()
+        self._whole: LidarInfo | None = None
+        self._front: LidarInfo | None = None
         self._seen_rows = True
+        self._shown = 0
         self._told: set[str] = set()
 
     @property
     def said(self) -> LidarInfo | None:
-        """Info that the LIDAR published, else the scan pattern as its points show it."""
-        return self._info or self._inferred.pattern
+        """Info that the LIDAR published, else the scan pattern as its points show it; of what lies ahead."""
+        pattern = self._info or self._inferred.pattern
+        if pattern is not self._whole:
+            self._whole, self._front = pattern, None if pattern is None else ahead(pattern)
+        return self._front
 
     def learn(self, message: Any) -> None:
         """Store the latched info, if it holds a scan pattern."""
@@ -193,7 +204,8 @@ class LidarReader:
         if self._info is None:
             time_s = np.zeros(1) if scan.time_s is None else scan.time_s[np.isfinite(scan.time_s)]
             self._inferred.add(scan.points_m, float(np.ptp(time_s)))
-        return scan
+        front = self.said
+        return scan if front is self._whole or self._whole is None else _ahead_of(scan, self._whole)
 
     def _scan(self, stamp_ns: int, message: Any) -> LidarScan:
         fields = read_points(message)
@@ -224,12 +236,15 @@ class LidarReader:
 
     def _rows_are_elevation(self, points_m: Float32Array) -> bool:
         """Return the orientation that the points show, else that of the info or of scans before."""
+        if self._shown >= _SETTLED:
+            return self._seen_rows
         seen = rows_are_elevation(points_m)
         said = None if self._info is None else self._info.rows_are_elevation
         if seen is None:
             return self._seen_rows if said is None else said
         if said not in (None, seen):
             self._tell(f"info says rows_are_elevation: {said}, but the points show {seen}, which is used")
+        self._shown = self._shown + 1 if seen == self._seen_rows else 1
         self._seen_rows = seen
         return seen
 
@@ -238,6 +253,16 @@ class LidarReader:
         if text not in self._told:
             self._told.add(text)
             log.warning("%s", text)
+
+
+def _ahead_of(scan: LidarScan, pattern: LidarInfo) -> LidarScan:
+    """Return a scan without the directions that are not ahead."""
+    if scan.organised and scan.points_m.shape[1] == pattern.azimuth_rad.size:
+        kept: Any = (slice(None), is_ahead(pattern.azimuth_rad))
+    else:
+        kept = is_ahead(angles_of(scan.points_m)[0])
+    parts = {"points_m": scan.points_m, "intensity": scan.intensity, "time_s": scan.time_s}
+    return scan.model_copy(update={name: part[kept] for name, part in parts.items() if part is not None})
 
 
 def read_part(received: Received, read: Callable[[Any], ReadT]) -> ReadT:

@@ -11,16 +11,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
+from scipy.spatial import KDTree
 
 from rpod_schemas.types import Float32Array, LidarInfo
 
 Angles = NDArray[np.float64]
+_AHEAD_RAD = np.radians(80.0)
 _LEAST_LINES = 3
 """Least number of rows and of columns with returns from which a pattern is inferred."""
 _DECISIVE = 0.5
 """Greatest scatter within the lines, over that with rows and columns exchanged, that tells which is which."""
 _EVEN = 0.2
 """Greatest deviation of lines from even steps, over a step, of a pattern that counts as even."""
+_ENOUGH_SCANS = 20
+"""Number of scans with returns in a line after which further ones tell nothing new of it."""
 _CHANGED = 0.2
 """Change of a line, over a step, from which on an inferred pattern is replaced."""
 _GATHERED = 4.0
@@ -47,6 +52,18 @@ def angles_of(points_m: Float32Array) -> tuple[Angles, Angles, NDArray[np.bool_]
     azimuth = np.where(returned, np.arctan2(x, z), 0.0)
     elevation = np.where(returned, np.arcsin(np.clip(y / safe_m, -1.0, 1.0)), 0.0)
     return azimuth, elevation, returned
+
+
+def is_ahead(azimuth_rad: Angles) -> NDArray[np.bool_]:
+    """Return which azimuths, any shape, are within 80 deg of the boresight: methods see what lies ahead."""
+    near: NDArray[np.bool_] = np.abs(np.angle(np.exp(1j * azimuth_rad))) <= _AHEAD_RAD
+    return near
+
+
+def ahead(pattern: LidarInfo) -> LidarInfo:
+    """Return the part of a pattern that is ahead; the pattern itself if all of it is."""
+    kept = is_ahead(pattern.azimuth_rad)
+    return pattern if kept.all() else pattern.model_copy(update={"azimuth_rad": pattern.azimuth_rad[kept]})
 
 
 def rows_are_elevation(points_m: Float32Array) -> bool | None:
@@ -79,6 +96,8 @@ class GridInference:
     pattern: LidarInfo | None = None
     """The pattern as far as it is known; replaced only where it has changed visibly."""
     _sums: dict[str, NDArray[np.complex128]] = field(default_factory=dict)
+    _scans: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
+    """Number of scans with returns in each row and each column."""
 
     def add(self, points_m: Float32Array, scan_time_s: float) -> None:
         """Learn from a scan.
@@ -87,24 +106,38 @@ class GridInference:
             points_m: points, sensor axes; (rows, columns, 3) with one elevation a row, else (N, 3).
             scan_time_s: duration of the scan, 0 if it is unknown.
         """
+        if points_m.ndim == 3 and self._nothing_new(points_m):
+            return
         azimuth, elevation, returned = angles_of(points_m)
         if points_m.ndim == 3:
-            lines = {
-                "azimuth_rad": self._organised("azimuth", azimuth, returned, 0),
-                "elevation_rad": self._organised("elevation", elevation, returned, 1),
-            }
+            columns = self._organised("azimuth", azimuth, returned, 0)
+            rows = self._organised("elevation", elevation, returned, 1)
         else:
-            if self.pattern is not None and self._covers(azimuth[returned], elevation[returned]):
+            azimuth, elevation = azimuth[returned], elevation[returned]
+            if self.pattern is not None and _covers(self.pattern, azimuth, elevation):
                 return
-            apart_rad = _apart_rad(azimuth[returned], elevation[returned])
-            lines = {
-                "azimuth_rad": _gathered(azimuth[returned], apart_rad, np.pi),
-                "elevation_rad": _gathered(elevation[returned], apart_rad, np.pi / 2.0),
-            }
-        if any(each is None for each in lines.values()) or self._is_known(lines):
+            apart_rad = _apart_rad(azimuth, elevation)
+            columns = _gathered(azimuth, apart_rad, np.pi)
+            rows = _gathered(elevation, apart_rad, np.pi / 2.0)
+        if columns is None or rows is None:
             return
-        said = {name: each for name, each in lines.items() if each is not None}
-        self.pattern = LidarInfo(**said, scan_time_s=scan_time_s, sigma_range_m=0.0)
+        try:
+            now = LidarInfo(
+                azimuth_rad=columns, elevation_rad=rows, scan_time_s=scan_time_s, sigma_range_m=0.0
+            )
+        except ValidationError:
+            return  # points of no scanner
+        if self.pattern is None or _differ(self.pattern, now):
+            self.pattern = now
+
+    def _nothing_new(self, points_m: Float32Array) -> bool:
+        """Return whether enough scans have had returns in all lines in which this one has any."""
+        returned = np.isfinite(points_m[..., 0]) & (points_m != 0.0).any(axis=-1)
+        seen = np.concatenate((returned.any(axis=1), returned.any(axis=0)))
+        if self._scans.shape != seen.shape:
+            self._scans = np.zeros(seen.shape, np.intp)
+        self._scans += seen
+        return self.pattern is not None and bool((self._scans[seen] > _ENOUGH_SCANS).all())
 
     def _organised(self, name: str, angles: Angles, returned: NDArray[np.bool_], axis: int) -> Angles | None:
         """Return the angles of all lines, from the returns of all scans; None as long as they are too few."""
@@ -118,23 +151,22 @@ class GridInference:
             return None
         return _all_lines(known, np.angle(sums[known]), sums.size)
 
-    def _covers(self, azimuth: Angles, elevation: Angles) -> bool:
-        assert self.pattern is not None  # noqa: S101 - asked only then
-        outside = np.zeros(azimuth.shape, bool)
-        for lines, angles in ((self.pattern.azimuth_rad, azimuth), (self.pattern.elevation_rad, elevation)):
-            outside |= (angles < lines.min()) | (angles > lines.max())
-        return float(outside.mean()) <= _OUTSIDE if outside.size else True
 
-    def _is_known(self, lines: dict[str, Angles | None]) -> bool:
-        if self.pattern is None:
-            return False
-        for name, now in lines.items():
-            before = getattr(self.pattern, name)
-            if now is None or now.shape != before.shape:
-                return now is None
-            if np.abs(now - before).max() > _CHANGED * np.median(np.abs(np.diff(before))):
-                return False
-        return True
+def _covers(pattern: LidarInfo, azimuth: Angles, elevation: Angles) -> bool:
+    """Return whether all but a few points, shape (N,) each, are within a pattern."""
+    outside = np.zeros(azimuth.shape, bool)
+    for lines, angles in ((pattern.azimuth_rad, azimuth), (pattern.elevation_rad, elevation)):
+        outside |= (angles < lines.min()) | (angles > lines.max())
+    return bool(np.count_nonzero(outside) <= _OUTSIDE * outside.size)
+
+
+def _differ(before: LidarInfo, now: LidarInfo) -> bool:
+    """Return whether two patterns differ visibly."""
+    lines = ((before.azimuth_rad, now.azimuth_rad), (before.elevation_rad, now.elevation_rad))
+    return any(
+        old.shape != new.shape or np.abs(new - old).max() > _CHANGED * np.median(np.abs(np.diff(old)))
+        for old, new in lines
+    )
 
 
 def _all_lines(known: NDArray[np.intp], angles: Angles, count: int) -> Angles | None:
@@ -162,14 +194,15 @@ def _all_lines(known: NDArray[np.intp], angles: Angles, count: int) -> Angles | 
 
 
 def _apart_rad(azimuth: Angles, elevation: Angles) -> float:
-    """Return the median angle from a point to its nearest neighbour; 0 of fewer than two points."""
+    """Return the median angle from a point to its nearest neighbour; 0 of fewer than two places."""
     if azimuth.size < 2:
         return 0.0
-    few = slice(None, None, azimuth.size // _NEIGHBOURS + 1)
-    across = (azimuth[few, None] - azimuth) * np.cos(elevation[few, None])
-    apart = np.hypot(across, elevation[few, None] - elevation)
-    apart[apart < 1e-6] = np.inf
-    return float(np.median(apart.min(axis=1)))
+    places = np.unique(np.stack((azimuth * np.cos(elevation), elevation), axis=1).round(6), axis=0)
+    if len(places) < 2:
+        return 0.0
+    few = places[:: len(places) // _NEIGHBOURS + 1]
+    apart, _ = KDTree(places).query(few, k=2)
+    return float(np.median(np.asarray(apart)[:, 1]))
 
 
 def _gathered(angles: Angles, apart_rad: float, most_rad: float) -> Angles | None:
@@ -177,6 +210,8 @@ def _gathered(angles: Angles, apart_rad: float, most_rad: float) -> Angles | Non
     if angles.size < _LEAST_LINES or not apart_rad:
         return None
     ordered = np.sort(angles)
+    if ordered[-1] - ordered[0] > _MOST_LINES * apart_rad:
+        return None
     steps = np.diff(ordered)
     between = steps > apart_rad / _GATHERED
     groups = np.split(ordered, np.flatnonzero(between) + 1)
@@ -196,7 +231,6 @@ def _gathered(angles: Angles, apart_rad: float, most_rad: float) -> Angles | Non
         lines = np.arange(ordered[0], ordered[-1] + step, step)
     if lines.size > _MOST_LINES:
         return None
-    step = float(np.median(np.diff(lines)))
     more = min(max(_MARGIN, lines.size), (_MOST_LINES - lines.size) // 2)
     beyond = np.arange(1, more + 1) * step
     lines = np.concatenate((lines[0] - beyond[::-1], lines, lines[-1] + beyond))

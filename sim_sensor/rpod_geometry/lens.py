@@ -53,9 +53,10 @@ def ray_cosines(camera: Camera) -> FloatArray:
     Raises:
         DistortionError: the distortion folds the image over itself.
     """
-    column, row = np.arange(camera.width), np.arange(camera.height)
+    column, row = (np.arange(size, dtype=np.float64) for size in (camera.width, camera.height))
     x, y = np.meshgrid((column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy)
-    u, v = undistort(np.stack((x, y)), camera)
+    distorted: FloatArray = np.stack((x, y))
+    u, v = undistort(distorted, camera)
     cosines: FloatArray = 1.0 / np.sqrt(1.0 + u * u + v * v)
     return cosines
 

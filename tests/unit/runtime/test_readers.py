@@ -123,3 +123,20 @@ def test_points_with_x_forward_are_turned_to_the_boresight():
     np.testing.assert_allclose(scan.time_s, [-0.05, 0.05])
     mount = source.boresight_mount(SourceConfig().boresight_mount(FORWARD))
     np.testing.assert_allclose(mount.apply([-1.0, -2.0, 5.0]), FORWARD.apply([5.0, 1.0, 2.0]))
+
+
+def test_of_a_turning_head_only_what_lies_ahead_is_used():
+    azimuth, elevation = np.meshgrid(
+        np.radians(np.arange(180.0, -180.0, -5.0)), np.radians(np.arange(20, -21, -5))
+    )
+    rays = np.stack((np.cos(azimuth), np.sin(azimuth), np.tan(elevation)), axis=-1)
+    room = (8.0 * rays).astype(np.float32)
+    cloud = write_points(1, "os_lidar", {name: room[..., n].copy() for n, name in enumerate("xyz")})
+    reader = LidarReader(SourceConfig(axes="forward"))
+    scan = reader.read(Assembled(1, {"points": received(POINTS.of("lidar"), cloud)}))
+    assert (
+        scan.points_m.shape == (reader.said.elevation_rad.size, reader.said.azimuth_rad.size, 3) == (9, 33, 3)
+    )
+    assert (scan.points_m[..., 2] > 0.0).all()
+    seen = np.arctan2(scan.points_m[4, :, 0], scan.points_m[4, :, 2])
+    np.testing.assert_allclose(reader.said.azimuth_rad, seen, atol=1e-3)

@@ -88,3 +88,26 @@ def test_a_scan_that_never_repeats_gets_lines_as_far_apart_as_its_points():
     for lines in (pattern.azimuth_rad, pattern.elevation_rad):
         assert 0.3 * apart < np.median(np.diff(lines)) < 1.5 * apart
     assert inferred(points[:2]) is None
+
+
+def test_points_that_no_scanner_sends_are_no_end():
+    rng, plate = np.random.default_rng(5), scan()
+    strange = {
+        "no points": np.zeros((0, 3)),
+        "infinite": np.full((41, 41, 3), np.inf),
+        "huge": rng.choice((-3e38, 3e38), (41, 41, 3)),
+        "zero": np.zeros((41, 41, 3)),
+        "tiny": np.full((41, 41, 3), 1e-30),
+        "one place": np.tile((0.0, 0.0, 20.0), (50, 1)),
+        "a column": np.column_stack((np.zeros(60), np.linspace(-5.0, 5.0, 60), np.full(60, 20.0))),
+        "without order": rng.normal(0.0, 9.0, (41, 41, 3)),
+        "behind": -plate,
+        "two rows": plate[15:17],
+    }
+    for name, points in strange.items():
+        grid = GridInference()
+        for cloud in (points, points.reshape(-1, 3)):
+            grid.add(cloud.astype(np.float32), 0.0)
+            if cloud.ndim == 3:
+                rows_are_elevation(cloud.astype(np.float32))
+        assert grid.pattern is None or np.isfinite(grid.pattern.azimuth_rad).all(), name

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from synthetic_log import EPOCH_NS, SyntheticRun
 
-from rpod_analysis import AnalysisError, open_log, pmd_frames, read_run
+from rpod_analysis import AnalysisError, find_sensors, open_log, pmd_frames, read_run
 from rpod_analysis.recovery import recover
 from rpod_schemas.cdr import definition, typestore
 from rpod_schemas.logs import MESSAGE_ENCODING, SCHEMA_ENCODING
@@ -49,6 +49,38 @@ def test_a_log_that_rosbag2_wrote_is_read_and_scored_like_ours(bag, ours):
         np.testing.assert_array_equal(run.errors.position_m, reference.errors.position_m)
         assert all(count.missed == 0 for count in run.account.frames().values())
         assert (log.configuration, log.counts) == ({}, {})
+
+
+def test_a_sensor_under_its_drivers_topics_is_read_by_the_recorded_configuration(ours, tmp_path):
+    names = {
+        "pmd/depth/image_raw": "cam/depth",
+        "pmd/camera_info": "cam/info",
+        "pmd/amplitude/image_raw": "cam/ir",
+    }
+    folder, infos = tmp_path / "foreign", 0
+    with open_log(ours) as log, BagWriter(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        wanted = [frame.stamp_ns for frame in pmd_frames(log, "pmd")]
+        connections = {
+            name: writer.add_connection(f"/{new}", log.topics[name].type, typestore=typestore())
+            for name, new in names.items()
+            if name in log.topics
+        }
+        for logged in log.messages(*connections):
+            infos += logged.topic == "pmd/camera_info"
+            if logged.topic != "pmd/camera_info" or infos % 10 == 1:
+                writer.write(connections[logged.topic], logged.log_ns, logged.payload)
+    topics = dict(zip(("depth", "camera_info", "amplitude"), names.values(), strict=True))
+    source = {"topics": topics, "stamp": "start", "duration_s": 0.02}
+    entry = {"kind": "pmd", "name": "front", "source": source}
+    with open_log(folder) as log:
+        log.__dict__["configuration"] = {"estimator": {"sensors": [entry]}}
+        sensor = find_sensors(log)["front"]
+        frames = list(pmd_frames(log, "front"))
+        first_ns = next(log.messages("cam/depth", start_ns=0)).log_ns
+        later = list(pmd_frames(log, "front", start_ns=first_ns + SECOND // 4))
+    assert (sensor.kind, sensor.leading.name) == ("pmd", "cam/depth")
+    assert [frame.stamp_ns - 10_000_000 for frame in frames] == wanted
+    assert 0 < len(later) < len(frames)
 
 
 def test_types_of_others_are_decoded_by_the_definition_in_their_log(tmp_path):
