@@ -3,6 +3,7 @@
 import hashlib
 import platform
 from functools import lru_cache
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -71,11 +72,19 @@ def _all_sources(trial_module: str) -> list[tuple[str, Traversable]]:
     found = [source for package in _DECISIVE for source in _sources(files(package), package)]
     others = {top for top in providers() if top not in _DECISIVE}
     if trial_module.startswith(f"{_OURS}."):
-        package, _, name = trial_module.rpartition(".")
-        found.append((trial_module, files(package) / f"{name}.py"))
+        for module in _trials(trial_module):
+            package, _, name = module.rpartition(".")
+            found.append((module, files(package) / f"{name}.py"))
     else:
         others.add(trial_module.partition(".")[0])
     return found + [source for top in sorted(others) for source in _sources_of(top)]
+
+
+def _trials(trial_module: str) -> list[str]:
+    """Return the module of a trial, and those of other campaigns' trials from which it imports."""
+    made_in = {str(getattr(value, "__module__", "")) for value in vars(import_module(trial_module)).values()}
+    others = {name for name in made_in if name.startswith(f"{_OURS}.") and name.endswith(".trial")}
+    return sorted({trial_module, *others})
 
 
 def _sources_of(top: str) -> list[tuple[str, Traversable]]:

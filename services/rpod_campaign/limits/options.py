@@ -13,7 +13,7 @@ from rpod_schemas.config.scenario import Scenario
 class Options(EveryOptions):
     """Limits of evidence, from a population from which limits may be derived."""
 
-    title: ClassVar[str] = "Limits of evidence, from right and wrong poses of random satellites"
+    title: ClassVar[str] = "Limits from right and wrong poses"
 
     trials: Trials = 20
     sensor: Literal["lidar", "pmd"] = "lidar"
