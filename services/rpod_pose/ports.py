@@ -189,6 +189,14 @@ class Deskew(Protocol):
         ...
 
 
+class Likelihood(Protocol):
+    """Weighs poses against each other in one frame, as the search weighs its hypotheses."""
+
+    def __call__(self, frame: Any, T_sensor_target: RigidTransform, /) -> float:
+        """Return the log likelihood of a frame under a pose, up to a constant of the frame."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Methods:
     """The methods by which the target is found and tracked with one sensor."""
@@ -197,6 +205,8 @@ class Methods:
     tracker: Tracker[Any]
     deskew: Deskew | None = None
     """De-skewing, for a sensor whose frame is not measured all at once."""
+    likelihood: Likelihood | None = None
+    """Log likelihood of a frame under a pose; without it rivals are not tracked from the sensor's frames."""
 
 
 @dataclass(frozen=True, eq=False)

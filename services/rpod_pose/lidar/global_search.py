@@ -96,6 +96,11 @@ class GlobalSearch:
         belief = contradicted(f"the pose turned by {turn:.0f} deg explains the scan better")
         return Acquisition(replace(registration, belief=belief))
 
+    def log_likelihood(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> float:
+        """Return the log likelihood of a scan under a pose: ports.Likelihood."""
+        R, t = rotation_matrix(T_sensor_target), T_sensor_target.translation
+        return self._tracker.model.fit(self._seen(measurement), R, t).log_likelihood
+
     def _found(self, measurement: LidarScan, around: FloatArray | None) -> Acquisition:
         tuning, whole = self._tuning, self._seen(measurement)
         if whole.returns < tuning.min_points:

@@ -23,7 +23,7 @@ from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import RayGrid
 from rpod_pose.belief import undetermined
 from rpod_pose.pmd.camera_check import difference
-from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
+from rpod_pose.ports import Acquirer, Acquisition, Likelihood, Outcome, Registration, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.depth_calibration import DepthCalibration, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
@@ -169,6 +169,15 @@ class PreparedAcquirer:
         if why := self._preparation.refusal(measurement):
             return _refused(why)
         return self._acquirer.near(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
+
+
+def prepared_likelihood(likelihood: Likelihood, preparation: DepthPreparation) -> Likelihood:
+    """Return the log likelihood of a frame behind the preparation; the pose determines the multiple."""
+
+    def prepared(frame: PmdFrame, T_sensor_target: RigidTransform, /) -> float:
+        return likelihood(preparation.predicted(frame, T_sensor_target), T_sensor_target)
+
+    return prepared
 
 
 def corrections(calibration: DepthCalibration | None) -> Float32Array:

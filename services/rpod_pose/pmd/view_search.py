@@ -34,7 +34,7 @@ from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
-from rpod_schemas.poses import pose_of
+from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
@@ -79,6 +79,19 @@ class ViewSearch:
     def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the best pose among the attitudes within ``near_deg`` of a given one, at any position."""
         return self._found(measurement, T_sensor_target.rotation.as_matrix())
+
+    def log_likelihood(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> float:
+        """Return the log likelihood of a frame under a pose, up to a constant: ports.Likelihood.
+
+        It is 0 where the frame shows too little. The materials are those of the target file.
+        """
+        tuning = self._tuning
+        scene = scene_of(measurement, tuning.scene, radius_m=self._model.target.radius_m)
+        if isinstance(scene, str):
+            return 0.0
+        fitter = PmdFitter(tuning.model, self._model.shown, scene)
+        fit = fitter.fit(rotation_matrix(T_sensor_target), T_sensor_target.translation)
+        return -fit.loss * tuning.independent_pixels / max(int(np.count_nonzero(scene.lit)), 1)
 
     def _found(self, measurement: PmdFrame, around: FloatArray | None) -> Acquisition:
         tuning = self._tuning
