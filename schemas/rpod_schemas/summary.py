@@ -154,8 +154,15 @@ class LogCompleteness(Config):
 
 
 class Tracking(Config):
-    """Shares of the frames in TRACKING, and of the wrong ones among them."""
+    """Shares of time and frames in TRACKING, and of the wrong frames among them.
 
+    Time runs from the estimator's first status to its last; a mode lasts until the next status.
+    """
+
+    tracked_time_share: KnownShare = None
+    """Share of the time in TRACKING."""
+    longest_untracked_s: Known = None
+    """Longest time without a track, s, before the first one and at the end too."""
     first_tracking_s: Known
     """Time from the first stamp of the run to the first frame in TRACKING, s."""
     tracking_share: KnownShare

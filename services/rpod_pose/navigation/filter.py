@@ -71,9 +71,6 @@ class Update(NamedTuple):
     nis: float
     """Normalised innovation squared; NaN if the measurement is not finite."""
     accepted: bool
-    log_evidence: float = 0.0
-    """Logarithm of the density of the measured pose under the prediction, over that at its own covariance's
-    peak; 0 if the measurement was rejected."""
 
 
 def start(
@@ -190,8 +187,7 @@ def update(
     keep[:, POSE] -= gain
     joseph = keep @ state.covariance @ keep.T + gain @ noise @ gain.T
     corrected = replace(_corrected(state, correction), covariance=_symmetric(reset @ joseph @ reset.T))
-    volumes = float(np.linalg.slogdet(noise)[1] - np.linalg.slogdet(S)[1])
-    return Update(_unturned(corrected, config), nis, accepted=True, log_evidence=0.5 * (volumes - nis))
+    return Update(_unturned(corrected, config), nis, accepted=True)
 
 
 def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Odometry:

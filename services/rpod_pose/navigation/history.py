@@ -33,8 +33,6 @@ class Applied(NamedTuple):
     nis: float
     """Normalised innovation squared at the measurement's stamp; NaN if it came too late."""
     accepted: bool
-    log_evidence: float = 0.0
-    """``Update.log_evidence``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +100,7 @@ def apply(
         predicted = predict(steps[-1].outcome.state, later.measurement.stamp_ns, config)
         steps.append(_applied(later.measurement, predicted, config))
     own = steps[place].outcome
-    grown = History(history.origin, tuple(steps)).pruned(config)
-    return Applied(grown, own.nis, own.accepted, own.log_evidence)
+    return Applied(History(history.origin, tuple(steps)).pruned(config), own.nis, own.accepted)
 
 
 def _applied(measurement: PoseMeasurement, predicted: FilterState, config: FilterConfig) -> _Step:

@@ -206,7 +206,7 @@ class Navigator:
             )
             if not applied.accepted:
                 continue
-            evidence = rival.log_evidence + applied.log_evidence
+            evidence = rival.log_evidence
             if methods.likelihood is not None:
                 evidence += share * methods.likelihood(data, registration.T_sensor_target)
             left.append((Rival(applied.history, evidence), registration))
@@ -268,7 +268,7 @@ class Navigator:
             return self._reject(state, event, registration, reason=reason)
         pose, covariance = in_chaser(registration, event.T_chaser_sensor)
         measured = PoseMeasurement(event.stamp_ns, pose, covariance)
-        grown, nis, accepted, _ = apply(history, measured, self._settings.filter, predicted)
+        grown, nis, accepted = apply(history, measured, self._settings.filter, predicted)
         if not accepted:
             state = replace(
                 state, history=grown

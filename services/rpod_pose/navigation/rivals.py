@@ -1,15 +1,12 @@
 """Rivals of an ambiguous first pose: tracked in parallel until one remains.
 
-Each rival has a filter of its own. A frame changes the logarithm of its evidence, the probability of all
-measurements if this rival is right, by two terms:
+Each rival has a filter of its own. A frame adds to the logarithm of its evidence: the log likelihood of the
+frame at the pose that the tracker found, by the sensor's own model, the one by which its search weighs
+hypotheses. Errors of successive frames are correlated, so it counts as little as the filter counts the frame,
+and no more than once in ``CORRELATED_S``.
 
-- the log likelihood of the frame at the pose that the tracker found, by the sensor's own model: the one by
-  which its search weighs hypotheses. Errors of successive frames are correlated, so it counts as little as
-  the filter counts the frame, and no more than once in ``CORRELATED_S``;
-- the agreement of this pose with the filter's prediction (``Update.log_evidence``).
-
-Only differences matter. A rival that a frame contradicts while another one explains it is excluded. Attitudes
-that no measurement tells apart are one rival.
+Only differences matter. A rival is excluded when a frame that another one explains contradicts it, or when
+the filter's gate rejects its motion. Attitudes that no measurement tells apart are one rival.
 """
 
 from collections.abc import Sequence
