@@ -189,11 +189,11 @@ class Deskew(Protocol):
         ...
 
 
-class Likelihood(Protocol):
+class Likelihoods(Protocol):
     """Weighs poses against each other in one frame, as the search weighs its hypotheses."""
 
-    def __call__(self, frame: Any, T_sensor_target: RigidTransform, /) -> float:
-        """Return the log likelihood of a frame under a pose, up to a constant of the frame."""
+    def __call__(self, frame: Any, poses: Sequence[RigidTransform], /) -> FloatArray:
+        """Return the log likelihoods of a frame under poses T_sensor_target, shape (N,), up to a constant."""
         ...
 
 
@@ -205,8 +205,8 @@ class Methods:
     tracker: Tracker[Any]
     deskew: Deskew | None = None
     """De-skewing, for a sensor whose frame is not measured all at once."""
-    likelihood: Likelihood | None = None
-    """Log likelihood of a frame under a pose; without it rivals are not tracked from the sensor's frames."""
+    likelihoods: Likelihoods | None = None
+    """Log likelihoods of poses; without them no rivals are tracked from the sensor's frames."""
 
 
 @dataclass(frozen=True, eq=False)

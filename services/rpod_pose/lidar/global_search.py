@@ -14,6 +14,7 @@ The belief in the pose needs no other pose for comparison: it compares the scan'
 likelihood that the pose itself expects. The weights of the hypotheses are their likelihoods.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import log, sqrt
 
@@ -96,10 +97,11 @@ class GlobalSearch:
         belief = contradicted(f"the pose turned by {turn:.0f} deg explains the scan better")
         return Acquisition(replace(registration, belief=belief))
 
-    def log_likelihood(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> float:
-        """Return the log likelihood of a scan under a pose: ports.Likelihood."""
-        R, t = rotation_matrix(T_sensor_target), T_sensor_target.translation
-        return self._tracker.model.fit(self._seen(measurement), R, t).log_likelihood
+    def log_likelihoods(self, measurement: LidarScan, poses: Sequence[RigidTransform]) -> FloatArray:
+        """Return the log likelihoods of a scan under poses, shape (N,): ports.Likelihoods."""
+        seen, model = self._seen(measurement), self._tracker.model
+        fits = (model.fit(seen, rotation_matrix(pose), pose.translation) for pose in poses)
+        return np.array([fit.log_likelihood for fit in fits])
 
     def _found(self, measurement: LidarScan, around: FloatArray | None) -> Acquisition:
         tuning, whole = self._tuning, self._seen(measurement)

@@ -10,7 +10,7 @@ LOST       --accepted near the prediction, or found-->      VERIFYING
 of a log and a Monte-Carlo campaign run the same function.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import radians
@@ -118,7 +118,7 @@ class Navigator:
         found = self._methods[event.sensor].acquirer.acquire(event.data)
         if found.begins_track:
             return self._begin(state, event, found.registration)
-        if self._methods[event.sensor].likelihood is not None:
+        if self._methods[event.sensor].likelihoods is not None:
             tracks = distinct(self._started(event, found), self._alike)
             if 1 < len(tracks) <= self._limits.tuning.most_rivals:
                 rivals = Rivals(tracks, event.stamp_ns, event.stamp_ns, found.belief.needed_weight)
@@ -188,29 +188,28 @@ class Navigator:
     def _tracked(self, rivals: Rivals, event: Measurement) -> list[tuple[Rival, Registration]]:
         """Return the rivals that explain a frame, each with its registration."""
         methods, config = self._methods[event.sensor], self._settings.filter
-        share = rivals.share_of_frame(event.stamp_ns, config.correlation_inflation)
-        left = []
+        left, frames, poses = [], [], []
         for rival in rivals.tracks:
             predicted = rival.history.at(event.stamp_ns, config)
             if predicted is None:
                 continue
-            data = as_of_stamp(event, predicted, methods.deskew)
-            registration = methods.tracker.track(
-                data, chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
-            )
+            frame = as_of_stamp(event, predicted, methods.deskew)
+            prediction = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
+            registration = methods.tracker.track(frame, prediction)
             if registration.T_sensor_target is None or not registration.continues_track:
                 continue
-            pose, covariance = in_chaser(registration, event.T_chaser_sensor)
-            applied = apply(
-                rival.history, PoseMeasurement(event.stamp_ns, pose, covariance), config, predicted
-            )
-            if not applied.accepted:
-                continue
-            evidence = rival.log_evidence
-            if methods.likelihood is not None:
-                evidence += share * methods.likelihood(data, registration.T_sensor_target)
-            left.append((Rival(applied.history, evidence), registration))
-        return left
+            measured = PoseMeasurement(event.stamp_ns, *in_chaser(registration, event.T_chaser_sensor))
+            applied = apply(rival.history, measured, config, predicted)
+            if applied.accepted:
+                left.append((replace(rival, history=applied.history), registration))
+                frames.append(frame)
+                poses.append(registration.T_sensor_target)
+        share = rivals.share_of_frame(event.stamp_ns, config.correlation_inflation)
+        logs = share * _likelihoods(methods, frames, poses)
+        return [
+            (replace(rival, log_evidence=rival.log_evidence + log), registration)
+            for (rival, registration), log in zip(left, logs.tolist(), strict=True)
+        ]
 
     def _searched_again(self, rivals: Rivals, event: Measurement) -> list[Rival]:
         """Return what a search finds in the frame that decides; empty if it finds nothing.
@@ -443,6 +442,18 @@ def as_of_stamp(measurement: Measurement, predicted: FilterState, deskew: Deskew
         rate_rad_s=R_sensor_chaser @ predicted.rate_rad_s,
     )
     return deskewed
+
+
+def _likelihoods(
+    methods: Methods, frames: Sequence[SensorFrame], poses: Sequence[RigidTransform]
+) -> FloatArray:
+    """Return the log likelihoods of poses, shape (N,), each in its own de-skewed frame; 0 if unknown."""
+    likelihoods = methods.likelihoods
+    if likelihoods is None or not frames:
+        return np.zeros(len(poses))
+    if methods.deskew is None:  # all frames are the same
+        return likelihoods(frames[0], poses)
+    return np.array([likelihoods(frame, [pose])[0] for frame, pose in zip(frames, poses, strict=True)])
 
 
 def in_chaser(

@@ -11,7 +11,7 @@ multiples at which the image has a possible size of the target are tried, neares
 scales the target by half or more, which no pose explains.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -23,7 +23,7 @@ from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import RayGrid
 from rpod_pose.belief import undetermined
 from rpod_pose.pmd.camera_check import difference
-from rpod_pose.ports import Acquirer, Acquisition, Likelihood, Outcome, Registration, Tracker
+from rpod_pose.ports import Acquirer, Acquisition, Likelihoods, Outcome, Registration, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.depth_calibration import DepthCalibration, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
@@ -171,11 +171,11 @@ class PreparedAcquirer:
         return self._acquirer.near(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
 
 
-def prepared_likelihood(likelihood: Likelihood, preparation: DepthPreparation) -> Likelihood:
-    """Return the log likelihood of a frame behind the preparation; the pose determines the multiple."""
+def prepared_likelihoods(likelihoods: Likelihoods, preparation: DepthPreparation) -> Likelihoods:
+    """Return log likelihoods of frames behind the preparation; the first pose determines the multiple."""
 
-    def prepared(frame: PmdFrame, T_sensor_target: RigidTransform, /) -> float:
-        return likelihood(preparation.predicted(frame, T_sensor_target), T_sensor_target)
+    def prepared(frame: PmdFrame, poses: Sequence[RigidTransform], /) -> FloatArray:
+        return likelihoods(preparation.predicted(frame, poses[0]), poses)
 
     return prepared
 

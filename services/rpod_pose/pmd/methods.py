@@ -12,7 +12,7 @@ from rpod_pose.pmd.depth_preparation import (
     DepthPreparation,
     PreparedAcquirer,
     PreparedTracker,
-    prepared_likelihood,
+    prepared_likelihoods,
 )
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.tracker import JointTracker
@@ -91,7 +91,7 @@ def make(task: Task) -> Methods:
     return Methods(
         PreparedAcquirer(acquirer, preparation),
         PreparedTracker(tracker, preparation),
-        likelihood=prepared_likelihood(acquirer.log_likelihood, preparation)
+        likelihoods=prepared_likelihoods(acquirer.log_likelihoods, preparation)
         if isinstance(acquirer, ViewSearch)
         else None,
     )

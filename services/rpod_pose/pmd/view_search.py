@@ -20,6 +20,7 @@ must distinguish poses: the best is accepted only if all others are much worse; 
 ambiguous.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,18 +81,18 @@ class ViewSearch:
         """Return the best pose among the attitudes within ``near_deg`` of a given one, at any position."""
         return self._found(measurement, T_sensor_target.rotation.as_matrix())
 
-    def log_likelihood(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> float:
-        """Return the log likelihood of a frame under a pose, up to a constant: ports.Likelihood.
+    def log_likelihoods(self, measurement: PmdFrame, poses: Sequence[RigidTransform]) -> FloatArray:
+        """Return the log likelihoods of a frame under poses, shape (N,), up to a constant: ports.Likelihoods.
 
-        It is 0 where the frame shows too little. The materials are those of the target file.
+        They are 0 where the frame shows too little. The materials are those of the target file.
         """
         tuning = self._tuning
         scene = scene_of(measurement, tuning.scene, radius_m=self._model.target.radius_m)
         if isinstance(scene, str):
-            return 0.0
+            return np.zeros(len(poses))
         fitter = PmdFitter(tuning.model, self._model.shown, scene)
-        fit = fitter.fit(rotation_matrix(T_sensor_target), T_sensor_target.translation)
-        return -fit.loss * tuning.independent_pixels / max(int(np.count_nonzero(scene.lit)), 1)
+        losses = [fitter.fit(rotation_matrix(pose), pose.translation).loss for pose in poses]
+        return -np.array(losses) * tuning.independent_pixels / max(int(np.count_nonzero(scene.lit)), 1)
 
     def _found(self, measurement: PmdFrame, around: FloatArray | None) -> Acquisition:
         tuning = self._tuning

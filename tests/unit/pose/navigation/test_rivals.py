@@ -51,7 +51,7 @@ class Scene:
     def __post_init__(self) -> None:
         self.navigator = Navigator(
             EstimatorSettings(sensors=(PmdInput(),)),
-            {"pmd": Methods(self, self, likelihood=self.likelihood)},
+            {"pmd": Methods(self, self, likelihoods=self.likelihoods)},
             centre_of_mass_m=np.zeros(3),
             alike=self.alike,
         )
@@ -73,8 +73,8 @@ class Scene:
         belief = contradicted("another frame's") if refused else Belief()
         return Registration(Source.PMD_JOINT, predicted, belief, covariance=COVARIANCE)
 
-    def likelihood(self, view: View, pose: RigidTransform) -> float:
-        return -view.per_turn * angle_deg(pose) / 180.0
+    def likelihoods(self, view: View, poses: list[RigidTransform]) -> np.ndarray:
+        return -view.per_turn * np.array([angle_deg(pose) for pose in poses]) / 180.0
 
     def see(self, time_s: float, **shown: object):
         view = View(round(time_s * SECOND_NS), **shown)
