@@ -103,7 +103,7 @@ class Rivals(NamedTuple):
         angles = ", ".join(f"{angle:.0f}" for angle in self.turned_deg(alike))
         others = f", turned by {angles} deg from the best" if angles else ""
         return (
-            f"{len(self.tracks)} rivals are tracked in parallel{others}: "
+            f"{len(self.tracks)} rival{'s are' if others else ' is'} tracked in parallel{others}: "
             f"the best has weight {self.weights[0]:.3f}, {self.needed:g} needed"
         )
 
