@@ -127,9 +127,10 @@ class Consistency(Config):
     nees_mean: NonNegative
     """Mean normalised estimation error squared; its degrees of freedom if the covariance is right."""
     nees_dof: int = 6
-    """Degrees of freedom: 6, or 5 if the target has a free axis."""
+    """Degrees of freedom: 6, 5 if the target has a free axis, or 3 if it is a sphere."""
     nees_share_in_95: Share
-    """Share at or below the 95 % quantile of chi-squared: 12.59, with five degrees of freedom 11.07."""
+    """Share at or below the 95 % quantile of chi-squared: 12.59, or 11.07 and 7.81 with 5 and 3 degrees of
+    freedom."""
 
 
 class Innovation(Config):
@@ -138,9 +139,9 @@ class Innovation(Config):
     nis_mean: NonNegative
     """Mean normalised innovation squared; its degrees of freedom if the covariances are right."""
     nis_dof: int = 6
-    """Degrees of freedom: 6, or 5 if the target has a free axis."""
+    """Degrees of freedom, as for the NEES."""
     nis_share_in_95: Share
-    """Share at or below the 95 % quantile of chi-squared: 12.59, with five degrees of freedom 11.07."""
+    """Share at or below the 95 % quantile of chi-squared."""
 
 
 class LogCompleteness(Config):
@@ -154,8 +155,15 @@ class LogCompleteness(Config):
 
 
 class Tracking(Config):
-    """Shares of the frames in TRACKING, and of the wrong ones among them."""
+    """Shares of time and frames in TRACKING, and of the wrong frames among them.
 
+    Time runs from the estimator's first status to its last; a mode lasts until the next status.
+    """
+
+    tracked_time_share: KnownShare = None
+    """Share of the time in TRACKING."""
+    longest_untracked_s: Known = None
+    """Longest time without a track, s, before the first one and at the end too."""
     first_tracking_s: Known
     """Time from the first stamp of the run to the first frame in TRACKING, s."""
     tracking_share: KnownShare

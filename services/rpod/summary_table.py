@@ -24,7 +24,9 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
         *_target_rows(summary),
         (
             "tracking",
-            f"{_percent(modes.tracking_share)} of the frames after {_seconds(modes.first_tracking_s)}",
+            f"{_percent(modes.tracked_time_share)} of the time, longest without a track "
+            f"{_seconds(modes.longest_untracked_s)}; {_percent(modes.tracking_share)} of the frames after "
+            f"{_seconds(modes.first_tracking_s)}",
         ),
         *_error_rows(summary.error),
         *(

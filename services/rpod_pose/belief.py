@@ -65,6 +65,8 @@ class Belief:
     """Other poses that explain the measurement, likeliest first; for an accepted pose, unlikely ones."""
     marks: PixelMarks | None = None
     """Which pixels of the frame are inconsistent with the pose; None if it is not known."""
+    needed_weight: float = 1.0
+    """Weight of the best pose among its rivals, with its exact symmetries, from which on it is accepted."""
     insufficient: str = ""
     """Reason why the measurement alone cannot begin a track, although a running track may use it."""
 

@@ -189,6 +189,14 @@ class Deskew(Protocol):
         ...
 
 
+class Likelihoods(Protocol):
+    """Weighs poses against each other in one frame, as the search weighs its hypotheses."""
+
+    def __call__(self, frame: Any, poses: Sequence[RigidTransform], /) -> FloatArray:
+        """Return the log likelihoods of a frame under poses T_sensor_target, shape (N,), up to a constant."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Methods:
     """The methods by which the target is found and tracked with one sensor."""
@@ -197,6 +205,8 @@ class Methods:
     tracker: Tracker[Any]
     deskew: Deskew | None = None
     """De-skewing, for a sensor whose frame is not measured all at once."""
+    likelihoods: Likelihoods | None = None
+    """Log likelihoods of poses; without them no rivals are tracked from the sensor's frames."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,12 @@
 """Which attitudes of a target no measurement tells apart, and errors modulo these.
 
 An exact symmetry makes turned attitudes equivalent. Where every turn about an axis is a symmetry, the angle
-about this axis is free: it is a convention, nothing is known of it, and no angle about it is an error.
+about this axis is free: it is a convention, nothing is known of it, and no angle about it is an error. Two
+such axes make a sphere, whose attitude is free altogether.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import pi, sqrt
 from typing import Self
 
@@ -45,15 +46,18 @@ class Equivalence:
 
     turns: FloatArray
     """Turns in target axes, the identity first, shape (K, 3, 3); one for each direction of a free axis."""
-    free_axis: FloatArray | None = None
-    """Unit vector of the axis about which every turn is a symmetry, target axes, shape (3,)."""
+    free_axes: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    """Orthogonal unit vectors about which every turn is a symmetry, target axes, shape (F, 3): none, the axis
+    of a body of revolution, or the three axes of a sphere."""
 
     @classmethod
     def of(cls, symmetries: Sequence[Symmetry]) -> Self:
         """Return the group that the exact symmetries generate."""
         exact = [each for each in symmetries if each.exact]
         free = [each for each in exact if each.continuous or each.order >= _ROUND]
-        free_axis = np.array(free[0].axis) if free else None
+        free_axes = np.array([each.axis for each in free[:1]]).reshape(-1, 3)
+        if any(np.linalg.norm(np.cross(each.axis, free_axes[0])) > _SAME for each in free[1:]):
+            return cls(np.eye(3)[None], np.eye(3))
         steps = [
             Rotation.from_rotvec(2.0 * pi / each.order * np.array(each.axis)).as_matrix()
             for each in exact
@@ -63,16 +67,16 @@ class Equivalence:
         for turn in turns:  # the list grows
             for step in steps:
                 apart = np.array(turns) - step @ turn
-                if free_axis is not None:
-                    apart = (apart @ free_axis)[..., None]
+                if free:
+                    apart = (apart @ free_axes[0])[..., None]
                 if len(turns) < _MOST and np.abs(apart).max(axis=(1, 2)).min() > _SAME:
                     turns.append(step @ turn)
-        return cls(np.array(turns), free_axis)
+        return cls(np.array(turns), free_axes)
 
     @property
     def dof(self) -> int:
         """Number of a pose's degrees of freedom that measurements can tell."""
-        return 6 if self.free_axis is None else 5
+        return 6 - len(self.free_axes)
 
     def cosines(self, attitudes: FloatArray, others: FloatArray) -> FloatArray:
         """Return the cosines of the least angles between attitudes, modulo the equivalence, shape (P, O).
@@ -81,22 +85,28 @@ class Equivalence:
             attitudes: rotation matrices, shape (P, 3, 3).
             others: rotation matrices, shape (O, 3, 3).
         """
+        if len(self.free_axes) == 3:
+            return np.ones((len(attitudes), len(others)))
         turned, shape = attitudes[:, None] @ self.turns, (len(attitudes), len(self.turns), len(others))
-        if self.free_axis is None:
+        if not len(self.free_axes):
             cosines = 0.5 * ((turned.reshape(-1, 9) @ others.reshape(-1, 9).T) - 1.0)
         else:
-            cosines = (turned @ self.free_axis).reshape(-1, 3) @ (others @ self.free_axis).T
+            axis = self.free_axes[0]
+            cosines = (turned @ axis).reshape(-1, 3) @ (others @ axis).T
         most: FloatArray = cosines.reshape(shape).max(axis=1, initial=-1.0)
         return most
 
     def nearest(self, attitudes: Rotation, found: Rotation) -> Rotation:
         """Return, of the attitudes equivalent to given ones, those nearest to found ones; one or N each."""
+        if len(self.free_axes) == 3:
+            return found
         if len(self.turns) > 1:
             between = (found.inv() * attitudes).as_matrix()
-            if self.free_axis is None:
+            if not len(self.free_axes):
                 alike = np.einsum("...ij,kji->...k", between, self.turns)  # 1 + 2 cos of the angle
             else:
-                alike = (self.free_axis @ between) @ (self.turns @ self.free_axis).T
+                axis = self.free_axes[0]
+                alike = (axis @ between) @ (self.turns @ axis).T
             attitudes = attitudes * Rotation.from_matrix(self.turns[alike.argmax(axis=-1)])
         return self._turned_onto(attitudes, found)
 
@@ -107,23 +117,24 @@ class Equivalence:
 
     def _turned_onto(self, attitudes: Rotation, found: Rotation) -> Rotation:
         """Return attitudes, turned about the free axis alone to be nearest to found ones; one or N each."""
-        if self.free_axis is None:
+        if not len(self.free_axes):
             return attitudes
+        (axis,) = self.free_axes
         off = (found.inv() * attitudes).as_quat()
-        twist_rad = 2.0 * np.arctan2(off[..., :3] @ self.free_axis, off[..., 3])
-        return attitudes * Rotation.from_rotvec(-twist_rad[..., None] * self.free_axis)
+        twist_rad = 2.0 * np.arctan2(off[..., :3] @ axis, off[..., 3])
+        return attitudes * Rotation.from_rotvec(-twist_rad[..., None] * axis)
 
     def with_free_variance(self, covariance: FloatArray, R: FloatArray, variance: float) -> FloatArray:
-        """Return covariances of (dp, dtheta) with a variance about the free axis, uncorrelated with the rest.
+        """Return covariances of (dp, dtheta) with a variance about the free axes, uncorrelated with the rest.
 
         Args:
             covariance: covariances in fixed axes (ICD section 1), shape (..., 6, 6).
             R: rotation matrices of the target in these axes, shape (..., 3, 3).
-            variance: variance of the angle about the free axis, rad2.
+            variance: variance of the angle about a free axis, rad2.
         """
-        if self.free_axis is None:
+        if not len(self.free_axes):
             return covariance
-        return with_variance_about(covariance, R @ self.free_axis, variance, first=3)
+        return with_variance_about(covariance, self.free_axes @ np.swapaxes(R, -1, -2), variance, first=3)
 
 
 NO_SYMMETRY = Equivalence(np.eye(3)[None])
@@ -131,19 +142,19 @@ NO_SYMMETRY = Equivalence(np.eye(3)[None])
 
 
 def with_variance_about(
-    covariance: FloatArray, axis: FloatArray, variance: float, *, first: int
+    covariance: FloatArray, axes: FloatArray, variance: float, *, first: int
 ) -> FloatArray:
-    """Return covariances with a variance along one direction, uncorrelated with the rest.
+    """Return covariances with a variance along some directions, uncorrelated with the rest.
 
     Args:
         covariance: shape (..., N, N).
-        axis: unit vectors, shape (..., 3).
+        axes: orthogonal unit vectors, shape (..., F, 3).
         variance: variance along them.
         first: index of the first of the three components to which the vectors refer.
     """
-    along = np.zeros(covariance.shape[:-1])
-    along[..., first : first + 3] = axis
-    outer = along[..., :, None] * along[..., None, :]
+    along = np.zeros((*axes.shape[:-1], covariance.shape[-1]))
+    along[..., first : first + 3] = axes
+    outer = np.swapaxes(along, -1, -2) @ along
     across = np.eye(covariance.shape[-1]) - outer
     changed: FloatArray = across @ covariance @ across + variance * outer
     return changed

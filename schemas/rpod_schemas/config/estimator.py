@@ -113,6 +113,19 @@ class NavigatorTuning(Tuning):
     ] = 0.25
     """Largest share of a sensor's recent frames, about 90, that may not support the tracked pose. Above it
     the track is LOST at once. A hypothesis becomes a track below half of this share."""
+    most_rivals: Annotated[
+        Annotated[int, Field(ge=1)],
+        Provenance(
+            "physics", "attitudes of a hexagonal prism; so many tracked frames take less than a search"
+        ),
+    ] = 12
+    """Largest number of rivals of an ambiguous first pose that are tracked in parallel; with more, the next
+    frame is searched anew. A hexagonal prism looks alike from twelve attitudes, a box from four."""
+    rivals_s: Annotated[
+        Positive, Provenance("numerics", "a later new search against more evidence: 15 independent frames")
+    ] = 15.0
+    """Time after which rivals of which none is believed are given up for a new search, s. Errors of the model
+    that favour one of them count no longer than this."""
 
 
 class NavigatorConfig(Config):

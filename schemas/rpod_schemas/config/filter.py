@@ -41,12 +41,13 @@ class FilterConfig(Config):
     correlation_inflation: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 2.0
     """Factor on a measurement's covariance, because the errors of successive frames are correlated. Raise it
     with the sensor's rate, to 6 at 45 Hz; if it is too low, the filter is overconfident."""
-    initial_velocity_sigma_m_s: Positive = 0.3
-    """Standard deviation of the velocity of each axis, m/s, when a filter starts without one. Raise it for
-    targets that drift faster, whose second measurement would otherwise be rejected."""
+    initial_velocity_sigma_m_s: Positive = 1.0
+    """Standard deviation of the velocity of each axis, m/s, when a filter starts without one. Set it to a
+    third of the largest speed of the target relative to the chaser that the mission allows: at more, the
+    second measurement is rejected. The default covers 3 m/s."""
     initial_rate_sigma_deg_s: Positive = 6.0
-    """Standard deviation of the rotation rate of each axis, deg/s, when a filter starts without one. Raise it
-    for targets that tumble faster, whose second measurement would otherwise be rejected."""
+    """Standard deviation of the rotation rate of each axis, deg/s, when a filter starts without one. Set it
+    to a third of the largest tumbling rate that the mission allows. The default covers 18 deg/s."""
     max_delay_s: NonNegative = 1.0
     """Largest delay of a measurement behind the newest one, s, at which it is still applied, at its own
     stamp. Raise it for a slow sensor beside a fast one; memory and computation grow with it."""

@@ -47,6 +47,8 @@ class ComparedRow:
 ROWS = (
     ComparedRow("duration", "s", "duration_s", ".1f", better=0),
     ComparedRow("first tracking", "s", "modes.first_tracking_s", ".2f"),
+    ComparedRow("time in tracking", "%", "modes.tracked_time_share", ".2f", 1e2, better=1),
+    ComparedRow("longest time without a track", "s", "modes.longest_untracked_s", ".2f"),
     ComparedRow("frames in tracking", "%", "modes.tracking_share", ".2f", 1e2, better=1),
     ComparedRow("time lost", "s", "estimates.lost_s", ".2f"),
     ComparedRow("attitude error, rms", "°", "error.attitude_deg.rms"),

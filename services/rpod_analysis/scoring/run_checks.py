@@ -44,13 +44,14 @@ def assess(checks: list[Check]) -> str:
 
 def headline(summary: Summary, totals: RunTotals) -> str:
     """Return the most important facts in one line: acquisition, losses, worst errors, completeness."""
-    facts = []
-    if summary.modes.first_tracking_s is None:
+    facts, modes = [], summary.modes
+    if modes.first_tracking_s is None:
         facts.append("Never acquired")
     else:
-        lost_s = summary.estimates.lost_s
-        facts.append(f"Acquired after {summary.modes.first_tracking_s:.2f} s")
-        facts.append(f"lost for {lost_s:.3g} s" if lost_s else "never lost")
+        facts.append(f"Acquired after {modes.first_tracking_s:.2f} s")
+        if modes.tracked_time_share is not None:
+            facts.append(f"tracked {_percent(modes.tracked_time_share)} of the time")
+            facts.append(f"at most {modes.longest_untracked_s or 0.0:.3g} s without a track")
     if totals.worst_deg and totals.worst_m:
         facts.append(
             f"worst errors {totals.worst_deg.value:.2f}° (at {totals.worst_deg.time_s:.1f} s) "

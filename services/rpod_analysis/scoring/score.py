@@ -18,8 +18,8 @@ BoolArray = NDArray[np.bool_]
 
 MAX_TRUTH_GAP_NS = 8_000_000
 """Largest gap between two neighbours in the truth; estimates in a longer gap are not scored."""
-NEES_95 = {6: 12.59, 5: 11.07}
-"""95 % quantile of chi-squared, by its degrees of freedom: six, or five of a target with a free axis."""
+NEES_95 = {6: 12.59, 5: 11.07, 3: 7.81}
+"""95 % quantile of chi-squared, by its degrees of freedom: six, five with a free axis, three of a sphere."""
 OFF_TARGET_RAD = math.radians(10.0)
 """Attitude error above which a tracked frame counts as off the target."""
 OFF_TARGET_M = 0.3

@@ -8,12 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rpod_analysis.scoring.frame_errors import NamedFrame, frame_errors
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.run import Run, Statuses
 from rpod_analysis.scoring.score import NEES_95, Errors, IntArray
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.summary import (
     Consistency,
     Durations,
@@ -78,6 +80,8 @@ class RunTotals:
 
     def __init__(self, frames: Mapping[str, NamedFrame] | None = None) -> None:
         self.estimates = self.accepted = self.rejected = self.unscored = 0
+        self._time_ns = self._tracked_ns = 0
+        self._gap_ns = self._longest_gap_ns = 0
         self.lost_ns = 0
         """Time in LOST or ACQUIRING after the first TRACKING, ns; a mode lasts until the next status."""
         self.latency_s, self.processing_s, self.nis = Column(), Column(), Column()
@@ -160,6 +164,7 @@ class RunTotals:
         stamp_ns = np.array([stamp for stamp, _ in earlier] + statuses.stamp_ns.tolist(), np.int64)
         mode = np.array([mode for _, mode in earlier] + statuses.mode.tolist(), np.int64)
         self._last = int(stamp_ns[-1]), int(mode[-1])
+        self._take_times(np.diff(stamp_ns), mode[:-1] == Mode.TRACKING)
         self._take_lost(run.seconds(stamp_ns)[:-1], np.diff(stamp_ns), mode[:-1])
         for index in np.flatnonzero(np.diff(mode)) + 1:
             self.change_count += 1
@@ -172,6 +177,14 @@ class RunTotals:
                         reason=str(statuses.reason[index - len(earlier)]),
                     )
                 )
+
+    def _take_times(self, held_ns: IntArray, tracking: NDArray[np.bool_]) -> None:
+        """Add the times for which modes were held, and find the longest without a track."""
+        self._time_ns += int(held_ns.sum())
+        self._tracked_ns += int(held_ns[tracking].sum())
+        for time_ns, tracked in zip(held_ns.tolist(), tracking, strict=True):
+            self._gap_ns = 0 if tracked else self._gap_ns + time_ns
+            self._longest_gap_ns = max(self._longest_gap_ns, self._gap_ns)
 
     def _take_lost(self, time_s: FloatArray, held_ns: IntArray, mode: IntArray) -> None:
         if self._first_tracking_s is not None:
@@ -202,6 +215,8 @@ class RunTotals:
     def modes(self) -> Tracking:
         """Return the shares of the modes, and the share of large errors."""
         return Tracking(
+            tracked_time_share=self._tracked_ns / self._time_ns if self._time_ns else None,
+            longest_untracked_s=self._longest_gap_ns / NANOSECONDS if self._time_ns else None,
             first_tracking_s=self._first_tracking_s,
             tracking_share=self._tracking_since / self._since if self._since else None,
             worse_than_10deg_or_0_3m_share=self._off_target / self._scored if self._scored else None,

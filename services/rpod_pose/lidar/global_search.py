@@ -14,6 +14,7 @@ The belief in the pose needs no other pose for comparison: it compares the scan'
 likelihood that the pose itself expects. The weights of the hypotheses are their likelihoods.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import log, sqrt
 
@@ -95,6 +96,12 @@ class GlobalSearch:
         registration = self._tracker.finish(whole, given.R, given.t)
         belief = contradicted(f"the pose turned by {turn:.0f} deg explains the scan better")
         return Acquisition(replace(registration, belief=belief))
+
+    def log_likelihoods(self, measurement: LidarScan, poses: Sequence[RigidTransform]) -> FloatArray:
+        """Return the log likelihoods of a scan under poses, shape (N,): ports.Likelihoods."""
+        seen, model = self._seen(measurement), self._tracker.model
+        fits = (model.fit(seen, rotation_matrix(pose), pose.translation) for pose in poses)
+        return np.array([fit.log_likelihood for fit in fits])
 
     def _found(self, measurement: LidarScan, around: FloatArray | None) -> Acquisition:
         tuning, whole = self._tuning, self._seen(measurement)

@@ -60,7 +60,8 @@ def make(task: Task) -> Methods:
     tracker = method("lidar", sensor.tracking.kind).built(sensor.tracking, task)
     task = task.with_tracker(tracker)
     acquirer = method("lidar", sensor.acquisition.kind).built(sensor.acquisition, task)
-    return Methods(acquirer, tracker, deskewed)
+    likelihoods = acquirer.log_likelihoods if isinstance(acquirer, GlobalSearch) else None
+    return Methods(acquirer, tracker, deskewed, likelihoods)
 
 
 def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan]:

@@ -3,14 +3,20 @@
 A few steps in the target's distance field, on some of the returns, bring the pose near the solution; a few
 steps to the faces, on all returns, refine it (``scan_alignment``). Where the faces leave a motion open, the
 outline determines it (``outline``). The likelihood of the scan at the pose is the self-check (``scan_fit``).
+
+A body that is nearly one of revolution has many optima about its axis, since few rays meet the details that
+tell the turn. The likelihood is therefore evaluated at turns about such an axis. The likeliest is taken, and
+the covariance holds how far the others spread.
 """
 
 from dataclasses import replace
 from math import radians
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.special import softmax
 
+from rpod_pose.belief import worst_sigma
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, pose_covariance
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_pattern import ScanPattern
@@ -33,8 +39,17 @@ from rpod_pose.search.turns import Placed
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
 from rpod_schemas.poses import pose_of
-from rpod_schemas.types import LidarScan, Source
+from rpod_schemas.types import BeliefLevel, LidarScan, Source
 from rpod_target import Target
+
+NEARLY_ROUND = 12
+"""Least order of a near-symmetry whose axis is nearly one of revolution."""
+NEAR_TURNS_RAD = np.radians(np.linspace(-15.0, 15.0, 13))
+"""Turns about such an axis from the prediction: up to half of the step of the least order."""
+VAGUE_DEG = 3.5
+"""Largest standard deviation of a believed turn, deg; an error of 10 deg then has a probability of 0.5 %."""
+MANY = 70
+"""Number of returns from which on a scan that is as likely as at a right pose tells the turn."""
 
 
 class ProjectiveIcp:
@@ -54,6 +69,11 @@ class ProjectiveIcp:
         self._tuning = tuning
         weak = np.repeat((target.radius_m, radians(tuning.unobserved_deg)), 3)
         self._weak = np.diag(weak**-2)
+        self._near_axes = [
+            np.array(each.axis)
+            for each in target.symmetries
+            if not each.exact and (each.continuous or each.order >= NEARLY_ROUND)
+        ]
         self.view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad)
         self.surface = SurfaceModel.of(target)
         self.model = ScanModel(
@@ -72,6 +92,40 @@ class ProjectiveIcp:
         self._far = np.geomspace(widest_m, middle_m, tuning.coarse_steps)
         self._near = np.geomspace(middle_m, narrowest_m, tuning.fine_steps)
 
+    def _turned(
+        self, seen: SeenScan, problem: FaceProblem, start: PoseArrays, found: ScanRegistration
+    ) -> tuple[ScanRegistration, FloatArray]:
+        """Return a registration at its likeliest turn about the nearly round axes, and the others' spread.
+
+        The turns are ``NEAR_TURNS_RAD`` from the prediction. The spread is a covariance, sensor's axes,
+        shape (3, 3): that of the turns by their likelihoods.
+        """
+        spread = np.zeros((3, 3))
+        for axis in self._near_axes:
+            angles_rad, logs = self._turns(seen, start, found.pose, axis)
+            if logs.max() > _log_likelihood(found) + CHANCE:
+                turn = Rotation.from_rotvec(angles_rad[logs.argmax()] * axis).as_matrix()
+                begin = PoseArrays(found.pose.R @ turn, found.pose.t)
+                other = settled(problem, begin, seen.range_m, self.model.assumed, self._reach)
+                usable = bool(np.isfinite(other.information).all())
+                if usable and _log_likelihood(other) > _log_likelihood(found) + CHANCE:
+                    found = other
+                    angles_rad, logs = self._turns(seen, start, found.pose, axis)
+            along = found.pose.R @ axis
+            spread += float(softmax(logs) @ angles_rad**2) * np.outer(along, along)
+        return found, spread
+
+    def _turns(
+        self, seen: SeenScan, start: PoseArrays, pose: PoseArrays, axis: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return turns of a pose about an axis, rad, its own last, and the scan's log likelihoods, (N,)."""
+        between = Rotation.from_matrix(start.R.T @ pose.R).as_quat()
+        from_start_rad = 2.0 * np.arctan2(between[:3] @ axis, between[3])
+        angles_rad = np.append(NEAR_TURNS_RAD - from_start_rad, 0.0)
+        turns = Rotation.from_rotvec(angles_rad[:, None] * axis).as_matrix()
+        fits = (self.model.fit(seen, pose.R @ turn, pose.t) for turn in turns)
+        return angles_rad, np.array([fit.log_likelihood for fit in fits])
+
     def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the scan gives none."""
         seen = self.view.seen(measurement)
@@ -82,10 +136,15 @@ class ProjectiveIcp:
         start = PoseArrays.of(T_sensor_target)
         problem = self._problem(seen)
         found = tracked(far, problem, start, seen.range_m, self.model.assumed, self._reach)
-        usable = bool(seen.range_m.any() and np.isfinite(found.information).all())
-        if usable and not is_sure(found, seen.returns, self._reach):
+        if not (seen.range_m.any() and np.isfinite(found.information).all()):
+            return self._registration(seen, found)
+        sure = is_sure(found, seen.returns, self._reach)
+        if not sure:
             found = self._resumed(seen, problem, found)
-        return self._registration(seen, found)
+        if not self._near_axes or (sure and seen.returns >= MANY):
+            return self._registration(seen, found)
+        found, spread = self._turned(seen, problem, start, found)
+        return _uncertain_by(self._registration(seen, found), spread)
 
     def _resumed(self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration) -> ScanRegistration:
         """Return a registration from the likeliest of samples around one that may be beside the solution."""
@@ -136,6 +195,25 @@ class ProjectiveIcp:
             covariance=pose_covariance(found.information + self._weak, R),
             iterations=len(self._far) + len(self._near),
         )
+
+
+def _log_likelihood(found: ScanRegistration) -> float:
+    return found.statistics.agreement.log_likelihood
+
+
+def _uncertain_by(registration: Registration, spread: FloatArray) -> Registration:
+    """Return a registration whose attitude is at least as uncertain as its turns, covariance (3, 3)."""
+    if registration.T_sensor_target is None:
+        return registration
+    covariance = registration.covariance.copy()
+    covariance[3:, 3:] += spread
+    registration = replace(registration, covariance=covariance)
+    sigma_deg = float(np.degrees(worst_sigma(spread)))
+    if sigma_deg <= VAGUE_DEG or not registration.belief.continues_track:
+        return registration
+    reason = f"the turn about the axis is undetermined: sigma {sigma_deg:.1f} deg, limit {VAGUE_DEG:g} deg"
+    belief = replace(registration.belief, level=BeliefLevel.DOUBTFUL, reason=reason)
+    return replace(registration, belief=belief)
 
 
 def _failed(reason: str) -> Registration:

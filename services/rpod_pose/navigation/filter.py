@@ -15,6 +15,7 @@ with J_l in place of its first-order terms.
 Where every turn about an axis of the target is a symmetry, the angle about this free axis is a convention. No
 prediction and no update turns the target about it. Its variance is 0 inside the filter, and that of an
 unknown angle in the published covariance. The rate about the axis is 0, with the variance of an unknown rate.
+A sphere has three such axes: its position alone is estimated.
 """
 
 from dataclasses import dataclass, field, replace
@@ -90,12 +91,14 @@ def start(
         stamp_ns: time of the measurement.
         config: noise of the filter.
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,); by default its origin.
-            Of a target with a free axis, the part along this axis counts.
+            Of a target with a free axis, the part along this axis counts, and of a sphere none.
         alike: which attitudes of the target no measurement tells apart.
     """
     centre_m = np.zeros(3) if centre_of_mass_m is None else centre_of_mass_m
-    if alike.free_axis is not None:
-        centre_m = alike.free_axis * (alike.free_axis @ centre_m)
+    if len(alike.free_axes) == 1:
+        centre_m = alike.free_axes[0] * (alike.free_axes[0] @ centre_m)
+    elif len(alike.free_axes):
+        centre_m = np.zeros(3)
     from_centre = np.eye(12)
     from_centre[VELOCITY, RATE] = _cross_matrix(rotation_matrix(T_chaser_target) @ centre_m)
     covariance = block_diag(
@@ -240,14 +243,14 @@ def _orthonormal(R: FloatArray) -> FloatArray:
 
 
 def _unturned(state: FilterState, config: FilterConfig) -> FilterState:
-    """Return a state with no error of the angle about a free axis, and with an unknown rate about it."""
-    if state.alike.free_axis is None:
+    """Return a state with no error of the angles about free axes, and with unknown rates about them."""
+    if not len(state.alike.free_axes):
         return state
-    axis = rotation_matrix(state.T_chaser_target) @ state.alike.free_axis
+    axes = state.alike.free_axes @ rotation_matrix(state.T_chaser_target).T
     sigma_rad_s = np.deg2rad(config.initial_rate_sigma_deg_s)
-    covariance = with_variance_about(state.covariance, axis, 0.0, first=ATTITUDE.start)
-    covariance = with_variance_about(covariance, axis, sigma_rad_s**2, first=RATE.start)
-    rate_rad_s = state.rate_rad_s - axis * (axis @ state.rate_rad_s)
+    covariance = with_variance_about(state.covariance, axes, 0.0, first=ATTITUDE.start)
+    covariance = with_variance_about(covariance, axes, sigma_rad_s**2, first=RATE.start)
+    rate_rad_s = state.rate_rad_s - axes.T @ (axes @ state.rate_rad_s)
     return replace(state, rate_rad_s=rate_rad_s, covariance=covariance)
 
 

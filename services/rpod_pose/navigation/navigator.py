@@ -10,7 +10,7 @@ LOST       --accepted near the prediction, or found-->      VERIFYING
 of a log and a Monte-Carlo campaign run the same function.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import radians
@@ -23,6 +23,7 @@ from rpod_pose.belief import SYMMETRY, Record
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, start, to_odometry
 from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.rivals import Rival, Rivals, distinct
 from rpod_pose.navigation.state import GivenPose, NavigatorState, Output, RefusedPixels
 from rpod_pose.ports import Acquisition, Deskew, Methods, Registration
 from rpod_schemas.arrays import FloatArray
@@ -33,6 +34,8 @@ from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
 from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, SensorFrame, Source
 from rpod_target import NO_SYMMETRY, Equivalence
 
+LATE = "late: older than the filter's history"
+"""Reason for which a measurement is not used."""
 BEGINNING = 0.5
 """Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.05
@@ -59,7 +62,8 @@ class Navigator:
         alike: Equivalence = NO_SYMMETRY,
     ) -> None:
         self._settings = settings
-        self._alike = [make_pose(rotation=Rotation.from_matrix(turn)) for turn in alike.turns[1:]]
+        self._alike = alike
+        self._turns = [make_pose(rotation=Rotation.from_matrix(turn)) for turn in alike.turns[1:]]
         self._start_filter = partial(
             start, config=settings.filter, centre_of_mass_m=centre_of_mass_m, alike=alike
         )
@@ -96,11 +100,13 @@ class Navigator:
     def _take(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         if state.given is not None:
             state = self._start_at_given(state, event)
+        if state.rivals is not None:
+            return self._compare(state, state.rivals, event)
         if state.mode == Mode.ACQUIRING or state.history is None:
             return self._acquire(state, event)
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:
-            return state, self._output(state, event, reason="late: older than the filter's history")
+            return state, self._output(state, event, reason=LATE)
         if state.mode == Mode.LOST:
             return self._recover(state, predicted, event)
         return self._track(state, state.history, predicted, event)
@@ -112,7 +118,12 @@ class Navigator:
         found = self._methods[event.sensor].acquirer.acquire(event.data)
         if found.begins_track:
             return self._begin(state, event, found.registration)
-        return state, self._output(state, event, found.registration, reason=found.belief.reason, found=found)
+        if self._methods[event.sensor].likelihoods is not None:
+            tracks = distinct(self._started(event, found), self._alike)
+            if 1 < len(tracks) <= self._limits.tuning.most_rivals:
+                rivals = Rivals(tracks, event.stamp_ns, event.stamp_ns, found.belief.needed_weight)
+                state = replace(state, rivals=rivals)
+        return state, self._output(state, event, found.registration, reason=found.belief.refusal, found=found)
 
     def _begin(
         self, state: NavigatorState, event: Measurement, registration: Registration
@@ -126,6 +137,101 @@ class Navigator:
             accepted_ns=event.stamp_ns,
             rejections=0,
             confirmations=0,
+        )
+        return state, self._output(state, event, registration)
+
+    def _started(self, event: Measurement, found: Acquisition) -> list[Rival]:
+        """Return a rival for each pose that explains a frame; empty if none does."""
+        if found.pose is None:
+            return []
+        _, covariance = in_chaser(found.registration, event.T_chaser_sensor)
+        return [
+            Rival(
+                History(
+                    self._start_filter(chained(event.T_chaser_sensor, each.pose), covariance, event.stamp_ns)
+                ),
+                each.log_likelihood,
+            )
+            for each in found.hypotheses
+        ]
+
+    # --- rivals ---
+
+    def _compare(
+        self, state: NavigatorState, rivals: Rivals, event: Measurement
+    ) -> tuple[NavigatorState, Output]:
+        """Track each rival; begin a track if one of them remains, also beside those of a new search."""
+        if rivals.tracks[0].history.before(event.stamp_ns, self._settings.filter) is None:
+            return state, self._output(state, event, reason=LATE)
+        apart_s = (event.stamp_ns - rivals.since_ns) / NANOSECONDS
+        left = self._tracked(rivals, event)
+        if not left or apart_s > self._limits.tuning.rivals_s:
+            return self._acquire(replace(state, rivals=None), event)
+        tracks = distinct([rival for rival, _ in left], self._alike)
+        registration = next(seen for rival, seen in left if rival is tracks[0])
+        rivals = rivals._replace(
+            tracks=tracks,
+            newest_ns=max(rivals.newest_ns, event.stamp_ns),
+            frames=rivals.frames + 1,
+        )
+        if rivals.decided and registration.begins_track and self._is_confident(tracks[0].state):
+            others = self._searched_again(rivals, event)
+            rivals = rivals.joined_by(others, self._alike)
+            if others and rivals.decided:
+                return self._begin_remaining(state, rivals, event, registration)
+        if len(rivals.tracks) > self._limits.tuning.most_rivals:
+            state = replace(state, rivals=None)
+        else:
+            state = replace(state, rivals=rivals)
+        return state, self._output(state, event, registration, reason=rivals.reason(self._alike))
+
+    def _tracked(self, rivals: Rivals, event: Measurement) -> list[tuple[Rival, Registration]]:
+        """Return the rivals that explain a frame, each with its registration."""
+        methods, config = self._methods[event.sensor], self._settings.filter
+        left, frames, poses = [], [], []
+        for rival in rivals.tracks:
+            predicted = rival.history.at(event.stamp_ns, config)
+            if predicted is None:
+                continue
+            frame = as_of_stamp(event, predicted, methods.deskew)
+            prediction = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
+            registration = methods.tracker.track(frame, prediction)
+            if registration.T_sensor_target is None or not registration.continues_track:
+                continue
+            measured = PoseMeasurement(event.stamp_ns, *in_chaser(registration, event.T_chaser_sensor))
+            applied = apply(rival.history, measured, config, predicted)
+            if applied.accepted:
+                left.append((replace(rival, history=applied.history), registration))
+                frames.append(frame)
+                poses.append(registration.T_sensor_target)
+        share = rivals.share_of_frame(event.stamp_ns, config.correlation_inflation)
+        logs = share * _likelihoods(methods, frames, poses)
+        return [
+            (replace(rival, log_evidence=rival.log_evidence + log), registration)
+            for (rival, registration), log in zip(left, logs.tolist(), strict=True)
+        ]
+
+    def _searched_again(self, rivals: Rivals, event: Measurement) -> list[Rival]:
+        """Return what a search finds in the frame that decides; empty if it finds nothing.
+
+        The first search may have missed the right pose, or its track may have been lost since.
+        """
+        methods = self._methods[event.sensor]
+        data = as_of_stamp(event, rivals.tracks[0].state, methods.deskew)
+        return self._started(event, methods.acquirer.acquire(data))
+
+    def _begin_remaining(
+        self, state: NavigatorState, rivals: Rivals, event: Measurement, registration: Registration
+    ) -> tuple[NavigatorState, Output]:
+        verified = rivals.frames >= self._limits.confirmations and self._is_credible(state, event)
+        state = replace(
+            state,
+            mode=Mode.TRACKING if verified else Mode.VERIFYING,
+            rivals=None,
+            history=rivals.tracks[0].history,
+            accepted_ns=event.stamp_ns,
+            rejections=0,
+            confirmations=rivals.frames,
         )
         return state, self._output(state, event, registration)
 
@@ -286,7 +392,7 @@ class Navigator:
             ambiguous=len(hypotheses) > 1,
             hypotheses=hypotheses,
             belief=measured.belief.level,
-            evidence=dict(measured.belief.evidence),
+            evidence={**measured.belief.evidence, **(state.rivals.evidence if state.rivals else {})},
         )
         marks = measured.belief.marks if reason else None
         refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
@@ -307,11 +413,13 @@ class Navigator:
                 item.model_copy(update={"pose": event.T_chaser_sensor * item.pose})
                 for item in found.hypotheses
             )
-        if not self._alike or state.history is None:
+        if state.rivals is not None:
+            return state.rivals.hypotheses(self._alike)
+        if not self._turns or state.history is None:
             return ()
         pose = state.history.state.T_chaser_target
-        poses = (pose, *(pose * turn for turn in self._alike))
-        names = ("", *[SYMMETRY] * len(self._alike))
+        poses = (pose, *(pose * turn for turn in self._turns))
+        names = ("", *[SYMMETRY] * len(self._turns))
         return tuple(
             Hypothesis(pose=pose, weight=1.0 / len(poses), name=name, log_likelihood=0.0)
             for pose, name in zip(poses, names, strict=True)
@@ -334,6 +442,18 @@ def as_of_stamp(measurement: Measurement, predicted: FilterState, deskew: Deskew
         rate_rad_s=R_sensor_chaser @ predicted.rate_rad_s,
     )
     return deskewed
+
+
+def _likelihoods(
+    methods: Methods, frames: Sequence[SensorFrame], poses: Sequence[RigidTransform]
+) -> FloatArray:
+    """Return the log likelihoods of poses, shape (N,), each in its own de-skewed frame; 0 if unknown."""
+    likelihoods = methods.likelihoods
+    if likelihoods is None or not frames:
+        return np.zeros(len(poses))
+    if methods.deskew is None:  # all frames are the same
+        return likelihoods(frames[0], poses)
+    return np.array([likelihoods(frame, [pose])[0] for frame, pose in zip(frames, poses, strict=True)])
 
 
 def in_chaser(

@@ -7,6 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.history import History
+from rpod_pose.navigation.rivals import Rivals
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import EstimatorStatus, Mode, Odometry
 
@@ -28,6 +29,8 @@ class NavigatorState:
     history: History | None = None
     """The filter's state and its recent past."""
     given: GivenPose | None = None
+    rivals: Rivals | None = None
+    """Rivals of an ambiguous first pose while they are tracked in parallel."""
     heard_ns: int = 0
     """Newest stamp of a measurement, accepted or not."""
     accepted_ns: int = 0

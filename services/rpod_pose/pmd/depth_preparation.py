@@ -11,7 +11,7 @@ multiples at which the image has a possible size of the target are tried, neares
 scales the target by half or more, which no pose explains.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -23,7 +23,7 @@ from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import RayGrid
 from rpod_pose.belief import undetermined
 from rpod_pose.pmd.camera_check import difference
-from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
+from rpod_pose.ports import Acquirer, Acquisition, Likelihoods, Outcome, Registration, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.depth_calibration import DepthCalibration, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
@@ -169,6 +169,15 @@ class PreparedAcquirer:
         if why := self._preparation.refusal(measurement):
             return _refused(why)
         return self._acquirer.near(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
+
+
+def prepared_likelihoods(likelihoods: Likelihoods, preparation: DepthPreparation) -> Likelihoods:
+    """Return log likelihoods of frames behind the preparation; the first pose determines the multiple."""
+
+    def prepared(frame: PmdFrame, poses: Sequence[RigidTransform], /) -> FloatArray:
+        return likelihoods(preparation.predicted(frame, poses[0]), poses)
+
+    return prepared
 
 
 def corrections(calibration: DepthCalibration | None) -> Float32Array:

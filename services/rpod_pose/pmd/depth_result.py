@@ -60,7 +60,7 @@ def registration_of(
     progress: Progress, image: DepthImage, target: Target, config: ResultConfig
 ) -> Registration:
     """Return the registration with cost, covariance and self-check, or the reason why there is no pose."""
-    sums, T = progress.sums.without_turn(target.equivalence.free_axis), progress.T_sensor_target
+    sums, T = progress.sums.without_turn(target.equivalence.free_axes), progress.T_sensor_target
     reason = progress.reason
     if not reason and progress.step_m > config.unsettled_m:
         reason = f"did not converge: the last of {progress.iterations} steps was {progress.step_m:.3f} m"

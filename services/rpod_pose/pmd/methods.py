@@ -8,7 +8,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import RayGrid, cast
-from rpod_pose.pmd.depth_preparation import DepthPreparation, PreparedAcquirer, PreparedTracker
+from rpod_pose.pmd.depth_preparation import (
+    DepthPreparation,
+    PreparedAcquirer,
+    PreparedTracker,
+    prepared_likelihoods,
+)
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.pmd.paper_2018.epnp import EpnpTracker
@@ -83,7 +88,13 @@ def make(task: Task) -> Methods:
     task = task.with_tracker(tracker)
     acquirer = method("pmd", sensor.acquisition.kind).built(sensor.acquisition, task)
     preparation = DepthPreparation(sensor, task.target)
-    return Methods(PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation))
+    return Methods(
+        PreparedAcquirer(acquirer, preparation),
+        PreparedTracker(tracker, preparation),
+        likelihoods=prepared_likelihoods(acquirer.log_likelihoods, preparation)
+        if isinstance(acquirer, ViewSearch)
+        else None,
+    )
 
 
 def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) -> tuple[PmdFrame, PmdFrame]:

@@ -20,6 +20,7 @@ must distinguish poses: the best is accepted only if all others are much worse; 
 ambiguous.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,7 +35,7 @@ from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
-from rpod_schemas.poses import pose_of
+from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
@@ -79,6 +80,19 @@ class ViewSearch:
     def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the best pose among the attitudes within ``near_deg`` of a given one, at any position."""
         return self._found(measurement, T_sensor_target.rotation.as_matrix())
+
+    def log_likelihoods(self, measurement: PmdFrame, poses: Sequence[RigidTransform]) -> FloatArray:
+        """Return the log likelihoods of a frame under poses, shape (N,), up to a constant: ports.Likelihoods.
+
+        They are 0 where the frame shows too little. The materials are those of the target file.
+        """
+        tuning = self._tuning
+        scene = scene_of(measurement, tuning.scene, radius_m=self._model.target.radius_m)
+        if isinstance(scene, str):
+            return np.zeros(len(poses))
+        fitter = PmdFitter(tuning.model, self._model.shown, scene)
+        losses = [fitter.fit(rotation_matrix(pose), pose.translation).loss for pose in poses]
+        return -np.array(losses) * tuning.independent_pixels / max(int(np.count_nonzero(scene.lit)), 1)
 
     def _found(self, measurement: PmdFrame, around: FloatArray | None) -> Acquisition:
         tuning = self._tuning

@@ -86,15 +86,15 @@ class NormalEquations:
         step: FloatArray = np.linalg.solve(damped, -self.gradient).astype(np.float64, copy=False)
         return step
 
-    def without_turn(self, axis: FloatArray | None) -> Self:
-        """Return the sums with the angle about an axis through the origin known, target axes, shape (3,).
+    def without_turn(self, axes: FloatArray) -> Self:
+        """Return the sums with the angles about axes through the origin known, target axes, shape (F, 3).
 
-        About a target's free axis the residuals determine nothing, and need not.
+        About a target's free axes the residuals determine nothing, and need not.
         """
-        if axis is None:
+        if not len(axes):
             return self
         known = float(self.information[3:, 3:].trace())
-        return replace(self, information=with_variance_about(self.information, axis, known, first=3))
+        return replace(self, information=with_variance_about(self.information, axes, known, first=3))
 
     def degenerate(self, radius_m: float) -> bool:
         """Return whether any motion of a target of this radius is undetermined."""

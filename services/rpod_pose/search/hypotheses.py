@@ -53,6 +53,7 @@ def belief_with_rivals(found: tuple[Rival, ...], belief: Belief, *, least: float
         belief: belief in the best pose alone.
         least: least weight of the best pose, with its exact symmetries, to be accepted before other rivals.
     """
+    belief = replace(belief, needed_weight=least)
     logs = np.array([0.0, *(rival.log_likelihood for rival in found)])
     weights = softmax(logs)
     exact = [rival for rival in found if rival.exact]

@@ -42,9 +42,10 @@ class EdgeModel:
         ]
         segments_m, normals, spread = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         lengths_m = np.linalg.norm(segments_m[:, 1] - segments_m[:, 0], axis=1)
-        counts = [max(1, ceil(length_m / spacing_m)) for length_m in lengths_m]
+        counts = np.array([max(1, ceil(length_m / spacing_m)) for length_m in lengths_m], np.intp)
         index = np.repeat(np.arange(len(segments_m)), counts)
-        share = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])[:, None]
+        shares = [(np.arange(count) + 0.5) / count for count in counts]
+        share = np.concatenate([*shares, np.zeros(0)])[:, None]  # a sphere has no edge
         start_m, end_m = segments_m[index, 0], segments_m[index, 1]
         directions = (end_m - start_m) / lengths_m[index, None]
         places_m = (1.0 - share) * start_m + share * end_m

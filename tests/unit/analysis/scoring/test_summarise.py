@@ -56,6 +56,8 @@ def test_each_frame_is_counted_once_under_what_became_of_it(tmp_path):
     assert counts.lost_s == pytest.approx(0.4)
     assert summary.modes.first_tracking_s == pytest.approx(0.5 + 2 / 250)
     assert summary.modes.tracking_share == pytest.approx(12 / 16)
+    assert summary.modes.tracked_time_share == pytest.approx(11 / 20)
+    assert summary.modes.longest_untracked_s == pytest.approx(0.5)
 
 
 def test_estimates_in_a_gap_of_the_truth_are_unscored_and_counted(tmp_path):

@@ -16,6 +16,7 @@ from lidar_scans import (
 )
 from scipy.spatial.transform import Rotation
 
+from rpod_pose.belief import worst_sigma
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.registration.field_alignment import Points, field_aligned
@@ -23,7 +24,7 @@ from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
 from rpod_schemas.config.lidar_search import ProjectiveIcpConfig, ProjectiveIcpTuning
 from rpod_schemas.poses import make_pose, pose_of
-from rpod_schemas.types import Source
+from rpod_schemas.types import BeliefLevel, Source
 
 SLIM, MESH = "envisat-slim", "envisat-mesh"
 SCENES = [(BULKY, 20.0), (BULKY, 50.0), (SLIM, 20.0), (MESH, 30.0)]
@@ -224,3 +225,21 @@ def test_a_return_at_zero_is_none():
 def test_too_few_returns_are_told():
     few = scan_of(scan_at(random_pose(0)).returns_m[:5])
     assert tracker().track(few, random_pose(0)).belief.reason == "5 returns, 6 needed"
+
+
+def test_turns_of_a_nearly_round_body_are_found_or_called_undetermined():
+    beliefs = []
+    for seed in range(24):
+        T = random_pose(seed, 50.0 + 20.0 * (seed % 2))
+        found = tracker("upper-stage").track(scan_at(T, "upper-stage", frame=seed), off(T, 5.0, 0.3, seed))
+        if found.T_sensor_target is None:
+            continue
+        angle_deg, _ = errors(T, found.T_sensor_target)
+        sigma_deg = np.degrees(worst_sigma(found.covariance[3:, 3:]))
+        assert angle_deg < 5.0 * max(sigma_deg, 0.5), seed
+        if found.belief.level is BeliefLevel.ACCEPTED:
+            assert angle_deg < 5.0, seed
+        beliefs.append(found.belief)
+    doubtful = [belief.reason for belief in beliefs if belief.level is BeliefLevel.DOUBTFUL]
+    assert 0 < len(doubtful) < len(beliefs) / 3
+    assert all("turn about the axis is undetermined" in reason for reason in doubtful)

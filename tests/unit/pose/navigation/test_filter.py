@@ -417,6 +417,29 @@ def test_the_angle_about_a_free_axis_is_neither_measured_nor_turned(step_s: floa
     assert np.mean(nis) == pytest.approx(5.0, rel=0.15)  # the unknown rate bends the axis' path
 
 
+def test_of_a_sphere_the_position_alone_is_estimated() -> None:
+    rng = np.random.default_rng(11)
+    alike = Equivalence.of([Symmetry(axis, 24, exact=True) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
+    state = start(
+        make_pose(translation_m=[0.0, 0.0, 5.0]),
+        COVARIANCE,
+        0,
+        config=PLAIN,
+        alike=alike,
+        centre_of_mass_m=np.ones(3),
+    )
+    for frame in range(1, 11):
+        state = predict(state, frame * SECOND_NS, PLAIN)
+        seen = make_pose(rotation=Rotation.random(rng=rng), translation_m=[0.0, 0.1 * frame, 5.0])
+        state, nis, accepted = update(state, seen, COVARIANCE, config=PLAIN)
+        assert accepted, nis
+    odometry = to_odometry(state, frame_id="chaser", child_frame_id="target_estimate")
+    assert odometry.pose.translation == pytest.approx([0.0, 1.0, 5.0], abs=0.05)
+    assert odometry.pose.rotation.magnitude() == pytest.approx(0.0)
+    assert odometry.angular_rad_s == pytest.approx(np.zeros(3))
+    np.testing.assert_allclose(odometry.pose_covariance[3:], np.eye(6)[3:] * np.pi**2 / 3.0, atol=1e-12)
+
+
 def test_a_measured_twin_counts_as_the_pose_that_it_looks_like() -> None:
     symmetry = Symmetry((0.0, 0.0, 1.0), 6, exact=True)
     twin = RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.0, np.pi / 3.0]))

@@ -118,6 +118,6 @@ def test_a_turn_about_a_free_axis_need_not_be_determined():
     free = np.concatenate((np.zeros(3), axis))
     sums = NormalEquations(np.eye(6) - np.outer(free, free), np.zeros(6), 1.0, 0.0, 10)
     assert sums.degenerate(1.0)
-    assert not sums.without_turn(axis).degenerate(1.0)
-    assert sums.without_turn(np.array([1.0, 0.0, 0.0])).degenerate(1.0)
-    assert sums.without_turn(None) is sums
+    assert not sums.without_turn(axis[None]).degenerate(1.0)
+    assert sums.without_turn(np.eye(3)[:1]).degenerate(1.0)
+    assert sums.without_turn(np.zeros((0, 3))) is sums

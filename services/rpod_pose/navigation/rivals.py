@@ -1,0 +1,156 @@
+"""Rivals of an ambiguous first pose: tracked in parallel until one remains.
+
+Each rival has a filter of its own. A frame adds to the logarithm of its evidence: the log likelihood of the
+frame at the pose that the tracker found, by the sensor's own model, the one by which its search weighs
+hypotheses. Errors of successive frames are correlated, so it counts as little as the filter counts the frame,
+and no more than once in ``CORRELATED_S``.
+
+Only differences matter. A rival is excluded when a frame that another one explains contradicts it, or when
+the filter's gate rejects its motion. Attitudes that no measurement tells apart are one rival.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import cos, log, radians
+from typing import NamedTuple, Self
+
+import numpy as np
+from scipy.special import softmax
+
+from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.history import History
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.poses import rotation_matrix
+from rpod_schemas.types import Hypothesis
+from rpod_target import Equivalence
+
+CORRELATED_S = 1.0
+"""Time within which two frames show the same errors of model and sensor, s."""
+SAME_DEG = 5.0
+"""Angle between two attitudes, deg, below which they are the same rival."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A pose that may be right, and its track."""
+
+    history: History
+    log_evidence: float
+    """Logarithm of the evidence, up to a constant that all rivals share."""
+
+    @property
+    def state(self) -> FilterState:
+        """State of its filter at the newest frame."""
+        return self.history.state
+
+
+class Rivals(NamedTuple):
+    """The rivals that are left, best first; at least one."""
+
+    tracks: tuple[Rival, ...]
+    since_ns: int
+    """Stamp of the ambiguous first pose."""
+    newest_ns: int
+    """Stamp of the newest frame that counted."""
+    needed: float
+    """Weight of the best rival from which on it is believed: that of a first pose."""
+    frames: int = 0
+    """Number of frames in which they were tracked."""
+
+    @property
+    def weights(self) -> FloatArray:
+        """Probabilities of the rivals, which sum to 1, shape (N,)."""
+        weights: FloatArray = softmax([track.log_evidence for track in self.tracks])
+        return weights
+
+    @property
+    def decided(self) -> bool:
+        """Whether the best one is probable enough to be believed."""
+        return bool(self.weights[0] >= self.needed)
+
+    def share_of_frame(self, stamp_ns: int, inflation: float) -> float:
+        """Return how much of a frame's log likelihood is new.
+
+        Args:
+            stamp_ns: stamp of the frame.
+            inflation: ``FilterConfig.correlation_inflation``.
+        """
+        return min(1.0 / inflation, max(stamp_ns - self.newest_ns, 0) * 1e-9 / CORRELATED_S)
+
+    def hypotheses(self, alike: Equivalence) -> tuple[Hypothesis, ...]:
+        """Return the rivals' T_chaser_target with their weights, best first."""
+        angles_deg = ("", *(f"turned by {angle:.0f} deg" for angle in self.turned_deg(alike)))
+        best = self.tracks[0].log_evidence
+        return tuple(
+            Hypothesis(
+                pose=track.state.T_chaser_target,
+                weight=float(weight),
+                name=name,
+                log_likelihood=track.log_evidence - best,
+            )
+            for track, weight, name in zip(self.tracks, self.weights, angles_deg, strict=True)
+        )
+
+    def turned_deg(self, alike: Equivalence) -> list[float]:
+        """Return the angles of the others from the best, modulo the exact symmetries, deg."""
+        best, *others = (_attitude(track) for track in self.tracks)
+        cosines = alike.cosines(best[None], np.array(others).reshape(-1, 3, 3))[0]
+        turned_deg: list[float] = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).tolist()
+        return turned_deg
+
+    def reason(self, alike: Equivalence) -> str:
+        """Return why no pose is believed yet, with figures."""
+        angles = ", ".join(f"{angle:.0f}" for angle in self.turned_deg(alike))
+        others = f", turned by {angles} deg from the best" if angles else ""
+        return (
+            f"{len(self.tracks)} rival{'s are' if others else ' is'} tracked in parallel{others}: "
+            f"the best has weight {self.weights[0]:.3f}, {self.needed:g} needed"
+        )
+
+    @property
+    def evidence(self) -> dict[str, float]:
+        """Numbers for the operator, by name."""
+        best, *others = (track.log_evidence for track in self.tracks)
+        lead = {"rivals_lead_log_likelihood": best - others[0]} if others else {}
+        return {"rivals": float(len(self.tracks)), "rivals_best_weight": float(self.weights[0]), **lead}
+
+    def joined_by(self, found: Sequence[Rival], alike: Equivalence) -> Self:
+        """Return the rivals with those of a search in the newest frame that are not among them.
+
+        Only this frame tells a new rival from the best one: before it, both count as equally probable.
+
+        Args:
+            found: poses that explain the frame; their evidence is that of this frame alone.
+            alike: which attitudes no measurement tells apart.
+        """
+        best = self.tracks[0]
+        of_best = [each.log_evidence for each in found if _are_same(each, best, alike)]
+        offset = best.log_evidence - max(of_best, default=UNLISTED)
+        new = [
+            replace(each, log_evidence=each.log_evidence + offset)
+            for each in found
+            if not any(_are_same(each, track, alike) for track in self.tracks)
+        ]
+        return self._replace(tracks=distinct((*self.tracks, *new), alike))
+
+
+UNLISTED = log(1e-3)
+"""Log likelihood of a pose that a search does not list, relative to its best (``hypotheses.NEGLIGIBLE``)."""
+
+
+def distinct(tracks: Sequence[Rival], alike: Equivalence) -> tuple[Rival, ...]:
+    """Return rivals, best first, without those whose attitude is a better one's."""
+    kept: list[Rival] = []
+    for track in sorted(tracks, key=lambda each: -each.log_evidence):
+        if not any(_are_same(track, better, alike) for better in kept):
+            kept.append(track)
+    return tuple(kept)
+
+
+def _are_same(one: Rival, other: Rival, alike: Equivalence) -> bool:
+    cosine = alike.cosines(_attitude(one)[None], _attitude(other)[None])[0, 0]
+    return bool(cosine > cos(radians(SAME_DEG)))
+
+
+def _attitude(track: Rival) -> FloatArray:
+    return rotation_matrix(track.state.T_chaser_target)
