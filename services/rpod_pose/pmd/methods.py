@@ -11,12 +11,14 @@ from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.pmd.depth_preparation import DepthPreparation, PreparedAcquirer, PreparedTracker
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.tracker import JointTracker
+from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.pmd.paper_2018.epnp import EpnpTracker
 from rpod_pose.pmd.paper_2018.hybrid import HybridTracker
 from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationIcp
 from rpod_pose.pmd.signed_distance import SignedDistanceTracker
 from rpod_pose.pmd.view_search import ViewSearch
 from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
+from rpod_pose.surroundings.methods import among_things
 from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
 from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
@@ -83,7 +85,10 @@ def make(task: Task) -> Methods:
     task = task.with_tracker(tracker)
     acquirer = method("pmd", sensor.acquisition.kind).built(sensor.acquisition, task)
     preparation = DepthPreparation(sensor, task.target)
-    return Methods(PreparedAcquirer(acquirer, preparation), PreparedTracker(tracker, preparation))
+    methods = among_things(Methods(acquirer, tracker), PmdFrames(), task.target)
+    return Methods(
+        PreparedAcquirer(methods.acquirer, preparation), PreparedTracker(methods.tracker, preparation)
+    )
 
 
 def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) -> tuple[PmdFrame, PmdFrame]:

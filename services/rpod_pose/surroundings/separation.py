@@ -1,0 +1,253 @@
+"""What of a frame may be the target's, and what belongs to other things: by ranges alone, for any sensor.
+
+Without a pose, the frame is divided into connected surfaces. Planes that are larger than the target, such as
+walls, floors and tables, are no part of it. Each other surface of the target's size is a place to search.
+
+With a pose, the target is rendered. A ray that ends before the rendered surface meets something that hides
+the target, and tells nothing of it. A ray that ends beyond it has passed the target.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.transform import RigidTransform
+
+from rpod_geometry.rays import RayGrid, cast
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
+from rpod_target import Target
+
+BALL = 1.6
+"""Radius, in radii of the target, around the median of its visible points that contains all of them: no point
+is farther from the origin than one radius, and the median is one of a convex hull's inner points."""
+ELSEWHERE_SHARE, ELSEWHERE = 0.02, 5
+"""Share and number of a frame's ranges outside this ball up to which they are taken for errors."""
+LARGER = 2.5
+"""Least extent of a plane that is no face of the target, over its radius: its faces are at most 2."""
+FLAT = 0.04
+"""Greatest distance of a point from its plane, over the target's radius."""
+PLANES, DRAWS, LEAST_PLANE = 8, 80, 0.03
+"""Most planes, random draws for each, and least share of the ranges that one must explain."""
+APART = 0.15
+"""Step in range between neighbouring rays, over the target's radius, from which surfaces are separate."""
+SLANTED = 4.0
+"""Step in range between neighbouring rays, over their distance across, up to which a surface is one."""
+LEAST_SIZE, MOST_PLACES = 0.3, 6
+"""Least extent of a surface that may be the target, over its radius; most places to search."""
+LEAST_RAYS = 8
+"""Least number of rays on such a surface."""
+
+
+class Label(IntEnum):
+    """What a ray shows."""
+
+    KEPT = 0
+    """The target, or nothing: the ray stays as it is."""
+    HIDING = 1
+    """Something before the target: the ray tells nothing of it."""
+    BEYOND = 2
+    """Something beside or behind the target: the ray does not meet it."""
+
+
+@dataclass(frozen=True, eq=False)
+class RangeImage:
+    """Ranges of a frame along its rays."""
+
+    grid: RayGrid
+    range_m: Float32Array
+    """Range of each ray, shape (rows, columns), 0 without one."""
+
+    @property
+    def points_m(self) -> FloatArray:
+        """Measured points, sensor axes, shape (rows, columns, 3)."""
+        points_m: FloatArray = self.range_m[..., None] * self.grid.directions
+        return points_m
+
+    def shows_more_than(self, radius_m: float) -> bool:
+        """Return whether the frame shows more than a target of a radius, m, would fill."""
+        points_m = self.points_m[self.range_m > 0.0]
+        if not len(points_m):
+            return False
+        away = np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1) > BALL * radius_m
+        return bool(np.count_nonzero(away) > max(ELSEWHERE_SHARE * len(points_m), ELSEWHERE))
+
+
+def places(
+    image: RangeImage, radius_m: float, near_m: FloatArray | None = None
+) -> Iterator[NDArray[np.bool_]]:
+    """Yield the rays on surfaces that may be the target, those of most rays first, (rows, columns) each.
+
+    Args:
+        image: ranges of a frame.
+        radius_m: radius of the target's bounding sphere.
+        near_m: where the target is expected, sensor axes, shape (3,); None for anywhere.
+    """
+    points_m = image.points_m
+    free = (image.range_m > 0.0) & ~_large_planes(image, points_m, radius_m)
+    if near_m is not None:
+        within = free & (np.linalg.norm(points_m - near_m, axis=-1) < BALL * radius_m)
+        if np.count_nonzero(within) >= LEAST_RAYS:
+            yield within
+        return
+    found = []
+    for surface in _surfaces(image, free, radius_m):
+        for place in _of_size(points_m, surface, radius_m):
+            if np.count_nonzero(place) >= LEAST_RAYS:
+                found.append(place)
+    found.sort(key=lambda place: -np.count_nonzero(place))
+    yield from found[:MOST_PLACES]
+
+
+def _large_planes(image: RangeImage, points_m: FloatArray, radius_m: float) -> NDArray[np.bool_]:
+    """Return the rays that end on planes larger than the target, shape (rows, columns)."""
+    left, removed = image.range_m > 0.0, np.zeros(image.range_m.shape, bool)
+    total, generator = np.count_nonzero(left), np.random.default_rng(0)
+    for _ in range(PLANES):
+        measured_m = points_m[left]
+        if len(measured_m) < max(LEAST_PLANE * total, 3 * LEAST_RAYS):
+            break
+        chosen = _plane(measured_m, generator, FLAT * radius_m)
+        if chosen is None or np.count_nonzero(chosen) < LEAST_PLANE * total:
+            break
+        on_plane_m = measured_m[chosen]
+        extent_m = 2.0 * np.linalg.norm(on_plane_m - np.median(on_plane_m, axis=0), axis=1)
+        rays = np.zeros(left.shape, bool)
+        rays[left] = chosen
+        if np.quantile(extent_m, 0.9) > LARGER * radius_m:
+            removed |= rays
+        left &= ~rays
+    return removed
+
+
+def _plane(points_m: FloatArray, generator: np.random.Generator, flat_m: float) -> NDArray[np.bool_] | None:
+    """Return which points, shape (N, 3), lie on the plane with most of them (RANSAC); None without one."""
+    few_m = points_m[:: max(1, len(points_m) // 1500)]
+    a, b, c = few_m[generator.integers(len(few_m), size=(3, DRAWS))]
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    usable = lengths > 0.0
+    if not usable.any():
+        return None
+    normals, a = normals[usable] / lengths[usable, None], a[usable]
+    offsets_m = np.einsum("ni,ni->n", normals, a)
+    best = int(np.argmax((np.abs(few_m @ normals.T - offsets_m) < flat_m).sum(axis=0)))
+    near_m = points_m[np.abs(points_m @ normals[best] - offsets_m[best]) < flat_m]
+    middle_m = near_m.mean(axis=0)
+    normal = np.linalg.svd(near_m - middle_m, full_matrices=False)[2][2]
+    on_plane: NDArray[np.bool_] = np.abs((points_m - middle_m) @ normal) < flat_m
+    return on_plane
+
+
+def _surfaces(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> list[NDArray[np.bool_]]:
+    """Return the connected surfaces among some rays, shape (rows, columns) each."""
+    range_m, index = image.range_m, np.arange(free.size).reshape(free.shape)
+    pairs = []
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        directions = image.grid.directions
+        across_m = range_m[one] * np.linalg.norm(directions[one] - directions[other], axis=-1)
+        step_m = np.abs(range_m[one] - range_m[other])
+        joined = free[one] & free[other] & (step_m < np.maximum(APART * radius_m, SLANTED * across_m))
+        pairs.append(np.stack((index[one][joined], index[other][joined])))
+    first, second = np.concatenate(pairs, axis=1)
+    graph = coo_matrix((np.ones(len(first), bool), (first, second)), shape=(free.size, free.size))
+    count, number = connected_components(graph, directed=False)
+    sizes = np.bincount(number[free.ravel()], minlength=count)
+    return [(number == n).reshape(free.shape) & free for n in np.flatnonzero(sizes >= LEAST_RAYS)]
+
+
+def _of_size(
+    points_m: FloatArray, surface: NDArray[np.bool_], radius_m: float
+) -> Iterator[NDArray[np.bool_]]:
+    """Yield a surface if it may be the target, or the parts of its size if it is larger."""
+    left = surface.copy()
+    for _ in range(MOST_PLACES):
+        mine_m = points_m[left]
+        if len(mine_m) < LEAST_RAYS:
+            return
+        middle_m = np.median(mine_m, axis=0)
+        extent_m = 2.0 * np.linalg.norm(mine_m - middle_m, axis=1)
+        if extent_m.max() < LEAST_SIZE * radius_m:
+            return
+        if np.quantile(extent_m, 0.98) <= 2.0 * BALL * radius_m:
+            yield left
+            return
+        nearest_m = mine_m[np.argmin(np.linalg.norm(mine_m, axis=1))]
+        for _ in range(3):
+            near = np.linalg.norm(mine_m - nearest_m, axis=1) < 1.2 * radius_m
+            nearest_m = np.median(mine_m[near], axis=0)
+        part = np.zeros(left.shape, bool)
+        part[left] = np.linalg.norm(mine_m - nearest_m, axis=1) < 1.2 * radius_m
+        yield part
+        left &= ~part
+
+
+def around_place(image: RangeImage, place: NDArray[np.bool_], radius_m: float) -> NDArray[np.uint8]:
+    """Return the ``Label`` of each ray if the target is at a place, shape (rows, columns)."""
+    middle_m = np.median(image.points_m[place], axis=0)
+    labels = np.full(image.range_m.shape, Label.BEYOND, np.uint8)
+    distance_m = float(np.linalg.norm(middle_m))
+    cosine = image.grid.directions @ (middle_m / distance_m)
+    towards = cosine > np.cos(np.arcsin(min(1.0, BALL * radius_m / distance_m)))
+    nearer = (image.range_m > 0.0) & (image.range_m < np.quantile(image.range_m[place], 0.1))
+    labels[towards & nearer] = Label.HIDING
+    labels[place | (towards & (image.range_m <= 0.0))] = Label.KEPT
+    return labels
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What a pose of the target says of each ray."""
+
+    labels: NDArray[np.uint8]
+    """``Label`` of each ray, shape (rows, columns)."""
+    inside: NDArray[np.bool_]
+    """Rays that meet the target, and so do all around them."""
+    visible_share: float
+    """Share of the rays on the target that nothing hides."""
+    continued_share: float
+    """Share of the rays beside its outline at which the surface inside goes on outside."""
+
+
+def with_target_at(
+    image: RangeImage, target: Target, T_sensor_target: RigidTransform, *, margin_m: float
+) -> Sight:
+    """Return what a pose says of each ray, if it is wrong by up to a margin, m."""
+    closed = target.field is not None
+    hits = cast(image.grid, target.triangles_m, T_sensor_target, cull_back_faces=closed)
+    rendered_m, measured_m = hits.range_m, image.range_m
+    met, measured = hits.triangle >= 0, image.range_m > 0.0
+    reach = _reach(image, T_sensor_target, margin_m)
+    shape = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    nearest_m = cv2.erode(rendered_m, shape, borderValue=np.inf) - margin_m
+    farthest_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), shape) + margin_m
+    around = cv2.dilate(met.view(np.uint8), shape).view(bool)
+    inside = cv2.erode(met.view(np.uint8), shape, borderValue=1).view(bool)
+    labels = np.full(measured_m.shape, Label.KEPT, np.uint8)
+    labels[~around] = Label.BEYOND
+    labels[measured & around & (measured_m > farthest_m)] = Label.BEYOND
+    labels[measured & around & (measured_m < nearest_m)] = Label.HIDING
+    hidden = met & (labels == Label.HIDING)
+    ring = cv2.dilate(met.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool) & ~met
+    outside_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), np.ones((3, 3), np.uint8))
+    continued = ring & measured & (np.abs(measured_m - outside_m) < margin_m)
+    return Sight(
+        labels,
+        inside,
+        1.0 - np.count_nonzero(hidden) / max(np.count_nonzero(met), 1),
+        np.count_nonzero(continued) / max(np.count_nonzero(ring), 1),
+    )
+
+
+def _reach(image: RangeImage, T_sensor_target: RigidTransform, margin_m: float) -> int:
+    """Return how many rays a margin at the target's distance spans, at least 1."""
+    rows, columns = image.range_m.shape
+    directions = image.grid.directions[rows // 2, columns // 2 : columns // 2 + 2]
+    spacing_rad = float(np.linalg.norm(directions[-1] - directions[0])) or 1.0
+    distance_m = float(np.linalg.norm(T_sensor_target.translation))
+    return int(np.clip(np.ceil(margin_m / max(distance_m * spacing_rad, 1e-9)), 1, 12))
