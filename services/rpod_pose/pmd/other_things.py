@@ -5,11 +5,13 @@ from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
 from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView
-from rpod_pose.surroundings.separation import Label, RangeImage
+from rpod_pose.surroundings.separation import Label, RangeImage, upsampled
 from rpod_schemas.types import PmdFrame
 
 COARSE_RAYS, FINE_RAYS = 8_000, 250_000
 """Most rays of an image for the search of places, and for the comparison with a rendering."""
+LEAST_SKY = 0.05
+"""Least share of the image from which the amplitude of the sky is taken; in a room there is none."""
 DARK = 0.1
 """Greatest amplitude of a ray that meets nothing, over the median amplitude on the target."""
 
@@ -37,16 +39,10 @@ class PmdFrames:
 
         Without an amplitude no pixel can be dark: what lies beyond the target inside its outline stays.
         """
-        height, width = frame.depth_m.shape
-        stride = int(np.ceil(height / labels.shape[0]))
-        nearest = np.ix_(
-            np.minimum(np.arange(height) // stride, labels.shape[0] - 1),
-            np.minimum(np.arange(width) // stride, labels.shape[1] - 1),
-        )
-        label = labels[nearest]
+        label = upsampled(labels, frame.depth_m.shape)
         hiding, beyond = label == Label.HIDING, label == Label.BEYOND
         if frame.amplitude is None:
-            beyond &= ~inside[nearest]
+            beyond &= ~upsampled(inside, frame.depth_m.shape)
         images = {"depth_m": np.where(hiding | beyond, np.float32(np.nan), frame.depth_m)}
         if frame.amplitude is not None:
             kept = (label == Label.KEPT) & (frame.depth_m > 0.0)
@@ -62,4 +58,5 @@ def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> np.uint16:
     assert frame.amplitude is not None  # noqa: S101 - the caller's condition
     most = DARK * float(np.median(frame.amplitude[kept])) if kept.any() else 1.0
     dark = frame.amplitude[~(frame.depth_m > 0.0) & (frame.amplitude < most) & (frame.amplitude > 0)]
-    return np.uint16(max(1, round(float(np.median(dark))) if dark.size else 1))
+    sky = float(np.median(dark)) if dark.size > LEAST_SKY * frame.depth_m.size else 1.0
+    return np.uint16(max(1.0, round(sky)))

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, Methods, Outcome, Registration, Tracker
 from rpod_pose.surroundings.separation import (
+    Margin,
     RangeImage,
     Sight,
     around_place,
@@ -19,10 +20,13 @@ from rpod_pose.surroundings.separation import (
 from rpod_schemas.types import Source
 from rpod_target import Target
 
-WIDE, NARROW = 0.2, 0.06
-"""Margins around a predicted pose and around a found one, over the target's radius."""
+MARGINS = 0.2, 0.06, 0.015
+"""Errors of a predicted pose, of the pose found from it, and of the one found from that, over the target's
+radius. The last is needed only where other things touch the target."""
+NARROW = 0.06
+"""Least margin of ranges, over the target's radius."""
 SIGMAS = 4.0
-"""Least margin around a found pose, in standard deviations of its ranges."""
+"""Least margin of ranges around a found pose, in their standard deviations."""
 LEAST_VISIBLE = 0.2
 """Least share of the target that nothing may hide."""
 MOST_CONTINUED = 0.5
@@ -65,6 +69,9 @@ class _Scene:
         return image if image is not None and image.shows_more_than(self.target.radius_m) else None
 
 
+_NOTHING = Registration.none(Source.NONE, "nothing tracked yet")
+
+
 class _Tracker:
     """Tracks in what a pose leaves of a frame: at first the predicted one, then the one that is found."""
 
@@ -81,27 +88,30 @@ class _Tracker:
         """Return the registration in a frame that shows more than the target."""
         image = self._scene.frames.image(measurement, fine=True)
         assert image is not None  # noqa: S101 - known from the coarse image
-        radius_m = self._scene.target.radius_m
-        wide = with_target_at(image, self._scene.target, T_sensor_target, margin_m=WIDE * radius_m)
-        found = self._tracked(measurement, wide, T_sensor_target)
-        pose = found.T_sensor_target
-        if pose is None:
-            return found
-        narrow = with_target_at(image, self._scene.target, pose, margin_m=self._margin_m(found))
-        found = self._tracked(measurement, narrow, pose)
-        return _judged(found, narrow)
+        pose, found = T_sensor_target, _NOTHING
+        for share in MARGINS:
+            sight = with_target_at(image, self._scene.target, pose, self._margin(found, share))
+            found = self._tracked(measurement, sight, pose)
+            if found.T_sensor_target is None:
+                break
+            pose = found.T_sensor_target
+            if share < MARGINS[0] and found.continues_track:
+                break
+        return _judged(found, sight)
 
     def _tracked(self, measurement: Any, sight: Sight, pose: RigidTransform) -> Registration:
         frame = self._scene.frames.separated(measurement, sight.labels, sight.inside)
         return self._tracker.track(frame, pose)
 
-    def _margin_m(self, found: Registration) -> float:
-        spread_m = np.sqrt(found.cost_m2) if np.isfinite(found.cost_m2) else 0.0
-        return float(max(NARROW * self._scene.target.radius_m, SIGMAS * spread_m))
+    def _margin(self, found: Registration, share: float) -> Margin:
+        """Return the margin around a pose, given as a share of the target's radius."""
+        place_m = share * self._scene.target.radius_m
+        spread_m = SIGMAS * np.sqrt(found.cost_m2) if np.isfinite(found.cost_m2) else 0.0
+        return Margin(place_m, max(place_m, NARROW * self._scene.target.radius_m, spread_m))
 
 
 def _judged(found: Registration, sight: Sight) -> Registration:
-    """Return a registration that is contradicted where too little of the target is its own surface."""
+    """Return a registration, which is contradicted where too little of the target is its own surface."""
     evidence = found.belief.evidence | {
         "visible_share": sight.visible_share,
         "continued_outline_share": sight.continued_share,
@@ -141,20 +151,20 @@ class _Acquirer:
         return self._found(measurement, image, T_sensor_target)
 
     def _found(self, measurement: Any, image: RangeImage, pose: RigidTransform | None) -> Acquisition:
-        radius_m = self._scene.target.radius_m
-        best = Acquisition(
-            Registration.none(Source.NONE, "no surface of the target's size among other things")
-        )
+        radius_m, fine = self._scene.target.radius_m, self._scene.frames.image(measurement, fine=True)
+        assert fine is not None  # noqa: S101 - known from the coarse image
+        best: Acquisition | None = None
         for place in places(image, radius_m, None if pose is None else pose.translation):
-            labels = around_place(image, place, radius_m)
+            labels = around_place(image, fine, place, radius_m)
             frame = self._scene.frames.separated(measurement, labels, np.zeros(labels.shape, bool))
             found = self._acquirer.acquire(frame) if pose is None else self._acquirer.near(frame, pose)
             found = self._verified(measurement, found)
             if found.begins_track:
                 return found
-            if best.pose is None or found.outcome is not Outcome.FAILED:
+            if best is None or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):
                 best = found
-        return best
+        nothing = "no surface of the target's size stands apart from other things"
+        return best or Acquisition(Registration.none(Source.NONE, nothing))
 
     def _verified(self, measurement: Any, found: Acquisition) -> Acquisition:
         """Return an acquisition with the belief of the tracker in the whole frame."""

@@ -10,6 +10,7 @@ the target, and tells nothing of it. A ray that ends beyond it has passed the ta
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -30,7 +31,7 @@ ELSEWHERE_SHARE, ELSEWHERE = 0.02, 5
 """Share and number of a frame's ranges outside this ball up to which they are taken for errors."""
 LARGER = 2.5
 """Least extent of a plane that is no face of the target, over its radius: its faces are at most 2."""
-FLAT = 0.04
+FLAT = 0.1
 """Greatest distance of a point from its plane, over the target's radius."""
 PLANES, DRAWS, LEAST_PLANE = 8, 80, 0.03
 """Most planes, random draws for each, and least share of the ranges that one must explain."""
@@ -38,8 +39,14 @@ APART = 0.15
 """Step in range between neighbouring rays, over the target's radius, from which surfaces are separate."""
 SLANTED = 4.0
 """Step in range between neighbouring rays, over their distance across, up to which a surface is one."""
-LEAST_SIZE, MOST_PLACES = 0.3, 6
-"""Least extent of a surface that may be the target, over its radius; most places to search."""
+LEAST_SIZE, MOST_PLACES = 0.15, 6
+"""Least half extent of a surface that may be the target, over its radius; most places to search."""
+THIN = 0.2
+"""Half the width of limbs that are cut off a surface that is larger than the target, over its radius."""
+SHIFTS = 3
+"""Number of times that a ball is moved to the median of the points in it."""
+MOST_RAYS = 24
+"""Most rays by which an image is widened or narrowed."""
 LEAST_RAYS = 8
 """Least number of rays on such a surface."""
 
@@ -69,6 +76,13 @@ class RangeImage:
         points_m: FloatArray = self.range_m[..., None] * self.grid.directions
         return points_m
 
+    def rays_across(self, length_m: float, distance_m: float) -> int:
+        """Return how many rays a length across the line of sight spans, 1 to ``MOST_RAYS``."""
+        rows, columns = self.range_m.shape
+        pair = self.grid.directions[rows // 2, columns // 2 - 1 : columns // 2 + 1]
+        spacing_m = distance_m * float(np.linalg.norm(pair[-1] - pair[0]))
+        return int(np.clip(np.ceil(length_m / max(spacing_m, 1e-9)), 1, MOST_RAYS))
+
     def shows_more_than(self, radius_m: float) -> bool:
         """Return whether the frame shows more than a target of a radius, m, would fill."""
         points_m = self.points_m[self.range_m > 0.0]
@@ -95,11 +109,12 @@ def places(
         if np.count_nonzero(within) >= LEAST_RAYS:
             yield within
         return
-    found = []
-    for surface in _surfaces(image, free, radius_m):
-        for place in _of_size(points_m, surface, radius_m):
-            if np.count_nonzero(place) >= LEAST_RAYS:
-                found.append(place)
+    found = [
+        place
+        for surface in _surfaces(image, free, radius_m)
+        for place in _of_size(image, points_m, surface, radius_m)
+        if np.count_nonzero(place) >= LEAST_RAYS
+    ]
     found.sort(key=lambda place: -np.count_nonzero(place))
     yield from found[:MOST_PLACES]
 
@@ -162,42 +177,99 @@ def _surfaces(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> li
 
 
 def _of_size(
-    points_m: FloatArray, surface: NDArray[np.bool_], radius_m: float
+    image: RangeImage, points_m: FloatArray, surface: NDArray[np.bool_], radius_m: float
 ) -> Iterator[NDArray[np.bool_]]:
-    """Yield a surface if it may be the target, or the parts of its size if it is larger."""
+    """Yield a surface if it may be the target; of a larger one its bulky parts, without thin limbs."""
+    if _fits(points_m[surface], radius_m):
+        yield surface
+        return
+    distance_m = float(np.median(image.range_m[surface]))
+    width = 2 * image.rays_across(THIN * radius_m, distance_m) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    count, number = cv2.connectedComponents(cv2.erode(surface.view(np.uint8), disc), connectivity=4)
+    for n in range(1, count):
+        bulk = cv2.dilate((number == n).view(np.uint8), disc).view(bool) & surface
+        if _fits(points_m[bulk], radius_m):
+            yield bulk
+        else:
+            yield from _parts(points_m, bulk, radius_m)
+
+
+def _fits(points_m: FloatArray, radius_m: float) -> bool:
+    """Return whether points, shape (N, 3), extend as far as those of a visible target may."""
+    extent_m = np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1)
+    return bool(LEAST_SIZE * radius_m <= extent_m.max() and np.quantile(extent_m, 0.98) <= BALL * radius_m)
+
+
+def _parts(points_m: FloatArray, surface: NDArray[np.bool_], radius_m: float) -> Iterator[NDArray[np.bool_]]:
+    """Yield balls of the target's size on a larger surface, the nearest ones first."""
     left = surface.copy()
     for _ in range(MOST_PLACES):
         mine_m = points_m[left]
         if len(mine_m) < LEAST_RAYS:
             return
-        middle_m = np.median(mine_m, axis=0)
-        extent_m = 2.0 * np.linalg.norm(mine_m - middle_m, axis=1)
-        if extent_m.max() < LEAST_SIZE * radius_m:
+        middle_m = mine_m[np.argmin(np.linalg.norm(mine_m, axis=1))]
+        for _ in range(SHIFTS):
+            middle_m = np.median(mine_m[np.linalg.norm(mine_m - middle_m, axis=1) < radius_m], axis=0)
+        part = left & (np.linalg.norm(points_m - middle_m, axis=-1) < radius_m)
+        if not part.any():
             return
-        if np.quantile(extent_m, 0.98) <= 2.0 * BALL * radius_m:
-            yield left
-            return
-        nearest_m = mine_m[np.argmin(np.linalg.norm(mine_m, axis=1))]
-        for _ in range(3):
-            near = np.linalg.norm(mine_m - nearest_m, axis=1) < 1.2 * radius_m
-            nearest_m = np.median(mine_m[near], axis=0)
-        part = np.zeros(left.shape, bool)
-        part[left] = np.linalg.norm(mine_m - nearest_m, axis=1) < 1.2 * radius_m
         yield part
         left &= ~part
 
 
-def around_place(image: RangeImage, place: NDArray[np.bool_], radius_m: float) -> NDArray[np.uint8]:
-    """Return the ``Label`` of each ray if the target is at a place, shape (rows, columns)."""
+def around_place(
+    image: RangeImage, fine: RangeImage, place: NDArray[np.bool_], radius_m: float
+) -> NDArray[np.uint8]:
+    """Return the ``Label`` of each ray if the target is at a place.
+
+    Args:
+        image: ranges of few rays, among which the place was found.
+        fine: ranges of many rays of the same frame.
+        place: rays of ``image`` on the place, shape (rows, columns).
+        radius_m: radius of the target's bounding sphere.
+
+    Returns:
+        The labels of the rays of ``fine``.
+    """
     middle_m = np.median(image.points_m[place], axis=0)
-    labels = np.full(image.range_m.shape, Label.BEYOND, np.uint8)
     distance_m = float(np.linalg.norm(middle_m))
-    cosine = image.grid.directions @ (middle_m / distance_m)
-    towards = cosine > np.cos(np.arcsin(min(1.0, BALL * radius_m / distance_m)))
-    nearer = (image.range_m > 0.0) & (image.range_m < np.quantile(image.range_m[place], 0.1))
-    labels[towards & nearer] = Label.HIDING
-    labels[place | (towards & (image.range_m <= 0.0))] = Label.KEPT
+    near_m, far_m = (
+        upsampled(bound, fine.range_m.shape) for bound in _bounds(image.range_m, place, APART * radius_m)
+    )
+    mine = (near_m <= fine.range_m) & (fine.range_m <= far_m)
+    towards = fine.grid.directions @ (middle_m / distance_m) > np.cos(
+        np.arcsin(min(1.0, BALL * radius_m / distance_m))
+    )
+    measured = fine.range_m > 0.0
+    away_m = np.linalg.norm(fine.points_m - middle_m, axis=-1)
+    unknown = measured & ((fine.range_m < distance_m) | (away_m < BALL * radius_m))
+    labels = np.full(fine.range_m.shape, Label.BEYOND, np.uint8)
+    labels[towards & unknown] = Label.HIDING
+    labels[mine | (towards & ~measured)] = Label.KEPT
     return labels
+
+
+def _bounds(
+    range_m: Float32Array, place: NDArray[np.bool_], margin_m: float
+) -> tuple[Float32Array, Float32Array]:
+    """Return the least and greatest range of a place on each ray and those around it; inf and 0 elsewhere."""
+    around = np.ones((3, 3), np.uint8)
+    nearest_m = cv2.erode(np.where(place, range_m, np.float32(np.inf)), around, borderValue=np.inf)
+    farthest_m = cv2.dilate(np.where(place, range_m, np.float32(0.0)), around)
+    return nearest_m - margin_m, np.where(farthest_m > 0.0, farthest_m + margin_m, farthest_m)
+
+
+def upsampled(image: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
+    """Return an image of every few rays on all of them: each takes the value of the nearest."""
+    rows, columns = image.shape
+    step = -(-shape[0] // rows)
+    return image[
+        np.ix_(
+            np.minimum(np.arange(shape[0]) // step, rows - 1),
+            np.minimum(np.arange(shape[1]) // step, columns - 1),
+        )
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,15 +286,25 @@ class Sight:
     """Share of the rays beside its outline at which the surface inside goes on outside."""
 
 
+class Margin(NamedTuple):
+    """How far a pose may be off."""
+
+    place_m: float
+    """Across the line of sight."""
+    range_m: float
+    """Along it, with the error of a range."""
+
+
 def with_target_at(
-    image: RangeImage, target: Target, T_sensor_target: RigidTransform, *, margin_m: float
+    image: RangeImage, target: Target, T_sensor_target: RigidTransform, margin: Margin
 ) -> Sight:
-    """Return what a pose says of each ray, if it is wrong by up to a margin, m."""
+    """Return what a pose says of each ray, if it is wrong by up to a margin."""
+    margin_m = margin.range_m
     closed = target.field is not None
     hits = cast(image.grid, target.triangles_m, T_sensor_target, cull_back_faces=closed)
     rendered_m, measured_m = hits.range_m, image.range_m
     met, measured = hits.triangle >= 0, image.range_m > 0.0
-    reach = _reach(image, T_sensor_target, margin_m)
+    reach = image.rays_across(margin.place_m, float(np.linalg.norm(T_sensor_target.translation)))
     shape = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     nearest_m = cv2.erode(rendered_m, shape, borderValue=np.inf) - margin_m
     farthest_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), shape) + margin_m
@@ -242,12 +324,3 @@ def with_target_at(
         1.0 - np.count_nonzero(hidden) / max(np.count_nonzero(met), 1),
         np.count_nonzero(continued) / max(np.count_nonzero(ring), 1),
     )
-
-
-def _reach(image: RangeImage, T_sensor_target: RigidTransform, margin_m: float) -> int:
-    """Return how many rays a margin at the target's distance spans, at least 1."""
-    rows, columns = image.range_m.shape
-    directions = image.grid.directions[rows // 2, columns // 2 : columns // 2 + 2]
-    spacing_rad = float(np.linalg.norm(directions[-1] - directions[0])) or 1.0
-    distance_m = float(np.linalg.norm(T_sensor_target.translation))
-    return int(np.clip(np.ceil(margin_m / max(distance_m * spacing_rad, 1e-9)), 1, 12))
