@@ -16,7 +16,7 @@ from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_view import HIDDEN_M, ScanView, returns_of
 from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
 from rpod_pose.search.verified_search import VerifiedSearch
-from rpod_pose.surroundings.methods import among_things
+from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
 from rpod_pose.surroundings.separation import Label, RangeImage
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
@@ -63,7 +63,8 @@ def make(task: Task) -> Methods:
     tracker = method("lidar", sensor.tracking.kind).built(sensor.tracking, task)
     task = task.with_tracker(tracker)
     acquirer = method("lidar", sensor.acquisition.kind).built(sensor.acquisition, task)
-    return among_things(Methods(acquirer, tracker, deskewed), ScanFrames(task.setup), task.target)
+    among_things = TrackerAmongThings(tracker, ScanFrames(task.setup), task.target)
+    return Methods(AcquirerAmongThings(acquirer, among_things), among_things, deskewed)
 
 
 class ScanFrames:

@@ -18,7 +18,7 @@ from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationI
 from rpod_pose.pmd.signed_distance import SignedDistanceTracker
 from rpod_pose.pmd.view_search import ViewSearch
 from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
-from rpod_pose.surroundings.methods import among_things
+from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
 from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
 from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
@@ -42,8 +42,10 @@ LEAST_BIAS_M = 0.001
 
 def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
     """Return the facility's own search; the joint tracker refines its result, whatever tracks the frames."""
-    finisher = task.tracker if isinstance(task.tracker, JointTracker) else joint(JointConfig(), task)
-    return ViewSearch(config, task.target, finisher)
+    if task.tracker is not None and task.sensor.tracking.kind == "joint":
+        return ViewSearch(config, task.target, task.tracker)
+    finisher = joint(JointConfig(), task)
+    return ViewSearch(config, task.target, TrackerAmongThings(finisher, PmdFrames(), task.target))
 
 
 def joint(config: JointConfig, task: Task) -> Tracker[PmdFrame]:
@@ -81,14 +83,13 @@ def hybrid(config: HybridConfig, task: Task) -> Tracker[PmdFrame]:
 def make(task: Task) -> Methods:
     """Return the configured methods for a PMD camera."""
     sensor = task.sensor
-    tracker = method("pmd", sensor.tracking.kind).built(sensor.tracking, task)
+    frames, own = PmdFrames(), method("pmd", sensor.tracking.kind).built(sensor.tracking, task)
+    tracker = TrackerAmongThings(own, frames, task.target)
     task = task.with_tracker(tracker)
     acquirer = method("pmd", sensor.acquisition.kind).built(sensor.acquisition, task)
     preparation = DepthPreparation(sensor, task.target)
-    methods = among_things(Methods(acquirer, tracker), PmdFrames(), task.target)
-    return Methods(
-        PreparedAcquirer(methods.acquirer, preparation), PreparedTracker(methods.tracker, preparation)
-    )
+    among_things = AcquirerAmongThings(acquirer, tracker)
+    return Methods(PreparedAcquirer(among_things, preparation), PreparedTracker(tracker, preparation))
 
 
 def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) -> tuple[PmdFrame, PmdFrame]:

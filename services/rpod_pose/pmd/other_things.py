@@ -16,6 +16,13 @@ DARK = 0.1
 """Greatest amplitude of a ray that meets nothing, over the median amplitude on the target."""
 
 
+class PartOfFrame(PmdFrame):
+    """A frame reduced to one place, with the whole frame, in which a pose is verified."""
+
+    whole: PmdFrame
+    """The frame as measured."""
+
+
 class PmdFrames:
     """Separates PMD frames: surroundings.methods.Frames."""
 
@@ -50,7 +57,7 @@ class PmdFrames:
             images["amplitude"] = np.where(beyond, _sky(frame, kept), amplitude)
         for image in images.values():
             image.setflags(write=False)  # as from the bus
-        return frame.model_copy(update=images)
+        return PartOfFrame.model_construct(**{**dict(frame), **images, "whole": frame})
 
 
 def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> np.uint16:

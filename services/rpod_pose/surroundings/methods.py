@@ -1,6 +1,6 @@
-"""Methods for frames that show more than the target; other frames they pass on unchanged."""
+"""A tracker and a search for frames that show more than the target; other frames are passed on unchanged."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
-from rpod_pose.ports import Acquirer, Acquisition, Methods, Outcome, Registration, Tracker
+from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
 from rpod_pose.surroundings.separation import (
     Margin,
     RangeImage,
@@ -28,9 +28,11 @@ NARROW = 0.06
 SIGMAS = 4.0
 """Least margin of ranges around a found pose, in their standard deviations."""
 LEAST_VISIBLE = 0.2
-"""Least share of the target that nothing may hide."""
+"""Least share of the target that other things must leave visible."""
 MOST_CONTINUED = 0.5
 """Greatest share of the outline across which the surface goes on: more is a part of a larger thing."""
+VISIBLE = "visible_share"
+"""Name of the evidence that a pose was verified in a whole frame."""
 
 
 class Frames(Protocol):
@@ -43,134 +45,129 @@ class Frames(Protocol):
     def separated(self, frame: Any, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> Any:
         """Return a frame in which each ray has become what its label says.
 
+        It may keep the whole frame as ``whole``, so that a tracker inside a search verifies a pose in it.
+
         Args:
             frame: the frame.
-            labels: ``Label`` of each ray of its image, shape (rows, columns).
+            labels: ``Label`` of each ray of its fine image, shape (rows, columns).
             inside: rays that must meet the target, same shape.
         """
         ...
 
 
-def among_things(methods: Methods, frames: Frames, target: Target) -> Methods:
-    """Return methods that find and track the target among other things."""
-    scene = _Scene(frames, target)
-    tracker = _Tracker(methods.tracker, scene)
-    return Methods(_Acquirer(methods.acquirer, tracker, scene), tracker, methods.deskew)
+class TrackerAmongThings:
+    """Tracks in what a pose leaves of a frame: at first the predicted pose, then the one that is found.
 
+    Args:
+        tracker: tracker of frames that show the target alone.
+        frames: frames of the sensor kind.
+        target: the target to track.
+    """
 
-@dataclass(frozen=True, eq=False)
-class _Scene:
-    frames: Frames
-    target: Target
+    def __init__(self, tracker: Tracker[Any], frames: Frames, target: Target) -> None:
+        self._tracker, self.frames, self.target = tracker, frames, target
 
     def cluttered(self, frame: Any) -> RangeImage | None:
-        """Return the ranges of a frame that shows more than the target; None for any other frame."""
+        """Return the ranges of few rays of a frame that shows more than the target; None for any other."""
         image = self.frames.image(frame, fine=False)
         return image if image is not None and image.shows_more_than(self.target.radius_m) else None
 
-
-_NOTHING = Registration.none(Source.NONE, "nothing tracked yet")
-
-
-class _Tracker:
-    """Tracks in what a pose leaves of a frame: at first the predicted one, then the one that is found."""
-
-    def __init__(self, tracker: Tracker[Any], scene: _Scene) -> None:
-        self._tracker, self._scene = tracker, scene
-
     def track(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
-        image = self._scene.cluttered(measurement)
-        if image is None:
+        """Return the registration from a predicted pose, or the reason why the frame gives none."""
+        whole = getattr(measurement, "whole", None)
+        if whole is None and self.cluttered(measurement) is None:
             return self._tracker.track(measurement, T_sensor_target)
-        return self.track_in(measurement, T_sensor_target)
+        return self.track_among(measurement if whole is None else whole, T_sensor_target)
 
-    def track_in(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
+    def track_among(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration in a frame that shows more than the target."""
-        image = self._scene.frames.image(measurement, fine=True)
-        assert image is not None  # noqa: S101 - known from the coarse image
-        pose, found = T_sensor_target, _NOTHING
+        image = self.frames.image(measurement, fine=True)
+        assert image is not None  # noqa: S101 - the coarse image is known
+        found, pose = Registration.none(Source.NONE, ""), T_sensor_target
         for share in MARGINS:
-            sight = with_target_at(image, self._scene.target, pose, self._margin(found, share))
-            found = self._tracked(measurement, sight, pose)
+            sight = with_target_at(image, self.target, pose, self._margin(found, share))
+            found = self._tracker.track(self.frames.separated(measurement, sight.labels, sight.inside), pose)
             if found.T_sensor_target is None:
-                break
+                return found
             pose = found.T_sensor_target
             if share < MARGINS[0] and found.continues_track:
                 break
         return _judged(found, sight)
 
-    def _tracked(self, measurement: Any, sight: Sight, pose: RigidTransform) -> Registration:
-        frame = self._scene.frames.separated(measurement, sight.labels, sight.inside)
-        return self._tracker.track(frame, pose)
-
     def _margin(self, found: Registration, share: float) -> Margin:
         """Return the margin around a pose, given as a share of the target's radius."""
-        place_m = share * self._scene.target.radius_m
+        radius_m = self.target.radius_m
         spread_m = SIGMAS * np.sqrt(found.cost_m2) if np.isfinite(found.cost_m2) else 0.0
-        return Margin(place_m, max(place_m, NARROW * self._scene.target.radius_m, spread_m))
+        return Margin(share * radius_m, float(max(share * radius_m, NARROW * radius_m, spread_m)))
 
 
 def _judged(found: Registration, sight: Sight) -> Registration:
-    """Return a registration, which is contradicted where too little of the target is its own surface."""
+    """Return a registration, which is contradicted where too little of it is the target's own surface."""
     evidence = found.belief.evidence | {
-        "visible_share": sight.visible_share,
+        VISIBLE: sight.visible_share,
         "continued_outline_share": sight.continued_share,
     }
-    belief = replace(found.belief, evidence=evidence)
-    if belief.continues_track and sight.visible_share < LEAST_VISIBLE:
-        belief = contradicted(
-            f"other things hide {1.0 - sight.visible_share:.0%} of the target, "
-            f"{1.0 - LEAST_VISIBLE:.0%} at most",
-            **evidence,
-        )
-    elif belief.continues_track and sight.continued_share > MOST_CONTINUED:
-        belief = contradicted(
-            f"the surface goes on across {sight.continued_share:.0%} of the target's outline: "
-            "it is a part of something larger",
-            **evidence,
-        )
-    return replace(found, belief=belief)
+    reason = ""
+    if sight.visible_share < LEAST_VISIBLE:
+        hidden = 1.0 - sight.visible_share
+        reason = f"other things hide {hidden:.0%} of the target, {1.0 - LEAST_VISIBLE:.0%} at most"
+    elif sight.continued_share > MOST_CONTINUED:
+        share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
+        reason = f"a larger thing: the surface goes on across {share}"
+    if reason and found.continues_track:
+        return replace(found, belief=contradicted(reason, **evidence))
+    return replace(found, belief=replace(found.belief, evidence=evidence))
 
 
-class _Acquirer:
-    """Searches each surface of the target's size; the tracker verifies the pose in the whole frame."""
+class AcquirerAmongThings:
+    """Searches each surface of the target's size; the tracker verifies the pose in the whole frame.
 
-    def __init__(self, acquirer: Acquirer[Any], tracker: _Tracker, scene: _Scene) -> None:
-        self._acquirer, self._tracker, self._scene = acquirer, tracker, scene
+    Args:
+        acquirer: search in frames that show the target alone.
+        tracker: tracker of frames that show other things too.
+    """
+
+    def __init__(self, acquirer: Acquirer[Any], tracker: TrackerAmongThings) -> None:
+        self._acquirer, self._tracker = acquirer, tracker
 
     def acquire(self, measurement: Any) -> Acquisition:
-        image = self._scene.cluttered(measurement)
+        """Search without any prior pose."""
+        image = self._tracker.cluttered(measurement)
         if image is None:
             return self._acquirer.acquire(measurement)
         return self._found(measurement, image, None)
 
     def near(self, measurement: Any, T_sensor_target: RigidTransform) -> Acquisition:
-        image = self._scene.cluttered(measurement)
+        """Search around a pose that is too far off for the tracker."""
+        image = self._tracker.cluttered(measurement)
         if image is None:
             return self._acquirer.near(measurement, T_sensor_target)
         return self._found(measurement, image, T_sensor_target)
 
     def _found(self, measurement: Any, image: RangeImage, pose: RigidTransform | None) -> Acquisition:
-        radius_m, fine = self._scene.target.radius_m, self._scene.frames.image(measurement, fine=True)
-        assert fine is not None  # noqa: S101 - known from the coarse image
-        best: Acquisition | None = None
-        for place in places(image, radius_m, None if pose is None else pose.translation):
+        """Return the acquisition at the first place where a track may begin; at none, the best failure."""
+        frames, radius_m = self._tracker.frames, self._tracker.target.radius_m
+        fine = frames.image(measurement, fine=True)
+        assert fine is not None  # noqa: S101 - the coarse image is known
+        nothing = "no surface of the target's size stands apart from other things"
+        best = Acquisition(Registration.none(Source.NONE, nothing))
+        places_m = None if pose is None else pose.translation
+        for number, place in enumerate(places(image, radius_m, places_m)):
             labels = around_place(image, fine, place, radius_m)
-            frame = self._scene.frames.separated(measurement, labels, np.zeros(labels.shape, bool))
-            found = self._acquirer.acquire(frame) if pose is None else self._acquirer.near(frame, pose)
+            part = frames.separated(measurement, labels, np.zeros(labels.shape, bool))
+            found = self._acquirer.acquire(part) if pose is None else self._acquirer.near(part, pose)
             found = self._verified(measurement, found)
             if found.begins_track:
                 return found
-            if best is None or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):
+            if number == 0 or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):
                 best = found
-        nothing = "no surface of the target's size stands apart from other things"
-        return best or Acquisition(Registration.none(Source.NONE, nothing))
+        return best
 
     def _verified(self, measurement: Any, found: Acquisition) -> Acquisition:
-        """Return an acquisition with the belief of the tracker in the whole frame."""
-        if found.pose is None or not found.belief.continues_track:
+        """Return an acquisition with the tracker's belief in the whole frame, if that is not known yet."""
+        if found.pose is None or not found.belief.continues_track or VISIBLE in found.belief.evidence:
             return found
-        registration = self._tracker.track_in(measurement, found.pose)
+        registration = self._tracker.track_among(measurement, found.pose)
         belief = registration.belief
         if belief.continues_track:
             belief = replace(found.belief, evidence=belief.evidence)
