@@ -31,6 +31,10 @@ LEAST_VISIBLE = 0.2
 """Least share of the target that other things must leave visible."""
 MOST_CONTINUED = 0.5
 """Greatest share of the outline across which the surface goes on: more is a part of a larger thing."""
+LEAST_IN_VIEW = 0.5
+"""Least share of the target in the field of view for a track to begin: other things resemble a small part."""
+RIVAL = 0.5
+"""Least number of rays on another surface that is searched too, over that on the one with the target."""
 VISIBLE = "visible_share"
 """Name of the evidence that a pose was verified in a whole frame."""
 
@@ -152,16 +156,21 @@ class AcquirerAmongThings:
         nothing = "no surface of the target's size stands apart from other things"
         best = Acquisition(Registration.none(Source.NONE, nothing))
         places_m = None if pose is None else pose.translation
+        accepted, rays = None, 0
         for number, place in enumerate(places(image, radius_m, places_m)):
+            if accepted is not None and np.count_nonzero(place) < RIVAL * rays:
+                break
             labels = around_place(image, fine, place, radius_m)
             part = frames.separated(measurement, labels, np.zeros(labels.shape, bool))
             found = self._acquirer.acquire(part) if pose is None else self._acquirer.near(part, pose)
-            found = self._verified(measurement, found)
-            if found.begins_track:
-                return found
+            found = self._in_view(image, self._verified(measurement, found))
+            if found.begins_track and accepted is None:
+                accepted, rays = found, np.count_nonzero(place)
+            elif found.begins_track:
+                return _contradicted(found, "two surfaces look like the target")
             if number == 0 or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):
                 best = found
-        return best
+        return accepted or best
 
     def _verified(self, measurement: Any, found: Acquisition) -> Acquisition:
         """Return an acquisition with the tracker's belief in the whole frame, if that is not known yet."""
@@ -172,3 +181,21 @@ class AcquirerAmongThings:
         if belief.continues_track:
             belief = replace(found.belief, evidence=belief.evidence)
         return replace(found, registration=replace(registration, belief=belief))
+
+    def _in_view(self, image: RangeImage, found: Acquisition) -> Acquisition:
+        """Return an acquisition whose belief says whether enough of the target is in the field of view."""
+        if found.pose is None or not found.begins_track:
+            return found
+        share = image.in_view(found.pose.apply(self._tracker.target.model_points_m))
+        if share >= LEAST_IN_VIEW:
+            return found
+        belief = replace(
+            found.belief,
+            insufficient=f"{share:.0%} of the target is in view among other things, {LEAST_IN_VIEW:.0%} needed",
+        )
+        return replace(found, registration=replace(found.registration, belief=belief))
+
+
+def _contradicted(found: Acquisition, reason: str) -> Acquisition:
+    belief = contradicted(reason, **found.belief.evidence)
+    return replace(found, registration=replace(found.registration, belief=belief))

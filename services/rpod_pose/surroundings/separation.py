@@ -83,6 +83,15 @@ class RangeImage:
         spacing_m = distance_m * float(np.linalg.norm(pair[-1] - pair[0]))
         return int(np.clip(np.ceil(length_m / max(spacing_m, 1e-9)), 1, MOST_RAYS))
 
+    def in_view(self, points_m: FloatArray) -> float:
+        """Return the share of points, sensor axes, shape (N, 3), that lie in the field of view."""
+        x, y, z = self.grid.components
+        ahead = points_m[points_m[:, 2] > 0.0]
+        u, v = ahead[:, 0] / ahead[:, 2], ahead[:, 1] / ahead[:, 2]
+        across, down = x / z, y / z
+        inside = (across.min() <= u) & (u <= across.max()) & (down.min() <= v) & (v <= down.max())
+        return np.count_nonzero(inside) / max(len(points_m), 1)
+
     def shows_more_than(self, radius_m: float) -> bool:
         """Return whether the frame shows more than a target of a radius, m, would fill."""
         points_m = self.points_m[self.range_m > 0.0]
