@@ -35,7 +35,7 @@ from rpod_target import NO_SYMMETRY, Equivalence
 
 BEGINNING = 0.5
 """Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
-_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.05
+_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.26
 """Standard deviations of a given first pose without a given covariance."""
 
 

@@ -45,6 +45,8 @@ THIN = 0.2
 """Half the width of limbs that are cut off a surface that is larger than the target, over its radius."""
 SHIFTS = 3
 """Number of times that a ball is moved to the median of the points in it."""
+BESIDE = 0.1
+"""Distance outside the target's outline at which its surface should not go on, over its radius."""
 MOST_RAYS = 24
 """Most rays by which an image is widened or narrowed."""
 LEAST_RAYS = 8
@@ -295,6 +297,20 @@ class Sight:
     """Share of the rays beside its outline at which the surface inside goes on outside."""
 
 
+def _beside(
+    image: RangeImage, met: NDArray[np.bool_], rendered_m: Float32Array, radius_m: float
+) -> tuple[NDArray[np.bool_], Float32Array]:
+    """Return the rays a little outside the target's outline, and the range at which its surface would go on.
+
+    Ranges next to an outline are not used: a stereo camera widens what is near.
+    """
+    distance_m = float(np.median(rendered_m[met])) if met.any() else 1.0
+    width = image.rays_across(BESIDE * radius_m, distance_m)
+    near, far = (np.ones((2 * n + 1, 2 * n + 1), np.uint8) for n in (width, width + 1))
+    ring = (cv2.dilate(met.view(np.uint8), far) & ~cv2.dilate(met.view(np.uint8), near)).view(bool)
+    return ring, cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), far)
+
+
 class Margin(NamedTuple):
     """How far a pose may be off."""
 
@@ -324,9 +340,8 @@ def with_target_at(
     labels[measured & around & (measured_m > farthest_m)] = Label.BEYOND
     labels[measured & around & (measured_m < nearest_m)] = Label.HIDING
     hidden = met & (labels == Label.HIDING)
-    ring = cv2.dilate(met.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool) & ~met
-    outside_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), np.ones((3, 3), np.uint8))
-    continued = ring & measured & (np.abs(measured_m - outside_m) < margin_m)
+    ring, outside_m = _beside(image, met, rendered_m, target.radius_m)
+    continued = ring & measured & (np.abs(measured_m - outside_m) < max(margin_m, BESIDE * target.radius_m))
     return Sight(
         labels,
         inside,
