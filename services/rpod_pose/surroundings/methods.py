@@ -189,10 +189,8 @@ class AcquirerAmongThings:
         share = image.in_view(found.pose.apply(self._tracker.target.model_points_m))
         if share >= LEAST_IN_VIEW:
             return found
-        belief = replace(
-            found.belief,
-            insufficient=f"{share:.0%} of the target is in view among other things, {LEAST_IN_VIEW:.0%} needed",
-        )
+        vague = f"{share:.0%} of the target is in view among other things, {LEAST_IN_VIEW:.0%} needed"
+        belief = replace(found.belief, insufficient=vague)
         return replace(found, registration=replace(found.registration, belief=belief))
 
 
