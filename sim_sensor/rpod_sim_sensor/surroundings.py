@@ -54,7 +54,8 @@ def scenery(target: Target, things: Sequence[Thing], T_chaser_sensor: RigidTrans
         MeshOfSurroundingsError: a mesh file cannot be read.
     """
     materials = list(target.materials)
-    with_target, still = [target.triangles_m], [np.empty((0, 3, 3))]
+    with_target: list[FloatArray] = [target.triangles_m]
+    still: list[FloatArray] = [np.empty((0, 3, 3))]
     of_moving, of_still = [target.triangle_material], [np.empty(0, np.int32)]
     for thing in things:
         number = np.int32(len(materials))
@@ -63,7 +64,7 @@ def scenery(target: Target, things: Sequence[Thing], T_chaser_sensor: RigidTrans
         )
         pose = thing.pose if thing.fixed_to == "target" else T_chaser_sensor.inv() * thing.pose
         corners_m = _surface_m(thing)
-        triangles_m = pose.apply(corners_m.reshape(-1, 3)).reshape(corners_m.shape)
+        triangles_m: FloatArray = pose.apply(corners_m.reshape(-1, 3)).reshape(corners_m.shape)
         chosen, kinds = (with_target, of_moving) if thing.fixed_to == "target" else (still, of_still)
         chosen.append(triangles_m)
         kinds.append(np.full(len(triangles_m), number))

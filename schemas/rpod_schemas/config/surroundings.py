@@ -1,10 +1,11 @@
 """Things in a scenario beside the target: walls, a stand, the arm that holds it, a plate before it."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rpod_schemas.config.base import Config, Positive, Share
+from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.poses import Pose, make_pose
 
 
@@ -51,3 +52,22 @@ class MeshThing(_Thing):
 
 Thing = Annotated[BoxThing | CylinderThing | MeshThing, Field(discriminator="kind")]
 """A thing that sensors see beside the target; ``kind`` chooses its shape."""
+
+
+class SensorSurroundings(Config):
+    """What is known of a sensor's surroundings."""
+
+    range_gate_m: tuple[NonNegative, Positive] | None = None
+    """Least and greatest range that may be the target's, m."""
+    mask: Path | None = None
+    """Image of the frame's size (PNG): black pixels are not used; relative to this file."""
+    background: Path | None = None
+    """What the sensor sees without the target, written by ``rpod calibrate background``; relative to this
+    file."""
+
+
+class KnownSurroundings(Config):
+    """A file of what is known of the sensors' surroundings, which the estimator takes."""
+
+    sensors: dict[Name, SensorSurroundings]
+    """What is known, by the sensor's name."""

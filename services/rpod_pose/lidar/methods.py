@@ -93,6 +93,19 @@ class ScanFrames:
         points_m.setflags(write=False)
         return frame.model_copy(update={"points_m": points_m.reshape(frame.points_m.shape)})
 
+    def part_of(self, part: LidarScan, whole: LidarScan) -> LidarScan:  # noqa: ARG002 - verified afterwards
+        """Return a part of a scan."""
+        return part
+
+    def every_range_m(self, frame: LidarScan) -> Float32Array:
+        """Return the range of each ray of the pattern."""
+        return self._view.seen(frame).range_m.clip(0.0).astype(np.float32)
+
+
+def scan_frames(_sensor: LidarInput, pattern: ScanPattern) -> ScanFrames:
+    """Return the separation of a LIDAR's scans."""
+    return ScanFrames(pattern)
+
 
 def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan]:
     """Return a scan without noise, for the warm-up."""
@@ -115,5 +128,6 @@ LIDAR_METHODS = KindMethods(
     frames=ideal_scan,
     setup=known_pattern,
     masked=masked,
+    separation=scan_frames,
     missing="no scan pattern: neither lidar info nor the configuration gives it",
 )

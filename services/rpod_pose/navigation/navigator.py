@@ -206,8 +206,8 @@ class Navigator:
         applied = None if challenger is None else apply(challenger.history, measured, filtered)
         if challenger is None or applied is None or not applied.accepted:
             started = self._start_filter(measured.T_chaser_target, measured.covariance, stamp_ns)
-            twist = {"velocity_m_s": predicted.velocity_m_s, "rate_rad_s": predicted.rate_rad_s}
-            challenger = Challenger(History(replace(started, **twist)), stamp_ns)
+            moving = replace(started, velocity_m_s=predicted.velocity_m_s, rate_rad_s=predicted.rate_rad_s)
+            challenger = Challenger(History(moving), stamp_ns)
             return replace(state, challenger=challenger), False
         turn_rad, shift_m = (
             float(np.linalg.norm(part))
@@ -215,8 +215,9 @@ class Navigator:
         )
         state = replace(state, challenger=replace(challenger, history=applied.history))
         if turn_rad <= radians(EXPLAINED_DEG) and shift_m <= EXPLAINED_M:
-            taken = {"history": applied.history, "accepted_ns": stamp_ns, "rejections": 0}
-            return replace(state, **taken, challenger=None), True
+            return replace(
+                state, history=applied.history, accepted_ns=stamp_ns, rejections=0, challenger=None
+            ), True
         if (stamp_ns - challenger.since_ns) / NANOSECONDS >= CONTESTED_S:
             state = replace(state, mode=Mode.LOST, lost_ns=stamp_ns, challenger=None)
         return state, False

@@ -19,6 +19,7 @@ from rpod_pose.pmd.signed_distance import SignedDistanceTracker
 from rpod_pose.pmd.view_search import ViewSearch
 from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
 from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
+from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
 from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
@@ -83,8 +84,8 @@ def hybrid(config: HybridConfig, task: Task) -> Tracker[PmdFrame]:
 def make(task: Task) -> Methods:
     """Return the configured methods for a PMD camera."""
     sensor = task.sensor
-    frames, own = PmdFrames(), method("pmd", sensor.tracking.kind).built(sensor.tracking, task)
-    tracker = TrackerAmongThings(own, frames, task.target)
+    own = method("pmd", sensor.tracking.kind).built(sensor.tracking, task)
+    tracker = TrackerAmongThings(own, PmdFrames(), task.target)
     task = task.with_tracker(tracker)
     acquirer = method("pmd", sensor.acquisition.kind).built(sensor.acquisition, task)
     preparation = DepthPreparation(sensor, task.target)
@@ -124,4 +125,9 @@ def masked(frame: PmdFrame, hit: Callable[[Float32Array], NDArray[np.bool_]]) ->
     return frame.model_copy(update=images)
 
 
-PMD_METHODS = KindMethods(make=make, frames=ideal_frames, masked=masked)
+def frames(_sensor: PmdInput, _: object) -> PmdFrames:
+    """Return the separation of a camera's frames."""
+    return PmdFrames()
+
+
+PMD_METHODS = KindMethods(make=make, frames=ideal_frames, masked=masked, separation=frames)

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from rpod_geometry.errors import DistortionError
 from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView
 from rpod_pose.surroundings.separation import Label, RangeImage, upsampled
-from rpod_schemas.types import PmdFrame
+from rpod_schemas.types import Float32Array, PmdFrame
 
 COARSE_RAYS, FINE_RAYS = 8_000, 250_000
 """Most rays of an image for the search of places, and for the comparison with a rendering."""
@@ -57,7 +57,15 @@ class PmdFrames:
             images["amplitude"] = np.where(beyond, _sky(frame, kept), amplitude)
         for image in images.values():
             image.setflags(write=False)  # as from the bus
-        return PartOfFrame.model_construct(**{**dict(frame), **images, "whole": frame})
+        return frame.model_copy(update=images)
+
+    def part_of(self, part: PmdFrame, whole: PmdFrame) -> PmdFrame:
+        """Return a part of a frame with the whole one."""
+        return PartOfFrame.model_construct(**dict(part), whole=whole)
+
+    def every_range_m(self, frame: PmdFrame) -> Float32Array:
+        """Return the z-depth of each pixel, as measured: gate and background are of this."""
+        return np.where(frame.depth_m > 0.0, frame.depth_m, np.float32(0.0))
 
 
 def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> np.uint16:

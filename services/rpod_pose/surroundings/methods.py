@@ -17,7 +17,7 @@ from rpod_pose.surroundings.separation import (
     places,
     with_target_at,
 )
-from rpod_schemas.types import Source
+from rpod_schemas.types import Float32Array, Source
 from rpod_target import Target
 
 MARGINS = 0.2, 0.06, 0.015
@@ -49,13 +49,22 @@ class Frames(Protocol):
     def separated(self, frame: Any, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> Any:
         """Return a frame in which each ray has become what its label says.
 
-        It may keep the whole frame as ``whole``, so that a tracker inside a search verifies a pose in it.
-
         Args:
             frame: the frame.
             labels: ``Label`` of each ray of its fine image, shape (rows, columns).
             inside: rays that must meet the target, same shape.
         """
+        ...
+
+    def part_of(self, part: Any, whole: Any) -> Any:
+        """Return a separated frame that may keep the whole one as ``whole``.
+
+        A tracker inside a search then verifies a pose in the whole frame.
+        """
+        ...
+
+    def every_range_m(self, frame: Any) -> Float32Array:
+        """Return the range of each pixel or ray of a frame, 0 without one, shape (rows, columns)."""
         ...
 
 
@@ -107,7 +116,8 @@ class TrackerAmongThings:
 
 def _judged(found: Registration, sight: Sight) -> Registration:
     """Return a registration, which is contradicted where too little of it is the target's own surface."""
-    evidence = found.belief.evidence | {
+    evidence = {
+        **found.belief.evidence,
         VISIBLE: sight.visible_share,
         "continued_outline_share": sight.continued_share,
     }
@@ -162,10 +172,11 @@ class AcquirerAmongThings:
                 break
             labels = around_place(image, fine, place, radius_m)
             part = frames.separated(measurement, labels, np.zeros(labels.shape, bool))
+            part = frames.part_of(part, measurement)
             found = self._acquirer.acquire(part) if pose is None else self._acquirer.near(part, pose)
             found = self._in_view(image, self._verified(measurement, found))
             if found.begins_track and accepted is None:
-                accepted, rays = found, np.count_nonzero(place)
+                accepted, rays = found, int(np.count_nonzero(place))
             elif found.begins_track:
                 return _contradicted(found, "two surfaces look like the target")
             if number == 0 or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):

@@ -81,7 +81,7 @@ class RangeImage:
     def rays_across(self, length_m: float, distance_m: float) -> int:
         """Return how many rays a length across the line of sight spans, 1 to ``MOST_RAYS``."""
         rows, columns = self.range_m.shape
-        pair = self.grid.directions[rows // 2, columns // 2 - 1 : columns // 2 + 1]
+        pair: FloatArray = self.grid.directions[rows // 2, columns // 2 - 1 : columns // 2 + 1]
         spacing_m = distance_m * float(np.linalg.norm(pair[-1] - pair[0]))
         return int(np.clip(np.ceil(length_m / max(spacing_m, 1e-9)), 1, MOST_RAYS))
 
@@ -307,8 +307,18 @@ def _beside(
     distance_m = float(np.median(rendered_m[met])) if met.any() else 1.0
     width = image.rays_across(BESIDE * radius_m, distance_m)
     near, far = (np.ones((2 * n + 1, 2 * n + 1), np.uint8) for n in (width, width + 1))
-    ring = (cv2.dilate(met.view(np.uint8), far) & ~cv2.dilate(met.view(np.uint8), near)).view(bool)
-    return ring, cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), far)
+    ring = _widened(met, far) & ~_widened(met, near)
+    return ring, np.asarray(cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), far), np.float32)
+
+
+def _widened(rays: NDArray[np.bool_], shape: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return the rays within a shape, (rows, columns), of some rays."""
+    return np.asarray(cv2.dilate(rays.view(np.uint8), shape), np.uint8).view(np.bool_)
+
+
+def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
+    """Return the number of rays in a part over that in the whole; 0 for none."""
+    return float(np.count_nonzero(part)) / max(int(np.count_nonzero(whole)), 1)
 
 
 class Margin(NamedTuple):
@@ -333,7 +343,7 @@ def with_target_at(
     shape = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     nearest_m = cv2.erode(rendered_m, shape, borderValue=np.inf) - margin_m
     farthest_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), shape) + margin_m
-    around = cv2.dilate(met.view(np.uint8), shape).view(bool)
+    around = _widened(met, shape)
     inside = cv2.erode(met.view(np.uint8), shape, borderValue=1).view(bool)
     labels = np.full(measured_m.shape, Label.KEPT, np.uint8)
     labels[~around] = Label.BEYOND
@@ -345,6 +355,6 @@ def with_target_at(
     return Sight(
         labels,
         inside,
-        1.0 - np.count_nonzero(hidden) / max(np.count_nonzero(met), 1),
-        np.count_nonzero(continued) / max(np.count_nonzero(ring), 1),
+        1.0 - _share(hidden, met),
+        _share(continued, ring),
     )

@@ -129,7 +129,7 @@ class LidarEmulator:
         # Either side of an open surface reflects.
         cos_incidence = np.abs((normals[triangle] * grid.directions).sum(axis=-1))
         range_m = np.where(met, range_m, np.nan)
-        return range_m, cos_incidence, self._reflectivity[triangle]
+        return np.asarray(range_m, np.float64), cos_incidence, self._reflectivity[triangle]
 
     def _measured_m(self, range_m: FloatArray, generator: Generator) -> FloatArray:
         """Return the measured points, (rows, columns, 3), m: ideal ranges along rays with angular errors."""
