@@ -31,6 +31,11 @@ LEAST_VISIBLE = 0.2
 """Least share of the target that other things must leave visible."""
 MOST_CONTINUED = 0.5
 """Greatest share of the outline across which the surface goes on: more is a part of a larger thing."""
+DETAIL, LEAST_DETAIL = 0.06, 6
+"""Size of a detail that must be explained, over the target's radius, and its least number of rays."""
+LEAST_VISIBLE_FIRST = 0.75
+"""Least share of the target that must be visible for a track to begin: details that are hidden do not tell it
+from its near-symmetries."""
 LEAST_IN_VIEW = 0.5
 """Least share of the target in the field of view for a track to begin: other things resemble a small part."""
 RIVAL = 0.5
@@ -105,7 +110,8 @@ class TrackerAmongThings:
             pose = found.T_sensor_target
             if share < MARGINS[0] and found.continues_track:
                 break
-        return _judged(found, sight)
+        detail = image.rays_across(DETAIL * self.target.radius_m, float(np.linalg.norm(pose.translation)))
+        return _judged(found, sight, max(LEAST_DETAIL, detail**2))
 
     def _margin(self, found: Registration, share: float) -> Margin:
         """Return the margin around a pose, given as a share of the target's radius."""
@@ -114,7 +120,7 @@ class TrackerAmongThings:
         return Margin(share * radius_m, float(max(share * radius_m, NARROW * radius_m, spread_m)))
 
 
-def _judged(found: Registration, sight: Sight) -> Registration:
+def _judged(found: Registration, sight: Sight, most_unexplained: int) -> Registration:
     """Return a registration, which is contradicted where too little of it is the target's own surface."""
     evidence = {
         **found.belief.evidence,
@@ -125,6 +131,8 @@ def _judged(found: Registration, sight: Sight) -> Registration:
     if sight.visible_share < LEAST_VISIBLE:
         hidden = 1.0 - sight.visible_share
         reason = f"other things hide {hidden:.0%} of the target, {1.0 - LEAST_VISIBLE:.0%} at most"
+    elif sight.unexplained > most_unexplained:
+        reason = f"a detail is not explained: {sight.unexplained} rays, {most_unexplained} at most"
     elif sight.continued_share > MOST_CONTINUED:
         share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
         reason = f"a larger thing: the surface goes on across {share}"
@@ -177,7 +185,7 @@ class AcquirerAmongThings:
             found = self._in_view(image, self._verified(measurement, found))
             if found.begins_track and accepted is None:
                 accepted, rays = found, int(np.count_nonzero(place))
-            elif found.begins_track:
+            elif found.begins_track and _apart_m(found, accepted) > radius_m:
                 return _contradicted(found, "two surfaces look like the target")
             if number == 0 or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):
                 best = found
@@ -198,11 +206,22 @@ class AcquirerAmongThings:
         if found.pose is None or not found.begins_track:
             return found
         share = image.in_view(found.pose.apply(self._tracker.target.model_points_m))
-        if share >= LEAST_IN_VIEW:
+        visible = found.belief.evidence.get(VISIBLE, 1.0)
+        if share >= LEAST_IN_VIEW and visible >= LEAST_VISIBLE_FIRST:
             return found
-        vague = f"{share:.0%} of the target is in view among other things, {LEAST_IN_VIEW:.0%} needed"
+        vague = (
+            f"among other things {share:.0%} of the target is in view, {LEAST_IN_VIEW:.0%} needed, and "
+            f"{visible:.0%} of it is not hidden, {LEAST_VISIBLE_FIRST:.0%} needed"
+        )
         belief = replace(found.belief, insufficient=vague)
         return replace(found, registration=replace(found.registration, belief=belief))
+
+
+def _apart_m(found: Acquisition, other: Acquisition | None) -> float:
+    """Return the distance between the positions of two acquired poses; 0 without one."""
+    if found.pose is None or other is None or other.pose is None:
+        return 0.0
+    return float(np.linalg.norm(found.pose.translation - other.pose.translation))
 
 
 def _contradicted(found: Acquisition, reason: str) -> Acquisition:

@@ -47,6 +47,10 @@ SHIFTS = 3
 """Number of times that a ball is moved to the median of the points in it."""
 BESIDE = 0.1
 """Distance outside the target's outline at which its surface should not go on, over its radius."""
+AROUND = 1.2
+"""Radius, in radii of the target, within which a thing that extends beyond the target's reach is seen."""
+NEIGHBOURS = np.ones((3, 3), np.uint8)
+"""A ray and those around it."""
 MOST_RAYS = 24
 """Most rays by which an image is widened or narrowed."""
 LEAST_RAYS = 8
@@ -293,6 +297,9 @@ class Sight:
     """Rays that meet the target, and so do all around them."""
     visible_share: float
     """Share of the rays on the target that nothing hides."""
+    unexplained: int
+    """Greatest number of connected rays that end within the target's reach and not on it, of a thing that
+    does not extend beyond this reach: a detail of the target itself."""
     continued_share: float
     """Share of the rays beside its outline at which the surface inside goes on outside."""
 
@@ -309,6 +316,23 @@ def _beside(
     near, far = (np.ones((2 * n + 1, 2 * n + 1), np.uint8) for n in (width, width + 1))
     ring = _widened(met, far) & ~_widened(met, near)
     return ring, np.asarray(cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), far), np.float32)
+
+
+def _unexplained(
+    image: RangeImage,
+    explained: NDArray[np.bool_],
+    radius_m: float,
+    T_sensor_target: RigidTransform,
+) -> int:
+    """Return ``Sight.unexplained`` without the thin lines of rays that end between two surfaces."""
+    away_m = np.linalg.norm(image.points_m - T_sensor_target.translation, axis=-1)
+    around = (image.range_m > 0.0) & ~explained & (away_m < AROUND * radius_m)
+    around = np.asarray(cv2.erode(around.view(np.uint8), NEIGHBOURS), np.uint8).view(np.bool_)
+    count, number = cv2.connectedComponents(around.view(np.uint8), connectivity=8)
+    farthest_m = np.zeros(count)
+    np.maximum.at(farthest_m, number.ravel(), np.where(around, away_m, 0.0).ravel())
+    sizes = np.bincount(number.ravel(), minlength=count)
+    return int(sizes[1:][farthest_m[1:] < radius_m].max(initial=0))
 
 
 def _widened(rays: NDArray[np.bool_], shape: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -356,5 +380,6 @@ def with_target_at(
         labels,
         inside,
         1.0 - _share(hidden, met),
+        _unexplained(image, labels == Label.KEPT, target.radius_m, T_sensor_target),
         _share(continued, ring),
     )
