@@ -329,6 +329,7 @@ def _unexplained(
     around = (image.range_m > 0.0) & ~explained & (away_m < AROUND * radius_m)
     around = np.asarray(cv2.erode(around.view(np.uint8), NEIGHBOURS), np.uint8).view(np.bool_)
     count, number = cv2.connectedComponents(around.view(np.uint8), connectivity=8)
+    number = np.asarray(number, np.int32)
     farthest_m = np.zeros(count)
     np.maximum.at(farthest_m, number.ravel(), np.where(around, away_m, 0.0).ravel())
     sizes = np.bincount(number.ravel(), minlength=count)
