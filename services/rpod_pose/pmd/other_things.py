@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
-from rpod_pose.pmd.depth_view import PLUMB_BOB, DepthView
+from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.surroundings.separation import Label, RangeImage, upsampled
-from rpod_schemas.types import Float32Array, PmdFrame
+from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
 
 COARSE_RAYS, FINE_RAYS = 8_000, 250_000
 """Most rays of an image for the search of places, and for the comparison with a rendering."""
@@ -30,7 +30,7 @@ class PmdFrames:
         """Return the ranges of every few pixels; None if the lens cannot be inverted."""
         rays = FINE_RAYS if fine else COARSE_RAYS
         stride = int(np.ceil(np.sqrt(frame.depth_m.size / rays)))
-        if frame.camera.distortion[PLUMB_BOB:].any():
+        if frame.camera.distortion[LENS_COEFFICIENTS:].any():
             return None
         try:
             view = DepthView.of(frame.camera, stride)

@@ -328,11 +328,11 @@ def _unexplained(
     away_m = np.linalg.norm(image.points_m - T_sensor_target.translation, axis=-1)
     around = (image.range_m > 0.0) & ~explained & (away_m < AROUND * radius_m)
     around = np.asarray(cv2.erode(around.view(np.uint8), NEIGHBOURS), np.uint8).view(np.bool_)
-    count, number = cv2.connectedComponents(around.view(np.uint8), connectivity=8)
-    number = np.asarray(number, np.int32)
+    count, numbers = cv2.connectedComponents(around.view(np.uint8), connectivity=8)
+    number = np.asarray(numbers, np.intp).ravel()
     farthest_m = np.zeros(count)
-    np.maximum.at(farthest_m, number.ravel(), np.where(around, away_m, 0.0).ravel())
-    sizes = np.bincount(number.ravel(), minlength=count)
+    np.maximum.at(farthest_m, number, np.where(around, away_m, 0.0).ravel())
+    sizes = np.bincount(number, minlength=count)
     return int(sizes[1:][farthest_m[1:] < radius_m].max(initial=0))
 
 
