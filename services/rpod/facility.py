@@ -56,6 +56,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 target=scenario.target,
                 sensors=scenario.sensors,
                 world=scenario.world,
+                surroundings=scenario.surroundings,
                 seed=scenario.seed,
                 publish_samples=scenario.publish_samples,
                 await_start=True,

@@ -25,7 +25,13 @@ class LidarChannel:
     def __init__(self, node: Node, config: EmulatorConfig, sensor: LidarConfig, target: Target) -> None:
         self.sensor = sensor
         self._seed = config.seed
-        self._emulator = LidarEmulator(sensor, target, seed=config.seed, world=world_of(config.world))
+        self._emulator = LidarEmulator(
+            sensor,
+            target,
+            seed=config.seed,
+            world=world_of(config.world),
+            surroundings=config.surroundings,
+        )
         self._publisher = LidarPublisher(
             node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
         )

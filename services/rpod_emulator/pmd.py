@@ -28,7 +28,13 @@ class PmdChannel:
         self.sensor = sensor
         self._seed = config.seed
         self._with_samples = config.publish_samples
-        self._emulator = PmdEmulator(sensor, target, seed=config.seed, world=world_of(config.world))
+        self._emulator = PmdEmulator(
+            sensor,
+            target,
+            seed=config.seed,
+            world=world_of(config.world),
+            surroundings=config.surroundings,
+        )
         self._spare: list[PmdExposure] = []
         self._announced_s = sensor.integration_time_s
         self._publisher = CameraPublisher(

@@ -15,7 +15,9 @@ from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
+from rpod_pose.surroundings.known import KnownParts, KnownSurroundingsError, known_parts
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.control import Accepted, ResetRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.messages import NANOSECONDS
@@ -39,6 +41,7 @@ class Estimator:
         self._sensors = {sensor.name: sensor for sensor in config.sensors}
         self._setups: dict[str, Any] = {}
         self._methods: dict[str, Methods] = {}
+        self._known: dict[str, KnownParts] = {}
         self._tell_unreliable_parts()
         self.learn({})
         self._navigator = Navigator(
@@ -78,6 +81,18 @@ class Estimator:
                 log.info("%s: %s", name, setup)
             self._setups[name] = setup
             self._methods[name] = ready_methods(sensor, self._target, setup)
+            self._learn_surroundings(sensor, setup)
+
+    def _learn_surroundings(self, sensor: SensorInput, setup: Any) -> None:
+        path, separation = self._config.surroundings, kind_methods(sensor).separation
+        if path is None:
+            return
+        try:
+            known = known_parts(path, sensor.name, None if separation is None else separation(sensor, setup))
+        except KnownSurroundingsError as error:
+            raise ConfigurationError(path, sensor.name, str(error)) from error
+        if known is not None:
+            self._known[sensor.name] = known
 
     def _tell_unreliable_parts(self) -> None:
         reliable = self._target.reliable
@@ -126,8 +141,13 @@ class Estimator:
             return self._rejected(arrived, arrived.reason)
         if arrived.sensor not in self._methods:
             return self._rejected(arrived, kind_methods(self._sensors[arrived.sensor]).missing)
-        before = self._state.mode
-        self._state, output = self._navigator.step(self._state, arrived.measurement)
+        before, measurement = self._state.mode, arrived.measurement
+        if known := self._known.get(arrived.sensor):
+            try:
+                measurement = replace(measurement, data=known.without(measurement.data))
+            except KnownSurroundingsError as error:
+                return self._rejected(arrived, str(error))
+        self._state, output = self._navigator.step(self._state, measurement)
         self._log_change(before, output)
         return output
 

@@ -248,5 +248,8 @@ class KindMethods:
     masked: Callable[[Any, Callable[[Any], Any]], Any] | None = None
     """Function that returns a frame without the points for which a function of them, sensor axes, shape
     (..., 3), is true. Without it, unreliable parts of a target are not ignored."""
+    separation: Callable[[Any, Any], Any] | None = None
+    """Function that returns the ``surroundings.methods.Frames`` of a sensor, from its configuration and
+    setup. Without it, known surroundings are refused."""
     missing: str = ""
     """Reason for which frames are rejected as long as these data are unknown."""

@@ -10,6 +10,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Camera, Float32Array
 from rpod_sim_sensor.pmd.light import Fragments, Lights, collect
 from rpod_sim_sensor.pmd.scene import Scene
+from rpod_sim_sensor.surroundings import scenery
 from rpod_target import Target
 
 
@@ -42,7 +43,7 @@ class Renderer:
         self._target = target
         self._rays = RayGrid.pinhole(camera, subsamples).in_single_precision()
         self._centres = RayGrid.pinhole(camera).in_single_precision()
-        self._scene = Scene(target, 0)
+        self._scene = Scene(scenery(target, (), RigidTransform.identity()), 0)
         self._hits = Hits.of(self._rays)
         self._fragments = Fragments.of(self._rays.shape[1] * subsamples)
         self._modulated = np.empty((0, *self._centres.shape), np.float32)

@@ -8,6 +8,7 @@ from rpod_schemas.config.base import Config, Name, NonNegative, Positive
 from rpod_schemas.config.motion import MotionConfig
 from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.config.service import ServiceConfig
+from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.sensors.fields import EMULATED
 
 SensorConfig = Annotated[EmulatedSensor, EMULATED]
@@ -33,6 +34,8 @@ class EmulatorConfig(ServiceConfig):
     world: WorldName = "documented"
     """Variant of the sensors' physics; neither the sensors' messages nor the estimator's configuration state
     it."""
+    surroundings: tuple[Thing, ...] = ()
+    """Things that the sensors see beside the target: walls, a stand, an arm."""
     seed: int = Field(default=0, ge=0)
     """Seed of all noise; seed and frame number together determine the noise of a frame."""
     epoch_ns: int | None = Field(default=None, ge=0)

@@ -1,5 +1,6 @@
 """Configuration of the estimator: sensors, their methods, navigator, filter."""
 
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -159,6 +160,9 @@ class EstimatorSettings(Config):
     initial_pose: Pose | None = None
     """Pose T_chaser_target at the first frame. Set it if the pose is known, as in the 2018 paper; no search
     is made then. If left out, the target is searched."""
+    surroundings: Path | None = None
+    """File of what is known of the sensors' surroundings: range gates, masks, and the backgrounds that ``rpod
+    calibrate background`` writes. Set it if other things fill much of the frames."""
     navigator: NavigatorConfig = NavigatorConfig()
     """Configuration of the navigator's state machine."""
     filter: FilterConfig = Field(default_factory=FilterConfig)

@@ -8,6 +8,7 @@ from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.config.emulator import SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.motion import MotionConfig
+from rpod_schemas.config.surroundings import Thing
 
 DEFAULT_EPOCH_NS = 1_767_225_600_000_000_000
 """Default epoch, 2026-01-01T00:00:00Z, ns of UTC."""
@@ -42,6 +43,8 @@ class Scenario(Config):
     """Sensors to emulate."""
     world: WorldName = "documented"
     """Variant of the emulated sensors' physics; the estimator is not told."""
+    surroundings: tuple[Thing, ...] = ()
+    """Things that the sensors see beside the target: walls, a stand, an arm; the truth stays the target's."""
     publish_samples: bool = False
     """Whether to publish the PMD cameras' raw samples as well, about 70 MB/s at 45 Hz."""
     estimator: ScenarioEstimator

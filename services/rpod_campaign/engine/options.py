@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field
 
+from rpod_campaign.engine.trial.surroundings import SurroundingsName
 from rpod_schemas.config.base import Config, Positive
 from rpod_schemas.config.emulator import WorldName
 
@@ -38,6 +39,16 @@ Worlds = Annotated[
     Field(
         min_length=1,
         description="Variants of the emulated sensors' physics (rpod_sim_sensor.worlds); no method is told.",
+    ),
+]
+
+
+Surroundings = Annotated[
+    tuple[SurroundingsName, ...],
+    Field(
+        min_length=1,
+        description="Things around the target, which no method is told: laboratory is a room, a stand and an "
+        "arm that holds it; occluded is a room and a plate that hides a half of it.",
     ),
 ]
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rpod_campaign.engine.options import Names, Options, Worlds
+from rpod_campaign.engine.options import Names, Options, Surroundings, Worlds
 
 Steps = Annotated[
     tuple[Annotated[float, Field(ge=5, le=90)], ...],
@@ -51,3 +51,4 @@ class LidarOptions(Options):
     target: Names = ("envisat-bulky",)
     """Targets: names, or paths of parameter files."""
     world: Worlds = ("documented",)
+    surroundings: Surroundings = ("none",)

@@ -1,5 +1,6 @@
 """Targets at random attitudes, and scans of them."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_pose.registration.closest_point import Surface
 from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
@@ -67,13 +69,19 @@ def clearance_m(target: str, T_sensor_target: RigidTransform) -> float:
 
 
 def emulator_of(
-    target: str, config: LidarConfig, seed: int, *, world: WorldName = "documented", scale: float = 1.0
+    target: str,
+    config: LidarConfig,
+    seed: int,
+    *,
+    world: WorldName = "documented",
+    scale: float = 1.0,
+    things: Sequence[Thing] = (),
 ) -> LidarEmulator:
-    """Return the emulated LIDAR of a world, with a target larger than its model by a scale."""
+    """Return the emulated LIDAR of a world, with a target larger than its model by a scale, among things."""
     looked_at = cached_target(target)
     if scale != 1.0:
         looked_at = replace(looked_at, triangles_m=scale * looked_at.triangles_m)
-    return LidarEmulator(config, looked_at, seed=seed, world=world_of(world))
+    return LidarEmulator(config, looked_at, seed=seed, world=world_of(world), surroundings=things)
 
 
 def scan_of(

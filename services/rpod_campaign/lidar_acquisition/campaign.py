@@ -25,6 +25,7 @@ def cells(options: Options) -> list[AcquisitionCell]:
             step_deg=step_deg,
             model=model_of(target, options.model),
             world=world,
+            surroundings=surroundings,
         )
         for target in targets(options.target)
         for method in methods(options.method)
@@ -35,6 +36,7 @@ def cells(options: Options) -> list[AcquisitionCell]:
         for sampling in either(options.sampling, SAMPLING)
         for range_m in ranges_m(options, target)
         for world in options.world
+        for surroundings in options.surroundings
     ]
 
 

@@ -70,7 +70,7 @@ def sections(results: Results) -> list[Section]:
 def _name(cell: AcquisitionCell) -> tuple[str, ...]:
     step = word(cell.step_deg)
     return (
-        in_world(cell.target, cell.world),
+        in_world(cell.target, cell.world, cell.surroundings),
         cell.method,
         step,
         word(cell.centroid),
@@ -157,7 +157,7 @@ def _loss_tables(results: Results) -> tuple[Table, ...]:
             loss = share.value - rates[other].value
             rows.append(
                 (
-                    in_world(cell.target, cell.world),
+                    in_world(cell.target, cell.world, cell.surroundings),
                     *_name(cell)[2:],
                     number(loss, "+.3f"),
                     printed(paper.RANDOM_LOSS, (cell.range_m, cell.step_deg)),

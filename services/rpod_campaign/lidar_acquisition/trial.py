@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+from rpod_campaign.engine.trial.surroundings import SurroundingsName, surroundings
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.acquiring import SCHEMA, acquired
 from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
@@ -35,6 +36,8 @@ class AcquisitionCell:
     """Name of the target that the method looks for, if it is not the one that is seen."""
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
+    surroundings: SurroundingsName = "none"
+    """Things around the target; the method is not told."""
 
 
 def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
@@ -51,4 +54,5 @@ def _bench(cell: AcquisitionCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
         cell.method, step_deg=cell.step_deg, centroid=cell.centroid, matcher=cell.matcher, eq4=cell.eq4
     )
     acquiring = Acquiring(sensor, cached_target(cell.model or cell.target), pattern_of(lidar))
-    return emulator_of(cell.target, lidar, seed, world=cell.world), acquiring
+    things = surroundings(cell.surroundings, cached_target(cell.target), (cell.range_m, cell.range_m))
+    return emulator_of(cell.target, lidar, seed, world=cell.world, things=things), acquiring

@@ -24,6 +24,7 @@ def cells(options: Options) -> list[TrackingCell]:
             rate_deg_s=rate_deg_s,
             model=model_of(target, options.model),
             world=world,
+            surroundings=surroundings,
         )
         for target in targets(options.target)
         for tracker in options.matcher
@@ -32,6 +33,7 @@ def cells(options: Options) -> list[TrackingCell]:
             *((None, rate_deg_s) for rate_deg_s in _RATES_DEG_S),
         )
         for world in options.world
+        for surroundings in options.surroundings
     ]
 
 

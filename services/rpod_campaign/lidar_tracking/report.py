@@ -95,7 +95,7 @@ def _single_table(results: Results) -> Table:
         cell, s = result.cell, result.summary
         rows.append(
             (
-                in_world(cell.target, cell.world),
+                in_world(cell.target, cell.world, cell.surroundings),
                 cell.tracker,
                 word(cell.range_m),
                 str(result.rows.height),
@@ -121,7 +121,7 @@ def _single_table(results: Results) -> Table:
 def _sequence_table(results: Results) -> Table:
     rows = [
         (
-            in_world(result.cell.target, result.cell.world),
+            in_world(result.cell.target, result.cell.world, result.cell.surroundings),
             result.cell.tracker,
             word(result.cell.rate_deg_s),
             str(result.rows.height),
@@ -142,7 +142,7 @@ def _figures(results: Results) -> tuple[Any, ...]:
     for result in results:
         errors_deg = result.rows["attitude_error_deg"].drop_nulls().sort().to_list()
         shares = [(k + 1) / result.rows.height for k in range(len(errors_deg))]
-        target = in_world(result.cell.target, result.cell.world)
+        target = in_world(result.cell.target, result.cell.world, result.cell.surroundings)
         curves[f"{target}, {result.cell.tracker}, {result.cell.range_m:g} m"] = (
             errors_deg,
             shares,

@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_campaign.engine.trial.poses import POSE, errors, nees_of, numbers
 from rpod_campaign.engine.trial.sizes import longest_side_m
 from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.surroundings import SurroundingsName, surroundings
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import lidar_config, pattern_of, tracking_input
 from rpod_campaign.lidar.returns import ellipse_m
@@ -56,6 +57,8 @@ class TrackingCell:
     """Name of the target that the method looks for, if it is not the one that is seen."""
     world: WorldName = "documented"
     """Physics of the sensor; the method is not told."""
+    surroundings: SurroundingsName = "none"
+    """Things around the target; the method is not told."""
 
 
 SCHEMA: dict[str, Any] = {
@@ -186,4 +189,6 @@ def _bench(cell: TrackingCell, seed: int) -> tuple[LidarEmulator, Methods, Navig
         centre_of_mass_m=model.centre_of_mass_m,
         alike=model.equivalence,
     )
-    return emulator_of(cell.target, lidar, seed, world=cell.world), methods, navigator
+    span_m = ellipse_m(cell.target) if cell.range_m is None else (cell.range_m, cell.range_m)
+    things = surroundings(cell.surroundings, cached_target(cell.target), span_m)
+    return emulator_of(cell.target, lidar, seed, world=cell.world, things=things), methods, navigator

@@ -3,14 +3,18 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from rpod_campaign.engine.report.numbers import in_world
 from rpod_campaign.engine.trial.sizes import in_metres
+from rpod_campaign.engine.trial.surroundings import surroundings
 from rpod_campaign.engine.trial.targets import cached_target, model_of
 from rpod_campaign.pmd.framing import ranges_filling, reaching
 from rpod_campaign.pmd.methods import has_radius, pmd_input
 from rpod_campaign.pmd.options import PmdOptions
 from rpod_campaign.pmd.scene import camera_of
 from rpod_schemas.config.base import check
+from rpod_schemas.config.motion import ApproachConfig
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
@@ -53,8 +57,24 @@ def scenarios(
             model = model_of(target, getattr(options, "model", None))
             estimator = shown.estimator.model_copy(update={"target": model or None})
             for world in options.world:
-                update = {"world": world, "estimator": estimator}
-                yield in_world(label, world), shown.model_copy(update=update)
+                for around in options.surroundings:
+                    things = surroundings(around, cached_target(target), _span_m(options, shown, ranges))
+                    update = {"world": world, "estimator": estimator, "surroundings": things}
+                    yield in_world(label, world, around), shown.model_copy(update=update)
+
+
+def _span_m(
+    options: PmdOptions, scenario: Scenario, ranges: Sequence[float | str] | None
+) -> tuple[float, float]:
+    """Return the least and the greatest range of a campaign's trials, m."""
+    trajectory = scenario.motion.trajectory
+    if hasattr(options, "ranges") and (ranges or not isinstance(trajectory, ApproachConfig)):
+        return ranges_m(ranges, scenario)
+    if hasattr(options, "ranges") and options.ranges is not None:
+        return ranges_m(chosen(options, scenario), scenario)
+    assert isinstance(trajectory, ApproachConfig)  # noqa: S101 - of all scenarios with a camera
+    ends_m = [float(np.linalg.norm(end_m)) for end_m in (trajectory.start_m, trajectory.end_m)]
+    return min(ends_m), max(ends_m)
 
 
 def ranges_m(ranges: Sequence[float | str] | None, scenario: Scenario) -> tuple[float, float]:

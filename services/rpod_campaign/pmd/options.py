@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rpod_campaign.engine.options import Names, Options, Provided, Ranges, Worlds
+from rpod_campaign.engine.options import Names, Options, Provided, Ranges, Surroundings, Worlds
 from rpod_schemas.config.scenario import Scenario
 
 Methods = Annotated[
@@ -51,5 +51,6 @@ class PmdOptions(Options):
     target: tuple[Annotated[str, Field(min_length=1)], ...] = ()
     """Targets instead of that of the scenario: names, or paths of parameter files."""
     world: Worlds = ("documented",)
+    surroundings: Surroundings = ("none",)
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)
     """Installed scenarios, by name."""

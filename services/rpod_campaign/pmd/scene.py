@@ -65,6 +65,7 @@ class Stage:
             self.looked_at,
             seed=_NOISE_SEEDS * seed + trial,
             world=world_of(scenario.world),
+            surroundings=scenario.surroundings,
         )
         self._rays = RayGrid.pinhole(self.camera.camera)
         self._hits = Hits.of(self._rays)

@@ -28,8 +28,10 @@ def cells(options: Options) -> list[AcquisitionCell]:
             target=scenario.target,
             model=scenario.estimator.target or "",
             world=scenario.world,
+            surroundings=name,
         )
-        for _, scenario in scenarios(options)
+        for name in options.surroundings
+        for _, scenario in scenarios(options.model_copy(update={"surroundings": (name,)}))
         for method, _ in methods(options.method)
         for view, start in (CASES[case] for case in options.case)
     ]

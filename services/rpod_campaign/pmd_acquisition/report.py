@@ -100,7 +100,7 @@ _NAMES = ("view", "start", "method", "range, m")
 
 def _name(cell: AcquisitionCell) -> tuple[str, ...]:
     return (
-        in_world(cell.view, cell.world),
+        in_world(cell.view, cell.world, cell.surroundings),
         cell.start,
         cell.method,
         f"{cell.range_m[0]:g} to {cell.range_m[1]:g}",

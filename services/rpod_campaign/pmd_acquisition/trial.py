@@ -10,6 +10,7 @@ import polars as pl
 
 from rpod_campaign.engine.trial.poses import POSE, errors, numbers
 from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.surroundings import SurroundingsName
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.methods import pmd_input
 from rpod_campaign.pmd.poses import drawn, in_proportion, limits_of
@@ -45,6 +46,8 @@ class AcquisitionCell:
     """Name of the target that the method looks for, if it is not the one that is seen."""
     world: WorldName = "documented"
     """The scenario's physics of the camera; the method is not told."""
+    surroundings: SurroundingsName = "none"
+    """Things around the target; the method is not told."""
 
 
 SCHEMA: dict[str, Any] = {

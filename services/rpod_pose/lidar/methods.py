@@ -13,8 +13,11 @@ from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.lidar.scan_view import HIDDEN_M, ScanView, returns_of
 from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
 from rpod_pose.search.verified_search import VerifiedSearch
+from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
+from rpod_pose.surroundings.separation import Label, RangeImage
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
@@ -61,7 +64,48 @@ def make(task: Task) -> Methods:
     task = task.with_tracker(tracker)
     acquirer = method("lidar", sensor.acquisition.kind).built(sensor.acquisition, task)
     likelihoods = acquirer.log_likelihoods if isinstance(acquirer, GlobalSearch) else None
-    return Methods(acquirer, tracker, deskewed, likelihoods)
+    among_things = TrackerAmongThings(tracker, ScanFrames(task.setup), task.target)
+    return Methods(AcquirerAmongThings(acquirer, among_things), among_things, deskewed, likelihoods)
+
+
+class ScanFrames:
+    """Separates scans: surroundings.methods.Frames."""
+
+    def __init__(self, pattern: ScanPattern) -> None:
+        self._view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad)
+
+    def image(self, frame: LidarScan, *, fine: bool) -> RangeImage:  # noqa: ARG002 - rays are few
+        """Return the range of each ray of the pattern."""
+        return RangeImage(self._view.grid, self._view.seen(frame).range_m.clip(0.0).astype(np.float32))
+
+    def separated(
+        self,
+        frame: LidarScan,
+        labels: NDArray[np.uint8],
+        inside: NDArray[np.bool_],  # noqa: ARG002 - a ray without a return has missed the target
+    ) -> LidarScan:
+        """Return a scan without the returns of other things; those that hide the target are ``HIDDEN_M``."""
+        seen = self._view.seen(frame)
+        _, places, _ = returns_of(frame.points_m.reshape(-1, 3))
+        label = np.where(seen.rays >= 0, labels.flat[seen.rays], Label.BEYOND)
+        points_m = frame.points_m.reshape(-1, 3).copy()
+        points_m[places[label == Label.BEYOND]] = np.nan
+        points_m[places[label == Label.HIDING]] = HIDDEN_M
+        points_m.setflags(write=False)
+        return frame.model_copy(update={"points_m": points_m.reshape(frame.points_m.shape)})
+
+    def part_of(self, part: LidarScan, whole: LidarScan) -> LidarScan:  # noqa: ARG002 - verified afterwards
+        """Return a part of a scan."""
+        return part
+
+    def every_range_m(self, frame: LidarScan) -> Float32Array:
+        """Return the range of each ray of the pattern."""
+        return self._view.seen(frame).range_m.clip(0.0).astype(np.float32)
+
+
+def scan_frames(_sensor: LidarInput, pattern: ScanPattern) -> ScanFrames:
+    """Return the separation of a LIDAR's scans."""
+    return ScanFrames(pattern)
 
 
 def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan]:
@@ -85,5 +129,6 @@ LIDAR_METHODS = KindMethods(
     frames=ideal_scan,
     setup=known_pattern,
     masked=masked,
+    separation=scan_frames,
     missing="no scan pattern: neither lidar info nor the configuration gives it",
 )

@@ -179,6 +179,8 @@ def _ray_sums(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptio
     for i in range(rays.face.shape[0]):
         for j in range(rays.face.shape[1]):
             m, face = range_m[i, j], rays.face[i, j]
+            if m < 0.0:
+                continue  # something hides the target
             if face < 0:
                 if m > 0.0:
                     total += log_empty

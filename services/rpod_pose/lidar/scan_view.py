@@ -14,6 +14,9 @@ from rpod_schemas.types import Float32Array, LidarScan
 NEAREST_M, FARTHEST_M = 0.05, 1e5
 """Limits of a valid range: many sensors send a point in their origin for a ray without a return."""
 
+HIDDEN_M = np.inf
+"""Coordinates of a return from something that hides the target; its ray then tells nothing of the target."""
+
 
 @dataclass(frozen=True, eq=False)
 class SeenScan:
@@ -24,7 +27,8 @@ class SeenScan:
     rays: NDArray[np.int64]
     """Row-major index of each point's ray, shape (N,); -1 for a point outside the pattern."""
     range_m: FloatArray
-    """Measured range of each ray, shape (rows, columns), 0 without a return."""
+    """Measured range of each ray, shape (rows, columns), 0 without a return, negative if something hides
+    the target."""
 
     @property
     def returns(self) -> int:
@@ -90,7 +94,10 @@ class ScanView:
         points_m, places, range_m = returns_of(scan.points_m.reshape(-1, 3))
         organised = scan.points_m.shape[:-1] == self.shape
         rays = places if organised else self._nearest_rays(points_m, range_m)
-        return SeenScan(points_m, rays, range_image(rays, range_m, *self.shape))
+        image = range_image(rays, range_m, *self.shape)
+        if organised:
+            image[np.isinf(scan.points_m[..., 0])] = -1.0
+        return SeenScan(points_m, rays, image)
 
     def _nearest_rays(self, points_m: FloatArray, range_m: FloatArray) -> NDArray[np.int64]:
         column, beside = _nearest(self.azimuth_rad, np.arctan2(points_m[:, 0], points_m[:, 2]))

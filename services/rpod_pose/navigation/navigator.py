@@ -24,12 +24,12 @@ from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, start, to_odometry
 from rpod_pose.navigation.history import History, PoseMeasurement, apply
 from rpod_pose.navigation.rivals import Rival, Rivals, distinct
-from rpod_pose.navigation.state import GivenPose, NavigatorState, Output, RefusedPixels
+from rpod_pose.navigation.state import Challenger, GivenPose, NavigatorState, Output, RefusedPixels
 from rpod_pose.ports import Acquisition, Deskew, Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.poses import chained, make_pose, rotation_matrix
+from rpod_schemas.poses import chained, make_pose, pose_error, rotation_matrix
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
 from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, SensorFrame, Source
 from rpod_target import NO_SYMMETRY, Equivalence
@@ -38,7 +38,13 @@ LATE = "late: older than the filter's history"
 """Reason for which a measurement is not used."""
 BEGINNING = 0.5
 """Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
-_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.05
+EXPLAINED_DEG, EXPLAINED_M = 20.0, 0.5
+"""Greatest turn and way from a prediction to a pose that an accelerated target explains: 60 deg/s2 and 3 m/s2
+turn it by 7 deg and move it by 0.4 m in half a second, and attitudes that are mistaken for each other are
+farther apart."""
+CONTESTED_S = 0.2
+"""Time of believed poses that agree on another attitude after which a track is lost."""
+_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.26
 """Standard deviations of a given first pose without a given covariance."""
 
 
@@ -272,6 +278,11 @@ class Navigator:
             state = replace(
                 state, history=grown
             )  # a measurement that comes later may make this one consistent
+            if state.mode == Mode.TRACKING and registration.begins_track:
+                state, taken = self._challenge(state, predicted, measured)
+                if taken or state.mode == Mode.LOST:
+                    reason = "" if taken else "believed poses agree on another attitude than the tracked one"
+                    return state, self._output(state, event, registration, reason=reason, nis=nis)
             return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
         confirmations = state.confirmations + 1
         verified = confirmations >= self._limits.confirmations and self._is_credible(state, event)
@@ -283,8 +294,39 @@ class Navigator:
             accepted_ns=max(state.accepted_ns, event.stamp_ns),
             rejections=0,
             confirmations=confirmations,
+            challenger=None,
         )
         return state, self._output(state, event, registration, nis=nis)
+
+    def _challenge(
+        self, state: NavigatorState, predicted: FilterState, measured: PoseMeasurement
+    ) -> tuple[NavigatorState, bool]:
+        """Return the state after a believed pose that the gate refused, and whether the track goes on at it.
+
+        Two such poses in succession that agree with each other are evidence against the prediction, whose
+        target has been accelerated: the track goes on at the second. If they lie so far off that no
+        acceleration explains it, either of both may be wrong, and the track is lost after a while.
+        """
+        filtered, stamp_ns = self._settings.filter, measured.stamp_ns
+        challenger = state.challenger
+        applied = None if challenger is None else apply(challenger.history, measured, filtered)
+        if challenger is None or applied is None or not applied.accepted:
+            started = self._start_filter(measured.T_chaser_target, measured.covariance, stamp_ns)
+            moving = replace(started, velocity_m_s=predicted.velocity_m_s, rate_rad_s=predicted.rate_rad_s)
+            challenger = Challenger(History(moving), stamp_ns)
+            return replace(state, challenger=challenger), False
+        turn_rad, shift_m = (
+            float(np.linalg.norm(part))
+            for part in pose_error(predicted.T_chaser_target, measured.T_chaser_target)
+        )
+        state = replace(state, challenger=replace(challenger, history=applied.history))
+        if turn_rad <= radians(EXPLAINED_DEG) and shift_m <= EXPLAINED_M:
+            return replace(
+                state, history=applied.history, accepted_ns=stamp_ns, rejections=0, challenger=None
+            ), True
+        if (stamp_ns - challenger.since_ns) / NANOSECONDS >= CONTESTED_S:
+            state = replace(state, mode=Mode.LOST, lost_ns=stamp_ns, challenger=None)
+        return state, False
 
     def _register(
         self, event: Measurement, predicted: FilterState, *, tracked: bool

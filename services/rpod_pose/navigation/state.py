@@ -22,6 +22,15 @@ class GivenPose:
 
 
 @dataclass(frozen=True, eq=False)
+class Challenger:
+    """A track of poses that were believed but refused by the gate, and that agree with each other."""
+
+    history: History
+    since_ns: int
+    """Stamp of the first of them."""
+
+
+@dataclass(frozen=True, eq=False)
 class NavigatorState:
     """State of the navigator between two steps."""
 
@@ -43,6 +52,8 @@ class NavigatorState:
     """Number of consecutive rejections."""
     confirmations: int = 0
     """Number of consistent frames since the acquisition."""
+    challenger: Challenger | None = None
+    """Track of the believed poses that the gate has refused since the last accepted one."""
     records: Mapping[str, Record] = field(default_factory=dict)
     """Records of frames that did not support the tracked pose, by the sensor's name; they outlast tracks."""
 

@@ -16,12 +16,15 @@ from rpod_pose.pmd.depth_preparation import (
 )
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.tracker import JointTracker
+from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.pmd.paper_2018.epnp import EpnpTracker
 from rpod_pose.pmd.paper_2018.hybrid import HybridTracker
 from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationIcp
 from rpod_pose.pmd.signed_distance import SignedDistanceTracker
 from rpod_pose.pmd.view_search import ViewSearch
 from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
+from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
+from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
 from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
@@ -45,8 +48,10 @@ LEAST_BIAS_M = 0.001
 
 def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
     """Return the facility's own search; the joint tracker refines its result, whatever tracks the frames."""
-    finisher = task.tracker if isinstance(task.tracker, JointTracker) else joint(JointConfig(), task)
-    return ViewSearch(config, task.target, finisher)
+    if task.tracker is not None and task.sensor.tracking.kind == "joint":
+        return ViewSearch(config, task.target, task.tracker)
+    finisher = joint(JointConfig(), task)
+    return ViewSearch(config, task.target, TrackerAmongThings(finisher, PmdFrames(), task.target))
 
 
 def joint(config: JointConfig, task: Task) -> Tracker[PmdFrame]:
@@ -84,16 +89,16 @@ def hybrid(config: HybridConfig, task: Task) -> Tracker[PmdFrame]:
 def make(task: Task) -> Methods:
     """Return the configured methods for a PMD camera."""
     sensor = task.sensor
-    tracker = method("pmd", sensor.tracking.kind).built(sensor.tracking, task)
+    own = method("pmd", sensor.tracking.kind).built(sensor.tracking, task)
+    tracker = TrackerAmongThings(own, PmdFrames(), task.target)
     task = task.with_tracker(tracker)
     acquirer = method("pmd", sensor.acquisition.kind).built(sensor.acquisition, task)
     preparation = DepthPreparation(sensor, task.target)
+    likelihoods = acquirer.log_likelihoods if isinstance(acquirer, ViewSearch) else None
     return Methods(
-        PreparedAcquirer(acquirer, preparation),
+        PreparedAcquirer(AcquirerAmongThings(acquirer, tracker), preparation),
         PreparedTracker(tracker, preparation),
-        likelihoods=prepared_likelihoods(acquirer.log_likelihoods, preparation)
-        if isinstance(acquirer, ViewSearch)
-        else None,
+        likelihoods=None if likelihoods is None else prepared_likelihoods(likelihoods, preparation),
     )
 
 
@@ -129,4 +134,9 @@ def masked(frame: PmdFrame, hit: Callable[[Float32Array], NDArray[np.bool_]]) ->
     return frame.model_copy(update=images)
 
 
-PMD_METHODS = KindMethods(make=make, frames=ideal_frames, masked=masked)
+def frames(_sensor: PmdInput, _: object) -> PmdFrames:
+    """Return the separation of a camera's frames."""
+    return PmdFrames()
+
+
+PMD_METHODS = KindMethods(make=make, frames=ideal_frames, masked=masked, separation=frames)

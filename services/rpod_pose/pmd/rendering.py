@@ -135,6 +135,21 @@ def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
     for n in range(NINE):
         if inverse[n] > 0.0:
             low, high, hits = min(low, 1.0 / inverse[n]), max(high, 1.0 / inverse[n]), hits + 1
+    if hits == 0:  # triangles smaller than a pixel may lie between the nine rays
+        return _around_coarsely(rendered, i, j, int(reach / stride))
+    return Around(low, high, hits)
+
+
+@kernel
+def _around_coarsely(rendered: RenderingArrays, i: int, j: int, width: int) -> Around:
+    """Return the extremes of the coarse pixels within a number of rows and columns, and 1 if any hits."""
+    low, high, hits = np.inf, 0.0, 0
+    rows, columns = rendered.triangle.shape
+    for v in range(max(i - width, 0), min(i + width + 1, rows)):
+        for u in range(max(j - width, 0), min(j + width + 1, columns)):
+            if rendered.triangle[v, u] >= 0:
+                range_m = np.float64(rendered.range_m[v, u])
+                low, high, hits = min(low, range_m), max(high, range_m), 1
     return Around(low, high, hits)
 
 

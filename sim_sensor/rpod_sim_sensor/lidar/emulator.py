@@ -10,11 +10,13 @@ from scipy.spatial.transform import RigidTransform
 from rpod_geometry.rays import RayGrid, cast
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.lidar.detection import echo
 from rpod_sim_sensor.lidar.disturbance import bounced, false_m, mixed
 from rpod_sim_sensor.lidar.noise import noisy_directions, noisy_range_m
 from rpod_sim_sensor.noise import noise_stream
+from rpod_sim_sensor.surroundings import Scenery, scenery
 from rpod_sim_sensor.worlds import DOCUMENTED, World, lidar_cosine
 from rpod_target import Target
 
@@ -46,15 +48,28 @@ class LidarEmulator:
         seed: seed of all noise.
         world: differences of sensor and target from the documented ones, which the info message does not
             show.
+        surroundings: things that the rays meet beside the target.
+
+    Raises:
+        rpod_sim_sensor.surroundings.MeshOfSurroundingsError: a mesh file cannot be read.
     """
 
-    def __init__(self, config: LidarConfig, target: Target, *, seed: int, world: World = DOCUMENTED) -> None:
+    def __init__(
+        self,
+        config: LidarConfig,
+        target: Target,
+        *,
+        seed: int,
+        world: World = DOCUMENTED,
+        surroundings: Sequence[Thing] = (),
+    ) -> None:
         config, target = world.lidar_config(config), world.target(target)
-        self._config, self._target, self._seed, self._world = config, target, seed, world
+        self._config, self._seed, self._world = config, seed, world
+        self._seen = scenery(target, surroundings, config.T_chaser_sensor)
         self._whole, self._rows = _grids(config, 0.0)
         self._beside = _grids(config, 0.5 * world.lidar.footprint_rad)
         self._time_s = config.ray_times_s().astype(np.float32)
-        self._reflectivity = _reflectivity(config, target)
+        self._reflectivity = _reflectivity(config, self._seen)
 
     def scan(self, poses: Sequence[RigidTransform], *, frame: int) -> LidarReturns:
         """Return a scan.
@@ -99,14 +114,22 @@ class LidarEmulator:
         return range_m, cos_incidence, reflectivity
 
     def _met_by(self, grid: RayGrid, T_lidar_target: RigidTransform) -> Met:
-        hits = cast(grid, self._target.triangles_m, T_lidar_target)
-        met = hits.triangle >= 0
-        triangle = np.where(met, hits.triangle, 0)
-        normals = T_lidar_target.rotation.apply(self._target.normals)
+        seen = self._seen
+        hits = cast(grid, seen.moving.triangles_m, T_lidar_target)
+        range_m, triangle = hits.range_m, hits.triangle
+        normals = T_lidar_target.rotation.apply(seen.moving.normals)
+        if len(seen.still_m):
+            still = cast(grid, seen.still_m, RigidTransform.identity())
+            nearer = still.range_m < range_m
+            range_m = np.where(nearer, still.range_m, range_m)
+            triangle = np.where(nearer, still.triangle + len(normals), triangle)
+            normals = np.concatenate((normals, seen.still_normals))
+        met = triangle >= 0
+        triangle = np.where(met, triangle, 0)
         # Either side of an open surface reflects.
         cos_incidence = np.abs((normals[triangle] * grid.directions).sum(axis=-1))
-        range_m = np.where(met, hits.range_m, np.nan)
-        return range_m, cos_incidence, self._reflectivity[triangle]
+        range_m = np.where(met, range_m, np.nan)
+        return np.asarray(range_m, np.float64), cos_incidence, self._reflectivity[triangle]
 
     def _measured_m(self, range_m: FloatArray, generator: Generator) -> FloatArray:
         """Return the measured points, (rows, columns, 3), m: ideal ranges along rays with angular errors."""
@@ -126,8 +149,9 @@ def _grids(config: LidarConfig, aside_rad: float) -> tuple[RayGrid, list[RayGrid
     return RayGrid.azimuth_elevation(azimuth_rad, elevation_rad), rows
 
 
-def _reflectivity(config: LidarConfig, target: Target) -> FloatArray:
-    """Return rho_T of each triangle, shape (T,)."""
+def _reflectivity(config: LidarConfig, seen: Scenery) -> FloatArray:
+    """Return rho_T of each triangle, of what moves and then of what stands still, shape (T + S,)."""
+    material = np.concatenate((seen.moving.triangle_material, seen.still_material))
     if config.detection.reflectivity == "mean":
-        return np.full(len(target.triangles_m), config.detection.mean_reflectivity)
-    return np.array([material.reflectivity for material in target.materials])[target.triangle_material]
+        return np.full(len(material), config.detection.mean_reflectivity)
+    return np.array([known.reflectivity for known in seen.moving.materials])[material]

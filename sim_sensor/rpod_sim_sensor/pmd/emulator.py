@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import SAMPLES, PmdConfig
+from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.errors import SimSensorError
 from rpod_sim_sensor.noise import noise_stream
@@ -21,6 +22,7 @@ from rpod_sim_sensor.pmd.pixel import Electronics, Light, Noise, convert
 from rpod_sim_sensor.pmd.reconstruction import Reconstruction, reconstruct
 from rpod_sim_sensor.pmd.scene import Scene
 from rpod_sim_sensor.pmd.veil import add_veils
+from rpod_sim_sensor.surroundings import scenery
 from rpod_sim_sensor.worlds import DOCUMENTED, World
 from rpod_target import Target
 
@@ -74,16 +76,30 @@ class PmdEmulator:
         seed: seed of all noise.
         world: differences of camera and target from the documented ones, which the info message does not
             show.
+        surroundings: things that the camera sees beside the target.
+
+    Raises:
+        rpod_sim_sensor.surroundings.MeshOfSurroundingsError: a mesh file cannot be read.
     """
 
-    def __init__(self, config: PmdConfig, target: Target, *, seed: int, world: World = DOCUMENTED) -> None:
+    def __init__(
+        self,
+        config: PmdConfig,
+        target: Target,
+        *,
+        seed: int,
+        world: World = DOCUMENTED,
+        surroundings: Sequence[Thing] = (),
+    ) -> None:
         config, target = world.camera_config(config), world.target(target)
-        self._config, self._target, self._seed, self._world = config, target, seed, world
+        self._config, self._seed, self._world = config, seed, world
+        self._seen = scenery(target, surroundings, config.T_chaser_sensor)
         self._rays = RayGrid.pinhole(config.camera, config.subsamples).in_single_precision()
         self._centres = RayGrid.pinhole(config.camera).in_single_precision()
-        self._scene = Scene(target, config.sub_exposures)
+        self._scene = Scene(self._seen, config.sub_exposures)
         self._electronics = Electronics.of(config)
         self._hits = Hits.of(self._rays)
+        self._still = cast(self._rays, self._seen.still_m, RigidTransform.identity())
         self._fragments = Fragments.of(self._rays.shape[1] * config.subsamples)
         height, width = self._centres.shape
         self._charge_e = np.empty((height, width), np.float32)
@@ -122,8 +138,11 @@ class PmdEmulator:
     def _light(self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray) -> Light:
         middle = len(poses) // 2
         T_middle = _between(poses[middle - 1], poses[middle])
-        closed = self._target.field is not None
-        cast(self._rays, self._target.triangles_m, T_middle, out=self._hits, cull_back_faces=closed)
+        moving_m, closed = self._seen.moving.triangles_m, self._seen.is_closed
+        cast(self._rays, moving_m, T_middle, out=self._hits, cull_back_faces=closed)
+        if len(self._seen.still_m):
+            nearer = self._still.range_m < self._hits.range_m
+            np.copyto(self._hits.triangle, self._still.triangle + np.int32(len(moving_m)), where=nearer)
         modulated_e, charge_e = self._modulated_e, self._charge_e
         collect(
             self._hits.triangle,

@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_geometry.kernels import kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
-from rpod_target import Target
+from rpod_sim_sensor.surroundings import Scenery
 
 _LATTICE = Rotation.from_rotvec((0.7, -0.4, 0.55)).as_matrix()
 """Rotation from target axes into the lattice's."""
@@ -37,13 +37,17 @@ class Surfaces(NamedTuple):
     """Diffuse albedo, specular reflectance, squared width of the lobe, patches per metre, and tilt of a patch
     in rad, shape (M, 5)."""
     rotations: FloatArray
-    """R_optical_target in the middle of the exposure, then in each sub-exposure, shape (K + 1, 3, 3)."""
+    """R_optical_target in the middle of the exposure, then in each sub-exposure; behind them identity, for
+    what stands still; shape (2, K + 1, 3, 3)."""
     positions_m: FloatArray
-    """t_optical_target at the same times, shape (K + 1, 3)."""
+    """t_optical_target at the same times, then zeros, shape (2, K + 1, 3)."""
     R_lattice_optical: FloatArray
     """Rotation from optical axes into the lattice's, shape (3, 3)."""
     t_lattice_optical: FloatArray
     """Origin of the optical axes in the lattice's, shape (3,)."""
+    moving: int
+    """Number of the triangles that move with the target, the first ones; the others, in optical axes, stand
+    still."""
     frame: int
     """Number of this exposure among the scene's."""
     placed: NDArray[np.int64]
@@ -55,18 +59,22 @@ class Surfaces(NamedTuple):
 
 
 class Scene:
-    """The target's triangles and materials, to be placed by pose."""
+    """The triangles and materials that the camera sees, to be placed by pose."""
 
-    def __init__(self, target: Target, sub_exposures: int) -> None:
-        self._target = target
+    def __init__(self, seen: Scenery, sub_exposures: int) -> None:
+        target = seen.moving
+        self._moving = len(target.triangles_m)
+        self._normals = np.concatenate((target.normals, seen.still_normals))
+        self._material = np.concatenate((target.triangle_material, seen.still_material))
         self._materials = np.array(
             [
                 (m.diffuse, m.f0, m.roughness**4, 1.0 / m.crinkle_m, np.deg2rad(m.crinkle_deg))
                 for m in target.materials
             ]
         )
-        self._offsets_m = np.einsum("ti,ti->t", target.normals, target.triangles_m[:, 0])
-        count = len(target.triangles_m)
+        corners_m = np.concatenate((target.triangles_m[:, 0], seen.still_m[:, 0]))
+        self._offsets_m = np.einsum("ti,ti->t", self._normals, corners_m)
+        count = len(self._normals)
         self._placed = np.zeros(count, np.int64)
         self._planes = np.empty((count, sub_exposures + 1, 3), np.float32)
         self._far_normals = np.empty((count, 3), np.float32)
@@ -79,17 +87,19 @@ class Scene:
         """
         self._frame += 1
         matrices = np.stack([pose.as_matrix() for pose in (T_middle, *poses)])
-        rotations, positions_m = matrices[:, :3, :3].copy(), matrices[:, :3, 3].copy()
-        R_lattice_optical = _LATTICE @ rotations[0].T
+        matrices = np.stack((matrices, np.broadcast_to(np.eye(4), matrices.shape)))
+        rotations, positions_m = matrices[..., :3, :3].copy(), matrices[..., :3, 3].copy()
+        R_lattice_optical = _LATTICE @ rotations[0, 0].T
         return Surfaces(
-            normals=self._target.normals,
+            normals=self._normals,
             offsets_m=self._offsets_m,
-            material=self._target.triangle_material,
+            material=self._material,
             materials=self._materials,
             rotations=rotations,
             positions_m=positions_m,
             R_lattice_optical=R_lattice_optical,
-            t_lattice_optical=-R_lattice_optical @ positions_m[0],
+            t_lattice_optical=-R_lattice_optical @ positions_m[0, 0],
+            moving=self._moving,
             frame=self._frame,
             placed=self._placed,
             planes=self._planes,
@@ -100,7 +110,8 @@ class Scene:
 @kernel
 def place(index: int, surfaces: Surfaces) -> None:
     """Compute the planes of one triangle, an index below T, at the poses of the exposure."""
-    normal, R, t = surfaces.normals[index], surfaces.rotations, surfaces.positions_m
+    body = 0 if index < surfaces.moving else 1
+    normal, R, t = surfaces.normals[index], surfaces.rotations[body], surfaces.positions_m[body]
     plane = surfaces.planes[index]
     for k in range(R.shape[0]):
         offset_m = surfaces.offsets_m[index]

@@ -30,8 +30,8 @@ def estimator_fields() -> dict[str, FieldInfo]:
     """All public leaves, of one LIDAR and one PMD camera with their default methods.
 
     What every service has (its bus, its name) is the facility's, and ``source`` describes the driver of
-    another party. The parameters of the papers' methods are documented with them. None of these is counted.
-    All that a calibration file holds is.
+    another party. The parameters of the papers' methods are documented with them. None of these is counted,
+    nor a ``kind`` inside a method that has one value only. All that a calibration file holds is.
     """
     found = {
         name: field
@@ -45,6 +45,7 @@ def estimator_fields() -> dict[str, FieldInfo]:
             for name, field in public_fields(model).items()
             if not name.startswith("source.")
         }
+    del found["sensors.lidar.acquisition.tracking.kind"]
     return found
 
 

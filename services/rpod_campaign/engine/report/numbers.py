@@ -36,6 +36,7 @@ def printed(values: Mapping[Any, Any], key: Any) -> str:
     return str(values[key]) if key in values else ""
 
 
-def in_world(name: str, world: str) -> str:
-    """Return a name, followed by its world unless that is the documented one."""
-    return name if world == "documented" else f"{name}, {world}"
+def in_world(name: str, world: str, surroundings: str = "none") -> str:
+    """Return a name, followed by its world and its surroundings where they are not the usual ones."""
+    unusual = (world,) * (world != "documented") + (surroundings,) * (surroundings != "none")
+    return ", ".join((name, *unusual))

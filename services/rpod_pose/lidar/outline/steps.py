@@ -176,6 +176,8 @@ def _log_likelihood(scene: Scene, ray: int, face: int) -> float:
     rays, pose, assumed, width = scene.rays, scene.pose, scene.assumed, scene.range_m.shape[1]
     i, j, density = ray // width, ray % width, assumed.clutter_density
     m = scene.range_m[i, j]
+    if m < 0.0:
+        return 0.0  # something hides the target
     if face < 0:
         return log(density) if m > 0.0 else log(1.0 - assumed.clutter_share)
     components, normal = rays.grid.components, rays.faces.normals[face]

@@ -7,11 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 from synthetic_log import SyntheticRun
 
+from rpod.command_background import background_command
 from rpod.command_calibrate import calibrate_command
 from rpod_analysis import open_log
 from rpod_analysis.calibration.depth_calibration import evidence, fit, range_bins
 from rpod_analysis.calibration.depth_samples import DepthSamples, collect
 from rpod_analysis.errors import CalibrationError
+from rpod_pose.pmd.other_things import PmdFrames
+from rpod_pose.surroundings.known import known_parts
 from rpod_schemas.config.base import load
 from rpod_schemas.config.depth_calibration import DepthCalibration, Harmonic, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
@@ -260,3 +263,13 @@ def test_the_command_fails_with_one_line(tmp_path, capsys):
     assert calibrate_command(missing, camera="pmd", check=None, out=None, as_json=False) == 1
     assert calibrate_command(missing, camera="pmd", check=missing[0], out=None, as_json=False) == 2
     assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+def test_the_background_of_a_log_without_the_target_is_written_for_the_estimator(tmp_path, logs, capsys):
+    out = tmp_path / "known.yaml"
+    assert background_command([logs[0]], out=out, as_json=True) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["sensors"]["pmd"]["frames"] > 10
+    assert known_parts(out, "pmd", PmdFrames()).background.range_m.shape == (96, 118)
+    assert background_command([], out=out, as_json=False) == 2
+    assert "0 logs, 1 needed" in capsys.readouterr().err

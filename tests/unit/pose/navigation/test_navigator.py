@@ -163,6 +163,14 @@ def rig(
     return Rig(navigator, method, navigator.start(pose))
 
 
+def turned(time_s: float, angle_deg: float) -> View:
+    """Return a believed view of the target turned by an angle from its steady motion."""
+    pose = in_sensor(time_s)
+    turn = Rotation.from_rotvec([0.0, np.deg2rad(angle_deg), 0.0])
+    seen = registration(make_pose(rotation=turn * pose.rotation, translation_m=pose.translation))
+    return View(round(time_s * SECOND_NS), tracked=seen)
+
+
 def in_sensor(time_s: float) -> RigidTransform:
     return MOUNT.inv() * truth(time_s)
 
@@ -781,3 +789,26 @@ def test_a_stream_that_did_not_support_a_track_is_tracked_once_it_has_agreed_for
     modes = [made.see(good(START_S + 3.0 + number / 45.0)).status.mode for number in range(120)]
     assert modes[1] == Mode.VERIFYING
     assert modes[-1] == Mode.TRACKING
+
+
+def test_the_track_goes_on_at_the_second_of_two_believed_poses_that_the_gate_refused_and_that_agree():
+    made = tracking()
+    first, second = (made.see(turned(START_S + 1.0 + 0.1 * n, 8.0)) for n in (1, 2))
+    assert (first.status.accepted, second.status.accepted) == (False, True)
+    assert second.status.mode == Mode.TRACKING
+    seen = MOUNT * turned(START_S + 1.2, 8.0).tracked.T_sensor_target
+    assert (second.odometry.pose.rotation * seen.rotation.inv()).magnitude() < np.deg2rad(1.0)
+
+
+def test_refused_poses_that_do_not_agree_with_each_other_leave_the_track_as_it_is():
+    made = tracking()
+    for number, angle_deg in enumerate((8.0, -8.0, 8.0, -8.0), start=1):
+        assert not made.see(turned(START_S + 1.0 + 0.1 * number, angle_deg)).status.accepted
+    assert made.see(good(START_S + 1.5)).status.accepted
+
+
+def test_a_track_is_lost_soon_if_believed_poses_agree_on_another_attitude():
+    made = tracking()
+    outputs = [made.see(turned(START_S + 1.0 + 0.1 * number, 90.0)) for number in (1, 2, 3)]
+    assert [output.status.mode for output in outputs] == [Mode.TRACKING, Mode.TRACKING, Mode.LOST]
+    assert outputs[-1].status.reason == "believed poses agree on another attitude than the tracked one"

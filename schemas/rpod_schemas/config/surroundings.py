@@ -1,0 +1,73 @@
+"""Things in a scenario beside the target: walls, a stand, the arm that holds it, a plate before it."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
+from rpod_schemas.poses import Pose, make_pose
+
+
+class _Thing(Config):
+    fixed_to: Literal["chaser", "target"] = "chaser"
+    """Body with which the thing moves: the chaser, whose laboratory stands still, or the target, such as the
+    arm that holds it."""
+    pose: Pose = Field(default_factory=make_pose)
+    """Pose of the thing's own axes in those of the body."""
+    reflectance: Share = 0.4
+    """Diffuse reflectance at the wavelengths of both sensors."""
+
+
+class BoxThing(_Thing):
+    """A cuboid about its own origin; a sensor inside it sees a room."""
+
+    kind: Literal["box"]
+    """Selects a cuboid."""
+    size_m: tuple[Positive, Positive, Positive]
+    """Full lengths along x, y, z, m."""
+
+
+class CylinderThing(_Thing):
+    """A circular cylinder along x, such as a limb of an arm."""
+
+    kind: Literal["cylinder"]
+    """Selects a cylinder."""
+    radius_m: Positive
+    """Radius, m."""
+    length_m: Positive
+    """Length along x, from 0, m."""
+
+
+class MeshThing(_Thing):
+    """The surface of a CAD or mesh file."""
+
+    kind: Literal["mesh"]
+    """Selects a file."""
+    file: str
+    """Path of the file: STL, OBJ, PLY, glTF or GLB; relative to the working directory."""
+    metres_per_unit: Positive = 1.0
+    """Scale of the file's coordinates."""
+
+
+Thing = Annotated[BoxThing | CylinderThing | MeshThing, Field(discriminator="kind")]
+"""A thing that sensors see beside the target; ``kind`` chooses its shape."""
+
+
+class SensorSurroundings(Config):
+    """What is known of a sensor's surroundings."""
+
+    range_gate_m: tuple[NonNegative, Positive] | None = None
+    """Least and greatest range that may be the target's, m."""
+    mask: Path | None = None
+    """Image of the frame's size (PNG): black pixels are not used; relative to this file."""
+    background: Path | None = None
+    """What the sensor sees without the target, written by ``rpod calibrate background``; relative to this
+    file."""
+
+
+class KnownSurroundings(Config):
+    """A file of what is known of the sensors' surroundings, which the estimator takes."""
+
+    sensors: dict[Name, SensorSurroundings]
+    """What is known, by the sensor's name."""

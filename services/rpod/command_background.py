@@ -1,0 +1,42 @@
+"""``rpod calibrate background`` from its arguments to its exit code."""
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from rpod.unreadable import tell_unreadable
+from rpod_analysis import AnalysisError, open_log
+from rpod_analysis.calibration.background import learned_backgrounds
+from rpod_pose.surroundings.known import KnownSurroundingsError
+from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+
+
+def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> int:
+    """Learn what each sensor of a log sees without the target; return the exit code."""
+    if len(logs) != 1:
+        print(f"rpod calibrate background: {len(logs)} logs, 1 needed", file=sys.stderr)
+        return EXIT_USAGE
+    out = out or Path("surroundings.yaml")
+    sensors, found = {}, {}
+    try:
+        with open_log(logs[0]) as log:
+            for name, (background, frames) in learned_backgrounds(log).items():
+                file = out.with_name(f"{out.stem}-{name}.npz")
+                background.write(file)
+                sensors[name] = {"background": file.name}
+                found[name] = {"frames": frames, "known_share": float((background.range_m > 0.0).mean())}
+            tell_unreadable("rpod calibrate background", log)
+        out.write_text(yaml.safe_dump({"sensors": sensors}), "utf-8")
+    except (AnalysisError, KnownSurroundingsError, OSError) as error:
+        print(f"rpod calibrate background: {error}", file=sys.stderr)
+        return EXIT_FAILURE
+    if as_json:
+        print(json.dumps({"file": str(out), "sensors": found}, indent=2))
+        return EXIT_OK
+    for name, told in found.items():
+        print(f"{name}: {told['frames']} frames, {told['known_share']:.0%} of the pixels have a background")
+    print(f"surroundings   {out}")
+    return EXIT_OK

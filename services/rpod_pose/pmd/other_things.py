@@ -1,0 +1,77 @@
+"""Ranges of a PMD frame, and the frame without what belongs to other things than the target."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_geometry.errors import DistortionError
+from rpod_pose.pmd.depth_view import DepthView
+from rpod_pose.surroundings.separation import Label, RangeImage, upsampled
+from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
+
+COARSE_RAYS, FINE_RAYS = 8_000, 250_000
+"""Most rays of an image for the search of places, and for the comparison with a rendering."""
+LEAST_SKY = 0.05
+"""Least share of the image from which the amplitude of the sky is taken; in a room there is none."""
+DARK = 0.1
+"""Greatest amplitude of a ray that meets nothing, over the median amplitude on the target."""
+
+
+class PartOfFrame(PmdFrame):
+    """A frame reduced to one place, with the whole frame, in which a pose is verified."""
+
+    whole: PmdFrame
+    """The frame as measured."""
+
+
+class PmdFrames:
+    """Separates PMD frames: surroundings.methods.Frames."""
+
+    def image(self, frame: PmdFrame, *, fine: bool) -> RangeImage | None:
+        """Return the ranges of every few pixels; None if the lens cannot be inverted."""
+        rays = FINE_RAYS if fine else COARSE_RAYS
+        stride = int(np.ceil(np.sqrt(frame.depth_m.size / rays)))
+        if frame.camera.distortion[LENS_COEFFICIENTS:].any():
+            return None
+        try:
+            view = DepthView.of(frame.camera, stride)
+        except DistortionError:
+            return None
+        grid = view.rays(1) if stride == 1 else view.coarse
+        depth_m = frame.depth_m[view.offset :: stride, view.offset :: stride]
+        range_m = (depth_m / grid.components[2]).astype(np.float32)
+        return RangeImage(grid, np.where(np.isfinite(range_m) & (range_m > 0.0), range_m, np.float32(0.0)))
+
+    def separated(self, frame: PmdFrame, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> PmdFrame:
+        """Return a frame that is dark beside the target, and saturated where something hides it.
+
+        Without an amplitude no pixel can be dark: what lies beyond the target inside its outline stays.
+        """
+        label = upsampled(labels, frame.depth_m.shape)
+        hiding, beyond = label == Label.HIDING, label == Label.BEYOND
+        if frame.amplitude is None:
+            beyond &= ~upsampled(inside, frame.depth_m.shape)
+        images = {"depth_m": np.where(hiding | beyond, np.float32(np.nan), frame.depth_m)}
+        if frame.amplitude is not None:
+            kept = (label == Label.KEPT) & (frame.depth_m > 0.0)
+            amplitude = np.where(hiding, frame.amplitude.dtype.type(0), frame.amplitude)
+            images["amplitude"] = np.where(beyond, _sky(frame, kept), amplitude)
+        for image in images.values():
+            image.setflags(write=False)  # as from the bus
+        return frame.model_copy(update=images)
+
+    def part_of(self, part: PmdFrame, whole: PmdFrame) -> PmdFrame:
+        """Return a part of a frame with the whole one."""
+        return PartOfFrame.model_construct(**dict(part), whole=whole)
+
+    def every_range_m(self, frame: PmdFrame) -> Float32Array:
+        """Return the z-depth of each pixel, as measured: gate and background are of this."""
+        return np.where(frame.depth_m > 0.0, frame.depth_m, np.float32(0.0))
+
+
+def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> np.uint16:
+    """Return the amplitude of a pixel that sees nothing: that of the dark pixels without depth."""
+    assert frame.amplitude is not None  # noqa: S101 - the caller's condition
+    most = DARK * float(np.median(frame.amplitude[kept])) if kept.any() else 1.0
+    dark = frame.amplitude[~(frame.depth_m > 0.0) & (frame.amplitude < most) & (frame.amplitude > 0)]
+    sky = float(np.median(dark)) if dark.size > LEAST_SKY * frame.depth_m.size else 1.0
+    return np.uint16(max(1.0, round(sky)))

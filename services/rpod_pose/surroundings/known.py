@@ -1,0 +1,155 @@
+"""What is known of a sensor's surroundings: a range gate, a mask, and a background without the target.
+
+The background is learned from frames without the target: for each pixel or ray the median range and its
+noise. What agrees with it is no target. It is stored as the arrays of an ``npz`` file.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_pose.errors import PoseError
+from rpod_pose.surroundings.methods import Frames
+from rpod_pose.surroundings.separation import Label
+from rpod_schemas.config.base import load
+from rpod_schemas.config.surroundings import KnownSurroundings, SensorSurroundings
+from rpod_schemas.types import Float32Array
+
+LEAST_SEEN = 0.5
+"""Least share of the frames in which a pixel must have a range to belong to the background."""
+SIGMAS = 4.0
+"""Greatest distance from the background, in its standard deviations, at which a range agrees with it."""
+RESOLUTION = 2e-3
+"""Least standard deviation of a range, over the range: clocks and temperature drift."""
+MAD_TO_SIGMA = 1.4826
+MOST_FRAMES = 200
+"""Most frames from which a background is learned, taken evenly."""
+
+
+class KnownSurroundingsError(PoseError):
+    """What is known of the surroundings cannot be used."""
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """Ranges without the target."""
+
+    range_m: Float32Array
+    """Median range of each pixel or ray, shape (rows, columns), 0 where there is none."""
+    sigma_m: Float32Array
+    """Standard deviation of a range, same shape."""
+
+    @classmethod
+    def learned(cls, ranges_m: Iterable[Float32Array]) -> Self:
+        """Return the background of frames without the target.
+
+        Args:
+            ranges_m: ranges of each frame, shape (rows, columns), 0 without one.
+
+        Raises:
+            KnownSurroundingsError: there is no frame, or frames differ in size.
+        """
+        frames = list(ranges_m)
+        if len({frame.shape for frame in frames}) != 1:
+            raise KnownSurroundingsError(f"{len(frames)} frames that agree in size, at least 1 needed")
+        every = np.stack(frames[:: -(-len(frames) // MOST_FRAMES)])
+        every = np.where(every > 0.0, every, np.float32(np.nan))
+        known = np.isfinite(every).mean(axis=0) >= LEAST_SEEN
+        middle, spread = np.zeros(known.shape), np.zeros(known.shape)
+        middle[known] = np.nanmedian(every[:, known], axis=0)
+        spread[known] = MAD_TO_SIGMA * np.nanmedian(np.abs(every[:, known] - middle[known]), axis=0)
+        return cls(middle.astype(np.float32), spread.astype(np.float32))
+
+    def write(self, path: Path) -> None:
+        """Write the arrays to a file."""
+        np.savez_compressed(path, range_m=self.range_m, sigma_m=self.sigma_m)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Return a background from a file.
+
+        Raises:
+            KnownSurroundingsError: the file cannot be read.
+        """
+        try:
+            with np.load(path) as arrays:
+                return cls(arrays["range_m"], arrays["sigma_m"])
+        except (OSError, ValueError, KeyError) as error:
+            raise KnownSurroundingsError(f"background {path} cannot be read: {error}") from error
+
+    def agrees(self, range_m: Float32Array) -> NDArray[np.bool_]:
+        """Return which ranges, 0 without one, are those of the background."""
+        sigma_m = np.maximum(self.sigma_m, RESOLUTION * self.range_m)
+        close: NDArray[np.bool_] = np.abs(range_m - self.range_m) < SIGMAS * sigma_m
+        return close & (self.range_m > 0.0) & (range_m > 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownParts:
+    """What a sensor's frames may show of the target, as far as it is known beforehand."""
+
+    frames: Frames
+    gate_m: tuple[float, float]
+    unused: NDArray[np.bool_] | None
+    background: Background | None
+
+    @classmethod
+    def of(cls, known: SensorSurroundings, frames: Frames, folder: Path) -> Self:
+        """Return what is known; files are relative to a folder.
+
+        Raises:
+            KnownSurroundingsError: a file cannot be read.
+        """
+        unused = None
+        if known.mask is not None:
+            image = cv2.imread(str(folder / known.mask), cv2.IMREAD_GRAYSCALE)
+            if image is None:
+                raise KnownSurroundingsError(f"mask {folder / known.mask} is no image that can be read")
+            unused = image == 0
+        background = None if known.background is None else Background.read(folder / known.background)
+        return cls(frames, known.range_gate_m or (0.0, np.inf), unused, background)
+
+    def without(self, frame: Any) -> Any:
+        """Return a frame without what is known to be no target.
+
+        Raises:
+            KnownSurroundingsError: mask or background have another size than the frame.
+        """
+        range_m = self.frames.every_range_m(frame)
+        labels = np.full(range_m.shape, Label.KEPT, np.uint8)
+        measured, (near_m, far_m) = range_m > 0.0, self.gate_m
+        labels[measured & (range_m > far_m)] = Label.BEYOND
+        labels[measured & (range_m < near_m)] = Label.HIDING
+        if self.background is not None:
+            _require_size("background", self.background.range_m, range_m)
+            labels[self.background.agrees(range_m)] = Label.BEYOND
+        if self.unused is not None:
+            _require_size("mask", self.unused, range_m)
+            labels[self.unused] = Label.HIDING
+        return self.frames.separated(frame, labels, np.zeros(labels.shape, np.bool_))
+
+
+def _require_size(name: str, known: NDArray[Any], range_m: Float32Array) -> None:
+    if known.shape != range_m.shape:
+        sizes = [" x ".join(map(str, shape[::-1])) for shape in (known.shape, range_m.shape)]
+        raise KnownSurroundingsError(f"the {name} has {sizes[0]} pixels, the frame {sizes[1]}")
+
+
+def known_parts(path: Path, sensor: str, frames: Frames | None) -> KnownParts | None:
+    """Return what a file says of a sensor; None if nothing.
+
+    Raises:
+        rpod_schemas.errors.ConfigurationError: the file is wrong.
+        KnownSurroundingsError: a file that it names cannot be read, or the kind of sensor cannot use it.
+    """
+    known = load(KnownSurroundings, path).sensors.get(sensor)
+    if known is None:
+        return None
+    if frames is None:
+        raise KnownSurroundingsError(f"{sensor}: sensors of its kind have no known surroundings")
+    return KnownParts.of(known, frames, path.parent)

@@ -1,0 +1,229 @@
+"""A tracker and a search for frames that show more than the target; other frames are passed on unchanged."""
+
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.belief import contradicted
+from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
+from rpod_pose.surroundings.separation import (
+    Margin,
+    RangeImage,
+    Sight,
+    around_place,
+    places,
+    with_target_at,
+)
+from rpod_schemas.types import Float32Array, Source
+from rpod_target import Target
+
+MARGINS = 0.2, 0.06, 0.015
+"""Errors of a predicted pose, of the pose found from it, and of the one found from that, over the target's
+radius. The last is needed only where other things touch the target."""
+NARROW = 0.06
+"""Least margin of ranges, over the target's radius."""
+SIGMAS = 4.0
+"""Least margin of ranges around a found pose, in their standard deviations."""
+LEAST_VISIBLE = 0.2
+"""Least share of the target that other things must leave visible."""
+MOST_CONTINUED = 0.5
+"""Greatest share of the outline across which the surface goes on: more is a part of a larger thing."""
+DETAIL, LEAST_DETAIL = 0.06, 6
+"""Size of a detail that must be explained, over the target's radius, and its least number of rays."""
+LEAST_VISIBLE_FIRST = 0.75
+"""Least share of the target that must be visible for a track to begin: details that are hidden do not tell it
+from its near-symmetries."""
+LEAST_IN_VIEW = 0.5
+"""Least share of the target in the field of view for a track to begin: other things resemble a small part."""
+RIVAL = 0.5
+"""Least number of rays on another surface that is searched too, over that on the one with the target."""
+VISIBLE = "visible_share"
+"""Name of the evidence that a pose was verified in a whole frame."""
+
+
+class Frames(Protocol):
+    """Ranges of a sensor kind's frames, and frames without other things."""
+
+    def image(self, frame: Any, *, fine: bool) -> RangeImage | None:
+        """Return the ranges of a frame, of few rays or of as many as useful; None if they are not known."""
+        ...
+
+    def separated(self, frame: Any, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> Any:
+        """Return a frame in which each ray has become what its label says.
+
+        Args:
+            frame: the frame.
+            labels: ``Label`` of each ray of its fine image, shape (rows, columns).
+            inside: rays that must meet the target, same shape.
+        """
+        ...
+
+    def part_of(self, part: Any, whole: Any) -> Any:
+        """Return a separated frame that may keep the whole one as ``whole``.
+
+        A tracker inside a search then verifies a pose in the whole frame.
+        """
+        ...
+
+    def every_range_m(self, frame: Any) -> Float32Array:
+        """Return the range of each pixel or ray of a frame, 0 without one, shape (rows, columns)."""
+        ...
+
+
+class TrackerAmongThings:
+    """Tracks in what a pose leaves of a frame: at first the predicted pose, then the one that is found.
+
+    Args:
+        tracker: tracker of frames that show the target alone.
+        frames: frames of the sensor kind.
+        target: the target to track.
+    """
+
+    def __init__(self, tracker: Tracker[Any], frames: Frames, target: Target) -> None:
+        self._tracker, self.frames, self.target = tracker, frames, target
+
+    def cluttered(self, frame: Any) -> RangeImage | None:
+        """Return the ranges of few rays of a frame that shows more than the target; None for any other."""
+        image = self.frames.image(frame, fine=False)
+        return image if image is not None and image.shows_more_than(self.target.radius_m) else None
+
+    def track(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration from a predicted pose, or the reason why the frame gives none."""
+        whole = getattr(measurement, "whole", None)
+        if whole is None and self.cluttered(measurement) is None:
+            return self._tracker.track(measurement, T_sensor_target)
+        return self.track_among(measurement if whole is None else whole, T_sensor_target)
+
+    def track_among(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration in a frame that shows more than the target."""
+        image = self.frames.image(measurement, fine=True)
+        assert image is not None  # noqa: S101 - the coarse image is known
+        found, pose = Registration.none(Source.NONE, ""), T_sensor_target
+        for share in MARGINS:
+            sight = with_target_at(image, self.target, pose, self._margin(found, share))
+            found = self._tracker.track(self.frames.separated(measurement, sight.labels, sight.inside), pose)
+            if found.T_sensor_target is None:
+                return found
+            pose = found.T_sensor_target
+            if share < MARGINS[0] and found.continues_track:
+                break
+        detail = image.rays_across(DETAIL * self.target.radius_m, float(np.linalg.norm(pose.translation)))
+        return _judged(found, sight, max(LEAST_DETAIL, detail**2))
+
+    def _margin(self, found: Registration, share: float) -> Margin:
+        """Return the margin around a pose, given as a share of the target's radius."""
+        radius_m = self.target.radius_m
+        spread_m = SIGMAS * np.sqrt(found.cost_m2) if np.isfinite(found.cost_m2) else 0.0
+        return Margin(share * radius_m, float(max(share * radius_m, NARROW * radius_m, spread_m)))
+
+
+def _judged(found: Registration, sight: Sight, most_unexplained: int) -> Registration:
+    """Return a registration, which is contradicted where too little of it is the target's own surface."""
+    evidence = {
+        **found.belief.evidence,
+        VISIBLE: sight.visible_share,
+        "continued_outline_share": sight.continued_share,
+    }
+    reason = ""
+    if sight.visible_share < LEAST_VISIBLE:
+        hidden = 1.0 - sight.visible_share
+        reason = f"other things hide {hidden:.0%} of the target, {1.0 - LEAST_VISIBLE:.0%} at most"
+    elif sight.unexplained > most_unexplained:
+        reason = f"a detail is not explained: {sight.unexplained} rays, {most_unexplained} at most"
+    elif sight.continued_share > MOST_CONTINUED:
+        share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
+        reason = f"a larger thing: the surface goes on across {share}"
+    if reason and found.continues_track:
+        return replace(found, belief=contradicted(reason, **evidence))
+    return replace(found, belief=replace(found.belief, evidence=evidence))
+
+
+class AcquirerAmongThings:
+    """Searches each surface of the target's size; the tracker verifies the pose in the whole frame.
+
+    Args:
+        acquirer: search in frames that show the target alone.
+        tracker: tracker of frames that show other things too.
+    """
+
+    def __init__(self, acquirer: Acquirer[Any], tracker: TrackerAmongThings) -> None:
+        self._acquirer, self._tracker = acquirer, tracker
+
+    def acquire(self, measurement: Any) -> Acquisition:
+        """Search without any prior pose."""
+        image = self._tracker.cluttered(measurement)
+        if image is None:
+            return self._acquirer.acquire(measurement)
+        return self._found(measurement, image, None)
+
+    def near(self, measurement: Any, T_sensor_target: RigidTransform) -> Acquisition:
+        """Search around a pose that is too far off for the tracker."""
+        image = self._tracker.cluttered(measurement)
+        if image is None:
+            return self._acquirer.near(measurement, T_sensor_target)
+        return self._found(measurement, image, T_sensor_target)
+
+    def _found(self, measurement: Any, image: RangeImage, pose: RigidTransform | None) -> Acquisition:
+        """Return the acquisition at the first place where a track may begin; at none, the best failure."""
+        frames, radius_m = self._tracker.frames, self._tracker.target.radius_m
+        fine = frames.image(measurement, fine=True)
+        assert fine is not None  # noqa: S101 - the coarse image is known
+        nothing = "no surface of the target's size stands apart from other things"
+        best = Acquisition(Registration.none(Source.NONE, nothing))
+        places_m = None if pose is None else pose.translation
+        accepted, rays = None, 0
+        for number, place in enumerate(places(image, radius_m, places_m)):
+            if accepted is not None and np.count_nonzero(place) < RIVAL * rays:
+                break
+            labels = around_place(image, fine, place, radius_m)
+            part = frames.separated(measurement, labels, np.zeros(labels.shape, bool))
+            part = frames.part_of(part, measurement)
+            found = self._acquirer.acquire(part) if pose is None else self._acquirer.near(part, pose)
+            found = self._in_view(image, self._verified(measurement, found))
+            if found.begins_track and accepted is None:
+                accepted, rays = found, int(np.count_nonzero(place))
+            elif found.begins_track and _apart_m(found, accepted) > radius_m:
+                return _contradicted(found, "two surfaces look like the target")
+            if number == 0 or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):
+                best = found
+        return accepted or best
+
+    def _verified(self, measurement: Any, found: Acquisition) -> Acquisition:
+        """Return an acquisition with the tracker's belief in the whole frame, if that is not known yet."""
+        if found.pose is None or not found.belief.continues_track or VISIBLE in found.belief.evidence:
+            return found
+        registration = self._tracker.track_among(measurement, found.pose)
+        belief = registration.belief
+        if belief.continues_track:
+            belief = replace(found.belief, evidence=belief.evidence)
+        return replace(found, registration=replace(registration, belief=belief))
+
+    def _in_view(self, image: RangeImage, found: Acquisition) -> Acquisition:
+        """Return an acquisition whose belief says whether enough of the target is in the field of view."""
+        if found.pose is None or not found.begins_track:
+            return found
+        share = image.in_view(found.pose.apply(self._tracker.target.model_points_m))
+        visible = found.belief.evidence.get(VISIBLE, 1.0)
+        if share >= LEAST_IN_VIEW and visible >= LEAST_VISIBLE_FIRST:
+            return found
+        vague = (
+            f"among other things {share:.0%} of the target is in view, {LEAST_IN_VIEW:.0%} needed, and "
+            f"{visible:.0%} of it is not hidden, {LEAST_VISIBLE_FIRST:.0%} needed"
+        )
+        belief = replace(found.belief, insufficient=vague)
+        return replace(found, registration=replace(found.registration, belief=belief))
+
+
+def _apart_m(found: Acquisition, other: Acquisition | None) -> float:
+    """Return the distance between the positions of two acquired poses; 0 without one."""
+    if found.pose is None or other is None or other.pose is None:
+        return 0.0
+    return float(np.linalg.norm(found.pose.translation - other.pose.translation))
+
+
+def _contradicted(found: Acquisition, reason: str) -> Acquisition:
+    belief = contradicted(reason, **found.belief.evidence)
+    return replace(found, registration=replace(found.registration, belief=belief))

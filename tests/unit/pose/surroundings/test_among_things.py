@@ -1,0 +1,121 @@
+"""The target among walls and arms, and behind a plate: found, tracked, and refused where it is not."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rpod_campaign.engine.trial.surroundings import surroundings
+from rpod_pose.methods import methods_of
+from rpod_pose.pmd.other_things import PmdFrames
+from rpod_pose.ports import Methods
+from rpod_pose.surroundings.known import Background, KnownParts, KnownSurroundingsError, known_parts
+from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.surroundings import SensorSurroundings
+from rpod_schemas.poses import make_pose, pose_error
+from rpod_schemas.types import PmdFrame
+from rpod_sim_sensor.pmd import PmdEmulator
+from rpod_target import load_target
+
+CAMERA = PmdConfig()
+POSE = make_pose(rotation=Rotation.from_euler("ZYX", [20, 60, 10], degrees=True), translation_m=(0.1, 0, 4))
+
+
+@cache
+def frame(name: str, shown: bool = True) -> PmdFrame:
+    target = load_target("mockup")
+    things = surroundings(name, target, (4.0, 4.0))
+    pose = POSE if shown else make_pose(translation_m=(0.0, 0.0, -9.0))
+    exposure = PmdEmulator(CAMERA, target, seed=2, surroundings=things).expose(
+        [pose] * 4, sun_W_m2=np.zeros(3), frame=1
+    )
+    for image in (exposure.depth_m, exposure.amplitude):
+        image.setflags(write=False)
+    return PmdFrame(
+        stamp_ns=0,
+        frame_id="",
+        depth_m=exposure.depth_m,
+        amplitude=exposure.amplitude,
+        camera=CAMERA.camera,
+        info=CAMERA.info(),
+    )
+
+
+@cache
+def methods() -> Methods:
+    return methods_of(PmdInput(), load_target("mockup"))
+
+
+def errors(found) -> tuple[float, float]:
+    attitude_rad, position_m = pose_error(POSE, found)
+    return float(np.rad2deg(np.linalg.norm(attitude_rad))), float(np.linalg.norm(position_m))
+
+
+def near(angle_deg: float, shift_m: float):
+    turn = Rotation.from_rotvec(np.deg2rad(angle_deg) * np.array([0.6, 0.0, 0.8]))
+    return make_pose(
+        rotation=turn * POSE.rotation, translation_m=POSE.translation + np.array([shift_m, 0, 0])
+    )
+
+
+def test_the_target_is_found_in_a_laboratory_that_fills_the_image():
+    in_laboratory = frame("laboratory")
+    assert np.isfinite(in_laboratory.depth_m).mean() > 0.95
+    assert np.isfinite(frame("none").depth_m).mean() < 0.3
+    found = methods().acquirer.acquire(in_laboratory)
+    assert found.begins_track, found.belief.refusal
+    assert errors(found.pose) < (0.5, 0.03)
+
+
+@pytest.mark.parametrize("name", ["laboratory", "occluded"])
+def test_the_target_is_tracked_among_things_and_behind_a_plate(name):
+    tracked = methods().tracker.track(frame(name), near(2.0, 0.03))
+    assert tracked.continues_track, tracked.belief.reason
+    assert errors(tracked.T_sensor_target) < (0.5, 0.03)
+    assert (tracked.belief.evidence["visible_share"] < 0.8) == (name == "occluded")
+
+
+def test_nothing_is_found_and_nothing_tracked_in_a_laboratory_without_the_target():
+    empty = frame("laboratory", shown=False)
+    assert not methods().acquirer.acquire(empty).begins_track
+    assert not methods().tracker.track(empty, POSE).continues_track
+
+
+def test_a_ray_that_passes_where_the_target_should_be_contradicts_the_pose():
+    beside = make_pose(rotation=POSE.rotation, translation_m=POSE.translation - np.array([0.9, 0, 0]))
+    assert not methods().tracker.track(frame("laboratory"), beside).continues_track
+
+
+def known(**changes: object) -> KnownParts:
+    background = Background.learned([PmdFrames().every_range_m(frame("laboratory", shown=False))])
+    return KnownParts(**({"frames": PmdFrames(), "gate_m": (0, np.inf), "unused": None,
+                          "background": background} | changes))  # fmt: skip
+
+
+def test_a_learned_background_is_taken_out_of_the_frame():
+    left = np.isfinite(known().without(frame("laboratory")).depth_m)
+    alone = np.isfinite(frame("none").depth_m)
+    assert left[alone].mean() > 0.95
+    assert left[~alone].mean() < 0.1
+
+
+def test_what_is_outside_the_range_gate_or_masked_is_taken_out_of_the_frame():
+    unused = np.zeros(frame("none").depth_m.shape, bool)
+    unused[:100] = True
+    kept = known(background=None, gate_m=(1.0, 5.5), unused=unused).without(frame("laboratory")).depth_m
+    assert not np.isfinite(kept[:100]).any()
+    assert np.nanmax(kept) <= 5.5
+    assert np.isfinite(kept).any()
+
+
+def test_a_background_of_another_size_is_refused_with_both_sizes(tmp_path):
+    Background(np.ones((10, 20), np.float32), np.ones((10, 20), np.float32)).write(tmp_path / "b.npz")
+    parts = KnownParts.of(SensorSurroundings(background="b.npz"), PmdFrames(), tmp_path)
+    with pytest.raises(KnownSurroundingsError, match="background has 20 x 10 pixels, the frame 352 x 287"):
+        parts.without(frame("none"))
+    (tmp_path / "known.yaml").write_text("sensors: {pmd: {background: none.npz}}")
+    with pytest.raises(KnownSurroundingsError, match=r"background .*none\.npz cannot be read"):
+        known_parts(tmp_path / "known.yaml", "pmd", PmdFrames())
+    assert known_parts(tmp_path / "known.yaml", "lidar", PmdFrames()) is None
