@@ -133,6 +133,7 @@ class ProjectiveIcp:
             inliers=inliers,
             inlier_share=inliers / seen.returns,
             explained_share=fit.agreement.share,
+            log_likelihood=fit.log_likelihood,
             covariance=pose_covariance(found.information + self._weak, R),
             iterations=len(self._far) + len(self._near),
         )

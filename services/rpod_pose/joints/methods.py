@@ -1,0 +1,235 @@
+"""Methods for targets with joints: the rigid methods at the angles that a frame shows.
+
+A first pose is searched with the target at a few angles over the joints' limits. At each pose that is found
+the angles are fitted (``angle_fit``), then the pose again with the target at these angles, until neither
+changes; the pose that explains the frame best is the result. In tracking the angles are expected near those
+of the frames before. The target is put together anew only when an angle has moved by ``RESOLUTION_RAD``.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import acos, ceil, degrees, log, radians, sqrt
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.belief import Belief, Rival
+from rpod_pose.joints.angle_fit import SPREAD, JointSolver, unknown
+from rpod_pose.ports import Acquirer, Acquisition, Angle, Methods, Registration, Tracker
+from rpod_pose.search.hypotheses import NEGLIGIBLE
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.poses import rotation_matrix
+from rpod_schemas.types import BeliefLevel
+from rpod_target import Equivalence, Joint, Target, posed
+
+STEP_RAD = radians(30.0)
+"""Greatest distance of the angles at which a first pose is searched."""
+RESOLUTION_RAD = radians(0.25)
+"""Angles are rounded to multiples of it before the target is put together: an eighth of the aim of 2 deg."""
+ROUNDS = 4
+"""Largest number of times that angle and pose are fitted in turn."""
+KEPT = 4
+"""Number of trackers that are kept, each at its own angles."""
+POINTS = 2000
+"""Largest number of a frame's points in the fit of an angle."""
+CHANCE = 2.0
+"""Standard deviations of a share of agreeing rays by chance, within which two poses explain a frame alike."""
+DISTINCT_RAD = radians(10.0)
+"""Angle from which on two poses differ."""
+
+Angles = Mapping[str, Angle]
+
+
+@dataclass(frozen=True, eq=False)
+class RigidMethods:
+    """Makers of the methods for a rigid target."""
+
+    methods: Callable[[Target], Methods]
+    tracker: Callable[[Target], Tracker[Any]]
+    points: Callable[[Any], FloatArray]
+    """Function that returns the points of a frame, sensor axes, shape (N, 3)."""
+
+
+def jointed(target: Target, rigid: RigidMethods) -> Methods:
+    """Return the methods for a target with joints."""
+    shared = _Shared(target, rigid)
+    return shared.expecting({joint.name: unknown(joint) for joint in target.joints})
+
+
+class _Shared:
+    """What the methods share whatever angles are expected."""
+
+    def __init__(self, target: Target, rigid: RigidMethods) -> None:
+        self._points = rigid.points
+        self.solver = JointSolver(target)
+        self.alike = target.equivalence
+        first, *others = target.joints
+        self._first = first.name
+        middle = {joint.name: unknown(joint).angle_rad for joint in others}
+        angles = _spread(first)
+        methods = [rigid.methods(posed(target, {**middle, first.name: angle_rad})) for angle_rad in angles]
+        self._searches = [(angle_rad, each.acquirer) for angle_rad, each in zip(angles, methods, strict=True)]
+        self._deskew = methods[0].deskew
+        self._half_rad = 0.5 * STEP_RAD
+        self._tracker_at = lru_cache(KEPT)(lambda key: rigid.tracker(posed(target, _unrounded(key))))
+        self._acquirer_at = lru_cache(1)(lambda key: rigid.methods(posed(target, _unrounded(key))).acquirer)
+
+    def expecting(self, angles: Angles) -> Methods:
+        """Return the methods where angles are expected."""
+        tracker = _Tracker(self, angles)
+        return Methods(_Acquirer(self, tracker, angles), tracker, self._deskew, self.expecting)
+
+    def searches(self, expected: Angles) -> list[Acquirer[Any]]:
+        """Return the searches at the angles that the first joint may have."""
+        first = expected[self._first]
+        reach_rad = SPREAD * first.sigma_rad + self._half_rad
+        return [
+            acquirer
+            for angle_rad, acquirer in self._searches
+            if abs(angle_rad - first.angle_rad) <= reach_rad
+        ]
+
+    def tracker_at(self, angles: Angles) -> Tracker[Any]:
+        """Return the tracker of the target at rounded angles."""
+        return self._tracker_at(_rounded(angles))
+
+    def acquirer_at(self, angles: Angles) -> Acquirer[Any]:
+        """Return the search of the target at rounded angles."""
+        return self._acquirer_at(_rounded(angles))
+
+    def points_of(self, frame: Any) -> FloatArray:
+        """Return points of a frame, sensor axes, shape (N, 3), m."""
+        points_m = self._points(frame)
+        return np.ascontiguousarray(points_m[:: max(1, ceil(len(points_m) / POINTS))], np.float64)
+
+
+class _Tracker:
+    """Fits angles and pose in turn, from the angles that are expected."""
+
+    def __init__(self, shared: _Shared, expected: Angles) -> None:
+        self._shared, self._expected = shared, expected
+
+    def track(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
+        angles = self.angles(measurement, T_sensor_target)
+        found = self._shared.tracker_at(angles).track(measurement, T_sensor_target)
+        for _ in range(ROUNDS):
+            if found.T_sensor_target is None:
+                break
+            before, angles = angles, self.angles(measurement, found.T_sensor_target)
+            if _rounded(before) == _rounded(angles):
+                break
+            found = self._shared.tracker_at(angles).track(measurement, found.T_sensor_target)
+        return self.with_angles(measurement, found)
+
+    def angles(self, measurement: Any, pose: RigidTransform) -> dict[str, Angle]:
+        """Return the angles that a frame shows at a pose."""
+        return self._shared.solver.angles(self._shared.points_of(measurement), pose, self._expected)
+
+    def with_angles(self, measurement: Any, found: Registration) -> Registration:
+        """Return a registration with the angles that the frame shows at its pose."""
+        if found.T_sensor_target is None:
+            return replace(found, angles=self._expected)
+        angles = self.angles(measurement, found.T_sensor_target)
+        covariance, angles = self._shared.solver.considered(
+            self._shared.points_of(measurement), found.T_sensor_target, found.covariance, angles
+        )
+        return replace(found, covariance=covariance, angles=angles)
+
+
+class _Acquirer:
+    """Searches with the target at a few angles, then with the target at the angles of the best pose."""
+
+    def __init__(self, shared: _Shared, tracker: _Tracker, expected: Angles) -> None:
+        self._shared, self._tracker, self._expected = shared, tracker, expected
+
+    def acquire(self, measurement: Any) -> Acquisition:
+        return self._found(measurement, lambda acquirer: acquirer.acquire(measurement))
+
+    def near(self, measurement: Any, T_sensor_target: RigidTransform) -> Acquisition:
+        return self._found(measurement, lambda acquirer: acquirer.near(measurement, T_sensor_target))
+
+    def _found(self, measurement: Any, search: Callable[[Acquirer[Any]], Acquisition]) -> Acquisition:
+        searched = [search(each) for each in self._shared.searches(self._expected)]
+        found: list[Registration] = []
+        for pose in (each.pose for each in searched if each.pose is not None):
+            angles = self._tracker.angles(measurement, pose)
+            if not any(_are_alike(each, pose, angles, self._shared.alike) for each in found):
+                found.append(self._tracker.track(measurement, pose))
+        found = sorted((each for each in found if each.T_sensor_target is not None), key=_order)
+        if not found:
+            return searched[0]
+        best = search(self._shared.acquirer_at(found[0].angles))
+        registration = self._tracker.with_angles(measurement, best.registration)
+        belief = _with_rivals(best.belief, found, self._shared.alike)
+        templates = best.templates + sum(each.templates for each in searched)
+        return replace(best, registration=replace(registration, belief=belief), templates=templates)
+
+
+def _order(found: Registration) -> tuple[bool, float, float]:
+    return not found.continues_track, -np.nan_to_num(found.log_likelihood), -found.explained_share
+
+
+def _turn_rad(one: RigidTransform, other: RigidTransform, alike: Equivalence) -> float:
+    """Return the angle between the attitudes of two poses, modulo the target's symmetries."""
+    cosine = float(alike.cosines(rotation_matrix(one)[None], rotation_matrix(other)[None])[0, 0])
+    return acos(min(max(cosine, -1.0), 1.0))
+
+
+def _are_alike(found: Registration, pose: RigidTransform, angles: Angles, alike: Equivalence) -> bool:
+    """Return whether a pose with its angles leads to a registration that was found already."""
+    there = found.T_sensor_target
+    return (
+        there is not None
+        and _turn_rad(there, pose, alike) < DISTINCT_RAD
+        and all(abs(found.angles[name].angle_rad - angles[name].angle_rad) < DISTINCT_RAD for name in angles)
+    )
+
+
+def _with_rivals(belief: Belief, found: Sequence[Registration], alike: Equivalence) -> Belief:
+    """Return a belief with the poses at other angles that explain the frame as well as the best one.
+
+    Args:
+        belief: belief in the best pose.
+        found: registrations, best first, each at angles of its own.
+        alike: which attitudes no measurement tells apart.
+    """
+    best = found[0]
+    rivals = []
+    for other in found[1:]:
+        pose = other.T_sensor_target
+        assert best.T_sensor_target is not None and pose is not None  # noqa: S101, PT018 - all have poses
+        turned_rad = _turn_rad(best.T_sensor_target, pose, alike)
+        if other.continues_track and turned_rad > DISTINCT_RAD and _explains_alike(best, other):
+            name = f"turned by {degrees(turned_rad):.0f} deg, at other angles of the joints"
+            less = np.nan_to_num(other.log_likelihood - best.log_likelihood)
+            rivals.append(Rival(name, pose, float(less)))
+    if not rivals or not belief.continues_track:
+        return belief
+    reason = f"{len(rivals) + 1} poses explain the measurement: the next is {rivals[0].name}"
+    return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=(*belief.rivals, *rivals))
+
+
+def _explains_alike(best: Registration, other: Registration) -> bool:
+    """Return whether a frame may be of another pose: by the likelihood, or by the share of agreeing rays."""
+    if np.isfinite(best.log_likelihood):
+        return other.log_likelihood > best.log_likelihood + log(NEGLIGIBLE)
+    share = best.explained_share
+    chance = sqrt(max(share * (1.0 - share), 0.0) / max(best.inliers, 1))
+    return other.explained_share > share - CHANCE * chance
+
+
+def _rounded(angles: Angles) -> tuple[tuple[str, int], ...]:
+    return tuple((name, round(angle.angle_rad / RESOLUTION_RAD)) for name, angle in angles.items())
+
+
+def _unrounded(key: tuple[tuple[str, int], ...]) -> dict[str, float]:
+    return {name: RESOLUTION_RAD * step for name, step in key}
+
+
+def _spread(joint: Joint) -> FloatArray:
+    """Return the middles of equal parts of a joint's limits, at most ``STEP_RAD`` apart."""
+    least, greatest = joint.limits_rad
+    count = ceil((greatest - least) / STEP_RAD)
+    return least + (np.arange(count) + 0.5) * (greatest - least) / count
