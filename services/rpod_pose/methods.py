@@ -21,7 +21,7 @@ def kind_methods(sensor: SensorInput) -> KindMethods:
 
 
 def methods_of(sensor: SensorInput, target: Target, setup: Any = ()) -> Methods:
-    """Return the methods for a sensor, which ignore the target's unreliable parts and find its joints' angles.
+    """Return the methods for a sensor, which ignore unreliable parts and find the angles of joints.
 
     Args:
         sensor: configuration of the sensor.

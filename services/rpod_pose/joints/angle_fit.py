@@ -31,6 +31,9 @@ INLIER = 3.0
 """Geman-McClure scale over the residuals' standard deviation."""
 COUNTED = 400.0
 """Largest number of residuals that count as independent, as in ``JointDepthConfig.effective_points``."""
+WIDE_RAD, NARROW, STEPS = radians(15.0), 0.05, 12
+"""Steps in which pose and angles are fitted together: the first Geman-McClure scale as an angle of the joint,
+the last one over it, and their number."""
 NORMAL = 1.4826
 """Standard deviation over the median of absolute values, for normal errors."""
 WEAK = 1e-4
@@ -96,6 +99,16 @@ class _Surface:
     """Derivative of each distance by the joint's angle, m/rad, shape (N,); 0 for points of the rest."""
 
 
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """Pose and angles that were fitted together."""
+
+    T_sensor_target: RigidTransform
+    angles: Mapping[str, Angle]
+    loss_m2: float
+    """Mean Geman-McClure loss of the points, m2."""
+
+
 class JointSolver:
     """Finds the angles of a target's joints in the points of a frame."""
 
@@ -121,6 +134,52 @@ class JointSolver:
         for joint in self.joints:
             at[joint.name] = self._angle(points_m, T_sensor_target, joint, at)
         return at
+
+    def aligned(
+        self, points_m: FloatArray, T_sensor_target: RigidTransform, expected: Mapping[str, Angle]
+    ) -> "Aligned":
+        """Return pose and angles that are fitted together, from a pose near the solution.
+
+        Where the parts of a joint are most of the target, fitting the one with the other fixed leads along a
+        narrow valley. Each step is that of least squares by pose and angles, with Geman-McClure weights whose
+        scale narrows.
+
+        Args:
+            points_m: measured points, sensor axes, shape (N, 3).
+            T_sensor_target: the pose to start from.
+            expected: the angles to start from, with their standard deviations.
+        """
+        pose, at = T_sensor_target, dict(expected)
+        widest_m = WIDE_RAD * max(joint.lever_m for joint in self.joints)
+        loss_m2 = np.inf
+        for scale_m in np.geomspace(widest_m, NARROW * widest_m, STEPS):
+            places_m = pose.inv().apply(points_m)
+            rows, distance_m = self._rows(places_m, at)
+            d2, c2 = distance_m**2, scale_m**2
+            weights = (c2 / (c2 + d2)) ** 2
+            loss_m2 = float((d2 * c2 / (c2 + d2)).mean())
+            information = (rows * weights[:, None]).T @ rows
+            variance_m2 = float(weights @ d2) / max(float(weights.sum()), 1e-9)
+            for number, joint in enumerate(self.joints, 6):
+                information[number, number] += variance_m2 / expected[joint.name].sigma_rad ** 2
+            information += WEAK * np.diag(np.diag(information) + 1e-12)
+            step = np.linalg.solve(information, -rows.T @ (weights * distance_m))
+            step[:3] = np.clip(step[:3], -widest_m, widest_m)
+            step[3:] = np.clip(step[3:], -WIDE_RAD, WIDE_RAD)
+            turn = Rotation.from_rotvec(step[3:6])
+            pose = pose * RigidTransform.from_components(step[:3], turn)
+            for number, joint in enumerate(self.joints, 6):
+                angle = at[joint.name]
+                angle_rad = float(np.clip(angle.angle_rad + step[number], *joint.limits_rad))
+                at[joint.name] = Angle(angle_rad, angle.sigma_rad)
+        return Aligned(pose, at, loss_m2)
+
+    def _rows(self, places_m: FloatArray, at: Mapping[str, Angle]) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives of each distance by pose and angles, (N, 6 + joints), and the distances."""
+        seen = [self._surface(places_m, self.joints, at, joint) for joint in self.joints]
+        normals = seen[0].normals
+        by_angle = [each.by_angle for each in seen]
+        return np.column_stack((-normals, np.cross(normals, places_m), *by_angle)), seen[0].distance_m
 
     def _angle(
         self, points_m: FloatArray, pose: RigidTransform, joint: Joint, at: Mapping[str, Angle]

@@ -13,12 +13,13 @@ from math import acos, ceil, degrees, log, radians, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import Belief, Rival
-from rpod_pose.joints.angle_fit import SPREAD, JointSolver, unknown
+from rpod_pose.joints.angle_fit import SPREAD, Aligned, JointSolver, unknown
 from rpod_pose.ports import Acquirer, Acquisition, Angle, Methods, Registration, Tracker
 from rpod_pose.search.hypotheses import NEGLIGIBLE
+from rpod_pose.search.turns import Turns
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import BeliefLevel
@@ -28,8 +29,10 @@ STEP_RAD = radians(30.0)
 """Greatest distance of the angles at which a first pose is searched."""
 RESOLUTION_RAD = radians(0.25)
 """Angles are rounded to multiples of it before the target is put together: an eighth of the aim of 2 deg."""
-ROUNDS = 4
+ROUNDS = 2
 """Largest number of times that angle and pose are fitted in turn."""
+REGISTERED = 3
+"""Number of poses, the best by their points alone, whose whole frame is compared."""
 KEPT = 4
 """Number of trackers that are kept, each at its own angles."""
 POINTS = 2000
@@ -65,6 +68,10 @@ class _Shared:
         self._points = rigid.points
         self.solver = JointSolver(target)
         self.alike = target.equivalence
+        turns = Turns.of(target)
+        self.turns = [
+            RigidTransform.from_rotation(Rotation.from_matrix(turn)) for turn in turns.all[: turns.declared]
+        ]
         first, *others = target.joints
         self._first = first.name
         middle = {joint.name: unknown(joint).angle_rad for joint in others}
@@ -113,12 +120,20 @@ class _Tracker:
 
     def track(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
         angles = self.angles(measurement, T_sensor_target)
-        found = self._shared.tracker_at(angles).track(measurement, T_sensor_target)
+        points_m = self._shared.points_of(measurement)
+        if len(points_m) == 0:
+            return self._shared.tracker_at(angles).track(measurement, T_sensor_target)
+        aligned = self._shared.solver.aligned(points_m, T_sensor_target, angles)
+        return self.registered(measurement, aligned.T_sensor_target, aligned.angles)
+
+    def registered(self, measurement: Any, pose: RigidTransform, angles: Angles) -> Registration:
+        """Return the registration from a pose and angles that are close to the solution."""
+        found = self._shared.tracker_at(angles).track(measurement, pose)
         for _ in range(ROUNDS):
             if found.T_sensor_target is None:
                 break
             before, angles = angles, self.angles(measurement, found.T_sensor_target)
-            if _rounded(before) == _rounded(angles):
+            if all(abs(angles[name].angle_rad - before[name].angle_rad) < RESOLUTION_RAD for name in angles):
                 break
             found = self._shared.tracker_at(angles).track(measurement, found.T_sensor_target)
         return self.with_angles(measurement, found)
@@ -152,11 +167,11 @@ class _Acquirer:
 
     def _found(self, measurement: Any, search: Callable[[Acquirer[Any]], Acquisition]) -> Acquisition:
         searched = [search(each) for each in self._shared.searches(self._expected)]
-        found: list[Registration] = []
-        for pose in (each.pose for each in searched if each.pose is not None):
-            angles = self._tracker.angles(measurement, pose)
-            if not any(_are_alike(each, pose, angles, self._shared.alike) for each in found):
-                found.append(self._tracker.track(measurement, pose))
+        poses = [each.pose for each in searched if each.pose is not None]
+        found = [
+            self._tracker.registered(measurement, each.T_sensor_target, each.angles)
+            for each in self._aligned(measurement, poses)[:REGISTERED]
+        ]
         found = sorted((each for each in found if each.T_sensor_target is not None), key=_order)
         if not found:
             return searched[0]
@@ -165,6 +180,21 @@ class _Acquirer:
         belief = _with_rivals(best.belief, found, self._shared.alike)
         templates = best.templates + sum(each.templates for each in searched)
         return replace(best, registration=replace(registration, belief=belief), templates=templates)
+
+    def _aligned(self, measurement: Any, poses: Sequence[RigidTransform]) -> list[Aligned]:
+        """Return distinct poses with their angles, best first, from poses and their near-symmetries."""
+        shared, found = self._shared, list[Aligned]()
+        points_m = shared.points_of(measurement)
+        for pose in poses:
+            for turn in (RigidTransform.identity(), *shared.turns):
+                start = pose * turn
+                angles = shared.solver.angles(points_m, start, self._expected)
+                found.append(shared.solver.aligned(points_m, start, angles))
+        distinct: list[Aligned] = []
+        for each in sorted(found, key=lambda one: one.loss_m2):
+            if not any(_are_alike(each, other, shared.alike) for other in distinct):
+                distinct.append(each)
+        return distinct
 
 
 def _order(found: Registration) -> tuple[bool, float, float]:
@@ -177,14 +207,11 @@ def _turn_rad(one: RigidTransform, other: RigidTransform, alike: Equivalence) ->
     return acos(min(max(cosine, -1.0), 1.0))
 
 
-def _are_alike(found: Registration, pose: RigidTransform, angles: Angles, alike: Equivalence) -> bool:
-    """Return whether a pose with its angles leads to a registration that was found already."""
-    there = found.T_sensor_target
-    return (
-        there is not None
-        and _turn_rad(there, pose, alike) < DISTINCT_RAD
-        and all(abs(found.angles[name].angle_rad - angles[name].angle_rad) < DISTINCT_RAD for name in angles)
-    )
+def _are_alike(one: Aligned, other: Aligned, alike: Equivalence) -> bool:
+    """Return whether two poses with their angles are the same."""
+    apart_rad = [abs(angle.angle_rad - other.angles[name].angle_rad) for name, angle in one.angles.items()]
+    turned_rad = _turn_rad(one.T_sensor_target, other.T_sensor_target, alike)
+    return max(turned_rad, *apart_rad) < DISTINCT_RAD
 
 
 def _with_rivals(belief: Belief, found: Sequence[Registration], alike: Equivalence) -> Belief:
