@@ -6,7 +6,7 @@ and needs Open3D. The result is cached by its digest, so that a service starts i
 
 from rpod_target.equivalence import NO_SYMMETRY, Equivalence, Symmetry
 from rpod_target.errors import TargetError
-from rpod_target.joints import posed
+from rpod_target.joints import posed, shown
 from rpod_target.loading import is_shipped, load_equivalence, load_target, shipped_targets
 from rpod_target.shared_axes import check_model
 from rpod_target.target import Albedo, DistanceField, Joint, Material, Target
@@ -27,4 +27,5 @@ __all__ = [
     "load_target",
     "posed",
     "shipped_targets",
+    "shown",
 ]

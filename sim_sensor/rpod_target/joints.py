@@ -31,18 +31,25 @@ def posed(target: Target, angles_rad: Mapping[str, float]) -> Target:
     """
     if target.fixed is None:
         return target
-    pieces = [
+    pieces = _pieces(target, angles_rad)
+    return replace(
+        _joined(target, pieces, angles_rad),
+        field=_least(pieces),
+        reliable=None if target.reliable is None else posed(target.reliable, angles_rad),
+    )
+
+
+def shown(target: Target, angles_rad: Mapping[str, float]) -> Target:
+    """Return the surfaces of ``posed`` alone, for emulators, which is faster; its distance field is wrong."""
+    return target if target.fixed is None else _joined(target, _pieces(target, angles_rad), angles_rad)
+
+
+def _pieces(target: Target, angles_rad: Mapping[str, float]) -> list["_Piece"]:
+    assert target.fixed is not None  # noqa: S101 - a target with joints
+    return [
         _Piece(target.fixed, RigidTransform.identity()),
         *(_Piece(joint.moving, joint.turned(angles_rad.get(joint.name, 0.0))) for joint in target.joints),
     ]
-    angles = ",".join(f"{joint.name}={angles_rad.get(joint.name, 0.0):.9f}" for joint in target.joints)
-    return replace(
-        _joined(target, pieces),
-        digest=hashlib.sha256(f"{target.digest}/{angles}".encode()).hexdigest(),
-        joints=(),
-        fixed=None,
-        reliable=None if target.reliable is None else posed(target.reliable, angles_rad),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +74,7 @@ class _Piece:
         return turned
 
 
-def _joined(target: Target, pieces: Sequence[_Piece]) -> Target:
+def _joined(target: Target, pieces: Sequence[_Piece], angles_rad: Mapping[str, float]) -> Target:
     """Return the target that consists of pieces; edges and model points inside another piece are left out."""
     parts: list[str] = []
     fields: dict[str, list[NDArray[Any]]] = {}
@@ -93,7 +100,11 @@ def _joined(target: Target, pieces: Sequence[_Piece]) -> Target:
     arrays: dict[str, Any] = {name: np.concatenate(arrays) for name, arrays in fields.items()}
     arrays["triangle_part"] = arrays["triangle_part"].astype(np.int32)
     radius_m = float(np.linalg.norm(arrays["triangles_m"], axis=-1).max())
-    return replace(target, parts=tuple(parts), radius_m=radius_m, field=_least(pieces), **arrays)
+    angles = ",".join(f"{joint.name}={angles_rad.get(joint.name, 0.0):.9f}" for joint in target.joints)
+    digest = hashlib.sha256(f"{target.digest}/{angles}".encode()).hexdigest()
+    return replace(
+        target, digest=digest, parts=tuple(parts), radius_m=radius_m, joints=(), fixed=None, **arrays
+    )
 
 
 def _outside(points_m: FloatArray, pieces: Sequence[_Piece]) -> NDArray[np.bool_]:

@@ -10,10 +10,10 @@ LOST       --accepted near the prediction, or found-->      VERIFYING
 of a log and a Monte-Carlo campaign run the same function.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import radians
+from math import degrees, radians
 from typing import overload
 
 import numpy as np
@@ -23,15 +23,16 @@ from rpod_pose.belief import SYMMETRY, Record
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, start, to_odometry
 from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.joints import JointTrack, tracked_joints
 from rpod_pose.navigation.state import GivenPose, NavigatorState, Output, RefusedPixels
-from rpod_pose.ports import Acquisition, Deskew, Methods, Registration
+from rpod_pose.ports import Acquisition, Angle, Deskew, Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import chained, make_pose, rotation_matrix
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
-from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, SensorFrame, Source
-from rpod_target import NO_SYMMETRY, Equivalence
+from rpod_schemas.types import EstimatorStatus, Hypothesis, Joints, Mode, SensorFrame, Source
+from rpod_target import NO_SYMMETRY, Equivalence, Joint
 
 BEGINNING = 0.5
 """Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
@@ -48,6 +49,7 @@ class Navigator:
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,).
         alike: which attitudes of the target no measurement tells apart; each estimate lists the poses that
             the turns give, and leaves the angle about a free axis as it is.
+        joints: joints of the target, whose angles are estimated.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class Navigator:
         *,
         centre_of_mass_m: FloatArray,
         alike: Equivalence = NO_SYMMETRY,
+        joints: Sequence[Joint] = (),
     ) -> None:
         self._settings = settings
         self._alike = [make_pose(rotation=Rotation.from_matrix(turn)) for turn in alike.turns[1:]]
@@ -65,6 +68,7 @@ class Navigator:
         )
         self._limits = settings.navigator
         self._methods = methods
+        self._joints = {joint.name: joint for joint in joints}
 
     def start(
         self,
@@ -109,7 +113,7 @@ class Navigator:
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Search without a guess; begin a track if one pose explains the measurement."""
-        found = self._methods[event.sensor].acquirer.acquire(event.data)
+        found = self._methods_for(state, event).acquirer.acquire(event.data)
         if found.begins_track:
             return self._begin(state, event, found.registration)
         return state, self._output(state, event, found.registration, reason=found.belief.reason, found=found)
@@ -126,8 +130,23 @@ class Navigator:
             accepted_ns=event.stamp_ns,
             rejections=0,
             confirmations=0,
+            joints=self._tracked_joints(state, event, registration),
         )
         return state, self._output(state, event, registration)
+
+    def _methods_for(self, state: NavigatorState, event: Measurement) -> Methods:
+        """Return the sensor's methods, which expect the target's joints where their tracks predict them."""
+        methods = self._methods[event.sensor]
+        if methods.expecting is None or not state.joints:
+            return methods
+        return methods.expecting(
+            {name: track.at(event.stamp_ns).angle for name, track in state.joints.items()}
+        )
+
+    def _tracked_joints(
+        self, state: NavigatorState, event: Measurement, registration: Registration
+    ) -> Mapping[str, JointTrack]:
+        return tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns)
 
     def _start_at_given(self, state: NavigatorState, event: Measurement) -> NavigatorState:
         given = state.given
@@ -148,7 +167,7 @@ class Navigator:
         self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, accept or reject the pose, update the filter."""
-        registration, reason = self._register(event, predicted, tracked=state.mode == Mode.TRACKING)
+        registration, reason = self._register(state, event, predicted, tracked=state.mode == Mode.TRACKING)
         record = state.records.get(event.sensor, Record())
         if registration.T_sensor_target is not None:
             record = record.after(registration.belief)
@@ -177,18 +196,19 @@ class Navigator:
             accepted_ns=max(state.accepted_ns, event.stamp_ns),
             rejections=0,
             confirmations=confirmations,
+            joints=self._tracked_joints(state, event, registration),
         )
         return state, self._output(state, event, registration, nis=nis)
 
     def _register(
-        self, event: Measurement, predicted: FilterState, *, tracked: bool
+        self, state: NavigatorState, event: Measurement, predicted: FilterState, *, tracked: bool
     ) -> tuple[Registration, str]:
         """Return the registration from the prediction, and the reason why it is not accepted.
 
         If the registration fails, the surroundings of the prediction are searched, unless a track predicts
         the attitude confidently: while no twist is known, or after a gap, the prediction may be far off.
         """
-        methods = self._methods[event.sensor]
+        methods = self._methods_for(state, event)
         T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
         data = as_of_stamp(event, predicted, methods.deskew)
         registration = methods.tracker.track(data, T_sensor_target)
@@ -239,7 +259,7 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Search near the prediction first, then everywhere."""
         if (event.stamp_ns - state.lost_ns) / NANOSECONDS <= self._limits.near_search_s:
-            registration, why = self._register(event, predicted, tracked=False)
+            registration, why = self._register(state, event, predicted, tracked=False)
             if not why:
                 return self._begin(state, event, registration)
         return self._acquire(state, event)
@@ -286,7 +306,7 @@ class Navigator:
             ambiguous=len(hypotheses) > 1,
             hypotheses=hypotheses,
             belief=measured.belief.level,
-            evidence=dict(measured.belief.evidence),
+            evidence={**measured.belief.evidence, **_sigmas_deg(measured.angles)},
         )
         marks = measured.belief.marks if reason else None
         refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
@@ -296,7 +316,7 @@ class Navigator:
         stamp_ns = max(event.stamp_ns, newest.stamp_ns, state.shown_ns)
         shown = predict(newest, stamp_ns, self._settings.filter)
         odometry = to_odometry(shown, frame_id=CHASER, child_frame_id=TARGET_ESTIMATE)
-        return Output(status, odometry, refused)
+        return Output(status, odometry, refused, _joints_at(state.joints, stamp_ns))
 
     def _hypotheses(
         self, state: NavigatorState, event: Measurement, found: Acquisition | None
@@ -316,6 +336,22 @@ class Navigator:
             Hypothesis(pose=pose, weight=1.0 / len(poses), name=name, log_likelihood=0.0)
             for pose, name in zip(poses, names, strict=True)
         )
+
+
+def _sigmas_deg(angles: Mapping[str, Angle]) -> dict[str, float]:
+    return {f"joint_{name}_sigma_deg": degrees(angle.sigma_rad) for name, angle in angles.items()}
+
+
+def _joints_at(tracks: Mapping[str, JointTrack], stamp_ns: int) -> Joints | None:
+    """Return the angles at a time; None for a target without joints."""
+    if not tracks:
+        return None
+    there = {name: track.at(stamp_ns) for name, track in tracks.items()}
+    return Joints(
+        stamp_ns=stamp_ns,
+        angle_rad={name: track.angle.angle_rad for name, track in there.items()},
+        rate_rad_s={name: float(track.state[1]) for name, track in there.items()},
+    )
 
 
 def as_of_stamp(measurement: Measurement, predicted: FilterState, deskew: Deskew | None) -> SensorFrame:

@@ -7,8 +7,9 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.history import History
+from rpod_pose.navigation.joints import JointTrack
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import EstimatorStatus, Mode, Odometry
+from rpod_schemas.types import EstimatorStatus, Joints, Mode, Odometry
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,8 @@ class NavigatorState:
     """Number of consecutive rejections."""
     confirmations: int = 0
     """Number of consistent frames since the acquisition."""
+    joints: Mapping[str, JointTrack] = field(default_factory=dict)
+    """Angles of the target's joints, by name; they outlast tracks."""
     records: Mapping[str, Record] = field(default_factory=dict)
     """Records of frames that did not support the tracked pose, by the sensor's name; they outlast tracks."""
 
@@ -61,3 +64,5 @@ class Output:
     odometry: Odometry | None
     refused: RefusedPixels | None = None
     """Pixels for which the frame was refused; None if it was not, or if they are not known."""
+    joints: Joints | None = None
+    """Angles of the target's joints, with the odometry; None for a target without joints."""

@@ -56,6 +56,11 @@ class LidarEmulator:
         self._time_s = config.ray_times_s().astype(np.float32)
         self._reflectivity = _reflectivity(config, target)
 
+    def show(self, target: Target) -> None:
+        """Show another target from now on, such as the same one at another angle of its joints."""
+        self._target = self._world.target(target)
+        self._reflectivity = _reflectivity(self._config, self._target)
+
     def scan(self, poses: Sequence[RigidTransform], *, frame: int) -> LidarReturns:
         """Return a scan.
 

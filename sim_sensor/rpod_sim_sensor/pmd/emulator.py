@@ -91,6 +91,11 @@ class PmdEmulator:
         self._full = np.empty((height, width), np.bool_)
         self._pool = _pool(noise_stream(seed, config.name, _POOL_KEY), world)
 
+    def show(self, target: Target) -> None:
+        """Show another target from now on, such as the same one at another angle of its joints."""
+        self._target = self._world.target(target)
+        self._scene = Scene(self._target, self._config.sub_exposures)
+
     def expose(
         self,
         poses: Sequence[RigidTransform],
