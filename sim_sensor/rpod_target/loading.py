@@ -89,7 +89,8 @@ def load_target(
 def _bare(parameters: TargetParameters) -> TargetParameters:
     """Return parameters without the fields that change no array."""
     parts = tuple(part.model_copy(update={"joint": None}) for part in parameters.parts)
-    return parameters.model_copy(update={"parts": parts, "symmetries": (), "frames": {}, "joints": {}})
+    others = {"symmetries": (), "frames": {}, "joints": {}, "tolerance_m": 0.0, "scale_tolerance": 0.0}
+    return parameters.model_copy(update={"parts": parts, **others})
 
 
 def _with_joints(
@@ -293,6 +294,8 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         symmetries=_symmetries(parameters),
         frames=parameters.frames,
         reliable=None,
+        tolerance_m=parameters.tolerance_m,
+        scale_tolerance=parameters.scale_tolerance,
         joints=(),
         fixed=None,
         **arrays,

@@ -271,6 +271,11 @@ class TargetParameters(Config):
     frames: dict[FrameName, Pose] = Field(default_factory=dict)
     """Frames of the target, such as the launch adapter or a grapple fixture: T_target_frame by name. The
     estimator publishes their poses."""
+    tolerance_m: NonNegative = 0.0
+    """How far places of the surface may be off from the real target, one standard deviation of each
+    coordinate; places within a quarter of the longest side count as off alike. The covariances contain it."""
+    scale_tolerance: Share = 0.0
+    """Share by which the real target may be larger or smaller as a whole, one standard deviation."""
     joints: dict[FrameName, JointParameters] = Field(default_factory=dict)
     """Joints by name, each named by the parts that turn about it. The estimator finds their angles."""
 
@@ -310,6 +315,8 @@ class TargetParameters(Config):
             "mass_spread": "volume",
             "confirmed_size": False,
             "frames": {},
+            "tolerance_m": 0.0,
+            "scale_tolerance": 0.0,
             "joints": {},
         }
         return _kept(handler(self), added)
