@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
 
-CELL = 0.25
-"""Size of a cell over the target's longest side: about that of a part, and of a wave of a deformed body."""
+CELL = 0.4
+"""Size of a cell over the target's longest side: half of the length of a wave of a body that is deformed."""
 
 
 @dataclass(frozen=True)
