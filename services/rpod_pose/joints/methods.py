@@ -33,6 +33,9 @@ ROUNDS = 2
 """Largest number of times that angle and pose are fitted in turn."""
 REGISTERED = 3
 """Number of poses, the best by their points alone, whose whole frame is compared."""
+COUNTER_TURNS_RAD = np.deg2rad([-12.0, -8.0, -4.0, 4.0, 8.0, 12.0])
+"""Angles by which a joint and, against it, all else are turned to find a better fit; the first search may be
+off by half of ``STEP_RAD``."""
 KEPT = 4
 """Number of trackers that are kept, each at its own angles."""
 POINTS = 2000
@@ -190,11 +193,25 @@ class _Acquirer:
                 start = pose * turn
                 angles = shared.solver.angles(points_m, start, self._expected)
                 found.append(shared.solver.aligned(points_m, start, angles))
-        distinct: list[Aligned] = []
-        for each in sorted(found, key=lambda one: one.loss_m2):
-            if not any(_are_alike(each, other, shared.alike) for other in distinct):
-                distinct.append(each)
-        return distinct
+        best = _distinct(found, shared.alike)[:REGISTERED]
+        return _distinct([self._least(points_m, each) for each in best], shared.alike)
+
+    def _least(self, points_m: FloatArray, found: Aligned) -> Aligned:
+        """Return the best of poses around one where the parts of a joint stay in place and all else turns.
+
+        Where these parts are most of what is seen, the fit may end beside the solution in this direction.
+        """
+        tried = [found]
+        for joint in self._shared.solver.joints:
+            for turn_rad in COUNTER_TURNS_RAD:
+                angle = found.angles[joint.name]
+                there = replace(
+                    angle, angle_rad=float(np.clip(angle.angle_rad + turn_rad, *joint.limits_rad))
+                )
+                pose = found.T_sensor_target * joint.turned(angle.angle_rad - there.angle_rad)
+                angles = {**found.angles, joint.name: there}
+                tried.append(self._shared.solver.aligned(points_m, pose, angles))
+        return min(tried, key=lambda one: one.loss_m2)
 
 
 def _order(found: Registration) -> tuple[bool, float, float]:
@@ -205,6 +222,15 @@ def _turn_rad(one: RigidTransform, other: RigidTransform, alike: Equivalence) ->
     """Return the angle between the attitudes of two poses, modulo the target's symmetries."""
     cosine = float(alike.cosines(rotation_matrix(one)[None], rotation_matrix(other)[None])[0, 0])
     return acos(min(max(cosine, -1.0), 1.0))
+
+
+def _distinct(found: Sequence[Aligned], alike: Equivalence) -> list[Aligned]:
+    """Return poses with their angles, best first, without those that are the same as a better one."""
+    kept: list[Aligned] = []
+    for each in sorted(found, key=lambda one: one.loss_m2):
+        if not any(_are_alike(each, other, alike) for other in kept):
+            kept.append(each)
+    return kept
 
 
 def _are_alike(one: Aligned, other: Aligned, alike: Equivalence) -> bool:
