@@ -29,7 +29,7 @@ STEP_RAD = radians(30.0)
 """Greatest distance of the angles at which a first pose is searched."""
 RESOLUTION_RAD = radians(0.25)
 """Angles are rounded to multiples of it before the target is put together: an eighth of the aim of 2 deg."""
-ROUNDS = 2
+ROUNDS = 4
 """Largest number of times that angle and pose are fitted in turn."""
 REGISTERED = 3
 """Number of poses, the best by their points alone, whose whole frame is compared."""
@@ -136,7 +136,7 @@ class _Tracker:
             if found.T_sensor_target is None:
                 break
             before, angles = angles, self.angles(measurement, found.T_sensor_target)
-            if all(abs(angles[name].angle_rad - before[name].angle_rad) < RESOLUTION_RAD for name in angles):
+            if not _are_apart(angles, before):
                 break
             found = self._shared.tracker_at(angles).track(measurement, found.T_sensor_target)
         return self.with_angles(measurement, found)
@@ -180,6 +180,9 @@ class _Acquirer:
             return searched[0]
         best = search(self._shared.acquirer_at(found[0].angles))
         registration = self._tracker.with_angles(measurement, best.registration)
+        if best.pose is not None and _are_apart(registration.angles, found[0].angles):
+            again = self._tracker.registered(measurement, best.pose, registration.angles)
+            registration = again if again.continues_track else registration
         belief = _with_rivals(best.belief, found, self._shared.alike)
         templates = best.templates + sum(each.templates for each in searched)
         return replace(best, registration=replace(registration, belief=belief), templates=templates)
@@ -212,6 +215,13 @@ class _Acquirer:
                 angles = {**found.angles, joint.name: there}
                 tried.append(self._shared.solver.aligned(points_m, pose, angles))
         return min(tried, key=lambda one: one.loss_m2)
+
+
+def _are_apart(angles: Angles, others: Angles) -> bool:
+    """Return whether the target differs between angles by more than their rounding."""
+    return any(
+        abs(angle.angle_rad - others[name].angle_rad) > RESOLUTION_RAD for name, angle in angles.items()
+    )
 
 
 def _order(found: Registration) -> tuple[bool, float, float]:
