@@ -29,7 +29,7 @@ STEP_RAD = radians(30.0)
 """Greatest distance of the angles at which a first pose is searched."""
 RESOLUTION_RAD = radians(0.25)
 """Angles are rounded to multiples of it before the target is put together: an eighth of the aim of 2 deg."""
-ROUNDS = 4
+ROUNDS = 6
 """Largest number of times that angle and pose are fitted in turn."""
 REGISTERED = 3
 """Number of poses, the best by their points alone, whose whole frame is compared."""
@@ -38,6 +38,8 @@ COUNTER_TURNS_RAD = np.deg2rad([-12.0, -8.0, -4.0, 4.0, 8.0, 12.0])
 off by half of ``STEP_RAD``."""
 KEPT = 4
 """Number of trackers that are kept, each at its own angles."""
+SLOWEST = 0.8
+"""Largest ratio of two steps in turn from which further ones are extrapolated."""
 POINTS = 2000
 """Largest number of a frame's points in the fit of an angle."""
 CHANCE = 2.0
@@ -131,13 +133,21 @@ class _Tracker:
 
     def registered(self, measurement: Any, pose: RigidTransform, angles: Angles) -> Registration:
         """Return the registration from a pose and angles that are close to the solution."""
-        found = self._shared.tracker_at(angles).track(measurement, pose)
+        found, last = self._shared.tracker_at(angles).track(measurement, pose), dict[str, float]()
         for _ in range(ROUNDS):
             if found.T_sensor_target is None:
                 break
             before, angles = angles, self.angles(measurement, found.T_sensor_target)
             if not _are_apart(angles, before):
                 break
+            steps = {name: angle.angle_rad - before[name].angle_rad for name, angle in angles.items()}
+            angles = {
+                name: replace(
+                    angle, angle_rad=before[name].angle_rad + _extrapolated(steps[name], last.get(name))
+                )
+                for name, angle in angles.items()
+            }
+            last = steps
             found = self._shared.tracker_at(angles).track(measurement, found.T_sensor_target)
         return self.with_angles(measurement, found)
 
@@ -215,6 +225,16 @@ class _Acquirer:
                 angles = {**found.angles, joint.name: there}
                 tried.append(self._shared.solver.aligned(points_m, pose, angles))
         return min(tried, key=lambda one: one.loss_m2)
+
+
+def _extrapolated(step_rad: float, last_rad: float | None) -> float:
+    """Return the sum of the steps that would follow, each smaller than the one before by the same ratio.
+
+    Source: A. C. Aitken, On Bernoulli's Numerical Solution of Algebraic Equations, Proc. Royal Society of
+    Edinburgh 46, 1926.
+    """
+    ratio = 0.0 if not last_rad else min(max(step_rad / last_rad, 0.0), SLOWEST)
+    return step_rad / (1.0 - ratio)
 
 
 def _are_apart(angles: Angles, others: Angles) -> bool:
