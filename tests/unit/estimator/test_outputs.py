@@ -1,5 +1,7 @@
 """What the estimator publishes of a result."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -51,8 +53,9 @@ def test_a_frame_of_the_target_is_published_with_the_covariance_at_its_place_bef
         pose_covariance=covariance,
     )
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.TRACKING, sensor="pmd")
+    target = SimpleNamespace(frames={"grapple": GRAPPLE}, joints=())
     refused = RefusedPixels("pmd_optical", PixelMarks(np.eye(3, dtype=np.bool_), 4))
-    Outputs(node, "second", {"grapple": GRAPPLE}).publish(Output(status, odometry, refused), VALID)
+    Outputs(node, "second", target).publish(Output(status, odometry, refused), VALID)
     marks = node.messages["second/contradiction"]
     assert (marks.header.frame_id, marks.header.stamp.nanosec) == ("pmd_optical", 1)
     np.testing.assert_array_equal(read_image(marks), 255 * np.eye(3))
