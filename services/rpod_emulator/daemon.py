@@ -69,7 +69,7 @@ class Emulator:
     """State between frames: truth, sun, the next frame of each sensor, and frames not published yet."""
 
     def __init__(
-        self, node: Node, config: EmulatorConfig, channels: list[Channel], joints: MovingJoints
+        self, node: Node, config: EmulatorConfig, channels: list[Channel], joints: MovingJoints | None = None
     ) -> None:
         self._node, self._config = node, config
         self._by_wall = config.time_source == "wall"
@@ -217,7 +217,7 @@ class Emulator:
             return
         self._in_gap = False
         started_s = time.perf_counter()
-        if self._joints.turn and isinstance(channel, Showing):
+        if self._joints is not None and self._joints.turn and isinstance(channel, Showing):
             channel.show(self._joints.at((frame.stamp_ns - (self._epoch_ns or 0)) / NANOSECONDS))
         self._made.append(_Made(frame, channel.emulate(poses, self._sun_W_m2(frame.stamp_ns), frame, fault)))
         self._node.health.put(f"emulation_us/{frame.sensor}", round(1e6 * (time.perf_counter() - started_s)))
