@@ -76,7 +76,7 @@ def test_a_status_beyond_the_bounds_is_not_sent_and_told_with_the_fields_name():
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.ACQUIRING, sensor="pmd", cost_m2=-1.0)
     with pytest.raises(MessageRejectedError, match="cost_m2 is -1, needs 0 or more"):
         write_status(status)
-    Outputs(node, "estimate", {}).publish(Output(status, None), VALID)
+    Outputs(node, "estimate", SimpleNamespace(frames={}, joints=())).publish(Output(status, None), VALID)
     sent = node.messages["estimate/status"]
     assert (sent.sensor, sent.accepted) == ("pmd", False)
     assert "cost_m2 is -1" in sent.reason
