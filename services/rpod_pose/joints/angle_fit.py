@@ -12,6 +12,7 @@ from math import radians, sqrt
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.kernels import kernel
@@ -298,7 +299,7 @@ def _turns(joint: Joint, angles: FloatArray) -> Turns:
     return Turns(np.ascontiguousarray(back.as_matrix()), joint.origin_m)
 
 
-def _bias_m(seen: _Surface, rays: FloatArray, near: FloatArray) -> float:
+def _bias_m(seen: _Surface, rays: FloatArray, near: NDArray[np.bool_]) -> float:
     """Return the length by which all ranges are too long, by the points near the surface."""
     along = (seen.normals * rays).sum(axis=1)[near]
     squares = float(along @ along)
