@@ -203,6 +203,8 @@ class Summary(Config):
     """Errors over the tracked frames."""
     frame_errors: dict[str, FrameError] = Field(default_factory=dict)
     """Errors at the target's named frames, by name."""
+    joint_errors: dict[str, ErrorSize] = Field(default_factory=dict)
+    """Errors of the angles of the target's joints while tracked, deg, by name."""
     latency_s: Durations | None
     """Times from stamp to publication of the estimates, s."""
     processing_s: Durations | None

@@ -77,6 +77,7 @@ COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 _POINTS = "sensor_msgs/msg/PointCloud2"
 
 TRUTH = Topic("truth/odometry", "nav_msgs/msg/Odometry")
+TRUTH_JOINTS = Topic("truth/joints", "sensor_msgs/msg/JointState")
 REFERENCE = Topic("motion/reference", "nav_msgs/msg/Odometry")
 SUN = Topic("environment/sun", "geometry_msgs/msg/Vector3Stamped", latched=True)
 TF_STATIC = Topic("tf_static", "tf2_msgs/msg/TFMessage", latched=True)
@@ -92,6 +93,7 @@ LIDAR_INFO = Topic("<lidar>/info", "rpod_msgs/msg/LidarInfo", latched=True)
 ESTIMATE = Topic("estimate/odometry", "nav_msgs/msg/Odometry")
 ESTIMATE_POSE = Topic("estimate/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
 ESTIMATE_FRAME = Topic("estimate/frames/<frame>", "geometry_msgs/msg/PoseWithCovarianceStamped")
+ESTIMATE_JOINTS = Topic("estimate/joints", "sensor_msgs/msg/JointState")
 CONTRADICTION = Topic("estimate/contradiction", _IMAGE)
 VALIDITY = Topic("estimate/validity", "rpod_msgs/msg/EstimateValidity")
 STATUS = Topic("estimate/status", "rpod_msgs/msg/EstimatorStatus")
@@ -100,13 +102,13 @@ IMU = Topic("chaser/imu", "sensor_msgs/msg/Imu")
 DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
 TOPICS: tuple[Topic, ...] = (
-    TRUTH, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, CAMERA_INFO, PHASE, PMD_INFO,
-    POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME, CONTRADICTION, VALIDITY,
-    STATUS, COMMAND, IMU, DIAGNOSTICS,
+    TRUTH, TRUTH_JOINTS, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, CAMERA_INFO, PHASE,
+    PMD_INFO, POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME, ESTIMATE_JOINTS,
+    CONTRADICTION, VALIDITY, STATUS, COMMAND, IMU, DIAGNOSTICS,
 )  # fmt: skip
 """All topics, in the order of the ICD's table."""
 
-TRUTH_TOPICS: tuple[Topic, ...] = (TRUTH, REFERENCE, TF)
+TRUTH_TOPICS: tuple[Topic, ...] = (TRUTH, TRUTH_JOINTS, REFERENCE, TF)
 """Topics that an estimator must never read: the facility's truth in any form."""
 
 CHASER, TARGET, TARGET_ESTIMATE = "chaser", "target", "target_estimate"

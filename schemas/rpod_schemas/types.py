@@ -227,6 +227,14 @@ class LidarScan(SensorFrame):
         return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
 
 
+class Joints(Model):
+    """Angles of the target's joints, by name."""
+
+    stamp_ns: int
+    angle_rad: dict[str, float]
+    rate_rad_s: dict[str, float]
+
+
 class LidarInfo(Model):
     """Info of a LIDAR (LidarInfo.msg)."""
 

@@ -55,6 +55,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 bus=bus,
                 target=scenario.target,
                 sensors=scenario.sensors,
+                joints=scenario.motion.joints,
                 world=scenario.world,
                 surroundings=scenario.surroundings,
                 seed=scenario.seed,

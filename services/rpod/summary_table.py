@@ -37,6 +37,10 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
             )
             for name, error in summary.frame_errors.items()
         ),
+        *(
+            (f"joint {name}", f"{error.rms:.2f} deg RMS, {error.max:.2f} max")
+            for name, error in summary.joint_errors.items()
+        ),
         ("worse than 10 deg or 0.3 m", _percent(modes.worse_than_10deg_or_0_3m_share)),
         (
             "frames",

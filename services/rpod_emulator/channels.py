@@ -1,7 +1,7 @@
 """Emulated sensors from pose to messages, with one interface for all kinds."""
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -34,6 +34,15 @@ class Channel(Protocol):
 
         Returns a function that publishes the frame.
         """
+        ...
+
+
+@runtime_checkable
+class Showing(Protocol):
+    """A channel that can show the target at another angle of its joints."""
+
+    def show(self, target: Target) -> None:
+        """Show another target from the next frame on."""
         ...
 
 

@@ -10,9 +10,10 @@ from threading import Event
 
 import numpy as np
 
-from rpod_emulator.channels import Channel, open_channel
+from rpod_emulator.channels import Channel, Showing, open_channel
 from rpod_emulator.errors import TruthGapError
 from rpod_emulator.faults import Fault, Faults
+from rpod_emulator.joints import MovingJoints
 from rpod_emulator.truth_buffer import TruthBuffer
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.errors import RefusedError
@@ -40,8 +41,9 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
     target = load_target(config.target)
     with Node(config, version=version, stop=stop) as node:
         node.target_digest = target.digest
-        channels = [open_channel(node, config, sensor, target) for sensor in config.sensors]
-        emulator = Emulator(node, config, sorted(channels, key=lambda channel: channel.sensor.name))
+        joints = MovingJoints(config, target)
+        channels = [open_channel(node, config, sensor, joints.at(0.0)) for sensor in config.sensors]
+        emulator = Emulator(node, config, sorted(channels, key=lambda channel: channel.sensor.name), joints)
         node.ready(f"emulating {', '.join(channel.sensor.name for channel in channels)} of {target.name}")
         while not stop.is_set():
             emulator.take_messages()
@@ -66,10 +68,12 @@ class _Made:
 class Emulator:
     """State between frames: truth, sun, the next frame of each sensor, and frames not published yet."""
 
-    def __init__(self, node: Node, config: EmulatorConfig, channels: list[Channel]) -> None:
+    def __init__(
+        self, node: Node, config: EmulatorConfig, channels: list[Channel], joints: MovingJoints | None = None
+    ) -> None:
         self._node, self._config = node, config
         self._by_wall = config.time_source == "wall"
-        self._channels = channels
+        self._channels, self._joints = channels, joints
         self._exposure_end_ns = {
             channel.sensor.name: _exposure_end_ns(channel.sensor) for channel in channels
         }
@@ -213,6 +217,8 @@ class Emulator:
             return
         self._in_gap = False
         started_s = time.perf_counter()
+        if self._joints is not None and self._joints.turn and isinstance(channel, Showing):
+            channel.show(self._joints.at((frame.stamp_ns - (self._epoch_ns or 0)) / NANOSECONDS))
         self._made.append(_Made(frame, channel.emulate(poses, self._sun_W_m2(frame.stamp_ns), frame, fault)))
         self._node.health.put(f"emulation_us/{frame.sensor}", round(1e6 * (time.perf_counter() - started_s)))
         self._node.health.report(Health.OK, "emulating")

@@ -36,6 +36,10 @@ class LidarChannel:
             node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
         )
 
+    def show(self, target: Target) -> None:
+        """Show another target from the next frame on."""
+        self._emulator.show(target)
+
     def emulate(
         self,
         poses: Sequence[RigidTransform],

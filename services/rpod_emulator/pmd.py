@@ -41,6 +41,10 @@ class PmdChannel:
             node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
         )
 
+    def show(self, target: Target) -> None:
+        """Show another target from the next frame on."""
+        self._emulator.show(target)
+
     def emulate(
         self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
     ) -> Callable[[], None]:

@@ -22,7 +22,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     estimator = Estimator(config, target)
     with Node(config, version=version, stop=stop) as node:
         node.target_digest = target.digest
-        subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target.frames)
+        subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
         validity = Validity(config.stale_after_s)
         with Beacon(validity, outputs.tell, node.clock) as beacon:
             service = _Service(estimator, subscriptions, outputs, validity, beacon)

@@ -49,6 +49,7 @@ class Estimator:
             self._methods,
             centre_of_mass_m=target.centre_of_mass_m,
             alike=target.equivalence,
+            joints=target.joints,
         )
         self._state: NavigatorState = self._navigator.start(config.initial_pose)
         self._resets: SimpleQueue[ResetRequest] = SimpleQueue()

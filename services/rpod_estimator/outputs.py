@@ -1,10 +1,8 @@
-"""Publishes the estimator's results: odometry, pose, poses of the target's frames, transform and status."""
+"""Publishes the estimator's results: odometry, pose, frames and joints of the target, transform, status."""
 
 import time
-from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.state import Output
 from rpod_runtime import Node
@@ -12,6 +10,7 @@ from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import (
     NANOSECONDS,
     write_image,
+    write_joints,
     write_odometry,
     write_pose_stamped,
     write_status,
@@ -23,6 +22,7 @@ from rpod_schemas.topics import (
     CONTRADICTION,
     ESTIMATE,
     ESTIMATE_FRAME,
+    ESTIMATE_JOINTS,
     ESTIMATE_POSE,
     STATUS,
     TARGET_ESTIMATE,
@@ -30,23 +30,25 @@ from rpod_schemas.topics import (
     VALIDITY,
 )
 from rpod_schemas.types import EstimateValidity, EstimatorStatus
+from rpod_target import Target
 
 _TF_PERIOD_NS = NANOSECONDS // 25
 
 
 class Outputs:
-    """Publishers of the estimator's results; ``frames`` are the target's, T_target_frame by name."""
+    """Publishers of the estimator's results, for a target with the frames and joints that its file names."""
 
-    def __init__(self, node: Node, prefix: str, frames: Mapping[str, RigidTransform]) -> None:
+    def __init__(self, node: Node, prefix: str, target: Target) -> None:
         self._node = node
         self._odometry = node.publisher(ESTIMATE.under(prefix))
         self._pose = node.publisher(ESTIMATE_POSE.under(prefix))
         self._frames = [
             (node.publisher(ESTIMATE_FRAME.under(prefix).at(name)), T_target_frame)
-            for name, T_target_frame in frames.items()
+            for name, T_target_frame in target.frames.items()
         ]
         self._contradiction = node.publisher(CONTRADICTION.under(prefix))
         self._validity = node.publisher(VALIDITY.under(prefix))
+        self._joints = node.publisher(ESTIMATE_JOINTS.under(prefix)) if target.joints else None
         self._status = node.publisher(STATUS.under(prefix))
         self._tf = node.publisher(TF)
         self._tf_ns = 0
@@ -70,6 +72,8 @@ class Outputs:
                 self._tf_ns = odometry.stamp_ns
                 transform = (CHASER, TARGET_ESTIMATE, odometry.pose)
                 self._tf.publish(write_transforms(odometry.stamp_ns, [transform]))
+        if output.joints is not None and self._joints is not None:
+            self._joints.publish(write_joints(output.joints))
         if output.refused is not None:
             image = output.refused.marks.marked * np.uint8(255)
             message = write_image(output.status.stamp_ns, output.refused.frame_id, image, "mono8")

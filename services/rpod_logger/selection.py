@@ -11,6 +11,7 @@ from rpod_schemas.topics import (
     CONTRADICTION,
     ESTIMATE,
     ESTIMATE_FRAME,
+    ESTIMATE_JOINTS,
     ESTIMATE_POSE,
     STATUS,
     TOPICS,
@@ -31,7 +32,7 @@ def patterns() -> list[Topic]:
     ]
 
 
-_ESTIMATES = ESTIMATE, ESTIMATE_POSE, CONTRADICTION, VALIDITY, STATUS
+_ESTIMATES = ESTIMATE, ESTIMATE_POSE, ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, STATUS
 
 
 def _pattern(topic: Topic) -> Topic:

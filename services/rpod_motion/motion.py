@@ -1,6 +1,7 @@
 """The relative motion of chaser and target as a function of time only."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -16,6 +17,7 @@ from rpod_schemas.config.motion import (
     ApproachConfig,
     AttitudeConfig,
     FixedAttitudeConfig,
+    JointMotionConfig,
     MotionConfig,
     SpinConfig,
     SunConfig,
@@ -49,6 +51,8 @@ class Motion:
     sun_E_W_m2: FloatArray
     """Unit vector to the sun times its irradiance, epoch axes, shape (3,); zero for darkness."""
     duration_s: float
+    joints: Mapping[str, JointMotionConfig] = field(default_factory=dict)
+    """Motion of the target's joints, by name."""
 
     def state(self, time_s: float) -> MotionState:
         """Return pose and twist at a time from the epoch, -1 s to 1 s beyond the duration.
@@ -103,6 +107,7 @@ def build_motion(
         attitude=_attitude(config.attitude, inertia_kg_m2, duration_s),
         sun_E_W_m2=_sun(config.sun),
         duration_s=duration_s,
+        joints=config.joints,
     )
 
 

@@ -1,16 +1,19 @@
 """Publishes the truth: odometry at every tick, the sun, and transforms for viewers."""
 
+from math import radians
+
 from rpod_motion.motion import Motion
 from rpod_runtime import Node
 from rpod_schemas.cdr import encode
 from rpod_schemas.messages import (
     NANOSECONDS,
+    write_joints,
     write_odometry,
     write_transforms,
     write_vector_stamped,
 )
-from rpod_schemas.topics import CHASER, REFERENCE, SUN, TARGET, TF, TRUTH
-from rpod_schemas.types import Odometry
+from rpod_schemas.topics import CHASER, REFERENCE, SUN, TARGET, TF, TRUTH, TRUTH_JOINTS
+from rpod_schemas.types import Joints, Odometry
 
 _TF_HZ = 25.0
 _SUN_HZ = 1.0
@@ -31,6 +34,7 @@ class TruthPublisher:
         self._sun_every = max(1, round(rate_hz / _SUN_HZ))
         self._ahead = int(_AHEAD_S * rate_hz)
         self._truth, self._reference = node.publisher(TRUTH), node.publisher(REFERENCE)
+        self._joints = node.publisher(TRUTH_JOINTS) if motion.joints else None
         self._tf, self._sun = node.publisher(TF), node.publisher(SUN)
         self._made: dict[int, tuple[bytearray, bytearray | None]] = {}
 
@@ -52,8 +56,17 @@ class TruthPublisher:
         self._reference.put(truth)
         if transform:
             self._tf.put(transform)
+            self._publish_joints(tick)
         if not self._made:
             self._made = {later: self._make(later) for later in range(tick + 1, tick + 1 + self._ahead)}
+
+    def _publish_joints(self, tick: int) -> None:
+        if self._joints is not None:
+            time_s, joints = tick / self._rate_hz, self._motion.joints
+            angles = {name: joint.angle_rad(time_s) for name, joint in joints.items()}
+            rates = {name: radians(joint.rate_deg_s) for name, joint in joints.items()}
+            there = Joints(stamp_ns=self.stamp_ns(tick), angle_rad=angles, rate_rad_s=rates)
+            self._joints.publish(write_joints(there))
 
     def _make(self, tick: int) -> tuple[bytearray, bytearray | None]:
         """Return the truth of a tick, and its transform if one is due."""

@@ -1,14 +1,17 @@
 """From configuration to methods: how the target is acquired and tracked by each sensor, from the registry."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
-from rpod_pose.ports import KindMethods, Methods, Task
+from rpod_pose.joints.methods import RigidMethods, jointed
+from rpod_pose.ports import KindMethods, Methods, Task, Tracker
 from rpod_pose.unreliable import UnreliableParts, ignoring
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.poses import make_pose
 from rpod_schemas.registry import resolve
 from rpod_schemas.sensors import sensor_kind
-from rpod_target import Target
+from rpod_target import Target, posed
 
 
 def kind_methods(sensor: SensorInput) -> KindMethods:
@@ -18,7 +21,7 @@ def kind_methods(sensor: SensorInput) -> KindMethods:
 
 
 def methods_of(sensor: SensorInput, target: Target, setup: Any = ()) -> Methods:
-    """Return the methods for a sensor, which ignore the unreliable parts of the target.
+    """Return the methods for a sensor, which ignore unreliable parts and find the angles of joints.
 
     Args:
         sensor: configuration of the sensor.
@@ -26,11 +29,34 @@ def methods_of(sensor: SensorInput, target: Target, setup: Any = ()) -> Methods:
         setup: result of ``KindMethods.setup`` of its kind, for example a LIDAR's scan pattern.
     """
     kind = kind_methods(sensor)
+    if target.joints and kind.tracker is not None and kind.points is not None:
+        return jointed(target, _rigid(sensor, setup, kind.tracker, kind.points))
+    if target.joints:  # their parts are ignored
+        target = replace(posed(target, {}), reliable=target.fixed)
     whole = kind.make(Task(target, sensor, setup))
     if target.reliable is None or kind.masked is None:
         return whole
     reliable = kind.make(Task(target.reliable, sensor, setup))
     return ignoring(reliable, whole, UnreliableParts(target, target.reliable), kind.masked)
+
+
+def _rigid(
+    sensor: SensorInput,
+    setup: Any,
+    make_tracker: Callable[[Task], Tracker[Any]],
+    points: Callable[[Any], Any],
+) -> RigidMethods:
+    """Return the makers of a sensor's methods for a rigid target."""
+
+    def methods(target: Target) -> Methods:
+        return methods_of(sensor, target, setup)
+
+    def tracker(target: Target) -> Tracker[Any]:
+        if target.reliable is not None:
+            return methods(target).tracker
+        return make_tracker(Task(target, sensor, setup))
+
+    return RigidMethods(methods, tracker, points)
 
 
 def warm_up(sensor: SensorInput, methods: Methods, target: Target, setup: Any = ()) -> None:

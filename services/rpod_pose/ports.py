@@ -4,7 +4,7 @@ A method implements one of these protocols and is chosen in the configuration. I
 in its sensor's axes and the target's model; it knows neither bus, clock nor truth.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Generic, Protocol, Self, TypeVar
@@ -29,6 +29,15 @@ class Candidate:
     """Cost in the method's own measure; lower is better."""
 
 
+@dataclass(frozen=True)
+class Angle:
+    """Angle of a joint of the target."""
+
+    angle_rad: float
+    sigma_rad: float
+    """Its standard deviation; that of a uniform angle between the limits where nothing tells it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Registration:
     """A pose measured from one frame, or the reason why there is none."""
@@ -45,10 +54,15 @@ class Registration:
     """Number of inliers over the number of points that could have matched."""
     explained_share: float = float("nan")
     """Share of agreeing rays among those where model or measurement show a surface (the self-check)."""
+    log_likelihood: float = float("nan")
+    """Log likelihood of the frame at the pose, relative to anything that is the same for all poses and
+    targets; NaN for a method that has none."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     """Covariance of (dp, dtheta), sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1), (6, 6). About
     a free axis of the target, angle and variance may be any; the navigator replaces both."""
     iterations: int = 0
+    angles: Mapping[str, Angle] = field(default_factory=dict)
+    """Angles of the target's joints, by name."""
 
     @classmethod
     def none(cls, source: Source, reason: str, *, iterations: int = 0) -> "Registration":
@@ -207,6 +221,9 @@ class Methods:
     """De-skewing, for a sensor whose frame is not measured all at once."""
     likelihoods: Likelihoods | None = None
     """Log likelihoods of poses; without them no rivals are tracked from the sensor's frames."""
+    expecting: "Callable[[Mapping[str, Angle]], Methods] | None" = None
+    """Function that returns the methods where the angles of the target's joints are known before, by name;
+    None for a target without joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,5 +268,10 @@ class KindMethods:
     separation: Callable[[Any, Any], Any] | None = None
     """Function that returns the ``surroundings.methods.Frames`` of a sensor, from its configuration and
     setup. Without it, known surroundings are refused."""
+    tracker: Callable[[Task], Tracker[Any]] | None = None
+    """Function that returns the configured tracker alone, for a target whose joints move."""
+    points: Callable[[Any], Any] | None = None
+    """Function that returns the points of a frame, sensor axes, shape (N, 3). Without it or without
+    ``tracker``, the parts of a target's joints are ignored like unreliable ones."""
     missing: str = ""
     """Reason for which frames are rejected as long as these data are unknown."""

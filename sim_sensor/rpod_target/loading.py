@@ -4,7 +4,7 @@ import contextlib
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from rpod_target.equivalence import Equivalence, Symmetry
 from rpod_target.errors import TargetError
 from rpod_target.mesh_files import MeshFile, companions
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
-from rpod_target.target import DistanceField, Material, Target
+from rpod_target.target import DistanceField, Joint, Material, Target
 from rpod_target.variation import Variation, split
 
 RANDOM = "random-"
@@ -65,7 +65,7 @@ def load_target(
     def loaded(without: tuple[str, ...]) -> Target:
         chosen = _without(parameters, without, source=source)
         digest = _digest(chosen, meshes, variation)
-        bare = chosen.model_copy(update={"symmetries": (), "frames": {}})  # they change no array
+        bare = _bare(chosen)
         file = (cache or store.default_directory()) / f"target-{_digest(bare, meshes, variation)}.npz"
         arrays = store.read(file)
         if arrays is None:
@@ -75,10 +75,59 @@ def load_target(
         target = _assemble(chosen, arrays, source=source, digest=digest)
         return replace(target, name=target.name + suffix)
 
+    def with_joints(without: tuple[str, ...]) -> Target:
+        return _with_joints(parameters, loaded, without, source=source)
+
     left_out = () if variation is None else variation.without
     unreliable = tuple(part.name for part in parameters.parts if part.unreliable)
-    target = loaded(left_out)
-    return replace(target, reliable=loaded(left_out + unreliable)) if unreliable else target
+    if parameters.joints and variation is not None and (variation.bent or variation.missing):
+        raise TargetError(source, "joints", "a target with joints can be neither @bent nor @missing an end")
+    target = with_joints(left_out)
+    return replace(target, reliable=with_joints(left_out + unreliable)) if unreliable else target
+
+
+def _bare(parameters: TargetParameters) -> TargetParameters:
+    """Return parameters without the fields that change no array."""
+    parts = tuple(part.model_copy(update={"joint": None}) for part in parameters.parts)
+    others = {"symmetries": (), "frames": {}, "joints": {}, "tolerance_m": 0.0, "scale_tolerance": 0.0}
+    return parameters.model_copy(update={"parts": parts, **others})
+
+
+def _with_joints(
+    parameters: TargetParameters,
+    loaded: Callable[[tuple[str, ...]], Target],
+    without: tuple[str, ...],
+    *,
+    source: Path,
+) -> Target:
+    """Return the target without parts, and with the pieces of its joints.
+
+    Args:
+        parameters: parameters of the whole target.
+        loaded: function that returns the target without parts, by their names.
+        without: names of the parts that are left out.
+        source: parameter file, for error messages.
+    """
+    joint_of = {part.name: part.joint for part in parameters.parts if part.name not in without}
+    names = [name for name in parameters.joints if name in joint_of.values()]
+    target = loaded(without)
+    if not names:
+        return target
+
+    def alone(joint: str | None) -> Target:
+        return loaded(without + tuple(name for name, other in joint_of.items() if other != joint))
+
+    if None not in joint_of.values():
+        raise TargetError(source, "parts", "only parts of joints are left; keep one that is fixed")
+    joints = []
+    for name in names:
+        joint = parameters.joints[name]
+        least_rad, greatest_rad = np.deg2rad(joint.limits_deg)
+        axis = joint.axis / np.linalg.norm(joint.axis)
+        rate_rad_s = float(np.deg2rad(joint.most_rate_deg_s))
+        limits_rad = float(least_rad), float(greatest_rad)
+        joints.append(Joint(name, axis, joint.origin_m, limits_rad, rate_rad_s, alone(name)))
+    return replace(target, joints=tuple(joints), fixed=alone(None))
 
 
 def _base(name_or_path: str | Path) -> tuple[str, dict[str, Any]]:
@@ -245,5 +294,9 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         symmetries=_symmetries(parameters),
         frames=parameters.frames,
         reliable=None,
+        tolerance_m=parameters.tolerance_m,
+        scale_tolerance=parameters.scale_tolerance,
+        joints=(),
+        fixed=None,
         **arrays,
     )

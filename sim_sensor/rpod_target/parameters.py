@@ -61,11 +61,13 @@ class _PartParameters(Config):
     unreliable: bool = False
     """Whether the estimator ignores the part, because its shape or place is not known well: flexible foil, an
     array of unknown angle."""
+    joint: Name | None = None
+    """Name of the joint about which the part turns, one of ``joints``."""
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Return the fields; without those that are left out, the digest of the file stays as it was."""
-        return _kept(handler(self), {"unreliable": False})
+        return _kept(handler(self), {"unreliable": False, "joint": None})
 
 
 class BoxParameters(_PartParameters):
@@ -154,6 +156,7 @@ class MeshParameters(_PartParameters):
             "file_materials": {},
             "largest_error_m": None,
             "unreliable": False,
+            "joint": None,
         }
         return _kept(handler(self), added)
 
@@ -171,6 +174,34 @@ class FieldParameters(Config):
     """Distance of neighbouring nodes; by default a hundredth of the target's longest side."""
     margin_m: Positive | None = None
     """Extent of the grid beyond the parts; by default 0.15 of the target's longest side."""
+
+
+class JointParameters(Config):
+    """A joint about which parts turn, such as a solar array's. At 0 deg they are where the file has them."""
+
+    axis: Vector3
+    """Direction of the axis, of any length except zero."""
+    origin_m: Vector3
+    """A point on the axis."""
+    limits_deg: tuple[float, float]
+    """Least and greatest angle."""
+    most_rate_deg_s: Positive = 1.0
+    """Greatest rate, deg/s."""
+
+    @field_validator("axis")
+    @classmethod
+    def _has_a_direction(cls, axis: FloatArray) -> FloatArray:
+        if not np.linalg.norm(axis) > 0.0:
+            raise ValueError("must not be zero")
+        return axis
+
+    @field_validator("limits_deg")
+    @classmethod
+    def _rises(cls, limits_deg: tuple[float, float]) -> tuple[float, float]:
+        least, greatest = limits_deg
+        if not -360.0 <= least < greatest <= 360.0 or greatest - least > 360.0:
+            raise ValueError("needs the least angle first, both within 360 deg and at most a turn apart")
+        return limits_deg
 
 
 class SymmetryParameters(Config):
@@ -240,6 +271,13 @@ class TargetParameters(Config):
     frames: dict[FrameName, Pose] = Field(default_factory=dict)
     """Frames of the target, such as the launch adapter or a grapple fixture: T_target_frame by name. The
     estimator publishes their poses."""
+    tolerance_m: NonNegative = 0.0
+    """How far places of the surface may be off from the real target, one standard deviation of each
+    coordinate; places within 0.4 of the longest side count as off alike. The covariances contain it."""
+    scale_tolerance: Share = 0.0
+    """Share by which the real target may be larger or smaller as a whole, one standard deviation."""
+    joints: dict[FrameName, JointParameters] = Field(default_factory=dict)
+    """Joints by name, each named by the parts that turn about it. The estimator finds their angles."""
 
     @field_validator("inertia_kg_m2")
     @classmethod
@@ -277,8 +315,22 @@ class TargetParameters(Config):
             "mass_spread": "volume",
             "confirmed_size": False,
             "frames": {},
+            "tolerance_m": 0.0,
+            "scale_tolerance": 0.0,
+            "joints": {},
         }
         return _kept(handler(self), added)
+
+    @model_validator(mode="after")
+    def _joints_have_parts(self) -> Self:
+        used = {part.joint for part in self.parts} - {None}
+        if unknown := sorted(str(name) for name in used - set(self.joints)):
+            raise ValueError(f"parts name joints that are not among joints: {', '.join(unknown)}")
+        if unused := sorted(set(self.joints) - used):
+            raise ValueError(f"no part names these joints: {', '.join(unused)}")
+        if all(part.joint for part in self.parts):
+            raise ValueError("every part names a joint; one that is fixed is needed")
+        return self
 
 
 def _kept(document: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:

@@ -68,6 +68,35 @@ class DistanceField:
 
 
 @dataclass(frozen=True, eq=False)
+class Joint:
+    """Parts of a target that turn together about an axis."""
+
+    name: str
+    axis: FloatArray
+    """Unit vector along the axis, target axes, shape (3,)."""
+    origin_m: FloatArray
+    """A point on the axis, target axes, shape (3,)."""
+    limits_rad: tuple[float, float]
+    """Least and greatest angle; at 0 the parts are where the target's file places them."""
+    rate_rad_s: float
+    """Greatest rate."""
+    moving: "Target"
+    """The parts alone, at the angle 0."""
+
+    def turned(self, angle_rad: float) -> RigidTransform:
+        """Return the motion of the parts from the angle 0 to an angle, target axes."""
+        turn = RigidTransform.from_rotation(Rotation.from_rotvec(angle_rad * self.axis))
+        there = RigidTransform.from_translation(self.origin_m)
+        return there * turn * there.inv()
+
+    @property
+    def lever_m(self) -> float:
+        """Distance of the farthest corner of the parts from the axis."""
+        arms_m = np.cross(self.moving.triangles_m.reshape(-1, 3) - self.origin_m, self.axis)
+        return float(np.linalg.norm(arms_m, axis=1).max())
+
+
+@dataclass(frozen=True, eq=False)
 class Target:
     """A target, ready for use; equal digests mean equal targets."""
 
@@ -112,6 +141,15 @@ class Target:
 
     reliable: "Target | None" = None
     """The target without the parts that its file calls unreliable; None if there are none."""
+    tolerance_m: float = 0.0
+    """How far places of its surface may be off, one standard deviation of each coordinate; those near each
+    other are off alike."""
+    scale_tolerance: float = 0.0
+    """Share by which it may be too large or too small as a whole, one standard deviation."""
+    joints: tuple[Joint, ...] = ()
+    """Joints that its file declares; ``posed`` returns the target at given angles of them."""
+    fixed: "Target | None" = None
+    """The target without the parts of its joints; None if there are none."""
 
     def require_field(self) -> DistanceField:
         """Return the distance field.

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
-from rpod_schemas.config.motion import MotionConfig
+from rpod_schemas.config.motion import JointMotionConfig, MotionConfig
 from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.surroundings import Thing
@@ -31,6 +31,8 @@ class EmulatorConfig(ServiceConfig):
     """Name or file of the target."""
     sensors: tuple[SensorConfig, ...] = Field(min_length=1)
     """Sensors to emulate."""
+    joints: dict[str, JointMotionConfig] = Field(default_factory=dict)
+    """Motion of the target's joints, by name, as the motion service has it."""
     world: WorldName = "documented"
     """Variant of the sensors' physics; neither the sensors' messages nor the estimator's configuration state
     it."""

@@ -4,6 +4,7 @@ Chaser axes: z is the direction of approach and the sensors' boresight, x points
 Quantities at the epoch are in the chaser's axes at the epoch.
 """
 
+from math import radians
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -130,6 +131,19 @@ TrajectoryConfig = Annotated[ApproachConfig | StationKeepingConfig, Field(discri
 AttitudeConfig = Annotated[FixedAttitudeConfig | SpinConfig | TumbleConfig, Field(discriminator="kind")]
 
 
+class JointMotionConfig(Config):
+    """Motion of a joint of the target: at a constant rate from an angle."""
+
+    angle_deg: Finite = 0.0
+    """Angle at the epoch."""
+    rate_deg_s: Finite = 0.0
+    """Rate, deg/s."""
+
+    def angle_rad(self, time_s: float) -> float:
+        """Return the angle at a time from the epoch."""
+        return radians(self.angle_deg + self.rate_deg_s * time_s)
+
+
 class MotionConfig(Config):
     """Motion of chaser and target, and the sun."""
 
@@ -139,3 +153,5 @@ class MotionConfig(Config):
     """Attitude motion of the target."""
     sun: SunConfig | None = None
     """The sun; darkness if left out."""
+    joints: dict[str, JointMotionConfig] = Field(default_factory=dict)
+    """Motion of the target's joints, by name; one that is left out stays at 0 deg."""

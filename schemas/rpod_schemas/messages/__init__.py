@@ -40,6 +40,7 @@ from rpod_schemas.messages.info import (
     write_lidar_info,
     write_pmd_info,
 )
+from rpod_schemas.messages.joints import read_joints, write_joints
 from rpod_schemas.messages.points import read_points, time_field, write_points
 
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
     "read_depth",
     "read_diagnostics",
     "read_image",
+    "read_joints",
     "read_lidar_info",
     "read_odometry",
     "read_pmd_info",
@@ -66,6 +68,7 @@ __all__ = [
     "write_diagnostics",
     "write_header",
     "write_image",
+    "write_joints",
     "write_lidar_info",
     "write_odometry",
     "write_pmd_info",

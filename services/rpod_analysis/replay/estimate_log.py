@@ -26,8 +26,16 @@ from rpod_schemas.logs import (
     SCHEMA_ENCODING,
     SOFTWARE,
 )
-from rpod_schemas.messages import write_odometry, write_pose_stamped, write_status
-from rpod_schemas.topics import ESTIMATE, ESTIMATE_FRAME, ESTIMATE_POSE, STATUS, TOPICS, Topic
+from rpod_schemas.messages import write_joints, write_odometry, write_pose_stamped, write_status
+from rpod_schemas.topics import (
+    ESTIMATE,
+    ESTIMATE_FRAME,
+    ESTIMATE_JOINTS,
+    ESTIMATE_POSE,
+    STATUS,
+    TOPICS,
+    Topic,
+)
 from rpod_target import Target
 
 _LATCHED = {topic.name for topic in TOPICS if topic.latched}
@@ -83,6 +91,8 @@ class EstimateLog:
                 for name, pose in self._frames.items():
                     message = write_pose_stamped(output.odometry, T_child_frame=pose)
                     self._add(ESTIMATE_FRAME.at(name), message, arrival_ns)
+            if output.joints is not None:
+                self._add(ESTIMATE_JOINTS, write_joints(output.joints), arrival_ns)
             self._add(STATUS, write_status(output.status), arrival_ns)
 
     def _add(self, topic: Topic, message: Any, arrival_ns: int) -> None:

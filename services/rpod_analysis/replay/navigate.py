@@ -24,7 +24,16 @@ from rpod_pose.measurement import Tick
 from rpod_pose.navigation.state import Output
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.migration import check_logged
-from rpod_schemas.topics import ESTIMATE, ESTIMATE_FRAME, ESTIMATE_POSE, STATUS, TF_STATIC, TRUTH
+from rpod_schemas.topics import (
+    ESTIMATE,
+    ESTIMATE_FRAME,
+    ESTIMATE_JOINTS,
+    ESTIMATE_POSE,
+    STATUS,
+    TF_STATIC,
+    TRUTH,
+    TRUTH_JOINTS,
+)
 from rpod_target import load_target
 
 
@@ -123,9 +132,15 @@ def replay(
 
 def _copied(log: Log, prefix: str) -> set[str]:
     """Return the names of the topics that are copied from the old log to the new one."""
-    estimates = (topic.under(prefix).name for topic in (ESTIMATE, ESTIMATE_POSE, STATUS))
+    estimates = (topic.under(prefix).name for topic in (ESTIMATE, ESTIMATE_POSE, ESTIMATE_JOINTS, STATUS))
     frames = ESTIMATE_FRAME.under(prefix).at("").name
-    return {TRUTH.name, TF_STATIC.name, *estimates, *(name for name in log.topics if name.startswith(frames))}
+    return {
+        TRUTH.name,
+        TRUTH_JOINTS.name,
+        TF_STATIC.name,
+        *estimates,
+        *(name for name in log.topics if name.startswith(frames)),
+    }
 
 
 def _relevant(

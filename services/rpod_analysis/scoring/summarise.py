@@ -6,6 +6,7 @@ from rpod_analysis.log import Log
 from rpod_analysis.log.completeness import check_log_completeness
 from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.scoring.frame_errors import named_frames
+from rpod_analysis.scoring.joint_errors import joint_errors
 from rpod_analysis.scoring.run import StreamedRun
 from rpod_analysis.scoring.totals import RunTotals, summarise_durations
 from rpod_schemas.config.logger import LoggerConfig
@@ -40,6 +41,7 @@ def summarise(
         modes=totals.modes(),
         error=totals.error(),
         frame_errors=totals.frame_errors(),
+        joint_errors=joint_errors(log, prefix=run.prefix),
         latency_s=summarise_durations(totals.latency_s),
         processing_s=summarise_durations(totals.processing_s),
         consistency=totals.consistency(),

@@ -57,10 +57,19 @@ def known_pattern(sensor: LidarInput, info: LidarInfo | None) -> ScanPattern | N
     return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad, sigma_range_m=sensor.sigma_range_m or 0.0)
 
 
+def make_tracker(task: Task) -> Tracker[LidarScan]:
+    """Return the configured tracker for a LIDAR with a known scan pattern."""
+    return TrackerAmongThings(_tracker(task), ScanFrames(task.setup), task.target)
+
+
+def _tracker(task: Task) -> Tracker[LidarScan]:
+    tracker: Tracker[LidarScan] = method("lidar", task.sensor.tracking.kind).built(task.sensor.tracking, task)
+    return tracker
+
+
 def make(task: Task) -> Methods:
     """Return the configured methods for a LIDAR with a known scan pattern."""
-    sensor = task.sensor
-    tracker = method("lidar", sensor.tracking.kind).built(sensor.tracking, task)
+    sensor, tracker = task.sensor, _tracker(task)
     task = task.with_tracker(tracker)
     acquirer = method("lidar", sensor.acquisition.kind).built(sensor.acquisition, task)
     likelihoods = acquirer.log_likelihoods if isinstance(acquirer, GlobalSearch) else None
@@ -130,5 +139,7 @@ LIDAR_METHODS = KindMethods(
     setup=known_pattern,
     masked=masked,
     separation=scan_frames,
+    tracker=make_tracker,
+    points=lambda scan: scan.returns_m,
     missing="no scan pattern: neither lidar info nor the configuration gives it",
 )

@@ -13,7 +13,7 @@ of a log and a Monte-Carlo campaign run the same function.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import radians
+from math import degrees, radians
 from typing import overload
 
 import numpy as np
@@ -23,16 +23,17 @@ from rpod_pose.belief import SYMMETRY, Record
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, start, to_odometry
 from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.joints import JointTrack, tracked_joints
 from rpod_pose.navigation.rivals import Rival, Rivals, distinct
 from rpod_pose.navigation.state import Challenger, GivenPose, NavigatorState, Output, RefusedPixels
-from rpod_pose.ports import Acquisition, Deskew, Methods, Registration
+from rpod_pose.ports import Acquisition, Angle, Deskew, Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import chained, make_pose, pose_error, rotation_matrix
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
-from rpod_schemas.types import EstimatorStatus, Hypothesis, Mode, SensorFrame, Source
-from rpod_target import NO_SYMMETRY, Equivalence
+from rpod_schemas.types import EstimatorStatus, Hypothesis, Joints, Mode, SensorFrame, Source
+from rpod_target import NO_SYMMETRY, Equivalence, Joint
 
 LATE = "late: older than the filter's history"
 """Reason for which a measurement is not used."""
@@ -57,6 +58,7 @@ class Navigator:
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,).
         alike: which attitudes of the target no measurement tells apart; each estimate lists the poses that
             the turns give, and leaves the angle about a free axis as it is.
+        joints: joints of the target, whose angles are estimated.
     """
 
     def __init__(
@@ -66,6 +68,7 @@ class Navigator:
         *,
         centre_of_mass_m: FloatArray,
         alike: Equivalence = NO_SYMMETRY,
+        joints: Sequence[Joint] = (),
     ) -> None:
         self._settings = settings
         self._alike = alike
@@ -75,6 +78,7 @@ class Navigator:
         )
         self._limits = settings.navigator
         self._methods = methods
+        self._joints = {joint.name: joint for joint in joints}
 
     def start(
         self,
@@ -121,7 +125,7 @@ class Navigator:
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Search without a guess; begin a track if one pose explains the measurement."""
-        found = self._methods[event.sensor].acquirer.acquire(event.data)
+        found = self._methods_for(state, event).acquirer.acquire(event.data)
         if found.begins_track:
             return self._begin(state, event, found.registration)
         if self._methods[event.sensor].likelihoods is not None:
@@ -143,6 +147,7 @@ class Navigator:
             accepted_ns=event.stamp_ns,
             rejections=0,
             confirmations=0,
+            joints=self._tracked_joints(state, event, registration),
         )
         return state, self._output(state, event, registration)
 
@@ -241,6 +246,20 @@ class Navigator:
         )
         return state, self._output(state, event, registration)
 
+    def _methods_for(self, state: NavigatorState, event: Measurement) -> Methods:
+        """Return the sensor's methods, which expect the target's joints where their tracks predict them."""
+        methods = self._methods[event.sensor]
+        if methods.expecting is None or not state.joints:
+            return methods
+        return methods.expecting(
+            {name: track.at(event.stamp_ns).angle for name, track in state.joints.items()}
+        )
+
+    def _tracked_joints(
+        self, state: NavigatorState, event: Measurement, registration: Registration
+    ) -> Mapping[str, JointTrack]:
+        return tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns)
+
     def _start_at_given(self, state: NavigatorState, event: Measurement) -> NavigatorState:
         given = state.given
         assert given is not None  # noqa: S101 - guaranteed by the caller
@@ -260,7 +279,7 @@ class Navigator:
         self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, accept or reject the pose, update the filter."""
-        registration, reason = self._register(event, predicted, tracked=state.mode == Mode.TRACKING)
+        registration, reason = self._register(state, event, predicted, tracked=state.mode == Mode.TRACKING)
         record = state.records.get(event.sensor, Record())
         if registration.T_sensor_target is not None:
             record = record.after(registration.belief)
@@ -295,6 +314,7 @@ class Navigator:
             rejections=0,
             confirmations=confirmations,
             challenger=None,
+            joints=self._tracked_joints(state, event, registration),
         )
         return state, self._output(state, event, registration, nis=nis)
 
@@ -329,14 +349,14 @@ class Navigator:
         return state, False
 
     def _register(
-        self, event: Measurement, predicted: FilterState, *, tracked: bool
+        self, state: NavigatorState, event: Measurement, predicted: FilterState, *, tracked: bool
     ) -> tuple[Registration, str]:
         """Return the registration from the prediction, and the reason why it is not accepted.
 
         If the registration fails, the surroundings of the prediction are searched, unless a track predicts
         the attitude confidently: while no twist is known, or after a gap, the prediction may be far off.
         """
-        methods = self._methods[event.sensor]
+        methods = self._methods_for(state, event)
         T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
         data = as_of_stamp(event, predicted, methods.deskew)
         registration = methods.tracker.track(data, T_sensor_target)
@@ -387,7 +407,7 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Search near the prediction first, then everywhere."""
         if (event.stamp_ns - state.lost_ns) / NANOSECONDS <= self._limits.near_search_s:
-            registration, why = self._register(event, predicted, tracked=False)
+            registration, why = self._register(state, event, predicted, tracked=False)
             if not why:
                 return self._begin(state, event, registration)
         return self._acquire(state, event)
@@ -434,7 +454,11 @@ class Navigator:
             ambiguous=len(hypotheses) > 1,
             hypotheses=hypotheses,
             belief=measured.belief.level,
-            evidence={**measured.belief.evidence, **(state.rivals.evidence if state.rivals else {})},
+            evidence={
+                **measured.belief.evidence,
+                **(state.rivals.evidence if state.rivals else {}),
+                **_sigmas_deg(measured.angles),
+            },
         )
         marks = measured.belief.marks if reason else None
         refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
@@ -444,7 +468,7 @@ class Navigator:
         stamp_ns = max(event.stamp_ns, newest.stamp_ns, state.shown_ns)
         shown = predict(newest, stamp_ns, self._settings.filter)
         odometry = to_odometry(shown, frame_id=CHASER, child_frame_id=TARGET_ESTIMATE)
-        return Output(status, odometry, refused)
+        return Output(status, odometry, refused, _joints_at(state.joints, stamp_ns))
 
     def _hypotheses(
         self, state: NavigatorState, event: Measurement, found: Acquisition | None
@@ -466,6 +490,22 @@ class Navigator:
             Hypothesis(pose=pose, weight=1.0 / len(poses), name=name, log_likelihood=0.0)
             for pose, name in zip(poses, names, strict=True)
         )
+
+
+def _sigmas_deg(angles: Mapping[str, Angle]) -> dict[str, float]:
+    return {f"joint_{name}_sigma_deg": degrees(angle.sigma_rad) for name, angle in angles.items()}
+
+
+def _joints_at(tracks: Mapping[str, JointTrack], stamp_ns: int) -> Joints | None:
+    """Return the angles at a time; None for a target without joints."""
+    if not tracks:
+        return None
+    there = {name: track.at(stamp_ns) for name, track in tracks.items()}
+    return Joints(
+        stamp_ns=stamp_ns,
+        angle_rad={name: track.angle.angle_rad for name, track in there.items()},
+        rate_rad_s={name: float(track.state[1]) for name, track in there.items()},
+    )
 
 
 def as_of_stamp(measurement: Measurement, predicted: FilterState, deskew: Deskew | None) -> SensorFrame:

@@ -7,9 +7,10 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.history import History
+from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import EstimatorStatus, Mode, Odometry
+from rpod_schemas.types import EstimatorStatus, Joints, Mode, Odometry
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,8 @@ class NavigatorState:
     """Number of consistent frames since the acquisition."""
     challenger: Challenger | None = None
     """Track of the believed poses that the gate has refused since the last accepted one."""
+    joints: Mapping[str, JointTrack] = field(default_factory=dict)
+    """Angles of the target's joints, by name; they outlast tracks."""
     records: Mapping[str, Record] = field(default_factory=dict)
     """Records of frames that did not support the tracked pose, by the sensor's name; they outlast tracks."""
 
@@ -75,3 +78,5 @@ class Output:
     odometry: Odometry | None
     refused: RefusedPixels | None = None
     """Pixels for which the frame was refused; None if it was not, or if they are not known."""
+    joints: Joints | None = None
+    """Angles of the target's joints, with the odometry; None for a target without joints."""

@@ -86,11 +86,14 @@ def hybrid(config: HybridConfig, task: Task) -> Tracker[PmdFrame]:
     return HybridTracker(config, task.target)
 
 
+def _tracker(task: Task) -> TrackerAmongThings:
+    tracker: Tracker[PmdFrame] = method("pmd", task.sensor.tracking.kind).built(task.sensor.tracking, task)
+    return TrackerAmongThings(tracker, PmdFrames(), task.target)
+
+
 def make(task: Task) -> Methods:
     """Return the configured methods for a PMD camera."""
-    sensor = task.sensor
-    own = method("pmd", sensor.tracking.kind).built(sensor.tracking, task)
-    tracker = TrackerAmongThings(own, PmdFrames(), task.target)
+    sensor, tracker = task.sensor, _tracker(task)
     task = task.with_tracker(tracker)
     acquirer = method("pmd", sensor.acquisition.kind).built(sensor.acquisition, task)
     preparation = DepthPreparation(sensor, task.target)
@@ -100,6 +103,11 @@ def make(task: Task) -> Methods:
         PreparedTracker(tracker, preparation),
         likelihoods=None if likelihoods is None else prepared_likelihoods(likelihoods, preparation),
     )
+
+
+def make_tracker(task: Task) -> Tracker[PmdFrame]:
+    """Return the configured tracker for a PMD camera."""
+    return PreparedTracker(_tracker(task), DepthPreparation(task.sensor, task.target))
 
 
 def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) -> tuple[PmdFrame, PmdFrame]:
@@ -118,14 +126,10 @@ def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) ->
 
 def masked(frame: PmdFrame, hit: Callable[[Float32Array], NDArray[np.bool_]]) -> PmdFrame:
     """Return a frame without depth and without light in the pixels whose points a function is true for."""
-    try:
-        slopes = DepthView.of(frame.camera, _STRIDE).slopes
-    except (DistortionError, ValueError):
-        return frame  # the methods tell what is wrong with the lens
-    if slopes.shape[:2] != frame.depth_m.shape:
+    places_m = _places_m(frame)
+    if places_m is None:
         return frame
-    depth_m = frame.depth_m[..., None]
-    on_part = hit(np.concatenate((depth_m * slopes.astype(np.float32), depth_m), axis=-1))
+    on_part = hit(places_m)
     images = {"depth_m": np.where(on_part, np.float32(np.nan), frame.depth_m)}
     if frame.amplitude is not None:
         images["amplitude"] = np.where(on_part, frame.amplitude.dtype.type(0), frame.amplitude)
@@ -139,4 +143,34 @@ def frames(_sensor: PmdInput, _: object) -> PmdFrames:
     return PmdFrames()
 
 
-PMD_METHODS = KindMethods(make=make, frames=ideal_frames, masked=masked, separation=frames)
+def _places_m(frame: PmdFrame) -> Float32Array | None:
+    """Return the point of each pixel, optical axes, shape (H, W, 3), NaN without depth; None without a lens.
+
+    The methods tell what is wrong with the lens.
+    """
+    try:
+        slopes = DepthView.of(frame.camera, _STRIDE).slopes
+    except (DistortionError, ValueError):
+        return None
+    if slopes.shape[:2] != frame.depth_m.shape:
+        return None
+    depth_m = frame.depth_m[..., None]
+    return np.concatenate((depth_m * slopes.astype(np.float32), depth_m), axis=-1)
+
+
+def points(frame: PmdFrame) -> Float32Array:
+    """Return the points of a frame's pixels with depth, optical axes, shape (N, 3), m."""
+    places_m = _places_m(frame)
+    if places_m is None:
+        return np.zeros((0, 3), np.float32)
+    return places_m[np.isfinite(frame.depth_m) & (frame.depth_m > 0.0)]
+
+
+PMD_METHODS = KindMethods(
+    make=make,
+    frames=ideal_frames,
+    masked=masked,
+    separation=frames,
+    tracker=make_tracker,
+    points=points,
+)

@@ -65,11 +65,17 @@ class LidarEmulator:
     ) -> None:
         config, target = world.lidar_config(config), world.target(target)
         self._config, self._seed, self._world = config, seed, world
+        self._surroundings = surroundings
         self._seen = scenery(target, surroundings, config.T_chaser_sensor)
         self._whole, self._rows = _grids(config, 0.0)
         self._beside = _grids(config, 0.5 * world.lidar.footprint_rad)
         self._time_s = config.ray_times_s().astype(np.float32)
         self._reflectivity = _reflectivity(config, self._seen)
+
+    def show(self, target: Target) -> None:
+        """Show another target from now on, such as the same one at another angle of its joints."""
+        self._seen = scenery(self._world.target(target), self._surroundings, self._config.T_chaser_sensor)
+        self._reflectivity = _reflectivity(self._config, self._seen)
 
     def scan(self, poses: Sequence[RigidTransform], *, frame: int) -> LidarReturns:
         """Return a scan.

@@ -93,6 +93,7 @@ class PmdEmulator:
     ) -> None:
         config, target = world.camera_config(config), world.target(target)
         self._config, self._seed, self._world = config, seed, world
+        self._surroundings = surroundings
         self._seen = scenery(target, surroundings, config.T_chaser_sensor)
         self._rays = RayGrid.pinhole(config.camera, config.subsamples).in_single_precision()
         self._centres = RayGrid.pinhole(config.camera).in_single_precision()
@@ -106,6 +107,11 @@ class PmdEmulator:
         self._modulated_e = np.empty((config.sub_exposures, height, width), np.float32)
         self._full = np.empty((height, width), np.bool_)
         self._pool = _pool(noise_stream(seed, config.name, _POOL_KEY), world)
+
+    def show(self, target: Target) -> None:
+        """Show another target from now on, such as the same one at another angle of its joints."""
+        self._seen = scenery(self._world.target(target), self._surroundings, self._config.T_chaser_sensor)
+        self._scene = Scene(self._seen, self._config.sub_exposures)
 
     def expose(
         self,

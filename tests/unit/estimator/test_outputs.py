@@ -1,5 +1,7 @@
 """What the estimator publishes of a result."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -51,8 +53,9 @@ def test_a_frame_of_the_target_is_published_with_the_covariance_at_its_place_bef
         pose_covariance=covariance,
     )
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.TRACKING, sensor="pmd")
+    target = SimpleNamespace(frames={"grapple": GRAPPLE}, joints=())
     refused = RefusedPixels("pmd_optical", PixelMarks(np.eye(3, dtype=np.bool_), 4))
-    Outputs(node, "second", {"grapple": GRAPPLE}).publish(Output(status, odometry, refused), VALID)
+    Outputs(node, "second", target).publish(Output(status, odometry, refused), VALID)
     marks = node.messages["second/contradiction"]
     assert (marks.header.frame_id, marks.header.stamp.nanosec) == ("pmd_optical", 1)
     np.testing.assert_array_equal(read_image(marks), 255 * np.eye(3))
@@ -73,7 +76,7 @@ def test_a_status_beyond_the_bounds_is_not_sent_and_told_with_the_fields_name():
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.ACQUIRING, sensor="pmd", cost_m2=-1.0)
     with pytest.raises(MessageRejectedError, match="cost_m2 is -1, needs 0 or more"):
         write_status(status)
-    Outputs(node, "estimate", {}).publish(Output(status, None), VALID)
+    Outputs(node, "estimate", SimpleNamespace(frames={}, joints=())).publish(Output(status, None), VALID)
     sent = node.messages["estimate/status"]
     assert (sent.sensor, sent.accepted) == ("pmd", False)
     assert "cost_m2 is -1" in sent.reason

@@ -11,7 +11,17 @@ from rpod_schemas import messages
 from rpod_schemas.cdr import decode, encode, peek_stamp
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Camera, Diagnostic, EstimatorStatus, Health, Hypothesis, Mode, Odometry, Source
+from rpod_schemas.types import (
+    Camera,
+    Diagnostic,
+    EstimatorStatus,
+    Health,
+    Hypothesis,
+    Joints,
+    Mode,
+    Odometry,
+    Source,
+)
 
 FINITE = st.floats(-1e3, 1e3, allow_subnormal=False)
 VECTORS = hnp.arrays(np.float64, 3, elements=FINITE)
@@ -253,3 +263,17 @@ def test_random_bytes_never_do_worse_than_a_rejection(payload):
 def test_the_stamp_is_read_without_decoding(stamp_ns):
     payload = encode(messages.write_vector_stamped(stamp_ns, "chaser", np.zeros(3)))
     assert peek_stamp(payload) == stamp_ns
+
+
+def test_angles_of_joints_survive_the_wire_and_incomplete_ones_are_refused():
+    sent = Joints(stamp_ns=7, angle_rad={"a": 0.5, "b": -1.0}, rate_rad_s={"a": 0.0, "b": 0.01})
+    message = messages.write_joints(sent)
+    assert messages.read_joints(through_the_wire(message)) == sent
+    message.velocity = np.zeros(0)
+    assert messages.read_joints(message).rate_rad_s == {"a": 0.0, "b": 0.0}
+    message.position = np.array([0.5, np.nan])
+    with pytest.raises(MessageRejectedError, match="position or velocity"):
+        messages.read_joints(message)
+    message.position = np.zeros(3)
+    with pytest.raises(MessageRejectedError, match="2 names, 3 positions"):
+        messages.read_joints(message)

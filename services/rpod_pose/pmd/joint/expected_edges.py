@@ -144,6 +144,16 @@ class ExpectedEdges(NamedTuple):
     change: FloatArray
     """Expected change of amplitude over two pixels."""
 
+    def only(self, chosen: NDArray[np.bool_]) -> "ExpectedEdges":
+        """Return the chosen samples; a mask of shape (N,)."""
+        return ExpectedEdges(
+            self.pose,
+            self.sample[chosen],
+            self.place[chosen],
+            self.probability[chosen],
+            self.change[chosen],
+        )
+
 
 @kernel
 def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> ExpectedEdges:

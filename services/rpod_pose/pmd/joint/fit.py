@@ -198,6 +198,53 @@ def share_within(reach: float, own: float, noisy: float) -> float:
     return math.erf(reach / math.sqrt(2.0 * (own * own + noisy * noisy)))
 
 
+class Shares(NamedTuple):
+    """Weights of the sums of a frame's points and edges, one over the variance of each residual."""
+
+    points: float
+    edges: float
+
+
+@kernel
+def _shares(
+    problem: JointProblem, points: FieldEvidence, edges: EdgeEvidence, z: float, reach: float
+) -> Shares:
+    """Return the weights of the sums over all points and all edges, with the target at a depth z, m."""
+    depth, edge_errors = problem.depth_errors, problem.edge_errors
+    of_points, of_edges = 0.0, 0.0
+    if points.inliers > 0:
+        squares, weight = points.squares_m2, points.trusted
+        variance = max(squares / weight, depth.noise_m**2) / min(depth.most_points, weight)
+        of_points = 1.0 / (weight * (variance + depth.uneven_m**2 + depth.slack_m**2))
+    if edges.inliers > 0:
+        px_per_m = problem.sight.lens.fx / max(z, NEAREST_M)
+        variance = max(edges.squares_px2 / edges.inliers, edge_errors.noise_px**2)
+        variance /= min(edge_errors.most_edges, edges.inliers)
+        widened = (reach / edge_errors.reach_px) ** 4
+        variance += (SHIFT_PX * edges.shifted / edges.inliers) ** 2
+        of_edges = 1.0 / (edges.inliers * widened * (variance + (depth.slack_m * px_per_m) ** 2))
+    return Shares(of_points, of_edges)
+
+
+@kernel
+def joint_shares(problem: JointProblem, state: State) -> Shares:
+    """Return the weights of points and edges in the last step of a problem, at a pose."""
+    scale, reach = problem.schedule[-1]
+    points = add_field_points(no_sums(), problem.points, state, problem.field, scale, True)
+    edges = add_edge_points(no_sums(), problem.sight, state.pose, reach, problem.edge_errors.noise_px)
+    return _shares(problem, points, edges, state.pose.t[2], reach)
+
+
+@kernel
+def cell_information(problem: JointProblem, state: State, shares: Shares) -> FloatArray:
+    """Return the information of some points and edges with the weights of all of them, shape (7, 7)."""
+    scale, reach = problem.schedule[-1]
+    sums, of_edges = no_sums(), no_sums()
+    add_field_points(sums, problem.points, state, problem.field, scale, True)
+    add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors.noise_px)
+    return information_of(shares.points * sums + shares.edges * of_edges, UNKNOWNS)
+
+
 @linearises(JointProblem)
 @kernel
 def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[JointEvidence]:
@@ -207,24 +254,13 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     as at most ``most_points`` independent points. The sums of the edges are treated in the same way, with a
     smaller weight as long as the search is wide. The bias has a prior of its own.
     """
-    depth, edge_errors = problem.depth_errors, problem.edge_errors
-    sight, pose = problem.sight, state.pose
+    depth, pose = problem.depth_errors, state.pose
     scale, reach = problem.schedule[step]
-    total, sums, hold = no_sums(), no_sums(), np.zeros(UNKNOWNS)
-    points = add_field_points(sums, problem.points, state, problem.field, scale, True)
-    if points.inliers > 0:
-        squares, weight = points.squares_m2, points.trusted
-        variance = max(squares / weight, depth.noise_m**2) / min(depth.most_points, weight)
-        total += sums / (weight * (variance + depth.uneven_m**2 + depth.slack_m**2))
-    sums = no_sums()
-    edges = add_edge_points(sums, sight, pose, reach, edge_errors.noise_px)
-    if edges.inliers > 0:
-        px_per_m = sight.lens.fx / max(pose.t[2], NEAREST_M)
-        variance = max(edges.squares_px2 / edges.inliers, edge_errors.noise_px**2)
-        variance /= min(edge_errors.most_edges, edges.inliers)
-        widened = (reach / edge_errors.reach_px) ** 4
-        variance += (SHIFT_PX * edges.shifted / edges.inliers) ** 2
-        total += sums / (edges.inliers * widened * (variance + (depth.slack_m * px_per_m) ** 2))
+    of_points, of_edges, hold = no_sums(), no_sums(), np.zeros(UNKNOWNS)
+    points = add_field_points(of_points, problem.points, state, problem.field, scale, True)
+    edges = add_edge_points(of_edges, problem.sight, pose, reach, problem.edge_errors.noise_px)
+    shares = _shares(problem, points, edges, pose.t[2], reach)
+    total = shares.points * of_points + shares.edges * of_edges
     total[SUMS - 2] += 1.0 / depth.bias_m**2
     total[SUMS - 1] += state.bias_m / depth.bias_m**2
     hold[:3] = REACH_M**-2

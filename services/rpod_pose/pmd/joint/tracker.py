@@ -38,6 +38,8 @@ from rpod_pose.pmd.joint.fit import (
     add_edge_points,
     agreement,
     align,
+    cell_information,
+    joint_shares,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.reflections import reflected_m
@@ -47,6 +49,7 @@ from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.model_error import ModelError
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
@@ -105,6 +108,7 @@ class JointTracker:
         self._edge_errors = EdgeErrors(
             tuning.edges.sigma_px, float(tuning.edges.effective_edges), tuning.edges.final_search_px
         )
+        self._model_error = ModelError.of(target)
         self._reflected_m = reflected_m(target)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}
 
@@ -186,7 +190,10 @@ class JointTracker:
             belief = replace(belief, reason=reason, marks=marks)
         to_sensor = np.zeros((6, 6))
         to_sensor[:3, :3] = to_sensor[3:, 3:] = R
-        covariance = np.linalg.inv(information + self._weak)[:6, :6]
+        covariance: FloatArray = np.linalg.inv(information + self._weak).astype(np.float64)
+        if self._model_error.matters:
+            covariance = self._considered(seen, fit, covariance)
+        covariance = covariance[:6, :6]
         covariance *= max(1.0, self._fills(seen, t)) ** 2  # with fewer parts in view, errors average out less
         return Registration(
             self._source(points, checked),
@@ -199,6 +206,26 @@ class JointTracker:
             covariance=to_sensor @ covariance @ to_sensor.T,
             iterations=steps,
         )
+
+    def _considered(self, seen: JointFrame, fit: JointFit, covariance: FloatArray) -> FloatArray:
+        """Return the covariance of (dtau, dtheta, bias), (7, 7), with the errors of the target's model."""
+        pose, last = fit.state.pose, self._near[-1:]
+        sight = self._sight(seen, pose)
+        points_m = (seen.points_m - pose.t) @ pose.R
+        places_m = np.concatenate((points_m, sight.edges.places_m[sight.expected.sample]))
+        cells = self._model_error.cells(places_m)
+        parts, centres_m = [], []
+        shares = joint_shares(self._problem(Points(seen.points_m, seen.trust), sight, last), fit.state)
+        for cell in range(int(cells.max(initial=-1)) + 1):
+            of_points, of_edges = np.split(cells == cell, [len(points_m)])
+            points = Points(np.ascontiguousarray(seen.points_m[of_points]), seen.trust[of_points])
+            expected = sight.expected.only(of_edges)
+            problem = self._problem(points, sight._replace(expected=expected), last)
+            parts.append(cell_information(problem, fit.state, shares))
+            centres_m.append(places_m[cells == cell].mean(axis=0))
+        if not parts:
+            return covariance
+        return self._model_error.considered(covariance, np.array(parts), np.array(centres_m))
 
     def _explained(self, seen: JointFrame, pose: PoseArrays) -> float:
         """Return the share of the checked pixels that agree with a predicted pose."""

@@ -1,0 +1,1 @@
+"""Targets with joints: their angles are found with the pose."""

@@ -1,0 +1,318 @@
+"""Methods for targets with joints: the rigid methods at the angles that a frame shows.
+
+A first pose is searched with the target at a few angles over the joints' limits. At each pose that is found
+the angles are fitted (``angle_fit``), then the pose again with the target at these angles, until neither
+changes; the pose that explains the frame best is the result. In tracking the angles are expected near those
+of the frames before. The target is put together anew only when an angle has moved by ``RESOLUTION_RAD``.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import acos, ceil, degrees, log, radians, sqrt
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_pose.belief import Belief, Rival
+from rpod_pose.joints.angle_fit import SPREAD, Aligned, JointSolver, unknown
+from rpod_pose.ports import Acquirer, Acquisition, Angle, Methods, Registration, Tracker
+from rpod_pose.search.hypotheses import NEGLIGIBLE
+from rpod_pose.search.turns import Turns
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.poses import rotation_matrix
+from rpod_schemas.types import BeliefLevel
+from rpod_target import Equivalence, Joint, Target, posed
+
+STEP_RAD = radians(30.0)
+"""Greatest distance of the angles at which a first pose is searched."""
+RESOLUTION_RAD = radians(0.25)
+"""Angles are rounded to multiples of it before the target is put together: an eighth of the aim of 2 deg."""
+ROUNDS = 6
+"""Largest number of times that angle and pose are fitted in turn."""
+REGISTERED = 3
+"""Number of poses, the best by their points alone, whose whole frame is compared."""
+COUNTER_TURNS_RAD = np.deg2rad([-12.0, -8.0, -4.0, 4.0, 8.0, 12.0])
+"""Angles by which a joint and, against it, all else are turned to find a better fit; the first search may be
+off by half of ``STEP_RAD``."""
+KEPT = 4
+"""Number of trackers that are kept, each at its own angles."""
+SLOWEST = 0.8
+"""Largest ratio of two steps in turn from which further ones are extrapolated."""
+POINTS = 2000
+"""Largest number of a frame's points in the fit of an angle."""
+CHANCE = 2.0
+"""Standard deviations of a share of agreeing rays by chance, within which two poses explain a frame alike."""
+DISTINCT_RAD = radians(10.0)
+"""Angle from which on two poses differ."""
+
+Angles = Mapping[str, Angle]
+
+
+@dataclass(frozen=True, eq=False)
+class RigidMethods:
+    """Makers of the methods for a rigid target."""
+
+    methods: Callable[[Target], Methods]
+    tracker: Callable[[Target], Tracker[Any]]
+    points: Callable[[Any], FloatArray]
+    """Function that returns the points of a frame, sensor axes, shape (N, 3)."""
+
+
+def jointed(target: Target, rigid: RigidMethods) -> Methods:
+    """Return the methods for a target with joints."""
+    shared = _Shared(target, rigid)
+    return shared.expecting({joint.name: unknown(joint) for joint in target.joints})
+
+
+class _Shared:
+    """What the methods share whatever angles are expected."""
+
+    def __init__(self, target: Target, rigid: RigidMethods) -> None:
+        self._points = rigid.points
+        self.solver = JointSolver(target)
+        self.alike = target.equivalence
+        turns = Turns.of(target)
+        self.turns = [
+            RigidTransform.from_rotation(Rotation.from_matrix(turn)) for turn in turns.all[: turns.declared]
+        ]
+        first, *others = target.joints
+        self._first = first.name
+        middle = {joint.name: unknown(joint).angle_rad for joint in others}
+        angles = _spread(first)
+        methods = [rigid.methods(posed(target, {**middle, first.name: angle_rad})) for angle_rad in angles]
+        self._searches = [(angle_rad, each.acquirer) for angle_rad, each in zip(angles, methods, strict=True)]
+        self._deskew = methods[0].deskew
+        self._half_rad = 0.5 * STEP_RAD
+        self._tracker_at = lru_cache(KEPT)(lambda key: rigid.tracker(posed(target, _unrounded(key))))
+        self._acquirer_at = lru_cache(1)(lambda key: rigid.methods(posed(target, _unrounded(key))).acquirer)
+
+    def expecting(self, angles: Angles) -> Methods:
+        """Return the methods where angles are expected."""
+        tracker = _Tracker(self, angles)
+        return Methods(_Acquirer(self, tracker, angles), tracker, self._deskew, expecting=self.expecting)
+
+    def searches(self, expected: Angles) -> list[Acquirer[Any]]:
+        """Return the searches at the angles that the first joint may have."""
+        first = expected[self._first]
+        reach_rad = SPREAD * first.sigma_rad + self._half_rad
+        return [
+            acquirer
+            for angle_rad, acquirer in self._searches
+            if abs(angle_rad - first.angle_rad) <= reach_rad
+        ]
+
+    def tracker_at(self, angles: Angles) -> Tracker[Any]:
+        """Return the tracker of the target at rounded angles."""
+        return self._tracker_at(_rounded(angles))
+
+    def acquirer_at(self, angles: Angles) -> Acquirer[Any]:
+        """Return the search of the target at rounded angles."""
+        return self._acquirer_at(_rounded(angles))
+
+    def points_of(self, frame: Any) -> FloatArray:
+        """Return points of a frame, sensor axes, shape (N, 3), m."""
+        points_m = self._points(frame)
+        return np.ascontiguousarray(points_m[:: max(1, ceil(len(points_m) / POINTS))], np.float64)
+
+
+class _Tracker:
+    """Fits angles and pose in turn, from the angles that are expected."""
+
+    def __init__(self, shared: _Shared, expected: Angles) -> None:
+        self._shared, self._expected = shared, expected
+
+    def track(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
+        angles = self.angles(measurement, T_sensor_target)
+        points_m = self._shared.points_of(measurement)
+        if len(points_m) == 0:
+            return self._shared.tracker_at(angles).track(measurement, T_sensor_target)
+        aligned = self._shared.solver.aligned(points_m, T_sensor_target, angles)
+        return self.registered(measurement, aligned.T_sensor_target, aligned.angles)
+
+    def registered(self, measurement: Any, pose: RigidTransform, angles: Angles) -> Registration:
+        """Return the registration from a pose and angles that are close to the solution."""
+        found, last = self._shared.tracker_at(angles).track(measurement, pose), dict[str, float]()
+        for _ in range(ROUNDS):
+            if found.T_sensor_target is None:
+                break
+            before, angles = angles, self.angles(measurement, found.T_sensor_target)
+            if not _are_apart(angles, before):
+                break
+            steps = {name: angle.angle_rad - before[name].angle_rad for name, angle in angles.items()}
+            angles = {
+                name: replace(
+                    angle, angle_rad=before[name].angle_rad + _extrapolated(steps[name], last.get(name))
+                )
+                for name, angle in angles.items()
+            }
+            last = steps
+            found = self._shared.tracker_at(angles).track(measurement, found.T_sensor_target)
+        return self.with_angles(measurement, found)
+
+    def angles(self, measurement: Any, pose: RigidTransform) -> dict[str, Angle]:
+        """Return the angles that a frame shows at a pose."""
+        return self._shared.solver.angles(self._shared.points_of(measurement), pose, self._expected)
+
+    def with_angles(self, measurement: Any, found: Registration) -> Registration:
+        """Return a registration with the angles that the frame shows at its pose."""
+        if found.T_sensor_target is None:
+            return replace(found, angles=self._expected)
+        angles = self.angles(measurement, found.T_sensor_target)
+        covariance, angles = self._shared.solver.considered(
+            self._shared.points_of(measurement), found.T_sensor_target, found.covariance, angles
+        )
+        return replace(found, covariance=covariance, angles=angles)
+
+
+class _Acquirer:
+    """Searches with the target at a few angles, then with the target at the angles of the best pose."""
+
+    def __init__(self, shared: _Shared, tracker: _Tracker, expected: Angles) -> None:
+        self._shared, self._tracker, self._expected = shared, tracker, expected
+
+    def acquire(self, measurement: Any) -> Acquisition:
+        return self._found(measurement, lambda acquirer: acquirer.acquire(measurement))
+
+    def near(self, measurement: Any, T_sensor_target: RigidTransform) -> Acquisition:
+        return self._found(measurement, lambda acquirer: acquirer.near(measurement, T_sensor_target))
+
+    def _found(self, measurement: Any, search: Callable[[Acquirer[Any]], Acquisition]) -> Acquisition:
+        searched = [search(each) for each in self._shared.searches(self._expected)]
+        poses = [each.pose for each in searched if each.pose is not None]
+        found = [
+            self._tracker.registered(measurement, each.T_sensor_target, each.angles)
+            for each in self._aligned(measurement, poses)[:REGISTERED]
+        ]
+        found = sorted((each for each in found if each.T_sensor_target is not None), key=_order)
+        if not found:
+            return searched[0]
+        best = search(self._shared.acquirer_at(found[0].angles))
+        registration = self._tracker.with_angles(measurement, best.registration)
+        if best.pose is not None and _are_apart(registration.angles, found[0].angles):
+            again = self._tracker.registered(measurement, best.pose, registration.angles)
+            registration = again if again.continues_track else registration
+        belief = _with_rivals(best.belief, found, self._shared.alike)
+        templates = best.templates + sum(each.templates for each in searched)
+        return replace(best, registration=replace(registration, belief=belief), templates=templates)
+
+    def _aligned(self, measurement: Any, poses: Sequence[RigidTransform]) -> list[Aligned]:
+        """Return distinct poses with their angles, best first, from poses and their near-symmetries."""
+        shared, found = self._shared, list[Aligned]()
+        points_m = shared.points_of(measurement)
+        for pose in poses:
+            for turn in (RigidTransform.identity(), *shared.turns):
+                start = pose * turn
+                angles = shared.solver.angles(points_m, start, self._expected)
+                found.append(shared.solver.aligned(points_m, start, angles))
+        best = _distinct(found, shared.alike)[:REGISTERED]
+        return _distinct([self._least(points_m, each) for each in best], shared.alike)
+
+    def _least(self, points_m: FloatArray, found: Aligned) -> Aligned:
+        """Return the best of poses around one where the parts of a joint stay in place and all else turns.
+
+        Where these parts are most of what is seen, the fit may end beside the solution in this direction.
+        """
+        tried = [found]
+        for joint in self._shared.solver.joints:
+            for turn_rad in COUNTER_TURNS_RAD:
+                angle = found.angles[joint.name]
+                there = replace(
+                    angle, angle_rad=float(np.clip(angle.angle_rad + turn_rad, *joint.limits_rad))
+                )
+                pose = found.T_sensor_target * joint.turned(angle.angle_rad - there.angle_rad)
+                angles = {**found.angles, joint.name: there}
+                tried.append(self._shared.solver.aligned(points_m, pose, angles))
+        return min(tried, key=lambda one: one.loss_m2)
+
+
+def _extrapolated(step_rad: float, last_rad: float | None) -> float:
+    """Return the sum of the steps that would follow, each smaller than the one before by the same ratio.
+
+    Source: A. C. Aitken, On Bernoulli's Numerical Solution of Algebraic Equations, Proc. Royal Society of
+    Edinburgh 46, 1926.
+    """
+    ratio = 0.0 if not last_rad else min(max(step_rad / last_rad, 0.0), SLOWEST)
+    return step_rad / (1.0 - ratio)
+
+
+def _are_apart(angles: Angles, others: Angles) -> bool:
+    """Return whether the target differs between angles by more than their rounding."""
+    return any(
+        abs(angle.angle_rad - others[name].angle_rad) > RESOLUTION_RAD for name, angle in angles.items()
+    )
+
+
+def _order(found: Registration) -> tuple[bool, float, float]:
+    return not found.continues_track, -np.nan_to_num(found.log_likelihood), -found.explained_share
+
+
+def _turn_rad(one: RigidTransform, other: RigidTransform, alike: Equivalence) -> float:
+    """Return the angle between the attitudes of two poses, modulo the target's symmetries."""
+    cosine = float(alike.cosines(rotation_matrix(one)[None], rotation_matrix(other)[None])[0, 0])
+    return acos(min(max(cosine, -1.0), 1.0))
+
+
+def _distinct(found: Sequence[Aligned], alike: Equivalence) -> list[Aligned]:
+    """Return poses with their angles, best first, without those that are the same as a better one."""
+    kept: list[Aligned] = []
+    for each in sorted(found, key=lambda one: one.loss_m2):
+        if not any(_are_alike(each, other, alike) for other in kept):
+            kept.append(each)
+    return kept
+
+
+def _are_alike(one: Aligned, other: Aligned, alike: Equivalence) -> bool:
+    """Return whether two poses with their angles are the same."""
+    apart_rad = [abs(angle.angle_rad - other.angles[name].angle_rad) for name, angle in one.angles.items()]
+    turned_rad = _turn_rad(one.T_sensor_target, other.T_sensor_target, alike)
+    return max(turned_rad, *apart_rad) < DISTINCT_RAD
+
+
+def _with_rivals(belief: Belief, found: Sequence[Registration], alike: Equivalence) -> Belief:
+    """Return a belief with the poses at other angles that explain the frame as well as the best one.
+
+    Args:
+        belief: belief in the best pose.
+        found: registrations, best first, each at angles of its own.
+        alike: which attitudes no measurement tells apart.
+    """
+    best = found[0]
+    rivals = []
+    for other in found[1:]:
+        pose = other.T_sensor_target
+        assert best.T_sensor_target is not None and pose is not None  # noqa: S101, PT018 - all have poses
+        turned_rad = _turn_rad(best.T_sensor_target, pose, alike)
+        if other.continues_track and turned_rad > DISTINCT_RAD and _explains_alike(best, other):
+            name = f"turned by {degrees(turned_rad):.0f} deg, at other angles of the joints"
+            less = np.nan_to_num(other.log_likelihood - best.log_likelihood)
+            rivals.append(Rival(name, pose, float(less)))
+    if not rivals or not belief.continues_track:
+        return belief
+    reason = f"{len(rivals) + 1} poses explain the measurement: the next is {rivals[0].name}"
+    return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=(*belief.rivals, *rivals))
+
+
+def _explains_alike(best: Registration, other: Registration) -> bool:
+    """Return whether a frame may be of another pose: by the likelihood, or by the share of agreeing rays."""
+    if np.isfinite(best.log_likelihood):
+        return other.log_likelihood > best.log_likelihood + log(NEGLIGIBLE)
+    share = best.explained_share
+    chance = sqrt(max(share * (1.0 - share), 0.0) / max(best.inliers, 1))
+    return other.explained_share > share - CHANCE * chance
+
+
+def _rounded(angles: Angles) -> tuple[tuple[str, int], ...]:
+    return tuple((name, round(angle.angle_rad / RESOLUTION_RAD)) for name, angle in angles.items())
+
+
+def _unrounded(key: tuple[tuple[str, int], ...]) -> dict[str, float]:
+    return {name: RESOLUTION_RAD * step for name, step in key}
+
+
+def _spread(joint: Joint) -> FloatArray:
+    """Return the middles of equal parts of a joint's limits, at most ``STEP_RAD`` apart."""
+    least, greatest = joint.limits_rad
+    count = ceil((greatest - least) / STEP_RAD)
+    return least + (np.arange(count) + 0.5) * (greatest - least) / count
