@@ -70,7 +70,7 @@ def _span_m(
     trajectory = scenario.motion.trajectory
     if hasattr(options, "ranges") and (ranges or not isinstance(trajectory, ApproachConfig)):
         return ranges_m(ranges, scenario)
-    if hasattr(options, "ranges") and options.ranges is not None:
+    if getattr(options, "ranges", None) is not None:
         return ranges_m(chosen(options, scenario), scenario)
     assert isinstance(trajectory, ApproachConfig)  # noqa: S101 - of all scenarios with a camera
     ends_m = [float(np.linalg.norm(end_m)) for end_m in (trajectory.start_m, trajectory.end_m)]

@@ -111,7 +111,8 @@ class TrackerAmongThings:
             if share < MARGINS[0] and found.continues_track:
                 break
         detail = image.rays_across(DETAIL * self.target.radius_m, float(np.linalg.norm(pose.translation)))
-        return _judged(found, sight, max(LEAST_DETAIL, detail**2))
+        most = max(LEAST_DETAIL, detail**2)
+        return _judged(found, sight, most)  # pyright: ignore[reportPossiblyUnboundVariable] - there are margins
 
     def _margin(self, found: Registration, share: float) -> Margin:
         """Return the margin around a pose, given as a share of the target's radius."""

@@ -270,8 +270,12 @@ def _bounds(
 ) -> tuple[Float32Array, Float32Array]:
     """Return the least and greatest range of a place on each ray and those around it; inf and 0 elsewhere."""
     around = np.ones((3, 3), np.uint8)
-    nearest_m = cv2.erode(np.where(place, range_m, np.float32(np.inf)), around, borderValue=np.inf)
-    farthest_m = cv2.dilate(np.where(place, range_m, np.float32(0.0)), around)
+    nearest_m: Float32Array = cv2.erode(  # type: ignore[assignment]
+        np.where(place, range_m, np.float32(np.inf)), around, borderValue=np.inf
+    )
+    farthest_m: Float32Array = cv2.dilate(  # type: ignore[assignment]
+        np.where(place, range_m, np.float32(0.0)), around
+    )
     return nearest_m - margin_m, np.where(farthest_m > 0.0, farthest_m + margin_m, farthest_m)
 
 
