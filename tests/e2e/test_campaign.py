@@ -15,7 +15,8 @@ from rpod.command_campaign import campaign_command
 CELL = {
     "target", "method", "eq4", "sampling", "centroid", "matcher", "range_m", "step_deg", "trials",
     "discarded_share", "templates", "excluded_share", "success_rate", "wilson_low", "wilson_high", "median_s",
-    "p95_s", "wrong_accepted", "right_rejected", "world", "model", "ambiguous", "ambiguous_with_truth",
+    "p95_s", "wrong_accepted", "right_rejected", "world", "surroundings", "model", "ambiguous",
+    "ambiguous_with_truth",
 }  # fmt: skip
 SMALL = ("lidar-acquisition", "--method", "template-matching", "--steps", "60", "--ranges", "50")
 

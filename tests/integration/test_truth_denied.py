@@ -16,10 +16,10 @@ from rpod_runtime import Inbox
 from rpod_runtime.session import open_client
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.service import ESTIMATOR_ID, BusConfig
-from rpod_schemas.messages import write_odometry, write_transforms, write_vector_stamped
+from rpod_schemas.messages import write_joints, write_odometry, write_transforms, write_vector_stamped
 from rpod_schemas.poses import make_pose
-from rpod_schemas.topics import REFERENCE, SUN, TF, TRUTH, TRUTH_TOPICS, Namespace, Topic
-from rpod_schemas.types import Odometry
+from rpod_schemas.topics import REFERENCE, SUN, TF, TRUTH, TRUTH_JOINTS, TRUTH_TOPICS, Namespace, Topic
+from rpod_schemas.types import Joints, Odometry
 
 ROOT = Path(__file__).parents[2]
 ODOMETRY = write_odometry(
@@ -34,6 +34,7 @@ ODOMETRY = write_odometry(
 )
 MESSAGES = {
     TRUTH: ODOMETRY,
+    TRUTH_JOINTS: write_joints(Joints(stamp_ns=1, angle_rad={"array": 0.5}, rate_rad_s={"array": 0.0})),
     REFERENCE: ODOMETRY,
     TF: write_transforms(1, [("chaser", "target", make_pose())]),
 }

@@ -114,7 +114,9 @@ def test_nothing_is_subscribed_that_is_not_drawn_and_nothing_recovered(facility,
         counters = facility.counters()
     received = {name.removeprefix("received/") for name in counters if name.startswith("received/")}
     parts = {f"pmd/{part}" for part in ("depth/image_raw", "amplitude/image_raw", "camera_info")}
-    assert received <= parts | {"truth/odometry", "tf_static", "estimate/odometry", "estimate/status"}
+    assert received <= parts | {
+        "truth/odometry", "tf_static", "estimate/odometry", "estimate/status", "diagnostics",
+    }  # fmt: skip
     assert not any(count for name, count in counters.items() if name.startswith("recovered/"))
 
 

@@ -20,6 +20,8 @@ from rpod_schemas.config.pmd_methods import DepthComparisonConfig, DepthImageCon
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 from rpod_target import Target
 
+NEAR_M, FARTHEST_M = 0.05, 1e3
+"""Limits of a valid depth."""
 HIDDEN_M = 0.03
 """Distance behind the rendered surface around it from which on a model point is hidden."""
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
-from rpod_pose.pmd.depth_view import DepthView
+from rpod_pose.pmd.depth_view import FARTHEST_M, NEAR_M, DepthView
 from rpod_pose.surroundings.separation import Label, RangeImage, upsampled
 from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
 
@@ -38,8 +38,8 @@ class PmdFrames:
             return None
         grid = view.rays(1) if stride == 1 else view.coarse
         depth_m = frame.depth_m[view.offset :: stride, view.offset :: stride]
-        range_m = (depth_m / grid.components[2]).astype(np.float32)
-        return RangeImage(grid, np.where(np.isfinite(range_m) & (range_m > 0.0), range_m, np.float32(0.0)))
+        depth_m = np.where((depth_m > NEAR_M) & (depth_m < FARTHEST_M), depth_m, np.float32(0.0))
+        return RangeImage(grid, (depth_m / grid.components[2]).astype(np.float32))
 
     def separated(self, frame: PmdFrame, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> PmdFrame:
         """Return a frame that is dark beside the target, and saturated where something hides it.

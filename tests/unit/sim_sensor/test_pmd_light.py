@@ -11,11 +11,13 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_sim_sensor.pmd.light import SUN_RADIUS_RAD, THETA_RAD, Fragments, collect, lights
 from rpod_sim_sensor.pmd.scene import Scene
+from rpod_sim_sensor.surroundings import scenery
 from rpod_target import Material, load_target
 
 CONFIG = PmdConfig()
 ALONG_Z = np.array([[[0.0]], [[0.0]], [[1.0]]], np.float32)
 DARKNESS = np.zeros(3)
+NO_MOUNT = RigidTransform.identity()
 SUN_BEHIND = np.array([0.0, 0.0, -1361.0])
 
 
@@ -40,7 +42,7 @@ def light_of(
         np.zeros((1, 1), np.int32),
         ALONG_Z,
         ALONG_Z,
-        Scene(plate, 4).placed(pose, [pose] * 4),  # type: ignore[arg-type]
+        Scene(scenery(plate, (), NO_MOUNT), 4).placed(pose, [pose] * 4),  # type: ignore[arg-type]
         lights(config, sun_W_m2),
         fragments=Fragments.of(1),
         modulated_e=modulated_e,
@@ -85,7 +87,7 @@ def test_a_glint_is_spread_by_the_material_and_by_the_size_of_its_source(roughne
 
 def test_a_pixel_that_meets_nothing_collects_nothing() -> None:
     modulated_e, charge_e = np.ones((4, 1, 1), np.float32), np.ones((1, 1), np.float32)
-    scene = Scene(load_target("mockup"), 4)
+    scene = Scene(scenery(load_target("mockup"), (), NO_MOUNT), 4)
     pose = RigidTransform.from_translation((0.0, 0.0, 5.0))
     nothing = np.full((2, 2), -1, np.int32)
     rays = np.tile(ALONG_Z, (1, 2, 2))

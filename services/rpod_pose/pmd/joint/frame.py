@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays
-from rpod_pose.pmd.depth_view import DepthView
+from rpod_pose.pmd.depth_view import FARTHEST_M, NEAR_M, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
@@ -46,8 +46,6 @@ OUTER = 4
 """Divisor of the trim: a quarter of the sorted ranges is left out at each end, the others are averaged."""
 MIDDLE_OVER_MEAN = 1.06
 """Standard deviation of the trimmed mean over that of the mean of all, for normal errors."""
-NEAR_M, FARTHEST_M = 0.05, 1e3
-"""Limits of a valid depth."""
 FEWEST = 3
 """Least number of valid depths among nine: fewer are found on outlines and ghosts."""
 
