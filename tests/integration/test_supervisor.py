@@ -64,6 +64,8 @@ def test_a_service_that_does_not_stop_is_ended_by_force_and_that_is_an_error(ser
 
 
 def test_after_a_second_interrupt_nobody_is_waited_for(services, said):
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+
     def interrupted_again() -> None:
         with services:
             start(services)

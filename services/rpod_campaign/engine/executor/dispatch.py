@@ -69,6 +69,7 @@ class Dispatch:
         self, client: Client, work: Work, job: Job, batches: Batches, *, note: Callable[[str], None]
     ) -> None:
         self._client, self._work, self._job, self._batches, self._note = client, work, job, batches, note
+        self._scheduler = ""
         self._workers: dict[str, _Worker] = {}
         self._refusals: list[str] = []
         self._wake = Event()
@@ -102,10 +103,14 @@ class Dispatch:
         """Update the list of workers."""
         self._looked_s = time.monotonic()
         try:
-            info = self._client.scheduler_info(n_workers=-1)["workers"]
+            scheduler = self._client.scheduler_info(n_workers=-1)
         except (OSError, TimeoutError) as error:
             raise SchedulerLostError from error
         self._require_connection()
+        self._scheduler = self._scheduler or scheduler["id"]
+        if scheduler["id"] != self._scheduler:  # restarted since: what it was sent before is lost
+            raise SchedulerLostError
+        info = scheduler["workers"]
         for address in self._workers.keys() - info.keys():
             self._ended(self._workers.pop(address))
         for address in info.keys() - self._workers.keys():
