@@ -122,9 +122,7 @@ class NavigatorTuning(Tuning):
     ] = 12
     """Largest number of rivals of an ambiguous first pose that are tracked in parallel; with more, the next
     frame is searched anew. A hexagonal prism looks alike from twelve attitudes, a box from four."""
-    rivals_s: Annotated[
-        Positive, Provenance("numerics", "a later new search against more evidence: 15 independent frames")
-    ] = 15.0
+    rivals_s: Annotated[Positive, BY_HAND] = 15.0
     """Time after which rivals of which none is believed are given up for a new search, s. Errors of the model
     that favour one of them count no longer than this."""
 
