@@ -103,9 +103,7 @@ class Emulator:
 
     def _ask_to_start(self, request: StartRequest) -> Accepted:
         if request.epoch_ns is None and not self._by_wall:
-            raise RefusedError(
-                "lockstep counts frames from motion's epoch: ask for a start with epoch_ns"
-            )
+            raise RefusedError("lockstep counts frames from motion's epoch: ask for a start with epoch_ns")
         self._starts.put(request)
         return Accepted()
 

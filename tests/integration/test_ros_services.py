@@ -158,7 +158,7 @@ def test_the_loggers_start_stop_and_split_are_trigger_services(bus, client, tmp_
         start = client.call("/logger/start", TRIGGER)
     assert [each.success for each in (split, stop, again, start)] == [True, True, False, True]
     assert json.loads(split.message)["path"].endswith("first_0002.mcap")
-    assert again.message.startswith("RefusedError: ")
+    assert again.message == "NotRecordingError: not recording; use start to open a log"
 
 
 # --- the graph ---
