@@ -88,9 +88,10 @@ class GraphNode:
         return f"{self._head(entity, kind)}/{name}/{topic.wire_type}/{type_hash(topic.type)}/{qos.token()}"
 
 
-def publisher_tokens(namespace: Namespace) -> str:
-    """Return the key expression of the tokens of all publishers in a domain."""
-    return f"@ros2_lv/{namespace.domain}/*/*/*/MP/*/*/*/*/*/*/*"
+def publisher_tokens(namespace: Namespace, topic: Topic | None = None) -> str:
+    """Return the key expression of the tokens of all publishers in a domain, or of those of a topic."""
+    endpoint = f"{_mangled(namespace.ros_name(topic))}/{topic.wire_type}" if topic else "*/*"
+    return f"@ros2_lv/{namespace.domain}/*/*/*/MP/*/*/*/{endpoint}/*/*"
 
 
 def session_of_token(token: str) -> str:

@@ -27,6 +27,7 @@ from rpod_runtime.inbox import Received
 from rpod_runtime.publisher import Publisher
 from rpod_runtime.replies import error_reply
 from rpod_runtime.ros import Form, RosGraph, trigger
+from rpod_runtime.ros.offers import offer_watch
 from rpod_runtime.ros.parameters import Parameters
 from rpod_runtime.session import open_client
 from rpod_schemas.config.migration import logged
@@ -129,6 +130,12 @@ class Node(Asker):
         """
         self._subscribe(topic, sink, recover=recover, history=history)
         self._token(self._graph.endpoint_token("MS", self._entity(), topic))
+        if topic.latched:
+            tell = offer_watch(topic, self.health.warn)
+            watcher = self._session.liveliness().declare_subscriber(
+                publisher_tokens(self._keys, topic), lambda token: tell(str(token.key_expr)), history=True
+            )
+            self._stack.callback(watcher.undeclare)
 
     def subscribe_all(
         self, patterns: Sequence[Topic], sink: Callable[[Received], None], *, recover: bool = True

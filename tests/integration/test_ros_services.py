@@ -10,6 +10,7 @@ from threading import Event
 import numpy as np
 import pytest
 import zenoh
+from facility_process import until
 from live_bus import Bus, daemon, first, router
 from ros_client import HASHES, NoReplyError, RosClient, message
 
@@ -17,10 +18,13 @@ from rpod_logger.daemon import run as run_logger
 from rpod_runtime import Inbox, Node
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.ros import RESET_SERVICE, trigger
+from rpod_runtime.ros.offers import offer_watch
+from rpod_runtime.ros.rosout import RosoutHandler
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.control import Accepted, Empty, LogReply, LogRequest, ResetRequest, StatusReply
-from rpod_schemas.topics import COMMAND, DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT
+from rpod_schemas.topics import COMMAND, DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, SUN
+from rpod_schemas.types import Health
 
 TRIGGER, RESET = "std_srvs/srv/Trigger", "rpod_msgs/srv/ResetEstimator"
 SIX = (
@@ -219,6 +223,48 @@ def test_our_subscribers_take_reliable_and_best_effort_publishers(bus, client, r
         if first(heard, lambda received: received.attachment.gid == bytes(16), timeout_s=0.1):
             return
     pytest.fail("nothing was received")
+
+
+def test_a_publisher_whose_latched_topic_is_not_latched_is_told(bus, client):
+    node = bus.node("receiver")
+    node.subscribe(SUN, Inbox().put)
+    (token,) = [token for token in client.tokens("MS") if "environment%sun" in token]
+    theirs = token.replace("/MS/", "/MP/").replace("/receiver/", "/lamp/").rpartition("/")[0]
+    with client.session.liveliness().declare_token(f"{theirs}/::,10:,:,:,,"):
+        until(lambda: "qos/environment/sun" in node.health.diagnostic(0).values)
+    told = node.health.diagnostic(0)
+    assert "node lamp does not publish it as TRANSIENT_LOCAL" in told.values["qos/environment/sun"]
+    assert told.level == Health.WARN
+
+
+@pytest.mark.parametrize(
+    ("quality", "lacks"),
+    [
+        (":1:,1:,:,:,,", []),
+        (":1:,1000:,:10,0:,,", []),
+        ("a later form", []),
+        ("::,10:,:,:,,", ["TRANSIENT_LOCAL"]),
+        ("2::,5:,:,:,,", ["RELIABLE", "TRANSIENT_LOCAL"]),
+    ],
+)
+def test_what_a_publisher_of_a_latched_topic_lacks(quality, lacks):
+    told = []
+    offer_watch(SUN, lambda _, text: told.append(text))(f"@ros2_lv/0/a/0/1/MP/%/%/lamp/%sun/T/H/{quality}")
+    assert len(told) == bool(lacks)
+    assert all(name in told[0].partition(", so")[0] for name in lacks)
+
+
+def test_a_line_that_is_logged_while_a_line_is_published_holds_nobody_up():
+    lines = []
+
+    def publish(line):
+        lines.append(line.msg)
+        logging.getLogger("rpod_test").error("again")
+
+    handler = RosoutHandler("node", publish)
+    logging.getLogger("rpod_test").error("once")
+    handler.close()
+    assert lines == ["once"]
 
 
 def token_to_key(token):

@@ -19,10 +19,17 @@ class RosoutHandler(logging.Handler):
     def __init__(self, name: str, publish: Callable[[Any], None]) -> None:
         super().__init__()
         self._name, self._publish = name, publish
+        self._publishing = False  # under the handler's lock, so that it is this thread's own
         logging.getLogger().addHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Publish a record, with the text of its exception."""
+        """Publish a record, with the text of its exception.
+
+        A line that is logged while a line is published would wait for its own publisher, so it is left out.
+        """
+        if self._publishing:
+            return
+        self._publishing = True
         try:
             self._publish(
                 write_log(
@@ -37,6 +44,8 @@ class RosoutHandler(logging.Handler):
             )
         except Exception:  # noqa: BLE001 - a log line must not end the service
             self.handleError(record)
+        finally:
+            self._publishing = False
 
     def close(self) -> None:
         """End the publication."""

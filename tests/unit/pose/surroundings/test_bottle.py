@@ -26,7 +26,7 @@ def of_rows(*rows) -> RigidTransform:
 
 @cache
 def pose() -> RigidTransform:
-    """Return T_camera_target, from the poses in the colour camera and of the cameras, and the mesh's origin."""
+    """Return T_camera_target, from poses in the colour camera, of the cameras, and of the mesh."""
     body_colour = of_rows(
         (0.607676, 0.408914, -0.680823, 0.297794),
         (0.786584, -0.428213, 0.444880, -0.189009),
