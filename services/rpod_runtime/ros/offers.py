@@ -24,8 +24,8 @@ def offer_watch(topic: Topic, warn: Callable[[str, str], None]) -> Callable[[str
         if lacks:
             warn(
                 f"qos/{topic.name}",
-                f"node {parts[_NODE]} does not publish it as {' and '.join(lacks)}, so that what it published "
-                "before this service started does not come; set its publisher to RELIABLE and TRANSIENT_LOCAL",
+                f"node {parts[_NODE]} does not publish it as {' and '.join(lacks)}, so that what it sent "
+                "before this service started is missing; set its publisher to RELIABLE and TRANSIENT_LOCAL",
             )
 
     return take
