@@ -44,7 +44,7 @@ _OF_ROS = {
         "rcl_interfaces/Parameter[] parameters\n---\nrcl_interfaces/SetParametersResult result\n"
     ),
 }
-"""Definitions of std_srvs and rcl_interfaces, the same from Humble to Kilted."""
+"""Definitions of std_srvs 5.5.1 and rcl_interfaces 2.3.0 (Kilted)."""
 
 
 def service_types() -> Typesdict:

@@ -27,7 +27,7 @@ class ParameterService:
 
 
 class ParameterServices:
-    """Answers the requests; ``obeyed`` is called with names and values as text for each change."""
+    """Answers the requests for a node's parameters."""
 
     def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
