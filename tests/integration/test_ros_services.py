@@ -328,6 +328,7 @@ def test_what_cannot_change_while_running_is_refused_with_the_reason_and_the_res
     got = parameters(client, "server", "get_parameters", names=["driver.rate_hz"]).values
     assert got[0].double_value == 7.5
     assert node.health.counters()["commands/set_parameters"] == 1
+    assert json.loads(node.health.diagnostic(0).values["command/set_parameters"]) == {"driver.rate_hz": 7.5}
 
 
 def test_parameters_are_set_together_or_not_at_all(bus, client):

@@ -1,5 +1,6 @@
 """What a node shows of itself in the ROS 2 graph beside its topics: services, parameters, log lines."""
 
+import json
 import logging
 import time
 from collections.abc import Mapping, Sequence
@@ -72,7 +73,7 @@ class RosGraph:
         def tell(changes: Sequence[Assignment]) -> None:
             changed = [write_parameter(*each) for each in changes]
             publish(write_parameter_event(time.time_ns(), node, changed=changed))
-            self._owner.obeyed("set_parameters", ", ".join(f"{name}={value!r}" for name, value in changes))
+            self._owner.obeyed("set_parameters", json.dumps(dict(changes), default=str))
 
         parameters.on_change(tell)
         for each in ParameterServices(parameters).all():
