@@ -87,4 +87,5 @@ class _Service:
         if output is not None:
             self._validity.take(output, arrived, now_s=self._beacon.arrival_s(arrived))
             since_s = arrived.arrival_s if arrived is not None else None
-            self._outputs.publish(output, self._beacon.current(), since_s=since_s)
+            integrity = self._estimator.integrity(output, repeats=arrived.repeats if arrived else 0)
+            self._outputs.publish(output, self._beacon.current(), integrity, since_s=since_s)

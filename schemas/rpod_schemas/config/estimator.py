@@ -9,11 +9,12 @@ from rpod_schemas.arrays import VectorN
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.config.depth_calibration import CalibrationSource
 from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.integrity import IntegrityConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
-from rpod_schemas.config.sensor import EmulatedSensor, MethodConfig, SensorInput
+from rpod_schemas.config.sensor import AlertLimit, EmulatedSensor, MethodConfig, SensorInput
 from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
 from rpod_schemas.config.tuning import BY_HAND, Provenance, Tuning
 from rpod_schemas.poses import Pose
@@ -74,6 +75,8 @@ class PmdInput(SensorInput):
     """Selects a PMD camera's messages and methods."""
     name: Name = "pmd"
     """Name of the sensor, the first part of its topics. Set it if the driver publishes under another name."""
+    alert_limit: AlertLimit = AlertLimit(attitude_deg=1.0, position_m=0.03)
+    """Error beyond which an estimate by this camera is of no use: what a capture at 1 to 12 m tolerates."""
     camera: Camera | None = None
     """Size and intrinsics that the frames must have. Set it to refuse frames of another camera or lens. If
     left out, the intrinsics of every camera_info are accepted."""
@@ -165,6 +168,8 @@ class EstimatorSettings(Config):
     """Configuration of the navigator's state machine."""
     filter: FilterConfig = Field(default_factory=FilterConfig)
     """The error-state Kalman filter."""
+    integrity: IntegrityConfig = IntegrityConfig()
+    """Protection levels and alerts."""
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
