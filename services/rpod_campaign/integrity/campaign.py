@@ -2,10 +2,11 @@
 
 from rpod_campaign.engine.campaign import Campaign
 from rpod_campaign.integrity import trial
+from rpod_campaign.integrity.course import IntegrityCell
 from rpod_campaign.integrity.faults import BY_NAME, FAULT_NAMES
 from rpod_campaign.integrity.options import Options
 from rpod_campaign.integrity.report import sections, summarise, totals
-from rpod_campaign.integrity.trial import FRAME, IntegrityCell
+from rpod_campaign.integrity.trial import FRAME
 from rpod_campaign.lidar.cells import targets
 from rpod_campaign.pmd.cells import calibrated, scenarios
 from rpod_campaign.pmd.options import PmdOptions

@@ -13,8 +13,9 @@ from rpod_campaign.engine.report.charts import curve_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, number, percent
 from rpod_campaign.engine.report.statistics import consistency, quantile
+from rpod_campaign.integrity.course import PMD_HZ, IntegrityCell
 from rpod_campaign.integrity.faults import BY_NAME
-from rpod_campaign.integrity.trial import FRAME, PMD_HZ, IntegrityCell
+from rpod_campaign.integrity.trial import FRAME
 
 Results = Sequence[CellResult[IntegrityCell]]
 _KEPT = 50
@@ -90,7 +91,7 @@ def totals(results: Results) -> dict[str, Any]:
 
 def _total(results: Results) -> dict[str, Any]:
     def total(name: str) -> float:
-        return sum(result.summary[name] for result in results)
+        return float(sum(result.summary[name] for result in results))
 
     hours, alerts = total("nominal_hours"), int(total("false_alerts"))
     frames, sequences = int(total("frames")), int(total("sequences"))

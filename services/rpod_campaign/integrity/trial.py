@@ -132,7 +132,8 @@ def _scored(course: Course, output: Output, integrity: Integrity, target: Target
 
 @lru_cache(maxsize=8)
 def _inputs(cell: IntegrityCell) -> tuple[SensorInput, ...]:
-    lidar, inputs = tracking_input("projective"), ()
+    lidar = tracking_input("projective")
+    inputs: tuple[SensorInput, ...] = ()
     if cell.document:
         scenario = scenario_of(cell.document)
         camera = camera_of(scenario).name

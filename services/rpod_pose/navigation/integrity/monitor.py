@@ -19,7 +19,7 @@ from rpod_pose.belief import SYMMETRY
 from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of, start, update
 from rpod_pose.navigation.history import PoseMeasurement
 from rpod_pose.navigation.integrity.levels import Levels, Solution, protection_levels, solution
-from rpod_pose.navigation.integrity.residuals import Residual, Test, recent, residual_of, tests_of
+from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent, residual_of, residual_tests
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.sensor import AlertLimit
@@ -150,11 +150,11 @@ class Monitor:
 
     # --- tests and levels ---
 
-    def _tests(self, memory: Memory, estimate: FilterState) -> tuple[list[Test], dict[str, float]]:
-        tests: list[Test] = []
+    def _tests(self, memory: Memory, estimate: FilterState) -> tuple[list[Statistic], dict[str, float]]:
+        tests: list[Statistic] = []
         evidence: dict[str, float] = {}
         for name, residuals in memory.residuals.items():
-            found, numbers = tests_of(
+            found, numbers = residual_tests(
                 name, residuals, dof=estimate.alike.dof, correlated_s=self._tuning.correlated_s
             )
             tests += found
@@ -213,7 +213,7 @@ class Monitor:
         output: Output,
         estimate: FilterState,
         *,
-        tests: list[Test],
+        tests: list[Statistic],
         levels: Levels,
         evidence: dict[str, float],
     ) -> Integrity:
@@ -237,7 +237,7 @@ class Monitor:
             evidence=evidence,
         )
 
-    def _alert(self, memory: Memory, estimate: FilterState, tests: list[Test]) -> str:
+    def _alert(self, memory: Memory, estimate: FilterState, tests: list[Statistic]) -> str:
         """Return why the estimate must not be used; empty if nothing contradicts it."""
         if memory.frozen:
             return f"{', '.join(sorted(memory.frozen))}: frozen, its last frames are identical"
@@ -250,7 +250,7 @@ class Monitor:
         held = since_s <= self._tuning.memory_s
         return f"{since_s:.1f} s ago: {memory.contradiction}" if held else ""
 
-    def _caution(self, output: Output, tests: list[Test]) -> str:
+    def _caution(self, output: Output, tests: list[Statistic]) -> str:
         """Return why the estimate needs care; empty if it does not."""
         status = output.status
         if not status.accepted:
@@ -276,7 +276,7 @@ class Monitor:
         )
 
 
-def _separation_test(name: str, one: FilterState, other: FilterState) -> Test:
+def _separation_test(name: str, one: FilterState, other: FilterState) -> Statistic:
     """Return the test whether two solutions differ by more than their covariances together allow.
 
     Solutions that share measurements differ by less than that, so the test alerts too seldom.
@@ -284,7 +284,7 @@ def _separation_test(name: str, one: FilterState, other: FilterState) -> Test:
     apart = separation_of(one, other)
     covariance = one.covariance[POSE, POSE] + other.covariance[POSE, POSE]
     covariance = one.alike.with_free_variance(covariance, rotation_matrix(one.T_chaser_target), 1.0)
-    return Test(name, float(apart @ np.linalg.solve(covariance, apart)), one.alike.dof)
+    return Statistic(name, float(apart @ np.linalg.solve(covariance, apart)), one.alike.dof)
 
 
 def _above(levels: Levels, limit_deg: float, limit_m: float) -> str:

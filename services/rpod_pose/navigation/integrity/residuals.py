@@ -38,7 +38,7 @@ class Residual:
 
 
 @dataclass(frozen=True)
-class Test:
+class Statistic:
     """A statistic under a hypothesis that all is well."""
 
     name: str
@@ -78,9 +78,9 @@ def recent(residuals: Sequence[Residual], newest_ns: int, window_s: float) -> tu
     return tuple(sorted(kept, key=lambda each: each.stamp_ns))
 
 
-def tests_of(
+def residual_tests(
     sensor: str, residuals: Sequence[Residual], *, dof: int, correlated_s: float
-) -> tuple[tuple[Test, ...], dict[str, float]]:
+) -> tuple[tuple[Statistic, ...], dict[str, float]]:
     """Return the tests of a sensor's residuals, and the estimate of its clock's offset as evidence.
 
     Args:
@@ -104,7 +104,7 @@ def tests_of(
         share = offset_s**2 * information / bias if bias else 0.0
         if share > _EXPLAINED:
             cause = f"; stamps that are {offset_s:.3f} s late (sigma {sigma_s:.3f} s) explain {share:.0%}"
-    size = Test(
+    size = Statistic(
         f"{sensor}: size of its residuals", periods * float((z**2).sum(axis=1).mean()), dof * periods, cause
     )
-    return (size, Test(f"{sensor}: mean of its residuals", bias, dof, cause)), evidence
+    return (size, Statistic(f"{sensor}: mean of its residuals", bias, dof, cause)), evidence
