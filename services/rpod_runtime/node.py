@@ -20,12 +20,14 @@ from pydantic import BaseModel, ValidationError
 
 from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.clock import BusClock, Clock, WallClock
+from rpod_runtime.control import Served
 from rpod_runtime.delivery import Delivery
 from rpod_runtime.errors import QueryFailedError
 from rpod_runtime.health import HealthBook
+from rpod_runtime.identity import open_identity
 from rpod_runtime.inbox import Received
 from rpod_runtime.publisher import Publisher
-from rpod_runtime.replies import error_reply, error_text
+from rpod_runtime.replies import error_text
 from rpod_runtime.session import open_client
 from rpod_schemas.config.migration import logged
 from rpod_schemas.config.service import ServiceConfig
@@ -62,6 +64,7 @@ class Node:
         self.health = HealthBook(config.instance)
         self.account = SequenceAccount()
         self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
+        self._identity = open_identity(config)
         self._keys = config.bus.keys
         self._delivery = Delivery(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
@@ -222,22 +225,8 @@ class Node:
 
     def serve(self, verb: str, request: type[RequestT], handler: Callable[[RequestT], BaseModel]) -> None:
         """Answer a control-plane query with a model; an exception of the handler becomes an error reply."""
-        key = self._keys.control(self.config.instance, verb)
-
-        def answer(query: zenoh.Query) -> None:
-            with query:
-                payload = query.payload.to_bytes() if query.payload else b"{}"
-                try:
-                    asked = request.model_validate_json(payload)
-                    reply = handler(asked).model_dump_json()
-                except Exception as error:  # noqa: BLE001 - the client gets any error as a reply
-                    query.reply_err(error_reply(error).model_dump_json())
-                else:
-                    query.reply(key, reply)
-                    if verb != "status":  # status is queried often and changes nothing
-                        self.health.obey(verb, asked.model_dump_json())
-
-        queryable = self._session.declare_queryable(key, answer)
+        served = Served(self._keys, self.config.instance, verb, request, handler, self._identity, self.health)
+        queryable = self._session.declare_queryable(served.key, served.answer)
         self._stack.callback(queryable.undeclare)
 
     def ask(
@@ -254,7 +243,7 @@ class Node:
         Raises:
             QueryFailedError: no answer in time, or an error reply.
         """
-        key = self._keys.control(instance, verb)
+        key = self._keys.control(instance, verb, self._identity.name)
         answer = self._first_answer(key, (request or Empty()).model_dump_json(), timeout_s)
         if answer.ok is None:
             raise QueryFailedError(
@@ -281,7 +270,7 @@ class Node:
     def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:
         """Query every service that answers a verb; invalid and missing answers are left out."""
         answers = self._session.get(
-            self._keys.control("*", verb),
+            self._keys.control("*", verb, self._identity.name),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             payload=Empty().model_dump_json(),
@@ -333,6 +322,7 @@ class Node:
         self._publish_health()
 
     def _publish_health(self) -> None:
+        self.health.alarm("certificate", self._identity.warning())
         self._update_counters()
         self._diagnostics.publish(write_diagnostics([self.health.diagnostic(time.time_ns())]))
 
