@@ -32,8 +32,8 @@ class NotThisServiceError(BusError):
 
     def __init__(self, instance: str, name: str, folder: Path) -> None:
         super().__init__(
-            f"instance is {instance!r}, but bus.credentials ({folder}) are those of {name!r}; the router
-            knows " "a service by its certificate: name it so, or issue another with 'rpod pki issue'"
+            f"instance is {instance!r}, but bus.credentials ({folder}) are those of {name!r}; the router "
+            "knows a service by its certificate: name it so, or issue another with 'rpod pki issue'"
         )
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rpod_security.credentials import ExpiryWatch
 
 _RATES_HZ = {"status": 1000.0}
-"""Largest rate at which one asker is answered, Hz, by verb; lockstep asks for ``status`` after each message."""
+"""Largest rate at which one asker is answered, Hz, by verb; lockstep asks for ``status`` very often."""
 _RATE_HZ = 20.0
 """The same for all other verbs: commands, which people and supervisors give."""
 _BURST_S = 2.0
@@ -32,7 +32,7 @@ class Identity(Protocol):
         ...
 
     def asker(self, key: str, verb: str, size: int) -> str:
-        """Return who asks by a key. Raises ``RefusedError`` for what no certificate allows, and for a flood."""
+        """Return who asks by a key. Raises ``RefusedError`` for a key without a name, and for a flood."""
         ...
 
     def record(self, *, asker: str, verb: str, request: str, outcome: str) -> None:

@@ -62,7 +62,8 @@ def _tls(folder: Path | None, *, listens: bool) -> dict[str, Any] | None:
 def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None) -> zenoh.Session:
     """Open a client session to the router, with a given identity or a random one.
 
-    With credentials the certificate says who the client is. Its Zenoh identity is random then and gives no right.
+    With credentials the certificate says who the client is. Its Zenoh identity is random then and gives no
+    right.
 
     Raises:
         CredentialsError: the folder of credentials cannot be used.
@@ -96,8 +97,8 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
 def open_router(config: RouterConfig) -> zenoh.Session:
     """Open a router session.
 
-    On a plain bus gossip stays on, so that peers of rmw_zenoh find each other. On a secure one they would talk
-    past the access rules: every node is a client there.
+    On a plain bus gossip stays on, so that peers of rmw_zenoh find each other. On a secure one they would
+    talk past the access rules: every node is a client there.
 
     Raises:
         EndpointError: the endpoint is in use or cannot be opened.

@@ -1,8 +1,8 @@
 """The audit record of a service: who asked what, and what came of it.
 
-Lines are appended and never changed. Each is a JSON object with the digest of the line before, so that ``check``
-finds a line that was changed, removed or put in. Nobody notices if the last lines are cut off: send the record
-elsewhere if that matters.
+Lines are appended and never changed. Each is a JSON object with the digest of the line before, so that
+``check`` finds a line that was changed, removed or put in. Nobody notices if the last lines are cut off:
+send the record elsewhere if that matters.
 """
 
 import hashlib

@@ -1,8 +1,8 @@
 """Certificates (X.509, ECDSA on P-256): of an authority, of the router, of a role.
 
 The common name is ``<name>.<generation>``. Access rules name it, so a name that was revoked can be issued
-again: the new certificate has the next generation, and the rules no longer name the old one. The organisational
-unit is the role.
+again: the new certificate has the next generation, and the rules no longer name the old one. The
+organisational unit is the role.
 """
 
 from collections.abc import Sequence

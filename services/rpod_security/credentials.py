@@ -1,7 +1,7 @@
 """A folder of credentials: what a service needs to be known on a secure bus.
 
-``authority.pem`` is the authority's certificate, ``identity.pem`` the service's certificate and private key in
-one file, so that one rename replaces both. The folder is all that goes to the service's host.
+``authority.pem`` is the authority's certificate, ``identity.pem`` the service's certificate and private key
+in one file, so that one rename replaces both. The folder is all that goes to the service's host.
 """
 
 import os

@@ -2,8 +2,8 @@
 
 What a client sends (``ingress``) decides what it can do. What the router hands to it (``egress``) is limited
 too, so that a mistake in one rule does not open a way. Zenoh allows a message if one rule's key expression
-includes the message's. ``**`` does not match the chunks ``@adv`` (caches, heartbeats) and ``@ros2_lv`` (tokens),
-so rules name them.
+includes the message's. ``**`` does not match the chunks ``@adv`` (caches, heartbeats) and ``@ros2_lv``
+(tokens), so rules name them.
 """
 
 import json
@@ -57,8 +57,8 @@ class Rules:
         """Return Zenoh's configuration ``access_control``.
 
         Args:
-            common_names: common name of the valid certificate of each member that has one, by its name. A member
-                without one may do nothing.
+            common_names: common name of the valid certificate of each member that has one, by its name. A
+            member without one may do nothing.
         """
         rules: list[dict[str, Any]] = []
         subjects, policies = [], []

@@ -16,14 +16,11 @@ def _check_tls(field: str, endpoint: str, credentials: Path | None) -> None:
     """Raise ``ValueError`` if an endpoint and the credentials do not fit each other."""
     encrypted = endpoint.startswith(("tls/", "quic/"))
     if credentials is not None and not encrypted:
-        raise ValueError(
-            f"{field} is {endpoint}, but credentials need an endpoint such as tls/{
-                endpoint.split('/', 1)[-1]
-            }"
-        )
+        address = endpoint.split("/", 1)[-1]
+        raise ValueError(f"{field} is {endpoint}, but credentials need an endpoint such as tls/{address}")
     if credentials is None and encrypted:
         raise ValueError(
-            f"{field} is {endpoint}, which needs credentials, the folder that rpod pki issue made"
+            f"{field} is {endpoint}, which needs credentials: the folder that 'rpod pki issue' made"
         )
 
 
