@@ -20,6 +20,13 @@ class NoRouterError(BusError):
         )
 
 
+class RefusedByRouterError(BusError):
+    """A router listens at the endpoint and refuses this client."""
+
+    def __init__(self, endpoint: str, reason: str) -> None:
+        super().__init__(f"the router at {endpoint} refuses this client: {reason}")
+
+
 class EndpointError(BusError):
     """The router cannot listen on its configured endpoint."""
 

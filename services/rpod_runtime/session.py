@@ -13,7 +13,8 @@ from typing import Any
 
 import zenoh
 
-from rpod_runtime.errors import EndpointError, NoRouterError
+from rpod_runtime.errors import EndpointError, NoRouterError, RefusedByRouterError
+from rpod_runtime.refusal import why_refused
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.topics import TRUTH_TOPICS
 from rpod_security.rules import load_access_control
@@ -69,6 +70,8 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
         CredentialsError: the folder of credentials cannot be used.
         NoRouterError: no router answered in time, or ``stop`` was set while waiting. It is also raised if the
             router refuses the identity because another client holds it.
+        RefusedByRouterError: there is a router, and the reason for its refusal is known; with ``wait`` it is
+            logged instead, since credentials may be replaced meanwhile.
     """
     identity: dict[str, Any] = {"id": zenoh_id} if zenoh_id and bus.credentials is None else {}
     config = _zenoh_config(
@@ -86,11 +89,14 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
             return zenoh.open(config)
         except zenoh.ZError as error:
             waited_s = time.monotonic() - started_s
+            if not (bus.wait or stop.is_set()) and (refused := why_refused(bus)):
+                raise RefusedByRouterError(bus.connect, refused) from error
             if stop.is_set() or (not bus.wait and waited_s >= bus.connect_timeout_s):
                 raise NoRouterError(bus.connect, waited_s, zenoh_id) from error
         if time.monotonic() - reminded_s > _REMIND_S:
             reminded_s = time.monotonic()
-            log.warning("still waiting for a router at %s; start one with 'rpod router'", bus.connect)
+            hint = why_refused(bus) or "start one with 'rpod router'"
+            log.warning("still waiting for a router at %s; %s", bus.connect, hint)
         stop.wait(_RETRY_S)
 
 

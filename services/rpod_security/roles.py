@@ -25,6 +25,7 @@ from rpod_schemas.topics import (
     TF_STATIC,
     TOPICS,
     TRUTH,
+    TRUTH_TOPICS,
     VALIDITY,
     Topic,
 )
@@ -171,8 +172,8 @@ class Member:
         """Topics that it may read; ``*`` stands for a part of the name."""
         role = ROLES[self.role]
         estimates = _ESTIMATES if role.reads_estimates else tuple(set(role.reads) & {STATUS})
-        # ``*/odometry`` is the truth's topic too
-        prefixes = (ANY,) if TRUTH in role.reads else self.prefixes
+        # ``*/odometry`` is a topic of the truth too
+        prefixes = (ANY,) if set(TRUTH_TOPICS) <= set(role.reads) else self.prefixes
         found = [topic for topic in role.reads if topic != STATUS]
         found += [topic.under(prefix) for topic in estimates for prefix in prefixes]
         if role.reads_sensors:

@@ -116,7 +116,7 @@ class Rules:
         ]
 
     def _control(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
-        """Control plane and ROS services: who asks ends the key, and a client can write its own name alone."""
+        """Control plane and ROS services: keys end with who asks, and nobody may write another name."""
         served = [self._keys.control(member.name, verb, ANY) for verb in member.serves]
         asked = [
             self._keys.control(other.name, verb, member.name)
