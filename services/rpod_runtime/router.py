@@ -1,6 +1,7 @@
 """The router service, with access rules: what each role may do, or at least what estimators may not read."""
 
 import logging
+import resource
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
@@ -16,6 +17,7 @@ _DAY_S = 86_400.0
 
 def run(config: RouterConfig, *, stop: Event) -> None:
     """Route until stopped. Raises ``EndpointError``, ``CredentialsError``, ``RulesError``."""
+    _raise_descriptor_limit()
     with ExitStack() as stack:
         if config.credentials:
             stack.enter_context(telling_refusals())
@@ -26,6 +28,12 @@ def run(config: RouterConfig, *, stop: Event) -> None:
                 _tell_end(config.credentials)
             if stop.wait(_DAY_S):
                 return
+
+
+def _raise_descriptor_limit() -> None:
+    """Allow as many open sockets as the system does, so that idle ones do not use up the descriptors."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def _tell_end(folder: Path) -> None:

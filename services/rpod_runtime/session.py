@@ -30,7 +30,7 @@ as the receiver is slow, and so is a burst of messages from a process that had t
 _RETRY_S = 0.25
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 """How often a client tries to reach a router that has gone: it is back within half a second of the router."""
-_HANDSHAKE_MS, _PENDING = 1000, 1000
+_HANDSHAKE_MS, _PENDING = 1000, 4000
 """Longest time for a connection to say who it is, and number of connections that may be about to: so that
 idle ones keep nobody out."""
 _REMIND_S = 10.0
@@ -118,7 +118,7 @@ def open_router(config: RouterConfig) -> zenoh.Session:
     }
     zenoh_config = _zenoh_config(
         mode="router",
-        listen={"endpoints": [config.listen], "exit_on_failure": True},
+        listen={"endpoints": [_listening(config)], "exit_on_failure": True},
         scouting={"multicast": {"enabled": False}, "gossip": {"enabled": config.credentials is None}},
         adminspace={"enabled": False},
         unicast=unicast,
@@ -129,6 +129,13 @@ def open_router(config: RouterConfig) -> zenoh.Session:
         return zenoh.open(zenoh_config)
     except zenoh.ZError as error:
         raise EndpointError(config.listen, str(error).split(" at /")[0]) from error
+
+
+def _listening(config: RouterConfig) -> str:
+    """Return the endpoint with the longest time of a TLS handshake, which is 10 s by default."""
+    if config.credentials is None or "#" in config.listen:
+        return config.listen
+    return f"{config.listen}#tls_handshake_timeout_ms={round(config.handshake_timeout_s * 1000)}"
 
 
 def _access_control(config: RouterConfig) -> dict[str, Any]:

@@ -137,8 +137,9 @@ class Sensor:
     def topics(self) -> tuple[Topic, ...]:
         """Return its topics, as its driver publishes them."""
         kind = sensor_kind(self.kind)
-        others = (topic.of(self.name) for topic in kind.topics)
-        return tuple(dict.fromkeys((*kind.part_topics(self.name, self.source).values(), *others)))
+        parts = {part.topic for part in kind.parts.values()}
+        others = (topic.of(self.name) for topic in kind.topics if topic not in parts)
+        return (*kind.part_topics(self.name, self.source).values(), *others)
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,8 @@ class RouterConfig(Config):
     certificate of the same authority, and may do what ``rules`` allow it."""
     rules: Path | None = None
     """File of the access rules, made by ``rpod pki rules``."""
+    handshake_timeout_s: float = Field(default=1.0, ge=0.01, le=10.0)
+    """Longest TLS handshake, s; it takes two round trips on the network."""
     max_clients: int = Field(default=1000, ge=1, le=5000)
     """Largest number of clients that are connected at a time."""
 
