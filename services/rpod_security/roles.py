@@ -17,7 +17,9 @@ from rpod_schemas.topics import (
     ESTIMATE_FRAME,
     ESTIMATE_JOINTS,
     ESTIMATE_POSE,
+    PARAMETER_EVENTS,
     REFERENCE,
+    ROSOUT,
     SENT_BY,
     STATUS,
     SUN,
@@ -122,8 +124,8 @@ ROLES: dict[str, Role] = {
 }  # fmt: skip
 """Roles by name."""
 
-_OF_SENSORS = "sensor", "camera", "LIDAR"
 _VERBS = "status", "shutdown"
+_OF_ALL = DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ class Member:
         found = [topic.under(self.prefix) if topic in _ESTIMATES else topic for topic in topics]
         if "sensor" in mine:
             found += [TF_STATIC, *self._of_sensors()]
-        return tuple(dict.fromkeys(_pattern(topic) for topic in (*found, DIAGNOSTICS)))
+        return tuple(dict.fromkeys(_pattern(topic) for topic in (*found, *_OF_ALL)))
 
     @property
     def reads(self) -> tuple[Topic, ...]:
@@ -211,7 +213,7 @@ class Member:
 
 def _pattern(topic: Topic) -> Topic:
     """Return a topic with ``*`` for the name of a target's frame."""
-    return topic.at(ANY)
+    return topic.at(ANY) if "<frame>" in topic.name else topic
 
 
 def needs_sensors(role: str) -> bool:

@@ -14,14 +14,25 @@ from typing import Any, Literal
 
 import zenoh
 
-from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SUN, TF, TF_STATIC, TRUTH, Namespace, Topic
+from rpod_schemas.topics import (
+    CLOCK,
+    DIAGNOSTICS,
+    PARAMETER_EVENTS,
+    ROSOUT,
+    SUN,
+    TF,
+    TF_STATIC,
+    TRUTH,
+    Namespace,
+    Topic,
+)
 from rpod_schemas.wire import publisher_tokens, token_pattern
 from rpod_security.errors import RulesError
 from rpod_security.roles import ANY, ROUTER, Member
 
 Flow = Literal["ingress", "egress"]
 _CACHES, _PUBLISHERS = "@adv/**", "@adv/pub/**"
-_SHARED = frozenset({TF, TF_STATIC, DIAGNOSTICS, TRUTH, SUN, CLOCK})
+_SHARED = frozenset({TF, TF_STATIC, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS, TRUTH, SUN, CLOCK})
 """Topics for which the ICD names several senders."""
 _WATCH = ("declare_liveliness_subscriber", "liveliness_query")
 

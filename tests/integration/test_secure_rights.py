@@ -54,6 +54,8 @@ READERS = {
     "clock": SHOWN | {"emulator", "driver", "estimator", "operator", "guidance"},
     "guidance/command": {"logger"},
     "chaser/imu": {"logger"},
+    "rosout": {"logger"},
+    "parameter_events": {"logger"},
     "diagnostics": SHOWN | {"estimator", "operator", "guidance"},
     "estimate/status": SHOWN | {"operator", "guidance", "motion"},
 }
@@ -64,7 +66,8 @@ OF_ESTIMATES = SHOWN | {"operator", "guidance"}
 def resolved(topic: Topic) -> Topic:
     """Return a topic as the test's facility has it."""
     sensor = "lidar" if topic.name.startswith("<lidar>") else "pmd"
-    return (topic.of(sensor) if topic.name.startswith("<") else topic).at("grapple")
+    named = topic.of(sensor) if topic.name.startswith("<") else topic
+    return named.at("grapple") if "<frame>" in named.name else named
 
 
 def senders() -> dict[str, set[str]]:

@@ -40,6 +40,8 @@ class BusConfig(Config):
     credentials: Path | None = None
     """Folder of this service's certificate and key, made by ``rpod pki issue``. With it the connection is
     encrypted, and the router knows the service by its certificate."""
+    ros_services: bool = True
+    """Whether services can be controlled, and their parameters read, by calls of ROS 2 services."""
 
     @model_validator(mode="after")
     def _certificates_need_tls(self) -> Self:
