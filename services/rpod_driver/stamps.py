@@ -26,16 +26,17 @@ _UTC_WITHIN_NS = 86_400 * _NANOSECONDS
 _WINDOW_NS = 10 * _NANOSECONDS
 """Time over which the least delay is sought: crystals of 100 ppm drift by 1 ms in it."""
 
-StampSource = Literal["device", "mapped", "arrival"]
+StampSource = Literal["device", "mapped", "host"]
 
 
 class StampConfig(Config):
     """How the stamps of a device become UTC."""
 
-    source: Literal["auto", "device", "mapped", "arrival"] = "auto"
+    source: Literal["auto", "device", "mapped", "host"] = "auto"
     """``device``: they are UTC; ``mapped``: they count from any time, and are mapped to arrival by the least
-    delay of the last 10 s; ``arrival``: only the time of arrival counts. ``auto`` takes stamps within a day
-    of this machine's clock as UTC, maps others, and takes the arrival where there are none."""
+    delay of the last 10 s; ``host``: only the time of arrival counts, by this machine's clock. ``auto`` takes
+    stamps within a day of this machine's clock as UTC, maps others, and takes ``host`` where there are
+    none."""
     delay_s: float = Field(default=0.0, ge=0, le=10)
     """Least time from the middle of the exposure to the arrival of its frame, s, subtracted where stamps are
     mapped or of the arrival. It cannot be measured from the frames alone."""
@@ -54,7 +55,7 @@ class StampMapper:
     @property
     def sync(self) -> SensorSync:
         """What is known of the device's clock."""
-        return SensorSync(stamps=self.source)
+        return SensorSync(stamp_source=self.source)
 
     def utc_ns(self, device_ns: int | None) -> int:
         """Return the stamp of a frame that has just arrived, ns of UTC; stamps rise.
@@ -69,13 +70,13 @@ class StampMapper:
         self.source = source
         if source == "device" and device_ns is not None:
             return device_ns
-        stamp_ns = now_ns if source == "arrival" or device_ns is None else self._mapped_ns(device_ns, now_ns)
+        stamp_ns = now_ns if source == "host" or device_ns is None else self._mapped_ns(device_ns, now_ns)
         self._last_ns = max(stamp_ns - self._delay_ns, self._last_ns + 1)
         return self._last_ns
 
     def _source(self, device_ns: int | None, now_ns: int) -> StampSource:
         if device_ns is None:
-            return "arrival"
+            return "host"
         if self._config.source != "auto":
             return self._config.source
         return "device" if abs(device_ns - now_ns) <= _UTC_WITHIN_NS else "mapped"

@@ -147,7 +147,7 @@ def test_a_played_recording_is_stamped_as_taken_now():
     stamps = np.diff([frame.stamp_ns for frame in frames])
     assert len(frames) == 3
     assert (stamps > 0).all()
-    assert driver.sync().stamps == "mapped"
+    assert driver.sync().stamp_source == "mapped"
 
 
 class FakeSdk:

@@ -22,7 +22,7 @@ def test_a_clock_of_utc_is_kept_to_the_nanosecond(caplog):
     stamps = NOW_NS + np.arange(5) * 50 * MS
     mapper, told = mapped(StampConfig(), stamps.tolist(), (stamps + 20 * MS).tolist())
     assert told.tolist() == stamps.tolist()
-    assert mapper.source == mapper.sync.stamps == "device"
+    assert mapper.source == mapper.sync.stamp_source == "device"
     assert len(caplog.records) == 1
 
 
@@ -66,10 +66,10 @@ def test_a_device_that_restarts_is_mapped_anew(caplog):
 def test_a_device_without_stamps_is_stamped_at_arrival_less_the_delay():
     mapper, told = mapped(StampConfig(delay_s=0.02), [None, None], [NOW_NS, NOW_NS + 50 * MS])
     assert told.tolist() == [NOW_NS - 20 * MS, NOW_NS + 30 * MS]
-    assert mapper.source == "arrival"
+    assert mapper.source == "host"
 
 
-@pytest.mark.parametrize("source", ["device", "mapped", "arrival"])
+@pytest.mark.parametrize("source", ["device", "mapped", "host"])
 def test_a_source_that_is_configured_counts(source):
     mapper, _ = mapped(StampConfig(source=source), [NOW_NS - MS], [NOW_NS])
     assert mapper.source == source
