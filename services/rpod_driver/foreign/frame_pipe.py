@@ -28,10 +28,6 @@ MOST_HEADER_BYTES, MOST_BODY_BYTES = 1 << 20, 1 << 28
 _PREFIX = struct.Struct("<4sI")
 
 
-class FrameError(Exception):
-    """What was read is no message of this framing; names what is wrong."""
-
-
 class Message(NamedTuple):
     """One message."""
 
@@ -85,16 +81,16 @@ def receive(stream: BinaryIO) -> "Message | None":
     """Return the next message; None at the end of the stream.
 
     Raises:
-        FrameError: the bytes are no message, or are cut.
+        ValueError: the bytes are no message, or are cut.
     """
     start = stream.read(_PREFIX.size)
     if not start:
         return None
     if len(start) < _PREFIX.size or not start.startswith(MAGIC):
-        raise FrameError(f"a message begins with {start!r}, not with {MAGIC!r}: something else writes there")
+        raise ValueError(f"a message begins with {start!r}, not with {MAGIC!r}: something else writes there")
     length = _PREFIX.unpack(start)[1]
     if length > MOST_HEADER_BYTES:
-        raise FrameError(f"a header of {length} bytes, at most {MOST_HEADER_BYTES}")
+        raise ValueError(f"a header of {length} bytes, at most {MOST_HEADER_BYTES}")
     kind, fields, told = _header(_exactly(stream, length))
     return Message(kind, fields, {name: _array(stream, dtype, shape) for name, dtype, shape in told})
 
@@ -105,16 +101,16 @@ def _header(text: bytes) -> "tuple[str, dict[str, Any], list[tuple[str, np.dtype
         kind, fields = header["kind"], header["fields"]
         told = [(each["name"], each["dtype"], tuple(map(int, each["shape"]))) for each in header["arrays"]]
     except (ValueError, KeyError, TypeError) as error:
-        raise FrameError(f"a header cannot be read ({type(error).__name__}: {error})") from error
+        raise ValueError(f"a header cannot be read ({type(error).__name__}: {error})") from error
     if kind not in KINDS or not isinstance(fields, dict):
-        raise FrameError(f"a message of kind {kind!r}, known are {', '.join(KINDS)}")
+        raise ValueError(f"a message of kind {kind!r}, known are {', '.join(KINDS)}")
     size = 0
     for name, dtype, shape in told:
         if dtype not in DTYPES or min(shape, default=0) < 0:
-            raise FrameError(f"array {name!r} is {dtype} of shape {shape}, known are {', '.join(DTYPES)}")
+            raise ValueError(f"array {name!r} is {dtype} of shape {shape}, known are {', '.join(DTYPES)}")
         size += prod(shape) * np.dtype(dtype).itemsize
     if size > MOST_BODY_BYTES:
-        raise FrameError(f"arrays of {size} bytes, at most {MOST_BODY_BYTES}")
+        raise ValueError(f"arrays of {size} bytes, at most {MOST_BODY_BYTES}")
     return kind, fields, [(str(name), np.dtype(dtype), shape) for name, dtype, shape in told]
 
 
@@ -125,7 +121,7 @@ def _array(stream: BinaryIO, dtype: "np.dtype", shape: "tuple[int, ...]") -> "np
 def _exactly(stream: BinaryIO, length: int) -> bytes:
     data = stream.read(length) if length else b""
     if len(data) < length:
-        raise FrameError(f"the stream ends {length - len(data)} bytes before the end of a message")
+        raise ValueError(f"the stream ends {length - len(data)} bytes before the end of a message")
     return data
 
 

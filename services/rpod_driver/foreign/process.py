@@ -206,7 +206,7 @@ class ForeignDriver:
         while True:
             try:
                 message = frame_pipe.receive(stream)
-            except (frame_pipe.FrameError, ValueError, OSError) as error:
+            except (ValueError, OSError) as error:
                 messages.put(error)
                 return
             messages.put(message)

@@ -87,12 +87,12 @@ class RealsenseCamera:
     def _middle_ns(self, depth: Any) -> int:
         """Return the middle of the exposure; the stamp is of the readout's begin, the metadata tell both."""
         values = self._module.frame_metadata_value
-        read_us, middle_us = (
-            depth.get_frame_metadata(each) if depth.supports_frame_metadata(each) else None
-            for each in (values.frame_timestamp, values.sensor_timestamp)
-        )
+        both = (values.frame_timestamp, values.sensor_timestamp)
         stamp_ns = round(depth.timestamp * 1e6)
-        return stamp_ns if None in (read_us, middle_us) else stamp_ns - (read_us - middle_us) * 1000
+        if not all(map(depth.supports_frame_metadata, both)):
+            return stamp_ns
+        read_us, middle_us = (int(depth.get_frame_metadata(each)) for each in both)
+        return stamp_ns - (read_us - middle_us) * 1000
 
     def _frame(self, depth: Any, frames: Any) -> PmdFrame:
         counts = np.asarray(depth.get_data())
