@@ -22,7 +22,7 @@ from rpod_driver.foreign import frame_pipe
 
 ROOT = Path(__file__).parents[3]
 SCRIPT = ROOT / "tests" / "driver_script.py"
-OUSTER = ROOT / "tests" / "data" / "ouster" / "os1-32.frames"
+OUSTER = ROOT / "tests" / "recordings" / "ouster" / "os1-32.frames"
 
 
 def driver(*arguments, kind="pmd", python=sys.executable, start_s=20.0):

@@ -18,6 +18,7 @@ from rpod_schemas.messages import write_camera, write_image, write_lidar_info, w
 from rpod_schemas.types import Camera, LidarInfo, PmdInfo
 
 CAMERA = Camera(width=8, height=6, fx=6.0, fy=6.0, cx=3.5, cy=2.5)
+BOTTLE = Path(__file__).parents[2] / "recordings" / "depth_bottle"
 START_NS = 1_600_000_000_000_000_000
 PERIOD_NS = 20_000_000
 INFO = PmdInfo(
@@ -163,6 +164,13 @@ def test_a_folder_of_images_is_a_camera(tmp_path):
     assert np.isnan(frames[0].depth_m[0, 0])
     assert [int(frame.amplitude[0, 0]) for frame in frames] == [0, 1, 2]
     assert np.diff([frame.stamp_ns for frame in frames]).tolist() == [PERIOD_NS] * 2
+
+
+def test_a_frame_of_a_real_stereo_camera_is_played():
+    camera = {"width": 848, "height": 480, "fx": 425.773, "fy": 425.773, "cx": 427.202, "cy": 237.662}
+    (frame,) = played(driver(images={"folder": BOTTLE, "depth": "depth.png", "camera": camera}))
+    assert np.isfinite(frame.depth_m).mean() == pytest.approx(0.643, abs=1e-3)
+    assert np.nanmedian(frame.depth_m) == pytest.approx(0.55, abs=0.01)
 
 
 def test_radial_images_become_z_depth(tmp_path):
