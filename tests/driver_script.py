@@ -1,6 +1,7 @@
 """A driver process without a device: what it does stands in its first argument."""
 
 import os
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -80,6 +81,11 @@ def partial(sender):
 
 def pid(sender, file):
     Path(file).write_text(str(os.getpid()))
+    silent(sender)
+
+
+def parent(sender):
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=False)
     silent(sender)
 
 

@@ -2,9 +2,11 @@
 
 import logging
 import os
+import signal
 import subprocess
 from collections import deque
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, Queue
 from threading import Thread
@@ -101,7 +103,7 @@ class ForeignDriver:
             yield self._frame(message) if framed and message else None
 
     def close(self) -> None:
-        """End the process, by force if it does not end by itself."""
+        """End the process, by force if it does not end by itself, and all that it started."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -111,6 +113,8 @@ class ForeignDriver:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)  # a child of it would hold the pipe open
         reader, teller = self._threads
         while reader.is_alive():  # it may wait for a place in the queue
             while not self._messages.empty():

@@ -153,6 +153,14 @@ def test_a_silent_device_is_told_as_none_and_its_process_ends_with_the_host(tmp_
         os.kill(process, 0)
 
 
+@pytest.mark.timeout(30)
+def test_what_the_process_started_does_not_hold_the_driver_open():
+    opened = driver("parent")
+    opened.connect()
+    assert next(opened.frames()) is not None
+    opened.close()
+
+
 def test_a_driver_can_be_opened_again_after_a_crash():
     opened = driver("crash")
     for _ in range(2):
