@@ -88,7 +88,7 @@ class RealsenseCamera:
         """Return the middle of the exposure; the stamp is of the readout's begin, the metadata tell both."""
         values = self._module.frame_metadata_value
         both = (values.frame_timestamp, values.sensor_timestamp)
-        stamp_ns = round(depth.timestamp * 1e6)
+        stamp_ns = round(float(depth.timestamp) * 1e6)
         if not all(map(depth.supports_frame_metadata, both)):
             return stamp_ns
         read_us, middle_us = (int(depth.get_frame_metadata(each)) for each in both)
