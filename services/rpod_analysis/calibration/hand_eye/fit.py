@@ -28,6 +28,7 @@ from rpod_analysis.errors import CalibrationError
 from rpod_schemas.arrays import FloatArray
 
 MOUNT_M, MOUNT_RAD, HOLDER_M, HOLDER_RAD = (slice(start, start + 3) for start in (0, 3, 6, 9))
+MOUNT, HOLDER = slice(0, 6), slice(6, 12)
 OFFSET, DRIFT, DEPTH = 12, 13, 14
 """Places of the parameters: m and rad of mount (chaser axes) and holder (holder axes), then s, s/s and m."""
 PARAMETERS = 15
@@ -114,6 +115,20 @@ class HandEye:
     """RMS of the positions' residuals of the pairs that count, m."""
     residual_rad: float
     """RMS of the attitudes' residuals of the pairs that count, rad."""
+    speed_m_s: float
+    """RMS speed of the holder in the chaser, m/s."""
+    rate_rad_s: float
+    """RMS rate of its rotation, rad/s."""
+
+    @property
+    def offset_sigma_s(self) -> float:
+        """Standard deviation of the clock's offset in the middle of the poses, s."""
+        return self.sigma(OFFSET)
+
+    @property
+    def drift_sigma(self) -> float:
+        """Standard deviation of the clock's drift, s/s."""
+        return self.sigma(DRIFT)
 
     def sigma(self, place: int) -> float:
         """Return the standard deviation of a parameter."""
@@ -172,7 +187,7 @@ class _Problem:
             self._truth.at(stamp_ns, self._taken_s + shift_s) for shift_s in (-_TWIST_S, _TWIST_S)
         )
         turn = _rotvec(R_after @ _transposed(R_before))
-        self._v_m_s, self._w_rad_s = (t_after - t_before) / (2.0 * _TWIST_S), turn / (2.0 * _TWIST_S)
+        self.v_m_s, self.w_rad_s = (t_after - t_before) / (2.0 * _TWIST_S), turn / (2.0 * _TWIST_S)
         self._truth_covariance = self._truth.covariance_at(stamp_ns, self._taken_s)
 
     def _later_s(self, state: State) -> FloatArray:
@@ -181,9 +196,9 @@ class _Problem:
     def residuals(self, state: State) -> FloatArray:
         """Return (dp, dtheta) of the measured pose against the true one, chaser axes, shape (N, 6)."""
         moved_s = (self._later_s(state) - self._taken_s)[:, None]
-        R_B = Rotation.from_rotvec(moved_s * self._w_rad_s).as_matrix() @ self.R_B
+        R_B = Rotation.from_rotvec(moved_s * self.w_rad_s).as_matrix() @ self.R_B
         t_S = self.measured.t_m - state.depth_m * self._sight
-        true_m = R_B @ state.t_Y + self.t_B + moved_s * self._v_m_s
+        true_m = R_B @ state.t_Y + self.t_B + moved_s * self.v_m_s
         turn = (state.R_X @ self.measured.R) @ _transposed(R_B @ state.R_Y)
         return np.hstack([t_S @ state.R_X.T + state.t_X - true_m, _rotvec(turn)])
 
@@ -195,8 +210,8 @@ class _Problem:
         derivatives[:, :3, MOUNT_M] = derivatives[:, 3:, MOUNT_RAD] = np.eye(3)
         derivatives[:, :3, MOUNT_RAD] = -_crossed(self.measured.t_m @ state.R_X.T)
         derivatives[:, :3, HOLDER_M] = derivatives[:, 3:, HOLDER_RAD] = -self.R_B
-        derivatives[:, :3, OFFSET] = self._v_m_s + np.cross(self._w_rad_s, arm_m)
-        derivatives[:, 3:, OFFSET] = self._w_rad_s
+        derivatives[:, :3, OFFSET] = self.v_m_s + np.cross(self.w_rad_s, arm_m)
+        derivatives[:, 3:, OFFSET] = self.w_rad_s
         derivatives[:, :, DRIFT] = derivatives[:, :, OFFSET] * self._from_middle_s[:, None]
         derivatives[:, :3, DEPTH] = -sight
         return derivatives
@@ -230,10 +245,10 @@ def fit_hand_eye(measured: StampedPoses, truth: StampedPoses, known: Assumptions
         raise CalibrationError(
             f"{len(measured)} poses of the sensor and {len(truth)} of the truth, needs {_LEAST_PAIRS} of each"
         )
-    offsets = {0.0, offset_by_rates(measured, truth)} - {None}
-    tries = [
-        _fit_from(measured, truth, known, float(offset_s)) for offset_s in offsets if offset_s is not None
-    ]
+    by_rates_s = offset_by_rates(measured, truth)
+    far = by_rates_s is not None and abs(by_rates_s) > _TWIST_S
+    offsets_s = (0.0, by_rates_s) if far and by_rates_s is not None else (0.0,)
+    tries = [_fit_from(measured, truth, known, offset_s) for offset_s in offsets_s]
     found = [result for result in tries if isinstance(result, HandEye)]
     if not found:
         raise next(result for result in tries if isinstance(result, CalibrationError))
@@ -244,7 +259,10 @@ def _fit_from(
     measured: StampedPoses, truth: StampedPoses, known: Assumptions, offset_s: float
 ) -> HandEye | CalibrationError:
     try:
-        return _fit_pairs(measured, truth, known, offset_s)
+        found = _fit_pairs(measured, truth, known, offset_s)
+        if abs(found.state.offset_s - offset_s) > _TWIST_S:  # other pairs have truth around them
+            found = _fit_pairs(measured, truth, known, found.state.offset_s)
+        return found
     except CalibrationError as error:
         return error
 
@@ -358,6 +376,8 @@ def _result(
         block_correlation=_block_correlation(white[counts]),
         residual_m=_rms(residuals[counts, :3]),
         residual_rad=_rms(residuals[counts, 3:]),
+        speed_m_s=_rms(problem.v_m_s),
+        rate_rad_s=_rms(problem.w_rad_s),
     )
 
 
