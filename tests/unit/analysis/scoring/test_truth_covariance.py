@@ -21,7 +21,7 @@ def estimated(number, _time_s):
 
 
 def summary_of(path, **changes):
-    SyntheticRun(duration_s=20.0, rate_hz=20.0, frame=estimated, **changes).write(path)
+    SyntheticRun(duration_s=5.0, rate_hz=40.0, frame=estimated, **changes).write(path)
     with open_log(path) as log:
         return summarise(log, stream_run(log))
 
