@@ -201,7 +201,7 @@ def _fitted(
             fy=fy,
             cx=cx,
             cy=cy,
-            distortion=D.ravel()[: 8 if flags else 5],
+            distortion=np.asarray(D, np.float64).ravel()[: 8 if flags else 5],
         ),
         sigma_px=sigma.ravel()[:4].astype(np.float64),
         rms_px=float(rms),
