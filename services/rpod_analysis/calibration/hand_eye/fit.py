@@ -295,7 +295,7 @@ def _start(problem: _Problem, offset_s: float) -> tuple[State, Motion]:
 
 
 def _solve(problem: _Problem, state: State) -> HandEye:
-    weights = np.ones(len(problem.measured))
+    weights, scale = np.ones(len(problem.measured)), 1.0
     problem.take_truth(state)
     for _ in range(_ROUNDS):
         whitening = _whitening(problem, state)
@@ -331,7 +331,7 @@ def _step(problem: _Problem, state: State, whitening: FloatArray) -> FloatArray:
 
 def _whole(step: FloatArray, free: FloatArray) -> FloatArray:
     whole = np.zeros(PARAMETERS)
-    whole[free] = step
+    np.place(whole, free, step)
     return whole
 
 
@@ -347,8 +347,7 @@ def _whitening(problem: _Problem, state: State) -> FloatArray:
         covariance = np.tile(
             np.diag(np.repeat(np.square(np.maximum(spread, 1e-9)), 3)), (len(covariance), 1, 1)
         )
-    whitening: FloatArray = np.linalg.inv(np.linalg.cholesky(covariance))
-    return whitening
+    return np.linalg.inv(np.linalg.cholesky(covariance)).astype(np.float64)
 
 
 def _result(
