@@ -7,6 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.bounds import POSITION_M, Covariance6, Stamp
 from rpod_schemas.config.base import Config, NonNegative, Positive
+from rpod_schemas.config.driver import Setting
 from rpod_schemas.poses import Pose
 
 Delay = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
@@ -81,6 +82,20 @@ class ResetRequest(Config):
         if pose is not None:
             POSITION_M.check(pose.translation)
         return pose
+
+
+class SettingsRequest(Config):
+    """Write settings to a driver's device; without any, ask for all."""
+
+    settings: dict[str, Setting] = Field(default_factory=dict)
+    """Settings to write, by name."""
+
+
+class SettingsReply(Config):
+    """The settings of a driver's device."""
+
+    settings: dict[str, Setting]
+    """All settings with their values in the device now."""
 
 
 class LogRequest(Config):

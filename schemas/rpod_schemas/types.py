@@ -360,6 +360,8 @@ class SensorSync(Model):
     """Source of the trigger of each frame."""
     trigger_missed: Annotated[int, Field(ge=0)] | None = None
     """Number of triggers without a frame."""
+    stamp_source: Literal["device", "host"] | None = None
+    """Clock that stamps the frames: the device's own, or this host's at the arrival of the frame."""
 
     def values(self, sensor: str) -> dict[str, str]:
         """Return what is known as values of diagnostics (ICD section 2)."""

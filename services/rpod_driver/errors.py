@@ -21,3 +21,18 @@ class WrongKindError(DriverError):
         super().__init__(
             f"kind is {kind!r}, but the driver delivers {type(delivered).__name__}; correct kind"
         )
+
+
+class NotSupportedError(DriverError):
+    """A driver is asked for what it does not have."""
+
+    def __init__(self, sensor: str, what: str) -> None:
+        methods = {"settings": "settings and apply", "trigger": "trigger"}[what]
+        super().__init__(f"the driver of {sensor!r} has no {what}: it needs the methods {methods}")
+
+
+class NoAnswerError(DriverError):
+    """The device does not answer a request in time."""
+
+    def __init__(self, sensor: str, waited_s: float) -> None:
+        super().__init__(f"no answer of {sensor!r} after {waited_s:g} s; is its device connected?")
