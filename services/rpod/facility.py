@@ -60,6 +60,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 surroundings=scenario.surroundings,
                 seed=scenario.seed,
                 publish_samples=scenario.publish_samples,
+                faults=scenario.faults,
                 await_start=True,
                 time_source=time_source,
             ),

@@ -1,8 +1,7 @@
 """Requests of operators to a driver: settings and triggers.
 
-A query arrives in a thread of the bus, but a driver is used in one thread only, that of the host. So a request
-waits
-until the host has the next item of the driver, and the driver needs no lock.
+A query arrives in a thread of the bus, but a driver is used in one thread only, that of the host. So a
+request waits until the host has the next item of the driver, and the driver needs no lock.
 """
 
 import time

@@ -9,6 +9,7 @@ from rpod_schemas.config.motion import JointMotionConfig, MotionConfig
 from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.surroundings import Thing
+from rpod_schemas.faults import PlannedFault
 from rpod_schemas.sensors.fields import EMULATED
 
 SensorConfig = Annotated[EmulatedSensor, EMULATED]
@@ -46,6 +47,8 @@ class EmulatorConfig(ServiceConfig):
     """Whether to begin only on the ``start`` query, which also gives the epoch."""
     publish_samples: bool = False
     """Whether to publish the PMD camera's raw samples as well."""
+    faults: tuple[PlannedFault, ...] = ()
+    """Faults of the sensors, at times from the epoch."""
 
 
 class LockstepConfig(Config):

@@ -51,9 +51,9 @@ class FakeChannel:
     def __init__(self, sensor, log):
         self.sensor, self._log = sensor, log
 
-    def emulate(self, poses, sun_W_m2, frame, fault):
+    def emulate(self, poses, sun_W_m2, frame):
         self.poses, self.sun_W_m2 = poses, sun_W_m2
-        self._log.append(("made", frame.sensor, frame.number, fault))
+        self._log.append(("made", frame.sensor, frame.number))
         return partial(self._log.append, ("published", frame.sensor, frame.number))
 
 
@@ -362,17 +362,6 @@ def test_a_second_start_plays_the_same_frames_again():
 
 
 # --- faults ---
-
-
-@pytest.mark.parametrize("fault", ["dropout", "blackout"])
-def test_a_fault_reaches_the_frames_of_its_time(fault):
-    bench = in_lockstep()
-    bench.truth(0.0, 0.15)
-    bench.turn()
-    bench.node.served["fault"](FaultRequest(fault=fault, start_s=0.1, duration_s=0.1))
-    bench.truth(0.154, 0.45)
-    bench.turn()
-    assert [entry[3] for entry in bench.log if entry[0] == "made"] == [None, None, fault, None]
 
 
 def test_silence_publishes_nothing_and_is_counted():
