@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from rpod_estimator.frame_reader import STAMP_END, Arrived, FrameReader
-from rpod_estimator.input_book import clock_hint
+from rpod_runtime.stamp_watch import clock_hint
 from rpod_estimator.input_health import InputHealth
-from rpod_estimator.stamp_watch import StampWatch
+from rpod_runtime.stamp_watch import StampWatch
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.errors import RefusedError

@@ -6,7 +6,7 @@ from time import monotonic
 import numpy as np
 import pytest
 
-from rpod_estimator.stamp_watch import StampWatch
+from rpod_runtime.stamp_watch import StampWatch
 from rpod_estimator.subscriptions import Subscriptions
 from rpod_runtime import BusClock, Received, WallClock
 from rpod_runtime.errors import RefusedError
