@@ -13,6 +13,7 @@ from itertools import count
 from typing import Any
 
 import numpy as np
+from pmd_frames import depth_frame
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_driver.check import Observations, Observer, Options, Verdict, judge
@@ -42,7 +43,13 @@ class Desk:
     """Node and bus at once, for one sensor."""
 
     def __init__(
-        self, kind: str, name: str, *, faults: tuple[str, ...] = (), seed: int = 0, options: Options | None = None
+        self,
+        kind: str,
+        name: str,
+        *,
+        faults: tuple[str, ...] = (),
+        seed: int = 0,
+        options: Options | None = None,
     ) -> None:
         self.observer = Observer(kind, name, options)
         self.injections: list[Injection] = [injection(fault, kind, seed) for fault in faults]
@@ -105,7 +112,10 @@ class DeskPublisher:
 
 CAMERA = Camera(width=40, height=30, fx=31.0, fy=31.0, cx=19.7, cy=14.4)
 INFO = PmdInfo(
-    modulation_frequency_hz=np.array([2e7]), integration_time_s=8e-3, electrons_per_count=9.0, saturation_count=4095.0
+    modulation_frequency_hz=np.array([2e7]),
+    integration_time_s=8e-3,
+    electrons_per_count=9.0,
+    saturation_count=4095.0,
 )
 
 
@@ -119,10 +129,15 @@ def wall_frames(seed: int, duration_s: float, rate_hz: float = 10.0) -> Iterator
         phase = 0.4 * number / rate_hz
         box = (np.abs(x - 0.3 * np.sin(phase)) < 0.12) & (np.abs(y) < 0.15)
         depth_m = np.where(box, 2.0, wall_m) + 0.006 * random.standard_normal(wall_m.shape)
-        amplitude = (9000.0 / depth_m**2 * (1.0 + 0.02 * random.standard_normal(wall_m.shape))).astype(np.uint16)
+        amplitude = (9000.0 / depth_m**2 * (1.0 + 0.02 * random.standard_normal(wall_m.shape))).astype(
+            np.uint16
+        )
         beyond = np.hypot(x, y) > 0.7
         yield PmdFrame(
-            stamp_ns=EPOCH_NS + SECOND_NS + round(number * SECOND_NS / rate_hz) + round(random.normal(0, 5e4)),
+            stamp_ns=EPOCH_NS
+            + SECOND_NS
+            + round(number * SECOND_NS / rate_hz)
+            + round(random.normal(0, 5e4)),
             frame_id="",
             depth_m=np.where(beyond, np.nan, depth_m).astype(np.float32),
             amplitude=np.where(beyond, random.integers(1, 30, wall_m.shape), amplitude).astype(np.uint16),
@@ -151,7 +166,10 @@ def room_scans(seed: int, duration_s: float, rate_hz: float = 10.0) -> Iterator[
         range_m[random.random(azimuth.shape) < 1 / 40] = np.nan
         times_s = np.broadcast_to(PATTERN.scan_time_s * (np.arange(60) / 59.0 - 0.5), azimuth.shape)
         yield LidarScan(
-            stamp_ns=EPOCH_NS + SECOND_NS + round(number * SECOND_NS / rate_hz) + round(random.normal(0, 1e5)),
+            stamp_ns=EPOCH_NS
+            + SECOND_NS
+            + round(number * SECOND_NS / rate_hz)
+            + round(random.normal(0, 1e5)),
             frame_id="",
             points_m=(directions * range_m[..., None]).astype(np.float32),
             intensity=np.ones(azimuth.shape, np.float32),
@@ -183,7 +201,11 @@ def watched(
             linear_m_s=np.zeros(3), angular_rad_s=np.zeros(3),
         )  # fmt: skip
         received = Received(
-            TRUTH, "", memoryview(bytes(encode(write_odometry(odometry)))), Attachment(1, 0, bytes(16)), stamp_ns
+            TRUTH,
+            "",
+            memoryview(bytes(encode(write_odometry(odometry)))),
+            Attachment(1, 0, bytes(16)),
+            stamp_ns,
         )
         desk.observer.take(received)
     for frame in frames:
@@ -192,11 +214,15 @@ def watched(
     return desk.end()
 
 
-def wall_camera(*faults: str, seed: int = 0, duration_s: float = 16.0, rate_hz: float = 10.0) -> list[Verdict]:
+def wall_camera(
+    *faults: str, seed: int = 0, duration_s: float = 16.0, rate_hz: float = 10.0
+) -> list[Verdict]:
     """Return the verdicts on the camera before a wall."""
     frames = wall_frames(seed, duration_s)
     return judge(
-        watched("pmd", frames, INFO, latency_s=0.01, faults=faults, seed=seed, options=Options(rate_hz=rate_hz))
+        watched(
+            "pmd", frames, INFO, latency_s=0.01, faults=faults, seed=seed, options=Options(rate_hz=rate_hz)
+        )
     )
 
 
@@ -204,7 +230,9 @@ def room_scanner(*faults: str, seed: int = 0, duration_s: float = 16.0) -> list[
     """Return the verdicts on the scanner in a room."""
     frames = room_scans(seed, duration_s)
     return judge(
-        watched("lidar", frames, PATTERN, latency_s=0.04, faults=faults, seed=seed, options=Options(rate_hz=10.0))
+        watched(
+            "lidar", frames, PATTERN, latency_s=0.04, faults=faults, seed=seed, options=Options(rate_hz=10.0)
+        )
     )
 
 
@@ -213,7 +241,9 @@ TARGET = "mockup"
 
 def tumbling(time_s: float) -> RigidTransform:
     """Return T_chaser_target of a motion whose rates change: it shows time, range and mount apart."""
-    turn = Rotation.from_euler("XYZ", [0.5 * np.sin(0.9 * time_s), 0.6 * np.sin(0.7 * time_s + 1.0), 0.3 * time_s])
+    turn = Rotation.from_euler(
+        "XYZ", [0.5 * np.sin(0.9 * time_s), 0.6 * np.sin(0.7 * time_s + 1.0), 0.3 * time_s]
+    )
     sway = [0.2 * np.sin(1.1 * time_s), 0.15 * np.sin(1.3 * time_s), 3.2 + 0.4 * np.sin(0.8 * time_s)]
     return make_pose(translation_m=sway, rotation=turn * rotation_of(make_pose(rotation=FACING)))
 
@@ -258,15 +288,48 @@ def facility_frames(kind: str) -> tuple[Any, ...]:
 def facility(kind: str, *faults: str, seed: int = 0) -> list[Verdict]:
     """Return the verdicts on an emulated sensor of the facility, beside truth and the target's surface."""
     sensor, frames = facility_frames(kind)
-    truth = [
-        (EPOCH_NS + round(step * SECOND_NS / 100), tumbling(step / 100)) for step in range(50, 1800)
-    ]
+    truth = [(EPOCH_NS + round(step * SECOND_NS / 100), tumbling(step / 100)) for step in range(50, 1800)]
     options = Options(rate_hz=5.0, surface=Surface.of(load_target(TARGET)))
     seen = watched(
         kind, frames, sensor.info(), latency_s=sensor.latency_s, truth=truth, faults=faults, seed=seed,
         options=options, mount=MOUNT,
     )  # fmt: skip
     return judge(seen)
+
+
+@cache
+def ideal_frames() -> tuple[PmdFrame, ...]:
+    """Return frames of an ideal camera with white noise, 5 Hz for 16 s, of the tumbling target."""
+    target = load_target(TARGET)
+    camera = Camera(width=120, height=96, fx=200.0, fy=200.0, cx=59.5, cy=47.5)
+    frames = []
+    for number in range(80):
+        time_s = 1.0 + number / 5.0
+        pose = chained(MOUNT.inv(), tumbling(time_s))
+        frame = depth_frame(target, pose, noise_m=0.005, camera=camera, seed=number)
+        lit = (1000.0 * np.nan_to_num(frame.depth_m)).astype(np.uint16)
+        update = {"stamp_ns": EPOCH_NS + round(time_s * SECOND_NS), "amplitude": lit}
+        frames.append(frame.model_copy(update=update))
+    return tuple(frames)
+
+
+def ideal_camera(*faults: str, seed: int = 0) -> list[Verdict]:
+    """Return the verdicts on the ideal camera, beside truth; its exposure lasts 16 ms."""
+    truth = [(EPOCH_NS + round(step * SECOND_NS / 100), tumbling(step / 100)) for step in range(50, 1800)]
+    options = Options(rate_hz=5.0, surface=Surface.of(load_target(TARGET)))
+    info = INFO.model_copy(update={"integration_time_s": 16e-3})
+    return judge(
+        watched(
+            "pmd",
+            ideal_frames(),
+            info,
+            latency_s=0.01,
+            truth=truth,
+            faults=faults,
+            seed=seed,
+            options=options,
+        )
+    )
 
 
 def failed(verdicts: list[Verdict]) -> set[str]:

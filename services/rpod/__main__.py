@@ -11,6 +11,7 @@ from pydantic import BaseModel
 
 from rpod import __version__
 from rpod.campaign_verbs import campaign_verbs
+from rpod.driver_verbs import driver_verbs
 from rpod.log_verbs import log_verbs
 from rpod.target_verbs import target_verbs
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
@@ -60,6 +61,7 @@ def _version(asked: bool) -> None:
 app.add_typer(log_verbs)
 app.add_typer(campaign_verbs)
 app.add_typer(target_verbs)
+app.add_typer(driver_verbs)
 
 
 @app.callback()

@@ -34,7 +34,7 @@ from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_diagnostics
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Topic
 from rpod_schemas.types import Health
-from rpod_schemas.wire import GraphNode, publisher_tokens, session_of_token, topic_of_token
+from rpod_schemas.wire import GraphNode, publisher_tokens, qos_of_token, session_of_token, topic_of_token
 
 log = logging.getLogger(__name__)
 
@@ -158,6 +158,14 @@ class Node:
 
         watcher = self._session.liveliness().declare_subscriber(publisher_tokens(self._keys), take)
         self._stack.callback(watcher.undeclare)
+
+    def publisher_qos(self) -> list[tuple[str, str]]:
+        """Return topic and quality of service of each publisher on the bus, from the liveliness tokens."""
+        found = []
+        for reply in self._session.liveliness().get(publisher_tokens(self._keys), timeout=2.0):
+            if reply.ok and (topic := topic_of_token(key := str(reply.ok.key_expr), self._keys)):
+                found.append((topic.name, qos_of_token(key)))
+        return found
 
     def _subscribe(
         self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool

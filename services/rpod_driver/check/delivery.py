@@ -32,7 +32,9 @@ def publisher(seen: Observations) -> Verdict:
     if seen.leading not in peers:
         others = ", ".join(sorted(peers)) or "nothing"
         watched_s = (seen.ended_ns - seen.started_ns) / NANOSECONDS if seen.heard else 0.0
-        return fail(line, f"no {seen.leading} of {seen.name!r} came, {others} in {watched_s:.0f} s", "silence")
+        return fail(
+            line, f"no {seen.leading} of {seen.name!r} came, {others} in {watched_s:.0f} s", "silence"
+        )
     for part, times in peers.items():
         spans = sorted((min(ns), max(ns)) for ns in times.values())
         if any(later[0] < earlier[1] for earlier, later in pairwise(spans)):
@@ -47,7 +49,9 @@ def publisher(seen: Observations) -> Verdict:
 def few(seen: Observations) -> str:
     """Return why times cannot be judged; empty if they can."""
     count = len(seen.leads)
-    return "" if count >= LEAST_FRAMES else f"{count} frames came, {LEAST_FRAMES} are needed; watch for longer"
+    return (
+        "" if count >= LEAST_FRAMES else f"{count} frames came, {LEAST_FRAMES} are needed; watch for longer"
+    )
 
 
 def rate(seen: Observations) -> Verdict:
@@ -113,7 +117,7 @@ def bus(seen: Observations) -> Verdict:
             times_s = np.array([heard.arrival_ns - heard.sent_ns for heard in messages]) / NANOSECONDS
             waits_s.append(float(np.quantile(times_s, 0.95) - times_s.min()))
     span_s = max((seen.ended_ns - seen.started_ns) / NANOSECONDS, 1e-3)
-    rate_MB_s = sum(heard.size for heard in seen.heard) / span_s / 1e6  # noqa: N806 - megabytes
+    rate_MB_s = sum(heard.size for heard in seen.heard) / span_s / 1e6
     wait_s = max(waits_s, default=0.0)
     share = lost / (lost + received)
     text = f"{rate_MB_s:.2f} MB/s, {lost} of {lost + received} messages lost, 95 % wait {1e3 * wait_s:.0f} ms at most"
@@ -139,7 +143,9 @@ def parts(seen: Observations) -> Verdict:
     if needed:
         return fail(line, f"{' and '.join(needed)} does not come at all", "missing_part")
     found = [_unpaired(seen, name) for name in topics if counts[name] and name != seen.leading]
-    for name, (share, step_ns) in zip([n for n in topics if counts[n] and n != seen.leading], found, strict=True):
+    for name, (share, step_ns) in zip(
+        [n for n in topics if counts[n] and n != seen.leading], found, strict=True
+    ):
         if share > _UNPAIRED_SHARE and step_ns and counts[name] >= 0.5 * counts[seen.leading]:
             when = "later" if step_ns > 0 else "earlier"
             text = f"{name} is stamped {abs(step_ns) * 1e-6:.3f} ms {when} than {seen.leading}"

@@ -83,8 +83,6 @@ class Options:
     """How its driver publishes."""
     surface: Surface | None = None
     """Surface of the target, for comparisons with truth."""
-    second: str | None = None
-    """Name of a second sensor to compare with."""
 
 
 @dataclass

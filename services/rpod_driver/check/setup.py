@@ -60,7 +60,9 @@ def grid(seen: Observations) -> Verdict:
     if upright is None:
         return unchecked(line, "the scans have too few returns to show rows and columns")
     if upright != info.rows_are_elevation:
-        return fail(line, f"rows_are_elevation is {info.rows_are_elevation}, the points show {upright}", "transposed")
+        return fail(
+            line, f"rows_are_elevation is {info.rows_are_elevation}, the points show {upright}", "transposed"
+        )
     if not upright:
         raw = raw.transpose(1, 0, 2)
     size = (info.elevation_rad.size, info.azimuth_rad.size)
@@ -80,11 +82,19 @@ def _against(raw: np.ndarray, info: LidarInfo) -> Verdict:  # type: ignore[type-
         said, found = said_rad[returned], seen_rad[returned]
         turned = np.angle(np.exp(1j * (found - said)))
         slope = 1.0 + float(np.polyfit(said - said.mean(), turned, 1)[0]) if np.ptp(said) else 1.0
-        step = float(np.median(np.abs(np.diff(info.azimuth_rad if name == "azimuth" else info.elevation_rad))))
+        step = float(
+            np.median(np.abs(np.diff(info.azimuth_rad if name == "azimuth" else info.elevation_rad)))
+        )
         figures[f"{name}_scale"] = slope
         figures[f"{name}_offset_steps"] = float(np.median(turned)) / step
         if slope < 0.0:
-            return fail("grid", f"{name} runs the other way than the info states", "mirrored", "wrong_pattern", **figures)
+            return fail(
+                "grid",
+                f"{name} runs the other way than the info states",
+                "mirrored",
+                "wrong_pattern",
+                **figures,
+            )
     text = ", ".join(f"{name} {value:.3f}" for name, value in figures.items())
     off = any(abs(value - 1.0) > _SLOPE for name, value in figures.items() if name.endswith("scale"))
     off |= any(abs(value) > _OFFSET_STEPS for name, value in figures.items() if name.endswith("steps"))
@@ -141,7 +151,10 @@ def lens(seen: Observations) -> Verdict:
     text = f"fx {camera.fx:.2f}, fy {camera.fy:.2f}, centre ({camera.cx:.1f}, {camera.cy:.1f}) of {camera.width} x {camera.height}"
     if len(seen.cameras) > 1:
         return fail(line, f"{text}; it changed {len(seen.cameras) - 1} times", "lens_changes")
-    off = (camera.cx - (camera.width - 1) / 2.0) / camera.width, (camera.cy - (camera.height - 1) / 2.0) / camera.height
+    off = (
+        (camera.cx - (camera.width - 1) / 2.0) / camera.width,
+        (camera.cy - (camera.height - 1) / 2.0) / camera.height,
+    )
     if max(map(abs, off)) > _CENTRE_SHARE:
         return fail(line, f"{text}: the centre is far from the middle of the image", "lens_unscaled")
     return ok(line, text, fx=camera.fx, fy=camera.fy)

@@ -92,7 +92,9 @@ def drift(seen: Observations) -> Verdict:
     ages_s -= ages_s[0]
     stretch_s = max(1.0, 4.0 * seen.period_s)
     bins = (arrivals_s / stretch_s).astype(np.intp)
-    least = np.array([np.flatnonzero(bins == each)[ages_s[bins == each].argmin()] for each in np.unique(bins)])
+    least = np.array(
+        [np.flatnonzero(bins == each)[ages_s[bins == each].argmin()] for each in np.unique(bins)]
+    )
     x_s, y_s = arrivals_s[least], ages_s[least]
     if x_s[-1] - x_s[0] < _DRIFT_S or len(least) < 4:
         return unchecked(line, f"watched for {arrivals_s[-1]:.0f} s; watch for longer")
