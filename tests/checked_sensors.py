@@ -1,7 +1,7 @@
 """Sensors for the check, without a bus and without waiting: messages under virtual time.
 
-``Desk`` stands for the bus: it numbers, delays and loses messages as the bus does, and hands them to an observer.
-Two sensors are emulated here in a few lines of their own, so that the check is not judged on the facility's
+``Desk`` stands for the bus: it numbers, delays and loses messages, and hands them to an observer.
+Sensors are emulated here in a few lines of their own, so that the check is not judged on the facility's
 emulator alone.
 """
 
@@ -215,7 +215,7 @@ def watched(
 
 
 def wall_camera(
-    *faults: str, seed: int = 0, duration_s: float = 16.0, rate_hz: float = 10.0
+    *faults: str, seed: int = 0, duration_s: float = 12.0, rate_hz: float = 10.0
 ) -> list[Verdict]:
     """Return the verdicts on the camera before a wall."""
     frames = wall_frames(seed, duration_s)
@@ -226,7 +226,7 @@ def wall_camera(
     )
 
 
-def room_scanner(*faults: str, seed: int = 0, duration_s: float = 16.0) -> list[Verdict]:
+def room_scanner(*faults: str, seed: int = 0, duration_s: float = 12.0) -> list[Verdict]:
     """Return the verdicts on the scanner in a room."""
     frames = room_scans(seed, duration_s)
     return judge(

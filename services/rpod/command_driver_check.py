@@ -81,7 +81,7 @@ def _driver(options: CheckOptions) -> tuple[DriverConfig, BusConfig]:
     else:
         kind = options.kind or ("lidar" if options.name.startswith("lidar") else "pmd")
         driver = check(DriverConfig, {"kind": kind, "name": options.name}, source="rpod driver check")
-    bus = dict(driver.bus) | ({"connect": options.connect} if options.connect else {})
+    bus = driver.bus.model_dump() | ({"connect": options.connect} if options.connect else {})
     return driver, check(BusConfig, bus, source="rpod driver check")
 
 

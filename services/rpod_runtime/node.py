@@ -161,11 +161,10 @@ class Node:
 
     def publisher_qos(self) -> list[tuple[str, str]]:
         """Return topic and quality of service of each publisher on the bus, from the liveliness tokens."""
-        found = []
-        for reply in self._session.liveliness().get(publisher_tokens(self._keys), timeout=2.0):
-            if reply.ok and (topic := topic_of_token(key := str(reply.ok.key_expr), self._keys)):
-                found.append((topic.name, qos_of_token(key)))
-        return found
+        replies = self._session.liveliness().get(publisher_tokens(self._keys), timeout=2.0)
+        tokens = [str(reply.ok.key_expr) for reply in replies if reply.ok]
+        topics = ((topic_of_token(token, self._keys), token) for token in tokens)
+        return [(topic.name, qos_of_token(token)) for topic, token in topics if topic is not None]
 
     def _subscribe(
         self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool

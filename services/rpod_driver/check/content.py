@@ -1,7 +1,7 @@
 """Lines about content: what images and points hold."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -23,10 +23,12 @@ _WRAPS = 10.0
 _SATURATED_SHARE = 0.1
 """Share of the lit pixels that may be saturated: a glint, not an exposure."""
 _IMAGE_BINS, _SCAN_BINS, _LEAST_POINTS = 24, 12, 4
-"""Number of blocks along each side of an image, and of a scan; number of returns of a full block of a scan."""
+"""Number of blocks along each side of an image, and of a scan; number of returns of a full block."""
 _FLICKER_SHARE = 0.2
-"""Share of the full blocks of a frame that may be empty in the next one; a moving target uncovers its edges."""
+"""Share of the full blocks of a frame that may be empty in the next one: a moving target uncovers edges."""
 _ROWS_SHARE = 0.15
+_CUT_SHARE = 0.04
+"""Share of cut frames that is no fault yet: single lost packets, which a track does not notice."""
 _EMPTY = (Reason.NOT_FINITE, Reason.EMPTY)
 
 
@@ -189,7 +191,9 @@ def unit(seen: Observations) -> Verdict:
     if not middles:
         return unchecked(line, "no frame with a return could be read")
     middle = float(np.median(middles))
-    most_m, why = (_CAMERA_M, "no camera with a lamp sees farther") if seen.kind == "pmd" else (_LIDAR_M, "no scanner of a facility sees farther")  # fmt: skip
+    most_m, why = _LIDAR_M, "no scanner of a facility sees farther"
+    if seen.kind == "pmd":
+        most_m, why = _CAMERA_M, "no camera with a lamp sees farther"
     if isinstance(seen.info, PmdInfo) and seen.info.modulation_frequency_hz.size:
         unambiguous_m = _LIGHT_M_S / (2.0 * float(seen.info.modulation_frequency_hz.min()))
         limit_m = unambiguous_m * (_WRAPS if seen.info.modulation_frequency_hz.size > 1 else 1.0)
@@ -209,7 +213,7 @@ def partial(seen: Observations) -> Verdict:
     if len(seen.kept) < 4:
         return unchecked(line, f"{len(seen.kept)} frames could be read, 4 are needed")
     if isinstance(seen.kept[0].frame, PmdFrame):
-        cut = [_cut_share(*pair) for pair in _pairs(seen)]
+        cut: Sequence[float] = [_cut_share(*pair) for pair in _pairs(seen)]
         cut_frames = sum(share > _ROWS_SHARE for share in cut)
     else:
         organised = [kept for kept in seen.kept if kept.raw.ndim == 3]
@@ -219,8 +223,8 @@ def partial(seen: Observations) -> Verdict:
         cut = sizes
         cut_frames = sum(size < 0.95 * max(sizes) for size in sizes)
     text = f"{cut_frames} of {len(cut)} frames are cut"
-    # One cut frame among fifty is a lost packet, which a track does not notice.
-    return fail(line, text, "partial", cut_share=cut_frames / len(cut)) if cut_frames > 0.04 * len(cut) else ok(line, text)  # fmt: skip
+    share = cut_frames / len(cut)
+    return fail(line, text, "partial", cut_share=share) if share > _CUT_SHARE else ok(line, text)
 
 
 def _cut_share(before: Kept, after: Kept) -> float:
@@ -228,10 +232,11 @@ def _cut_share(before: Kept, after: Kept) -> float:
     alive, then = (_live_rows(kept) for kept in (before, after))
     if alive.shape != then.shape or not then.any():
         return 0.0
-    first, last = np.flatnonzero(then)[[0, -1]]
+    places = np.flatnonzero(then)
+    first, last = int(places[0]), int(places[-1])
     beyond = np.ones(alive.shape, bool)
     beyond[first : last + 1] = False
-    return float(np.count_nonzero(alive & beyond) / max(np.count_nonzero(alive), 1))
+    return float(np.count_nonzero(alive & beyond) / max(int(np.count_nonzero(alive)), 1))
 
 
 def _live_rows(kept: Kept) -> NDArray[np.bool_]:

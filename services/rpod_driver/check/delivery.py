@@ -15,7 +15,7 @@ LEAST_FRAMES = 8
 _MISSING_SHARE = 0.01
 """Share of missing frames that is no fault yet: one in a hundred costs a track nothing."""
 _STALL_S, _STALL_PERIODS = 0.5, 8.0
-"""Length of a gap from which on it is a stall, and in periods: an estimate is valid for 0.2 s without a frame."""
+"""Length of a gap from which on it is a stall, s, and in periods; an estimate is valid for 0.2 s alone."""
 _RATE_SHARE = 0.9
 _LOST_SHARE = 0.005
 _WAIT_S, _WAIT_PERIODS = 0.1, 2.0
@@ -120,7 +120,10 @@ def bus(seen: Observations) -> Verdict:
     rate_MB_s = sum(heard.size for heard in seen.heard) / span_s / 1e6
     wait_s = max(waits_s, default=0.0)
     share = lost / (lost + received)
-    text = f"{rate_MB_s:.2f} MB/s, {lost} of {lost + received} messages lost, 95 % wait {1e3 * wait_s:.0f} ms at most"
+    text = (
+        f"{rate_MB_s:.2f} MB/s, {lost} of {lost + received} messages lost, "
+        f"95 % wait {1e3 * wait_s:.0f} ms at most"
+    )
     figures = {"megabytes_per_s": rate_MB_s, "lost_share": share, "wait_s": wait_s}
     period_s = seen.period_s if np.isfinite(seen.period_s) else 0.0
     faults = [

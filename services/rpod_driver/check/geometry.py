@@ -1,9 +1,9 @@
-"""Lines that compare points with the target where truth says that it is: instant of the stamp, range, mount, mirror.
+"""Lines that compare points with the target where truth has it: instant of the stamp, range, mount, mirror.
 
-One fit of all kept frames gives the time by which stamps are off, a range error that all points share, and how
-far the mount is off. Points move to the nearest samples of the target's surface; the truth gives their velocity,
-and so the derivative by time. What the motion does not separate has a large standard deviation, and is not
-judged.
+One fit of all kept frames gives the time by which stamps are off, a range error that all points share, and
+how far the mount is off. Points move to the nearest samples of the target's surface; the truth gives their
+velocity, and so the derivative by time. What the motion does not separate has a large standard deviation, and
+is not judged.
 """
 
 from dataclasses import dataclass, replace
@@ -31,13 +31,13 @@ _PRIOR = np.array([0.1, 0.3, 0.2, 0.2, 0.2, 0.1, 0.1, 0.1])
 _EDGE_M = 0.05
 """Step between two pixels that is an edge, m."""
 _FACING = -0.4
-"""Cosine between ray and normal from which on a surface faces the sensor: its range error is not stretched."""
+"""Cosine between ray and normal from which on a surface faces the sensor."""
 _SIGMAS = 4.0
 _RANGE_M = 0.05
 """Greatest range error: an uncalibrated PMD camera has some centimetres (wiggling)."""
 _MOUNT_M, _MOUNT_DEG = 0.02, 1.0
-"""Greatest error of a mount across the boresight. Robots state 1.6 mm and 0.2 deg of truth; the rest is what an
-uncalibrated lens makes of the edge of an image."""
+"""Greatest error of a mount across the boresight. Robots state 1.6 mm and 0.2 deg of truth; the rest is what
+an uncalibrated lens makes of the edge of an image."""
 _MIRROR_SHARE = 0.6
 """Residual of the mirrored over that of the plain points from which on they are mirrored."""
 
@@ -157,14 +157,15 @@ def _inner(depth_m: Float32Array) -> NDArray[np.bool_]:
         valid = np.isfinite(depth_m) & (depth_m > 0.0)
         for axis in (0, 1):
             for step in (-1, 1):
-                valid &= np.abs(np.roll(depth_m, step, axis) - depth_m) < _EDGE_M
-    return valid
+                valid = valid & (np.abs(np.roll(depth_m, step, axis) - depth_m) < _EDGE_M)
+    inner: NDArray[np.bool_] = valid
+    return inner
 
 
 def _near(points_m: FloatArray, pose: RigidTransform, mount: RigidTransform, surface: Surface) -> FloatArray:
     """Return some of the points around the target."""
     in_target = chained(pose.inv(), mount).apply(points_m)
-    found = points_m[np.linalg.norm(in_target, axis=1) < surface.radius_m + _GATES_M[0]]
+    found: FloatArray = points_m[np.linalg.norm(in_target, axis=1) < surface.radius_m + _GATES_M[0]]
     random = np.random.default_rng(len(found))
     return found[random.permutation(len(found))[:_POINTS]]
 
@@ -201,7 +202,9 @@ def _unit(scores: list[tuple[FloatArray, FloatArray, FloatArray]]) -> float:
     return max(float(1.4826 * np.median(np.abs(residuals))) ** 2, 1e-8) if residuals.size else 1.0
 
 
-def _moved(sighting: Sighting, values: FloatArray, mount: RigidTransform) -> tuple[FloatArray, FloatArray, RigidTransform]:  # fmt: skip
+def _moved(
+    sighting: Sighting, values: FloatArray, mount: RigidTransform
+) -> tuple[FloatArray, FloatArray, RigidTransform]:
     """Return points in target axes, their velocity there, and T_target_sensor, for given values."""
     before, now, after = sighting.poses
     rate = chained(before.inv(), after).as_exp_coords() / 0.02
@@ -240,8 +243,7 @@ def _equations(
 
 
 def _distances(sighting: Sighting, values: FloatArray, surface: Surface, mount: RigidTransform) -> FloatArray:
-    distances: FloatArray = surface.tree.query(_moved(sighting, values, mount)[0])[0]
-    return distances
+    return np.asarray(surface.tree.query(_moved(sighting, values, mount)[0])[0])
 
 
 def _judged(seen: Observations, fit: Fitted) -> list[Verdict]:
@@ -269,7 +271,7 @@ def _instant(seen: Observations, dt_s: float, sigma_s: float) -> Verdict:
         return unchecked("instant", f"{text}; the sensor does not state its exposure", **figures)
     if _SIGMAS * sigma_s > half_s:
         return unchecked(
-            "instant", f"{text}, half the exposure is {1e3 * half_s:.2f} ms; move faster", **figures
+            "instant", f"{text}, half the exposure is {1e3 * half_s:.2f} ms: too close", **figures
         )
     if abs(dt_s) > 0.5 * half_s:
         return fail(

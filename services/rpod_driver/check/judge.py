@@ -26,7 +26,14 @@ def judge(seen: Observations) -> list[Verdict]:
         setup.qos(seen),
         setup.instant(seen),
         setup.grid(seen),
-        *([content.values(seen), content.saturation(seen), plane.depth_model(seen), setup.lens(seen)] if seen.kind == "pmd" else []),
-        *([setup.axes(seen), setup.point_times(seen)] if seen.kind == "lidar" else []),
-    ]  # fmt: skip
+    ]
+    if seen.kind == "pmd":
+        verdicts += [
+            content.values(seen),
+            content.saturation(seen),
+            plane.depth_model(seen),
+            setup.lens(seen),
+        ]
+    if seen.kind == "lidar":
+        verdicts += [setup.axes(seen), setup.point_times(seen)]
     return geometry.with_truth(seen, verdicts)

@@ -1,7 +1,7 @@
 """What came of a sensor: little of each message, and some frames as a whole.
 
-A camera sends a gigabyte in half a minute. Of each message its stamp, arrival, number and digest are kept, and
-of the frames one pair of successive ones in 0.7 s.
+A camera sends a gigabyte in half a minute. Of each message its stamp, arrival, number and digest are kept,
+and of the frames one pair of successive ones in 0.7 s.
 """
 
 from collections.abc import Iterable
@@ -216,8 +216,8 @@ class Observer:
         if len(seen.heard) < _MOST_MESSAGES:
             seen.heard.append(
                 Heard(
-                    part, stamp_ns, received.arrival_ns, attachment.stamp_ns, attachment.sequence, received.peer,
-                    len(received.payload), digest,
+                    part, stamp_ns, received.arrival_ns, attachment.stamp_ns, attachment.sequence,
+                    received.peer, len(received.payload), digest,
                 )
             )  # fmt: skip
         if part == "camera_info":
@@ -278,7 +278,7 @@ def _raw(received: Received) -> tuple[NDArray[Any], str]:
 def middle_m(raw: NDArray[Any], encoding: str) -> float:
     """Return the median distance in a leading message as it was sent, m; NaN if there is none."""
     if encoding in ("16UC1", "mono16"):
-        values = raw[raw > 0] * 1e-3
+        values: NDArray[Any] = raw[raw > 0] * 1e-3
     elif encoding:
         values = raw[np.isfinite(raw) & (raw > 0)] if raw.dtype.kind == "f" else np.zeros(0)
     else:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
 from rpod_geometry.errors import DistortionError
-from rpod_geometry.lens import ray_cosines
+from rpod_geometry.lens import ray_cosines, undistort
 from rpod_schemas.types import Camera, PmdFrame
 
 Points = NDArray[np.float64]
@@ -30,12 +30,15 @@ def depth_model(seen: Observations) -> Verdict:
     if not frames:
         return unchecked(line, "no frame with a depth image could be read")
     few = frames[:: len(frames) // _FRAMES + 1]
-    found = [(flat, curved, contrast) for frame in few if (result := _flatness(frame)) for flat, curved, contrast in [result]]  # fmt: skip
+    found = [result for frame in few if (result := _flatness(frame)) is not None]
     if 2 * len(found) < len(few) or not found:
         return unchecked(line, "no plane wide enough for its noise is in view; show it a wall")
     as_z, as_radial, contrast = np.median(np.array(found), axis=0)
     figures = {"rms_z_m": float(as_z), "rms_radial_m": float(as_radial)}
-    text = f"the plane in view is flat to {1e3 * as_z:.1f} mm as z-depth, {1e3 * as_radial:.1f} mm as radial depth"
+    text = (
+        f"the plane in view is flat to {1e3 * as_z:.1f} mm as z-depth, "
+        f"{1e3 * as_radial:.1f} mm as radial depth"
+    )
     clear = abs(as_radial**2 - as_z**2) > (0.5 * contrast) ** 2
     if not clear:
         return unchecked(line, f"{text}: no clear difference; show it a wall", **figures)
@@ -72,8 +75,6 @@ def _flatness(frame: PmdFrame) -> tuple[float, float, float] | None:
 
 def _rays(camera: Camera) -> tuple[Points, Points]:
     """Return x/z, y/z, 1 of each pixel, shape (3, height, width), and its cosine to the boresight."""
-    from rpod_geometry.lens import undistort  # noqa: PLC0415 - beside its only use
-
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     distorted = np.stack(((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy))
     x, y = undistort(distorted, camera)

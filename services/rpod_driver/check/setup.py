@@ -1,6 +1,9 @@
-"""Lines about what describes a sensor: axes, scan pattern, times of points, lens, mount, quality of service."""
+"""Lines about what describes a sensor: axes, scan pattern, times of points, lens, mount, QoS."""
+
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.verdict import Verdict, fail, note, ok, unchecked
@@ -12,15 +15,11 @@ from rpod_schemas.types import LidarInfo, LidarScan
 _FULL_TURN = 0.9
 """Length of the mean direction below which a scanner looks all around."""
 _SLOPE, _OFFSET_STEPS = 0.05, 0.5
-"""Deviation of measured from stated directions: of their spacing, and in steps; half a step is another ray."""
+"""Deviation of measured from stated directions, of the spacing and in steps; half a step is another ray."""
 _CENTRE_SHARE = 0.25
-"""Distance of the principal point from the middle, over the image's size; lenses are centred to a few percent."""
+"""Distance of the principal point from the middle, over the image's size; real ones have a few percent."""
 _TIME_SHARES = (0.05, 1.2)
 """Time between the first and the last point over the scan time; the target alone fills a part of a scan."""
-
-
-def _latest(scans: list[LidarScan]) -> LidarScan:
-    return max(scans[-10:], key=lambda scan: len(scan.returns_m))
 
 
 def _scans(seen: Observations) -> list[LidarScan]:
@@ -72,7 +71,7 @@ def grid(seen: Observations) -> Verdict:
     return _against(raw, info)
 
 
-def _against(raw: np.ndarray, info: LidarInfo) -> Verdict:  # type: ignore[type-arg]
+def _against(raw: NDArray[Any], info: LidarInfo) -> Verdict:
     azimuth, elevation, returned = angles_of(raw)
     figures = {}
     for name, seen_rad, said_rad in (
@@ -148,7 +147,10 @@ def lens(seen: Observations) -> Verdict:
     if seen.kind != "pmd" or not seen.cameras:
         return unchecked(line, "no camera_info came")
     camera = seen.cameras[0]
-    text = f"fx {camera.fx:.2f}, fy {camera.fy:.2f}, centre ({camera.cx:.1f}, {camera.cy:.1f}) of {camera.width} x {camera.height}"
+    text = (
+        f"fx {camera.fx:.2f}, fy {camera.fy:.2f}, centre ({camera.cx:.1f}, {camera.cy:.1f}) "
+        f"of {camera.width} x {camera.height}"
+    )
     if len(seen.cameras) > 1:
         return fail(line, f"{text}; it changed {len(seen.cameras) - 1} times", "lens_changes")
     off = (
