@@ -360,8 +360,9 @@ class SensorSync(Model):
     """Source of the trigger of each frame."""
     trigger_missed: Annotated[int, Field(ge=0)] | None = None
     """Number of triggers without a frame."""
-    stamp_source: Literal["device", "host"] | None = None
-    """Clock that stamps the frames: the device's own, or this host's at the arrival of the frame."""
+    stamp_source: Literal["device", "mapped", "host"] | None = None
+    """Clock that stamps the frames: the device's own, this clock mapped to the host's by the least delay, or
+    the host's at the arrival of the frame."""
 
     def values(self, sensor: str) -> dict[str, str]:
         """Return what is known as values of diagnostics (ICD section 2)."""
