@@ -4,6 +4,7 @@ Messages are rosbags' dataclasses for the ROS 2 types and the project's own. Dec
 ``memoryview`` leaves image and point data as read-only views of it.
 """
 
+import re
 import struct
 from functools import cache
 from importlib import resources
@@ -19,6 +20,10 @@ _STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 _SEPARATOR = f"{'=' * 80}\n"
 """Line between the definitions of a type and of the types that it needs."""
 NANOSECONDS = 1_000_000_000
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
+"""A type's name. rosbags makes a class of a definition by running code that contains the name."""
+MOST_DEFINITION_BYTES = 1 << 20
+"""Longest definition that is learnt; the longest of the common ROS 2 types has some 10 kB."""
 
 
 @cache
@@ -54,14 +59,18 @@ def is_known(type_name: str) -> bool:
 
 
 def learn(type_name: str, text: str | bytes) -> None:
-    """Register a type by its ``ros2msg`` definition; a type that is already known is not changed."""
-    if is_known(type_name):
+    """Register a type by its ``ros2msg`` definition; a type that is already known is not changed.
+
+    A definition that is none is not registered: its messages stay bytes, and decoding them is an error.
+    """
+    if is_known(type_name) or len(text) > MOST_DEFINITION_BYTES:
         return
     try:
         found = get_types_from_msg(text if isinstance(text, str) else text.decode(), type_name)
-        typestore().register({name: fields for name, fields in found.items() if not is_known(name)})
-    except (UnicodeDecodeError, TypesysError):
-        return  # its messages stay bytes; decoding them is an error
+        if all(_TYPE_NAME.fullmatch(name) for name in found):
+            typestore().register({name: fields for name, fields in found.items() if not is_known(name)})
+    except (UnicodeDecodeError, TypesysError, SyntaxError, ValueError, RecursionError):
+        return
 
 
 @cache

@@ -102,8 +102,8 @@ class SettingsReply(Config):
 class LogRequest(Config):
     """Start, stop or split a log."""
 
-    name: str | None = Field(default=None, pattern=r"^[A-Za-z0-9._-]+$")
-    """Stem of the file's name."""
+    name: str | None = Field(default=None, pattern=r"^[A-Za-z0-9._-]+$", max_length=200)
+    """Stem of the file's name; file systems take names of 255 bytes, with the number and the suffix."""
 
 
 class LogReply(Config):

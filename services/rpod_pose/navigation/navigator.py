@@ -12,39 +12,36 @@ of a log and a Monte-Carlo campaign run the same function.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from math import degrees, radians
+from math import radians
 from typing import overload
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.belief import SYMMETRY, Record
+from rpod_pose.belief import Record
 from rpod_pose.measurement import Measurement, Tick
-from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, start, to_odometry
+from rpod_pose.navigation.challenger import Outcome, challenge
+from rpod_pose.navigation.filter import ATTITUDE, FilterState, start
+from rpod_pose.navigation.frames import as_measured, as_of_stamp
 from rpod_pose.navigation.history import History, PoseMeasurement, apply
 from rpod_pose.navigation.joints import JointTrack, tracked_joints
-from rpod_pose.navigation.rivals import Rival, Rivals, distinct
-from rpod_pose.navigation.state import Challenger, GivenPose, NavigatorState, Output, RefusedPixels
-from rpod_pose.ports import Acquisition, Angle, Deskew, Methods, Registration
+from rpod_pose.navigation.parallel import ParallelTracks
+from rpod_pose.navigation.results import Results
+from rpod_pose.navigation.rivals import Rivals
+from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
+from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.poses import chained, make_pose, pose_error, rotation_matrix
-from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
-from rpod_schemas.types import EstimatorStatus, Hypothesis, Joints, Mode, SensorFrame, Source
+from rpod_schemas.poses import chained
+from rpod_schemas.topics import CHASER
+from rpod_schemas.types import EstimatorStatus, Mode
 from rpod_target import NO_SYMMETRY, Equivalence, Joint
 
 LATE = "late: older than the filter's history"
 """Reason for which a measurement is not used."""
 BEGINNING = 0.5
 """Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
-EXPLAINED_DEG, EXPLAINED_M = 20.0, 0.5
-"""Greatest turn and way from a prediction to a pose that an accelerated target explains: 60 deg/s2 and 3 m/s2
-turn it by 7 deg and move it by 0.4 m in half a second, and attitudes that are mistaken for each other are
-farther apart."""
-CONTESTED_S = 0.2
-"""Time of believed poses that agree on another attitude after which a track is lost."""
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.26
 """Standard deviations of a given first pose without a given covariance."""
 
@@ -72,13 +69,22 @@ class Navigator:
     ) -> None:
         self._settings = settings
         self._alike = alike
-        self._turns = [make_pose(rotation=Rotation.from_matrix(turn)) for turn in alike.turns[1:]]
-        self._start_filter = partial(
-            start, config=settings.filter, centre_of_mass_m=centre_of_mass_m, alike=alike
-        )
+        self._centre_of_mass_m = centre_of_mass_m
+        self._output = Results(settings.filter, alike).output
+        self._parallel = ParallelTracks(self._start_filter, settings.filter, alike)
         self._limits = settings.navigator
         self._methods = methods
         self._joints = {joint.name: joint for joint in joints}
+
+    def _start_filter(self, measured: PoseMeasurement) -> FilterState:
+        return start(
+            measured.T_chaser_target,
+            measured.covariance,
+            measured.stamp_ns,
+            config=self._settings.filter,
+            centre_of_mass_m=self._centre_of_mass_m,
+            alike=self._alike,
+        )
 
     def start(
         self,
@@ -129,7 +135,7 @@ class Navigator:
         if found.begins_track:
             return self._begin(state, event, found.registration)
         if self._methods[event.sensor].likelihoods is not None:
-            tracks = distinct(self._started(event, found), self._alike)
+            tracks = self._parallel.started(event, found)
             if 1 < len(tracks) <= self._limits.tuning.most_rivals:
                 rivals = Rivals(tracks, event.stamp_ns, event.stamp_ns, found.belief.needed_weight)
                 state = replace(state, rivals=rivals)
@@ -138,33 +144,17 @@ class Navigator:
     def _begin(
         self, state: NavigatorState, event: Measurement, registration: Registration
     ) -> tuple[NavigatorState, Output]:
-        pose, covariance = in_chaser(registration, event.T_chaser_sensor)
         unverified = self._limits.confirmations > 0 or not self._is_credible(state, event)
         state = replace(
             state,
             mode=Mode.VERIFYING if unverified else Mode.TRACKING,
-            history=History(self._start_filter(pose, covariance, event.stamp_ns)),
+            history=History(self._start_filter(as_measured(registration, event))),
             accepted_ns=event.stamp_ns,
             rejections=0,
             confirmations=0,
             joints=self._tracked_joints(state, event, registration),
         )
         return state, self._output(state, event, registration)
-
-    def _started(self, event: Measurement, found: Acquisition) -> list[Rival]:
-        """Return a rival for each pose that explains a frame; empty if none does."""
-        if found.pose is None:
-            return []
-        _, covariance = in_chaser(found.registration, event.T_chaser_sensor)
-        return [
-            Rival(
-                History(
-                    self._start_filter(chained(event.T_chaser_sensor, each.pose), covariance, event.stamp_ns)
-                ),
-                each.log_likelihood,
-            )
-            for each in found.hypotheses
-        ]
 
     # --- rivals ---
 
@@ -175,61 +165,21 @@ class Navigator:
         if rivals.tracks[0].history.before(event.stamp_ns, self._settings.filter) is None:
             return state, self._output(state, event, reason=LATE)
         apart_s = (event.stamp_ns - rivals.since_ns) / NANOSECONDS
-        left = self._tracked(rivals, event)
-        if not left or apart_s > self._limits.tuning.rivals_s:
+        methods = self._methods[event.sensor]
+        tracked = self._parallel.continued(rivals, event, methods)
+        if tracked is None or apart_s > self._limits.tuning.rivals_s:
             return self._acquire(replace(state, rivals=None), event)
-        tracks = distinct([rival for rival, _ in left], self._alike)
-        registration = next(seen for rival, seen in left if rival is tracks[0])
-        rivals = rivals._replace(
-            tracks=tracks,
-            newest_ns=max(rivals.newest_ns, event.stamp_ns),
-            frames=rivals.frames + 1,
-        )
-        if rivals.decided and registration.begins_track and self._is_confident(tracks[0].state):
-            others = self._searched_again(rivals, event)
-            rivals = rivals.joined_by(others, self._alike)
-            if others and rivals.decided:
+        rivals, registration = tracked
+        if rivals.decided and registration.begins_track and self._is_confident(rivals.tracks[0].state):
+            again = self._parallel.searched_again(rivals, event, methods)
+            rivals = again or rivals
+            if again and rivals.decided:
                 return self._begin_remaining(state, rivals, event, registration)
         if len(rivals.tracks) > self._limits.tuning.most_rivals:
             state = replace(state, rivals=None)
         else:
             state = replace(state, rivals=rivals)
         return state, self._output(state, event, registration, reason=rivals.reason(self._alike))
-
-    def _tracked(self, rivals: Rivals, event: Measurement) -> list[tuple[Rival, Registration]]:
-        """Return the rivals that explain a frame, each with its registration."""
-        methods, config = self._methods[event.sensor], self._settings.filter
-        left, frames, poses = [], [], []
-        for rival in rivals.tracks:
-            predicted = rival.history.at(event.stamp_ns, config)
-            if predicted is None:
-                continue
-            frame = as_of_stamp(event, predicted, methods.deskew)
-            prediction = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
-            registration = methods.tracker.track(frame, prediction)
-            if registration.T_sensor_target is None or not registration.continues_track:
-                continue
-            measured = PoseMeasurement(event.stamp_ns, *in_chaser(registration, event.T_chaser_sensor))
-            applied = apply(rival.history, measured, config, predicted)
-            if applied.accepted:
-                left.append((replace(rival, history=applied.history), registration))
-                frames.append(frame)
-                poses.append(registration.T_sensor_target)
-        share = rivals.share_of_frame(event.stamp_ns, config.correlation_inflation)
-        logs = share * _likelihoods(methods, frames, poses)
-        return [
-            (replace(rival, log_evidence=rival.log_evidence + log), registration)
-            for (rival, registration), log in zip(left, logs.tolist(), strict=True)
-        ]
-
-    def _searched_again(self, rivals: Rivals, event: Measurement) -> list[Rival]:
-        """Return what a search finds in the frame that decides; empty if it finds nothing.
-
-        The first search may have missed the right pose, or its track may have been lost since.
-        """
-        methods = self._methods[event.sensor]
-        data = as_of_stamp(event, rivals.tracks[0].state, methods.deskew)
-        return self._started(event, methods.acquirer.acquire(data))
 
     def _begin_remaining(
         self, state: NavigatorState, rivals: Rivals, event: Measurement, registration: Registration
@@ -268,7 +218,9 @@ class Navigator:
             state,
             mode=Mode.VERIFYING,
             given=None,
-            history=History(self._start_filter(given.T_chaser_target, given.covariance, stamp_ns)),
+            history=History(
+                self._start_filter(PoseMeasurement(stamp_ns, given.T_chaser_target, given.covariance))
+            ),
             accepted_ns=stamp_ns,
             confirmations=self._limits.confirmations - 1,
         )
@@ -290,17 +242,15 @@ class Navigator:
             return self._reject(state, event, registration, reason=f"{share}: {reason}" if reason else share)
         if reason:
             return self._reject(state, event, registration, reason=reason)
-        pose, covariance = in_chaser(registration, event.T_chaser_sensor)
-        measured = PoseMeasurement(event.stamp_ns, pose, covariance)
+        measured = as_measured(registration, event)
         grown, nis, accepted = apply(history, measured, self._settings.filter, predicted)
         if not accepted:
-            state = replace(
-                state, history=grown
-            )  # a measurement that comes later may make this one consistent
+            # A measurement that comes later may make this one consistent.
+            state = replace(state, history=grown)
             if state.mode == Mode.TRACKING and registration.begins_track:
-                state, taken = self._challenge(state, predicted, measured)
-                if taken or state.mode == Mode.LOST:
-                    reason = "" if taken else "believed poses agree on another attitude than the tracked one"
+                state, outcome = self._challenged(state, predicted, measured)
+                if outcome != Outcome.OPEN:
+                    reason = outcome.value if outcome == Outcome.LOST else ""
                     return state, self._output(state, event, registration, reason=reason, nis=nis)
             return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
         confirmations = state.confirmations + 1
@@ -318,35 +268,25 @@ class Navigator:
         )
         return state, self._output(state, event, registration, nis=nis)
 
-    def _challenge(
+    def _challenged(
         self, state: NavigatorState, predicted: FilterState, measured: PoseMeasurement
-    ) -> tuple[NavigatorState, bool]:
-        """Return the state after a believed pose that the gate refused, and whether the track goes on at it.
-
-        Two such poses in succession that agree with each other are evidence against the prediction, whose
-        target has been accelerated: the track goes on at the second. If they lie so far off that no
-        acceleration explains it, either of both may be wrong, and the track is lost after a while.
-        """
-        filtered, stamp_ns = self._settings.filter, measured.stamp_ns
-        challenger = state.challenger
-        applied = None if challenger is None else apply(challenger.history, measured, filtered)
-        if challenger is None or applied is None or not applied.accepted:
-            started = self._start_filter(measured.T_chaser_target, measured.covariance, stamp_ns)
-            moving = replace(started, velocity_m_s=predicted.velocity_m_s, rate_rad_s=predicted.rate_rad_s)
-            challenger = Challenger(History(moving), stamp_ns)
-            return replace(state, challenger=challenger), False
-        turn_rad, shift_m = (
-            float(np.linalg.norm(part))
-            for part in pose_error(predicted.T_chaser_target, measured.T_chaser_target)
+    ) -> tuple[NavigatorState, Outcome]:
+        """Return the state after a believed pose that the gate refused, and what becomes of the track."""
+        challenger, outcome = challenge(
+            state.challenger,
+            predicted=predicted,
+            measured=measured,
+            started=self._start_filter(measured),
+            config=self._settings.filter,
         )
-        state = replace(state, challenger=replace(challenger, history=applied.history))
-        if turn_rad <= radians(EXPLAINED_DEG) and shift_m <= EXPLAINED_M:
-            return replace(
-                state, history=applied.history, accepted_ns=stamp_ns, rejections=0, challenger=None
-            ), True
-        if (stamp_ns - challenger.since_ns) / NANOSECONDS >= CONTESTED_S:
-            state = replace(state, mode=Mode.LOST, lost_ns=stamp_ns, challenger=None)
-        return state, False
+        if outcome == Outcome.OPEN:
+            return replace(state, challenger=challenger), outcome
+        state = replace(state, challenger=None)
+        if outcome == Outcome.LOST:
+            return replace(state, mode=Mode.LOST, lost_ns=measured.stamp_ns), outcome
+        return replace(
+            state, history=challenger.history, accepted_ns=measured.stamp_ns, rejections=0
+        ), outcome
 
     def _register(
         self, state: NavigatorState, event: Measurement, predicted: FilterState, *, tracked: bool
@@ -424,126 +364,3 @@ class Navigator:
             reason=f"no measurement for {silent_s:.1f} s",
         )
         return state, Output(status, None)
-
-    # --- results ---
-
-    def _output(
-        self,
-        state: NavigatorState,
-        event: Measurement,
-        registration: Registration | None = None,
-        *,
-        reason: str = "",
-        nis: float = float("nan"),
-        found: Acquisition | None = None,
-    ) -> Output:
-        measured = registration or Registration(Source.NONE)
-        hypotheses = self._hypotheses(state, event, found)
-        status = EstimatorStatus(
-            stamp_ns=event.stamp_ns,
-            frame_id=CHASER,
-            mode=state.mode,
-            source=measured.source,
-            sensor=event.sensor,
-            accepted=not reason,
-            reason=reason,
-            cost_m2=measured.cost_m2,
-            nis=nis,
-            inliers=measured.inliers,
-            inlier_share=measured.inlier_share,
-            ambiguous=len(hypotheses) > 1,
-            hypotheses=hypotheses,
-            belief=measured.belief.level,
-            evidence={
-                **measured.belief.evidence,
-                **(state.rivals.evidence if state.rivals else {}),
-                **_sigmas_deg(measured.angles),
-            },
-        )
-        marks = measured.belief.marks if reason else None
-        refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
-        if state.mode != Mode.TRACKING or state.history is None:
-            return Output(status, None, refused)
-        newest = state.history.state
-        stamp_ns = max(event.stamp_ns, newest.stamp_ns, state.shown_ns)
-        shown = predict(newest, stamp_ns, self._settings.filter)
-        odometry = to_odometry(shown, frame_id=CHASER, child_frame_id=TARGET_ESTIMATE)
-        return Output(status, odometry, refused, _joints_at(state.joints, stamp_ns))
-
-    def _hypotheses(
-        self, state: NavigatorState, event: Measurement, found: Acquisition | None
-    ) -> tuple[Hypothesis, ...]:
-        """Return the T_chaser_target that explain the frame: as acquired, or by exact symmetries."""
-        if found is not None:
-            return tuple(
-                item.model_copy(update={"pose": event.T_chaser_sensor * item.pose})
-                for item in found.hypotheses
-            )
-        if state.rivals is not None:
-            return state.rivals.hypotheses(self._alike)
-        if not self._turns or state.history is None:
-            return ()
-        pose = state.history.state.T_chaser_target
-        poses = (pose, *(pose * turn for turn in self._turns))
-        names = ("", *[SYMMETRY] * len(self._turns))
-        return tuple(
-            Hypothesis(pose=pose, weight=1.0 / len(poses), name=name, log_likelihood=0.0)
-            for pose, name in zip(poses, names, strict=True)
-        )
-
-
-def _sigmas_deg(angles: Mapping[str, Angle]) -> dict[str, float]:
-    return {f"joint_{name}_sigma_deg": degrees(angle.sigma_rad) for name, angle in angles.items()}
-
-
-def _joints_at(tracks: Mapping[str, JointTrack], stamp_ns: int) -> Joints | None:
-    """Return the angles at a time; None for a target without joints."""
-    if not tracks:
-        return None
-    there = {name: track.at(stamp_ns) for name, track in tracks.items()}
-    return Joints(
-        stamp_ns=stamp_ns,
-        angle_rad={name: track.angle.angle_rad for name, track in there.items()},
-        rate_rad_s={name: float(track.state[1]) for name, track in there.items()},
-    )
-
-
-def as_of_stamp(measurement: Measurement, predicted: FilterState, deskew: Deskew | None) -> SensorFrame:
-    """Return the frame as of its stamp: de-skewed with the predicted twist if the sensor kind needs it.
-
-    Before the second frame the predicted twist is zero, and the frame stays as it is.
-    """
-    if deskew is None:
-        return measurement.data
-    T_sensor_chaser = measurement.T_chaser_sensor.inv()
-    R_sensor_chaser = rotation_matrix(T_sensor_chaser)
-    deskewed: SensorFrame = deskew(
-        measurement.data,
-        chained(T_sensor_chaser, predicted.T_chaser_target),
-        velocity_m_s=R_sensor_chaser @ predicted.velocity_m_s,
-        rate_rad_s=R_sensor_chaser @ predicted.rate_rad_s,
-    )
-    return deskewed
-
-
-def _likelihoods(
-    methods: Methods, frames: Sequence[SensorFrame], poses: Sequence[RigidTransform]
-) -> FloatArray:
-    """Return the log likelihoods of poses, shape (N,), each in its own de-skewed frame; 0 if unknown."""
-    likelihoods = methods.likelihoods
-    if likelihoods is None or not frames:
-        return np.zeros(len(poses))
-    if methods.deskew is None:  # all frames are the same
-        return likelihoods(frames[0], poses)
-    return np.array([likelihoods(frame, [pose])[0] for frame, pose in zip(frames, poses, strict=True)])
-
-
-def in_chaser(
-    registration: Registration, T_chaser_sensor: RigidTransform
-) -> tuple[RigidTransform, FloatArray]:
-    """Return pose and covariance of a registration in the chaser's axes (ICD section 1)."""
-    assert registration.T_sensor_target is not None  # noqa: S101 - guaranteed by the caller
-    R = rotation_matrix(T_chaser_sensor)
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = R
-    return chained(T_chaser_sensor, registration.T_sensor_target), turn @ registration.covariance @ turn.T

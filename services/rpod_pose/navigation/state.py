@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import PixelMarks, Record
+from rpod_pose.navigation.challenger import Challenger
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
@@ -20,15 +21,6 @@ class GivenPose:
     T_chaser_target: RigidTransform
     covariance: FloatArray
     stamp_ns: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Challenger:
-    """A track of poses that were believed but refused by the gate, and that agree with each other."""
-
-    history: History
-    since_ns: int
-    """Stamp of the first of them."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_pose.lidar.deskew import deskewed
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import FilterState
-from rpod_pose.navigation.navigator import as_of_stamp
+from rpod_pose.navigation.frames import as_of_stamp
 from rpod_schemas.config.lidar import LidarConfig, LidarDetectionConfig, LidarNoiseConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan

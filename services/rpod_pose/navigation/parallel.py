@@ -1,0 +1,110 @@
+"""The tracks of rivals, frame by frame, by the methods of the frame's sensor."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.measurement import Measurement
+from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.frames import as_measured, as_of_stamp
+from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.rivals import Rival, Rivals, distinct
+from rpod_pose.ports import Acquisition, Methods, Registration
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.poses import chained
+from rpod_schemas.types import SensorFrame
+from rpod_target import Equivalence
+
+
+class Tracked(NamedTuple):
+    """Rivals after a frame, and what the tracker found at the best of them."""
+
+    rivals: Rivals
+    registration: Registration
+
+
+class ParallelTracks:
+    """Starts and continues the tracks of rivals.
+
+    Args:
+        start: starts a filter at a measured pose.
+        config: configuration of the filter.
+        alike: which attitudes no measurement tells apart.
+    """
+
+    def __init__(
+        self, start: Callable[[PoseMeasurement], FilterState], config: FilterConfig, alike: Equivalence
+    ) -> None:
+        self._start = start
+        self._config = config
+        self._alike = alike
+
+    def started(self, event: Measurement, found: Acquisition) -> tuple[Rival, ...]:
+        """Return a rival for each pose that explains a frame, best first; empty if none does."""
+        if found.pose is None:
+            return ()
+        measured = as_measured(found.registration, event)
+        rivals = []
+        for each in found.hypotheses:
+            pose = chained(event.T_chaser_sensor, each.pose)
+            filtered = self._start(replace(measured, T_chaser_target=pose))
+            rivals.append(Rival(History(filtered), each.log_likelihood))
+        return distinct(rivals, self._alike)
+
+    def continued(self, rivals: Rivals, event: Measurement, methods: Methods) -> Tracked | None:
+        """Return the rivals that explain a frame as well; None if none does."""
+        left, seen = [], []
+        for rival in rivals.tracks:
+            predicted = rival.history.at(event.stamp_ns, self._config)
+            if predicted is None:
+                continue
+            frame = as_of_stamp(event, predicted, methods.deskew)
+            prediction = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
+            registration = methods.tracker.track(frame, prediction)
+            if registration.T_sensor_target is None or not registration.continues_track:
+                continue
+            applied = apply(rival.history, as_measured(registration, event), self._config, predicted)
+            if applied.accepted:
+                left.append(replace(rival, history=applied.history))
+                seen.append((frame, registration.T_sensor_target, registration))
+        if not left:
+            return None
+        share = rivals.share_of_frame(event.stamp_ns, self._config.correlation_inflation)
+        logs = share * _likelihoods(methods, [frame for frame, _, _ in seen], [pose for _, pose, _ in seen])
+        weighed = [
+            replace(rival, log_evidence=rival.log_evidence + log)
+            for rival, log in zip(left, logs.tolist(), strict=True)
+        ]
+        tracks = distinct(weighed, self._alike)
+        of_best = next(i for i, rival in enumerate(weighed) if rival is tracks[0])
+        return Tracked(
+            rivals._replace(
+                tracks=tracks, newest_ns=max(rivals.newest_ns, event.stamp_ns), frames=rivals.frames + 1
+            ),
+            seen[of_best][2],
+        )
+
+    def searched_again(self, rivals: Rivals, event: Measurement, methods: Methods) -> Rivals | None:
+        """Return the rivals with those that a search finds in a frame; None if it finds no pose.
+
+        The first search may have missed the right pose, or its track may have been lost since.
+        """
+        data = as_of_stamp(event, rivals.tracks[0].state, methods.deskew)
+        found = self.started(event, methods.acquirer.acquire(data))
+        return rivals.joined_by(found, self._alike) if found else None
+
+
+def _likelihoods(
+    methods: Methods, frames: Sequence[SensorFrame], poses: Sequence[RigidTransform]
+) -> FloatArray:
+    """Return the log likelihoods of poses, shape (N,), each in its own de-skewed frame; 0 if unknown."""
+    likelihoods = methods.likelihoods
+    if likelihoods is None:
+        return np.zeros(len(poses))
+    if methods.deskew is None:  # all frames are the same
+        return likelihoods(frames[0], poses)
+    return np.array([likelihoods(frame, [pose])[0] for frame, pose in zip(frames, poses, strict=True)])
