@@ -76,7 +76,7 @@ class Commands:
 
     def _adjustable(self) -> Adjustable:
         if not isinstance(self._driver, Adjustable):
-            raise NotSupportedError(self._name, "settings")
+            raise NotSupportedError(self._name, "settings", "settings and apply")
         return self._driver
 
     def _change(self, request: SettingsRequest) -> SettingsReply:
@@ -88,7 +88,7 @@ class Commands:
 
     def _trigger(self) -> Accepted:
         if not isinstance(self._driver, Triggered):
-            raise NotSupportedError(self._name, "trigger")
+            raise NotSupportedError(self._name, "trigger", "trigger")
         self._driver.trigger()
         self._triggers_s.append(time.monotonic())
         return Accepted()

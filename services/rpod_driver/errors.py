@@ -26,8 +26,7 @@ class WrongKindError(DriverError):
 class NotSupportedError(DriverError):
     """A driver is asked for what it does not have."""
 
-    def __init__(self, sensor: str, what: str) -> None:
-        methods = {"settings": "settings and apply", "trigger": "trigger"}[what]
+    def __init__(self, sensor: str, what: str, methods: str) -> None:
         super().__init__(f"the driver of {sensor!r} has no {what}: it needs the methods {methods}")
 
 
