@@ -1,14 +1,20 @@
 """Faults of emulated sensors: when they hold, and what a sensor's publisher makes of its messages."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from rpod.facility import configure
+from rpod.scenarios import find
 from rpod_emulator.faults import Faults, FaultyNode
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.control import FaultRequest
 from rpod_schemas.errors import ConfigurationError, SchemaError
 from rpod_schemas.faults import FAULTS, PlannedFault
@@ -177,3 +183,14 @@ def test_a_second_publisher_has_an_identity_of_its_own():
     camera.frame(1.0)
     depth = [number for name, _, number in camera.node.messages if name == "pmd/depth/image_raw"]
     assert len(set(depth)) == 2
+
+
+def test_the_faults_of_a_scenario_reach_its_emulator():
+    document = dict(find("mockup-tumbling"))
+    scenario = Scenario.model_validate(document | {"faults": [{"fault": "glints", "start_s": 2.0}]})
+    facility = configure(scenario, directory=Path("runs"), speed="1")
+    assert facility.services["emulator"].faults == (PlannedFault(fault="glints", start_s=2.0),)
+    with pytest.raises(ValidationError, match="no sensor 'front' is emulated"):
+        Scenario.model_validate(document | {"faults": [{"fault": "glints", "sensor": "front"}]})
+    with pytest.raises(ValidationError, match="no fault 'gremlins'; known are silence"):
+        Scenario.model_validate(document | {"faults": [{"fault": "gremlins"}]})
