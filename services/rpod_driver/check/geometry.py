@@ -144,7 +144,7 @@ def points_of(frame: SensorFrame) -> FloatArray:
     rows, columns = np.nonzero(_inner(frame.depth_m))
     distorted = np.stack(((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy))
     try:
-        x, y = undistort(distorted, camera)
+        x, y = undistort(distorted.astype(np.float64), camera)
     except DistortionError:
         return np.zeros((0, 3))
     depth_m = frame.depth_m[rows, columns].astype(np.float64)

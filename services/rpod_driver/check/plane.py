@@ -77,7 +77,7 @@ def _rays(camera: Camera) -> tuple[Points, Points]:
     """Return x/z, y/z, 1 of each pixel, shape (3, height, width), and its cosine to the boresight."""
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     distorted = np.stack(((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy))
-    x, y = undistort(distorted, camera)
+    x, y = undistort(distorted.astype(np.float64), camera)
     return np.stack((x, y, np.ones_like(x))), ray_cosines(camera)
 
 

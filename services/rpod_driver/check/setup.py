@@ -167,7 +167,7 @@ def mount(seen: Observations) -> Verdict:
     line = "mount"
     if not seen.frame_ids:
         return unchecked(line, "no frame could be read")
-    extrinsics = seen.extrinsics()
+    extrinsics, places = seen.extrinsics(), []
     for frame_id in sorted(seen.frame_ids):
         if rivals := extrinsics.rivals(frame_id):
             return fail(line, f"{rivals[0]} and {rivals[1]} give {frame_id!r} another place", "second_mount")
@@ -175,8 +175,9 @@ def mount(seen: Observations) -> Verdict:
             pose = extrinsics.mount(seen.name, frame_id)
         except ExtrinsicsError as error:
             return fail(line, str(error), "no_mount")
-    x_m, y_m, z_m = pose.translation
-    return ok(line, f"{frame_id!r} is at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m of the chaser")
+        x_m, y_m, z_m = pose.translation
+        places.append(f"{frame_id!r} is at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m of the chaser")
+    return ok(line, ", ".join(places))
 
 
 def qos(seen: Observations) -> Verdict:
