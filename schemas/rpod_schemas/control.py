@@ -56,8 +56,9 @@ class StatusReply(Config):
 class StartRequest(Config):
     """Begin a scenario whose time counts from an epoch."""
 
-    epoch_ns: Stamp = Field(gt=0)
-    """Epoch of the scenario, ns of UTC since the Unix epoch."""
+    epoch_ns: Stamp | None = Field(default=None, gt=0)
+    """Epoch of the scenario, ns of UTC since the Unix epoch. By default motion takes its configured one, or
+    one as soon as possible, and the emulator the stamp of the next truth."""
     duration_s: Positive | None = None
     """Duration of the scenario; in lockstep no frame has a stamp after its end."""
 
