@@ -52,5 +52,5 @@ class StraightPublisher:
         now_ns = time.time_ns()
         attachment = Attachment(self._sequence, now_ns, self._topic.name.encode()[-16:].rjust(16))
         payload = memoryview(bytes(encode(message)))
-        self._observer.take_tokens([(self._topic.name, self._topic.qos)])
+        self._observer.take_tokens([(self._topic.name, self._topic.offered.token())])
         self._observer.take(Received(self._topic, "", payload, attachment, now_ns, session="driver"))
