@@ -79,7 +79,12 @@ ROLES: dict[str, Role] = {
         reads=(TRUTH, SUN, CLOCK),
         serves=("start", "fault"),
     ),
-    "driver": Role("publishes one sensor, or several", sends_as=("sensor",), reads=(CLOCK,)),
+    "driver": Role(
+        "publishes one sensor, or several",
+        sends_as=("sensor",),
+        reads=(CLOCK,),
+        serves=("settings", "trigger"),
+    ),
     "estimator": Role(
         "estimates poses; it reads nothing of the truth",
         sends_as=("estimator",),

@@ -9,6 +9,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from rpod_schemas.config.base import Config, Name, Positive
+from rpod_schemas.config.mount_calibration import Mount
 from rpod_schemas.config.source import Source, SourceConfig
 from rpod_schemas.errors import SchemaError
 from rpod_schemas.poses import Pose, make_pose
@@ -54,8 +55,8 @@ class SensorInput(Kinded):
 
     name: Name
     """Name of the sensor: the first part of its topics."""
-    T_chaser_sensor: Pose | None = None
-    """Mount of the sensor, if tf_static does not give it."""
+    T_chaser_sensor: Mount | None = None
+    """Mount of the sensor, if tf_static does not give it, or the file of ``rpod calibrate mount``."""
     source: Source = SourceConfig()
     """How the driver publishes, if it does not keep to the ICD: a file of ``deploy/sensors`` or of your own,
     ``preset: FILE`` with changes to it, or all of it inline."""

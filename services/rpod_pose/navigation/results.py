@@ -79,7 +79,8 @@ class Results:
         refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
         odometry = self._odometry(state, event.stamp_ns)
         joints = _joints_at(state.joints, odometry.stamp_ns) if odometry else None
-        return Output(status, odometry, refused, joints)
+        used = registration if odometry and not reason else None
+        return Output(status, odometry, refused, joints, measured=used)
 
     def _odometry(self, state: NavigatorState, stamp_ns: int) -> Odometry | None:
         """Return the estimate at a frame's stamp, or later where a later one was published already."""
