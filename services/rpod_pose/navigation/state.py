@@ -8,8 +8,10 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.challenger import Challenger
 from rpod_pose.navigation.history import History
+from rpod_pose.navigation.joining import Separation
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
+from rpod_pose.navigation.streams import Stream
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import EstimatorStatus, Joints, Mode, Odometry
 
@@ -33,6 +35,12 @@ class NavigatorState:
     given: GivenPose | None = None
     rivals: Rivals | None = None
     """Rivals of an ambiguous first pose while they are tracked in parallel."""
+    streams: Mapping[str, Stream] = field(default_factory=dict)
+    """Each sensor's frames, by its name."""
+    established: frozenset[str] = frozenset()
+    """Sensors that carry the track; empty while a given pose is not verified."""
+    separation: Separation | None = None
+    """The filters with and without sensors that are not established, where there are such."""
     heard_ns: int = 0
     """Newest stamp of a measurement, accepted or not."""
     accepted_ns: int = 0

@@ -1,0 +1,77 @@
+"""A sensor joins the track of others: with and without it, two filters are kept (solution separation).
+
+The sensors that began the track, or that have carried it alone since, are established. The frames of another
+sensor, a newcomer, update a filter beside the published one. The newcomer joins when the next frame of an
+established sensor agrees with both filters. If such a frame later agrees only with the filter without the
+newcomer, the newcomer is put out again. Where no established sensor delivers any more, the newcomer becomes
+established. Source of the idea: R. G. Brown and P. W. McBurney, Self-contained GPS integrity check using
+maximum solution separation, Navigation 35 (1988).
+"""
+
+from collections.abc import Set
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import NamedTuple
+
+from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_schemas.config.filter import FilterConfig
+
+PROBATION = "offered: the sensor joins the track when the next frame of {} agrees"
+"""Reason for which a newcomer's pose is not used yet."""
+
+
+@dataclass(frozen=True, eq=False)
+class Separation:
+    """The filters with and without the newcomers."""
+
+    without: History
+    """Filter of the established sensors alone."""
+    including: History
+    """Filter of all sensors."""
+    joined: bool = False
+    """Whether the newcomers have joined: then the filter of all sensors is the published one."""
+
+    @property
+    def published(self) -> History:
+        """The filter whose estimates are published."""
+        return self.including if self.joined else self.without
+
+
+class Verdict(Enum):
+    """What a frame of an established sensor says of the newcomers."""
+
+    NONE = "nothing"
+    JOINED = "they agree"
+    PUT_OUT = "they disagree"
+
+
+class Settled(NamedTuple):
+    """The filters after a frame of an established sensor."""
+
+    history: History
+    """The published filter."""
+    separation: Separation | None
+    nis: float
+    accepted: bool
+    verdict: Verdict = Verdict.NONE
+
+
+def settled(separation: Separation, measured: PoseMeasurement, config: FilterConfig) -> Settled:
+    """Return the filters after a frame of an established sensor."""
+    without = apply(separation.without, measured, config)
+    including = apply(separation.including, measured, config)
+    if not (without.accepted or including.accepted):
+        kept = replace(separation, without=without.history, including=including.history)
+        nis = (including if separation.joined else without).nis
+        return Settled(kept.published, kept, nis, accepted=False)
+    if not including.accepted:
+        return Settled(without.history, None, without.nis, accepted=True, verdict=Verdict.PUT_OUT)
+    verdict = Verdict.NONE if separation.joined else Verdict.JOINED
+    alone = without if without.accepted else including
+    kept = Separation(alone.history, including.history, joined=True)
+    return Settled(including.history, kept, including.nis, accepted=True, verdict=verdict)
+
+
+def probation(established: Set[str]) -> str:
+    """Return the reason for which a newcomer's pose is not used yet."""
+    return PROBATION.format(" or ".join(sorted(established)))
