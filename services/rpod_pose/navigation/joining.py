@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
-from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.filter import is_consistent
+from rpod_pose.navigation.history import Applied, History, PoseMeasurement, apply
 from rpod_schemas.config.filter import FilterConfig
 
 PROBATION = "offered: the sensor joins the track when the next frame of {} agrees"
@@ -64,12 +65,19 @@ def settled(separation: Separation, measured: PoseMeasurement, config: FilterCon
         kept = replace(separation, without=without.history, including=including.history)
         nis = (including if separation.joined else without).nis
         return Settled(kept.published, kept, nis, accepted=False)
-    if not including.accepted:
+    agree = including.accepted and _agree(without, including, measured.stamp_ns, config)
+    if without.accepted and not agree:
         return Settled(without.history, None, without.nis, accepted=True, verdict=Verdict.PUT_OUT)
     verdict = Verdict.NONE if separation.joined else Verdict.JOINED
     alone = without if without.accepted else including
     kept = Separation(alone.history, including.history, joined=True)
     return Settled(including.history, kept, including.nis, accepted=True, verdict=verdict)
+
+
+def _agree(without: Applied, including: Applied, stamp_ns: int, config: FilterConfig) -> bool:
+    """Return whether the filters' poses agree after a frame that both have been given."""
+    one, other = (each.history.at(stamp_ns, config) for each in (without, including))
+    return one is None or other is None or is_consistent(one, other, config)
 
 
 def probation(established: Set[str]) -> str:
