@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_analysis.scoring.frame_errors import NamedFrame, frame_errors
+from rpod_analysis.scoring.handover import Handovers
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.run import Run, Statuses
 from rpod_analysis.scoring.score import NEES_95, Errors, IntArray
@@ -105,6 +106,8 @@ class RunTotals:
         self._axes = {name: Column() for name in _AXES}
         self._frames = {name: (frame, Column(), Column()) for name, frame in (frames or {}).items()}
         self._last: tuple[int, int] | None = None
+        self.handovers = Handovers()
+        """Handovers from one sensor to another."""
 
     @classmethod
     def of(cls, *runs: Run, frames: Mapping[str, NamedFrame] | None = None) -> "RunTotals":
@@ -135,6 +138,7 @@ class RunTotals:
         self._take_outcomes(run.statuses)
         self._take_modes(run)
         self._take_errors(run)
+        self.handovers.take(run)
 
     def _take_outcomes(self, statuses: Statuses) -> None:
         accepted = statuses.accepted
