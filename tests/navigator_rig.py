@@ -144,11 +144,12 @@ def rig(
     choice="first",
     found=None,
     alike=NO_SYMMETRY,
+    alert=None,
     **limits,
 ) -> Rig:
     """Return a rig whose acquirer searches and refines, or finds what it is told."""
     settings = EstimatorSettings(
-        sensors=(PmdInput(),),
+        sensors=(PmdInput() if alert is None else PmdInput(alert_limit=alert),),
         navigator=NavigatorConfig(**limits),
         filter=filter_config or FilterConfig(),
     )

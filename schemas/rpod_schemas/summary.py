@@ -168,6 +168,9 @@ class Tracking(Config):
     """Time from the first stamp of the run to the first frame in TRACKING, s."""
     tracking_share: KnownShare
     """Share of the frames in TRACKING, from the first such frame on."""
+    coasting_share: KnownShare = None
+    """Share of the frames in COASTING, from the first frame in TRACKING on: predictions within the alert
+    limit."""
     worse_than_10deg_or_0_3m_share: KnownShare
     """Share of the tracked frames whose attitude error exceeds 10 degrees or position error 0.3 m."""
 

@@ -26,7 +26,9 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
             "tracking",
             f"{_percent(modes.tracked_time_share)} of the time, longest without a track "
             f"{_seconds(modes.longest_untracked_s)}; {_percent(modes.tracking_share)} of the frames after "
-            f"{_seconds(modes.first_tracking_s)}",
+            f"{_seconds(modes.first_tracking_s)}"
+            + f", {_percent(modes.coasting_share)} coasting"
+            * bool(modes.coasting_share),
         ),
         *_error_rows(summary.error),
         *(

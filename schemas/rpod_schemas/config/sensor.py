@@ -66,6 +66,26 @@ Range = Annotated[tuple[NonNegative, Positive], AfterValidator(_rising)]
 """Least and greatest distance, m."""
 
 
+class AlertLimit(Config):
+    """Error beyond which an estimate is of no use, as the mission has it.
+
+    A prediction without measurements is published while the standard deviation in its worst direction is
+    below it; beyond it the target is LOST.
+    """
+
+    attitude_deg: Positive = 3.0
+    """Attitude, deg. Set it to what guidance and capture tolerate."""
+    position_m: Positive | None = None
+    """Position, m. Set it where the tolerance does not depend on the range; then ``range_share`` does not
+    count."""
+    range_share: Positive = 0.01
+    """Position as a share of the range to the target's origin."""
+
+    def position_limit_m(self, range_m: float) -> float:
+        """Return the limit of the position at a range, m."""
+        return self.range_share * range_m if self.position_m is None else self.position_m
+
+
 class SensorInput(Kinded):
     """A sensor that the estimator uses; a kind adds what its methods need."""
 
@@ -77,6 +97,8 @@ class SensorInput(Kinded):
     """Least and greatest distance to the target's origin at which the sensor is used, m. Set it where the
     sensor's poses are worse than another sensor's beyond it: a camera's frames of a target that is a few
     pixels wide may agree with a wrong attitude. If left out, what the method believes is used."""
+    alert_limit: AlertLimit = AlertLimit()
+    """Error beyond which an estimate by this sensor is of no use."""
     source: Source = SourceConfig()
     """How the driver publishes, if it does not keep to the ICD: a file of ``deploy/sensors`` or of your own,
     ``preset: FILE`` with changes to it, or all of it inline."""

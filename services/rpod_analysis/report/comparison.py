@@ -50,6 +50,7 @@ ROWS = (
     ComparedRow("time in tracking", "%", "modes.tracked_time_share", ".2f", 1e2, better=1),
     ComparedRow("longest time without a track", "s", "modes.longest_untracked_s", ".2f"),
     ComparedRow("frames in tracking", "%", "modes.tracking_share", ".2f", 1e2, better=1),
+    ComparedRow("frames in coasting", "%", "modes.coasting_share", ".2f", 1e2),
     ComparedRow("time lost", "s", "estimates.lost_s", ".2f"),
     ComparedRow("attitude error, rms", "°", "error.attitude_deg.rms"),
     ComparedRow("attitude error, 95 % below", "°", "error.attitude_deg.p95"),

@@ -1,8 +1,8 @@
 """Handovers from one sensor to another: the time without a measurement, and how far the estimates jump.
 
-A handover is the first accepted frame of a sensor, or its first one after ``PAUSE_S`` without, while frames of
-another sensor were accepted less than ``PAUSE_S`` before. A jump is a change of the error from one estimate to
-the next, from the estimate before the last frame of the other sensor on, so that the motion does not count.
+A handover is the first accepted frame of a sensor, or its first one after ``PAUSE_S`` without, while frames
+of another sensor were accepted less than ``PAUSE_S`` before. A jump is a change of the error between two
+successive estimates, from the estimate before the last frame of the other sensor on. Motion does not count.
 """
 
 from itertools import pairwise

@@ -100,7 +100,7 @@ class RunTotals:
         self.worst_deg: Worst | None = None
         self.worst_m: Worst | None = None
         self._first_tracking_s: float | None = None
-        self._since = self._tracking_since = 0
+        self._since = self._tracking_since = self._coasting_since = 0
         self._scored = self._off_target = 0
         self._angle_deg, self._distance_m = Column(), Column()
         self._axes = {name: Column() for name in _AXES}
@@ -160,10 +160,13 @@ class RunTotals:
         if self._first_tracking_s is None and tracking.any():
             first = int(np.argmax(tracking))
             self._first_tracking_s = float(run.seconds(statuses.stamp_ns)[first])
-            tracking = tracking[first:]
+            since = statuses.mode[first:]
+        else:
+            since = statuses.mode
         if self._first_tracking_s is not None:
-            self._since += tracking.size
-            self._tracking_since += int(tracking.sum())
+            self._since += since.size
+            self._tracking_since += int((since == Mode.TRACKING).sum())
+            self._coasting_since += int((since == Mode.COASTING).sum())
         earlier = [self._last] if self._last else []
         stamp_ns = np.array([stamp for stamp, _ in earlier] + statuses.stamp_ns.tolist(), np.int64)
         mode = np.array([mode for _, mode in earlier] + statuses.mode.tolist(), np.int64)
@@ -223,6 +226,7 @@ class RunTotals:
             longest_untracked_s=self._longest_gap_ns / NANOSECONDS if self._time_ns else None,
             first_tracking_s=self._first_tracking_s,
             tracking_share=self._tracking_since / self._since if self._since else None,
+            coasting_share=self._coasting_since / self._since if self._since else None,
             worse_than_10deg_or_0_3m_share=self._off_target / self._scored if self._scored else None,
         )
 

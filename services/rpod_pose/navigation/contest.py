@@ -39,5 +39,4 @@ def challenged(
         history=challenger.history,
         separation=None,
         accepted_ns=measured.stamp_ns,
-        rejections=0,
     ), outcome

@@ -2,8 +2,10 @@
 
 ACQUIRING  --a refined candidate is accepted-->             VERIFYING
 VERIFYING  --the next frames agree-->                       TRACKING
-TRACKING   --rejections or silence for too long, or
-             too many frames inconsistent with the pose-->  LOST
+TRACKING   --no accepted measurement for a while-->         COASTING
+COASTING   --accepted at the prediction-->                  TRACKING
+           --covariance beyond the alert limit-->           LOST
+TRACKING   --too many frames inconsistent with the pose-->  LOST
 LOST       --accepted near the prediction, or found-->      VERIFYING
 
 ``step(state, measurement) -> (state, output)`` knows neither bus nor clock: the daemon, a replay
@@ -20,11 +22,12 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.belief import Record
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.challenger import Outcome
+from rpod_pose.navigation.coasting import Coasting
 from rpod_pose.navigation.contest import challenged
 from rpod_pose.navigation.filter import FilterState, start
 from rpod_pose.navigation.frames import as_measured
 from rpod_pose.navigation.history import History, PoseMeasurement
-from rpod_pose.navigation.joints import JointTrack, tracked_joints
+from rpod_pose.navigation.joints import tracked_joints
 from rpod_pose.navigation.newcomers import LATE, Newcomers, applied
 from rpod_pose.navigation.parallel import ParallelTracks
 from rpod_pose.navigation.ranges import Ranges
@@ -32,13 +35,12 @@ from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
-from rpod_pose.navigation.streams import heard, supported, untracked
+from rpod_pose.navigation.streams import RESTS, heard, rests, searched, supported, untracked
 from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.topics import CHASER
-from rpod_schemas.types import EstimatorStatus, Mode
+from rpod_schemas.types import Mode
 from rpod_target import NO_SYMMETRY, Equivalence, Joint
 
 BEGINNING = 0.5
@@ -71,7 +73,9 @@ class Navigator:
         self._settings = settings
         self._alike = alike
         self._centre_of_mass_m = centre_of_mass_m
-        self._output = Results(settings.filter, alike).output
+        self._results = Results(settings.filter, alike)
+        self._output = self._results.output
+        self._coasting = Coasting(settings)
         self._parallel = ParallelTracks(self._start_filter, settings.filter, alike)
         self._limits = settings.navigator
         self._registrar = Registrar(methods, vague_deg=self._limits.tuning.vague_deg)
@@ -112,9 +116,13 @@ class Navigator:
         """Return the next state and the output to publish; no output for a tick that changes nothing."""
         if isinstance(event, Tick):
             return self._let_time_pass(state, event)
+        state, why = self._coasting.aged(state, event.stamp_ns)
+        why *= state.mode == Mode.LOST
         streams = heard(state.streams, event.sensor, event.stamp_ns)
         state = replace(state, heard_ns=max(state.heard_ns, event.stamp_ns), streams=streams)
         state, output = self._take(state, event)
+        if why and state.mode == Mode.LOST:
+            output = output.because(why)
         if output.odometry is not None:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
         return state, output
@@ -143,11 +151,22 @@ class Navigator:
             return self._newcomers.offer(state, history, event)
         return self._track(state, history, predicted, event)
 
+    def refuse(
+        self, state: NavigatorState, sensor: str, stamp_ns: int, reason: str
+    ) -> tuple[NavigatorState, Output]:
+        """Return the state and the output at the stamp of a frame without content of its own."""
+        aged, _ = self._coasting.aged(state, stamp_ns)
+        return self._results.silent(aged, stamp_ns, reason, sensor=sensor)
+
     # --- ACQUIRING ---
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Search without a guess; begin a track if one pose explains the measurement."""
+        pause_s = self._limits.tuning.search_pause_s if len(self._methods) > 1 else 0.0
+        if rests(state.streams, event.sensor, event.stamp_ns, pause_s):
+            return state, self._output(state, event, reason=RESTS)
         found = self._registrar.methods_for(state.joints, event).acquirer.acquire(event.data)
+        state = replace(state, streams=searched(state.streams, event.sensor, event.stamp_ns))
         if why := self._ranges.not_of(event.sensor, found):
             return state, self._output(state, event, reason=why)
         if found.begins_track:
@@ -173,9 +192,8 @@ class Navigator:
             established=frozenset({event.sensor}),
             separation=None,
             accepted_ns=event.stamp_ns,
-            rejections=0,
             confirmations=0,
-            joints=self._tracked_joints(state, event, registration),
+            joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
         )
         return state, self._output(state, event, registration)
 
@@ -224,15 +242,9 @@ class Navigator:
             established=frozenset({event.sensor}),
             separation=None,
             accepted_ns=event.stamp_ns,
-            rejections=0,
             confirmations=rivals.frames,
         )
         return state, self._output(state, event, registration)
-
-    def _tracked_joints(
-        self, state: NavigatorState, event: Measurement, registration: Registration
-    ) -> Mapping[str, JointTrack]:
-        return tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns)
 
     def _start_at_given(self, state: NavigatorState, event: Measurement) -> NavigatorState:
         given = state.given
@@ -258,7 +270,7 @@ class Navigator:
         self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, accept or reject the pose, update the filter."""
-        tracked = state.mode == Mode.TRACKING
+        tracked = state.mode.has_track
         registration, reason = self._registrar.searched(state.joints, event, predicted, tracked=tracked)
         record = state.records.get(event.sensor, Record())
         if registration.T_sensor_target is not None:
@@ -295,10 +307,9 @@ class Navigator:
             state,
             streams=supported(state.streams, event.sensor, event.stamp_ns),
             accepted_ns=max(state.accepted_ns, event.stamp_ns),
-            rejections=0,
             confirmations=state.confirmations + 1,
             challenger=None,
-            joints=self._tracked_joints(state, event, registration),
+            joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
         )
 
     def _reject(
@@ -310,24 +321,15 @@ class Navigator:
         reason: str,
         nis: float = float("nan"),
     ) -> tuple[NavigatorState, Output]:
-        """Continue with the prediction; drop a pose that fails verification; lose a track after a while."""
-        state = replace(state, rejections=state.rejections + 1)
+        """Continue with the prediction; drop a pose that fails verification."""
         if state.mode == Mode.VERIFYING:
             state = replace(state, mode=Mode.ACQUIRING, history=None)
-        elif state.mode == Mode.TRACKING and self._lost(state, event.stamp_ns):
-            state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
         return state, self._output(state, event, registration, reason=reason, nis=nis)
 
     def _is_credible(self, state: NavigatorState, event: Measurement) -> bool:
         """Return whether a track may begin: few recent frames of the sensor were inconsistent."""
         share = state.records.get(event.sensor, Record()).share
         return share <= BEGINNING * self._limits.tuning.max_contradicted_share
-
-    def _lost(self, state: NavigatorState, stamp_ns: int) -> bool:
-        silent_s = (stamp_ns - state.accepted_ns) / NANOSECONDS
-        return (
-            silent_s > self._limits.rejection_timeout_s and state.rejections >= self._limits.rejected_frames
-        )
 
     # --- LOST ---
 
@@ -342,14 +344,9 @@ class Navigator:
         return self._acquire(state, event)
 
     def _let_time_pass(self, state: NavigatorState, tick: Tick) -> tuple[NavigatorState, Output | None]:
+        """Publish the prediction of a track while no sensor sends anything, until it is lost."""
         silent_s = (tick.stamp_ns - state.heard_ns) / NANOSECONDS
-        if state.mode != Mode.TRACKING or silent_s <= self._limits.silence_timeout_s:
+        if not state.mode.has_track or silent_s <= self._limits.silence_timeout_s:
             return state, None
-        state = replace(state, mode=Mode.LOST, lost_ns=tick.stamp_ns)
-        status = EstimatorStatus(
-            stamp_ns=tick.stamp_ns,
-            frame_id=CHASER,
-            mode=Mode.LOST,
-            reason=f"no measurement for {silent_s:.1f} s",
-        )
-        return state, Output(status, None)
+        state, reason = self._coasting.aged(state, tick.stamp_ns)
+        return self._results.silent(state, tick.stamp_ns, reason or f"no frame for {silent_s:.1f} s")

@@ -80,7 +80,7 @@ class Newcomers:
                 reason = probation(state.established)
                 return state, self._output(state, event, registration, reason=reason, nis=nis)
             state = replace(state, history=grown)
-        state = self._accepting(state, event, registration)
+        state = replace(self._accepting(state, event, registration), mode=Mode.TRACKING)
         return state, self._output(state, event, registration, nis=nis)
 
     def _are_silent(self, state: NavigatorState, event: Measurement) -> bool:
@@ -89,7 +89,7 @@ class Newcomers:
         return not is_supported(
             streams,
             event.stamp_ns,
-            at_least_s=self._limits.rejection_timeout_s,
+            at_least_s=self._limits.coasting_after_s,
             unknown_s=self._limits.silence_timeout_s,
         )
 

@@ -1,7 +1,7 @@
 """State of the navigator between two steps, and the output of a step."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from scipy.spatial.transform import RigidTransform
 
@@ -49,8 +49,6 @@ class NavigatorState:
     """Stamp at which the target was lost."""
     shown_ns: int = 0
     """Newest stamp of a published odometry; the stamps of the output never go back."""
-    rejections: int = 0
-    """Number of consecutive rejections."""
     confirmations: int = 0
     """Number of consistent frames since the acquisition."""
     challenger: Challenger | None = None
@@ -80,3 +78,8 @@ class Output:
     """Pixels for which the frame was refused; None if it was not, or if they are not known."""
     joints: Joints | None = None
     """Angles of the target's joints, with the odometry; None for a target without joints."""
+
+    def because(self, why: str) -> "Output":
+        """Return this output with a reason before its own."""
+        reason = f"{why}; {self.status.reason}"
+        return replace(self, status=self.status.model_copy(update={"reason": reason}))

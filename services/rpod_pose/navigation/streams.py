@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 
 from rpod_schemas.messages import NANOSECONDS
 
+RESTS = "not searched: the last search was in vain, and another sensor must not wait"
+"""Reason for which a frame without a track is not used."""
 PERIODS = 1.5
 """Number of its own periods in which a slow sensor must deliver its next measurement."""
 
@@ -17,6 +19,8 @@ class Stream:
     """Stamp of the newest frame."""
     period_ns: int = 0
     """Time between the two newest frames; 0 if unknown."""
+    searched_ns: int = 0
+    """Stamp of the newest frame that was searched without a guess, in vain; 0 if none."""
     accepted_ns: int = 0
     """Newest stamp of a frame that the present track has accepted; 0 if none."""
 
@@ -43,6 +47,17 @@ def supported(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
 def untracked(streams: Streams) -> Streams:
     """Return the streams as they are when a new track begins: none supports it yet."""
     return {name: replace(stream, accepted_ns=0) for name, stream in streams.items()}
+
+
+def searched(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
+    """Return the streams after a frame was searched in vain."""
+    return {**streams, sensor: replace(streams.get(sensor, Stream()), searched_ns=stamp_ns)}
+
+
+def rests(streams: Streams, sensor: str, stamp_ns: int, pause_s: float) -> bool:
+    """Return whether a frame is not searched, so that searches in vain do not delay another sensor."""
+    since_s = (stamp_ns - streams.get(sensor, Stream()).searched_ns) / NANOSECONDS
+    return 0.0 <= since_s < pause_s
 
 
 def supporters(streams: Streams) -> list[str]:

@@ -29,9 +29,10 @@ from navigator_rig import (
 )
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.belief import SYMMETRY, Belief, Rival, contradicted
+from rpod_pose.belief import SYMMETRY, Belief, Rival, contradicted, worst_sigma
 from rpod_pose.ports import Acquisition, Registration
 from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.types import BeliefLevel, LidarScan, Mode, Source
 from rpod_target import Equivalence, Symmetry
 
@@ -206,51 +207,90 @@ def test_a_track_goes_on_with_less_explained_than_it_began_with():
     assert seen(0.5, 0.4) == "explained share 0.40 below 0.50"
 
 
-def test_a_fast_sensors_rejections_are_a_loss_after_the_time_out():
-    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
-    modes = [made.see(blind(START_S + 1.0 + 0.25 * number)).status.mode for number in range(1, 8)]
-    assert modes == [Mode.TRACKING] * 6 + [Mode.LOST]
+QUIET = FilterConfig(acceleration_density_m2_s3=1e-5, angular_acceleration_density_rad2_s3=1e-7)
+WIDE = AlertLimit(attitude_deg=30.0, position_m=5.0)
 
 
-def test_a_slow_sensors_rejections_are_a_loss_after_their_number():
-    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
-    modes = [made.see(blind(START_S + 1.0 + number)).status.mode for number in range(1, 4)]
-    assert modes == [Mode.TRACKING, Mode.TRACKING, Mode.LOST]
+@pytest.mark.parametrize(
+    ("rate_hz", "after_s"), [(10.0, 0.2), (1.0, 1.5)], ids=["fast sensor", "slow sensor: 1.5 periods"]
+)
+def test_without_accepted_frames_for_a_while_the_track_coasts_with_a_prediction(rate_hz, after_s):
+    made = tracking(START_S + 4.0, rate_hz, alert=WIDE)
+    for number in range(1, 6):
+        time_s = number / rate_hz
+        output = made.see(blind(START_S + 4.0 + time_s))
+        expected = Mode.TRACKING if time_s <= after_s else Mode.COASTING
+        assert output.status.mode == made.mode == expected
+        assert output.odometry.stamp_ns == round((START_S + 4.0 + time_s) * SECOND_NS)
+        assert output.status.reason == BAD
 
 
-def test_an_accepted_measurement_begins_the_count_anew():
-    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
-    for number in (1, 2, 3, 4):
-        view = good if number == 2 else blind
-        made.see(view(START_S + 1.0 + number))
-    assert made.mode == Mode.TRACKING
-    assert made.see(blind(START_S + 6.0)).status.mode == Mode.LOST
+def test_an_accepted_frame_ends_the_coasting():
+    made = tracking(alert=WIDE)
+    for number in range(1, 8):
+        made.see(blind(START_S + 1.0 + 0.1 * number))
+    assert made.mode == Mode.COASTING
+    assert made.see(good(START_S + 1.8)).status.mode == Mode.TRACKING
+    assert made.method.asked == ["track"]
 
 
-def test_the_frame_that_loses_the_target_has_no_odometry():
-    made = tracking(rejection_timeout_s=0.5, rejected_frames=1)
-    output = made.see(blind(START_S + 1.6))
-    assert output.status.mode == Mode.LOST
+@pytest.mark.parametrize("quiet", [QUIET, FilterConfig()])
+@pytest.mark.parametrize(
+    ("alert", "reason"),
+    [
+        (AlertLimit(attitude_deg=1.0, position_m=5.0), "sigma of the attitude 1.0 deg, alert limit 1 deg"),
+        (AlertLimit(attitude_deg=30.0, position_m=0.05), "sigma of the position 5"),
+        (AlertLimit(attitude_deg=30.0, range_share=0.01), "mm, alert limit 6"),
+    ],
+)
+def test_a_coasting_track_is_lost_when_its_covariance_reaches_the_alert_limit(alert, reason, quiet):
+    made = tracking(alert=alert, filter_config=quiet)
+    for number in range(1, 1000):
+        time_s = START_S + 1.0 + 0.02 * number
+        output = made.see(blind(time_s))
+        if made.mode == Mode.LOST:
+            break
+        assert made.mode == (Mode.TRACKING if number <= 10 else Mode.COASTING)
+        covariance = output.odometry.pose_covariance
+        assert worst_sigma(covariance[3:, 3:]) <= np.deg2rad(alert.attitude_deg)
+        assert worst_sigma(covariance[:3, :3]) <= alert.position_limit_m(7.0)
     assert output.odometry is None
+    assert reason in output.status.reason
+    assert output.status.reason.startswith(f"no measurement was accepted for {0.02 * number:.2f} s, sigma")
 
 
-def test_silence_is_a_loss_told_once():
-    made = tracking(silence_timeout_s=2.5)
+def test_a_quiet_target_is_predicted_for_longer_than_a_restless_one():
+    def coasted_s(filter_config):
+        made, number = tracking(filter_config=filter_config), 0
+        while made.mode != Mode.LOST and number < 1000:
+            number += 1
+            made.see(blind(START_S + 1.0 + 0.02 * number))
+        return 0.02 * number
+
+    assert 0.3 < coasted_s(FilterConfig()) < coasted_s(QUIET) < 19.0
+
+
+def test_silence_is_told_with_predictions_until_the_track_is_lost():
+    made = tracking(alert=AlertLimit(attitude_deg=3.0, position_m=0.5), silence_timeout_s=2.5)
     assert made.tick(START_S + 3.5) is None
     output = made.tick(START_S + 3.6)
+    assert made.mode == output.status.mode == Mode.COASTING
+    assert output.status.reason == "no measurement was accepted for 2.60 s"
+    assert output.odometry.stamp_ns == round((START_S + 3.6) * SECOND_NS)
+    assert made.tick(START_S + 3.7).odometry.stamp_ns == round((START_S + 3.7) * SECOND_NS)
+    output = made.tick(START_S + 30.0)
     assert made.mode == output.status.mode == Mode.LOST
-    assert output.status.reason == "no measurement for 2.6 s"
-    assert not output.status.accepted
     assert output.odometry is None
-    assert made.tick(START_S + 4.0) is None
+    assert "alert limit" in output.status.reason
+    assert made.tick(START_S + 31.0) is None
 
 
 def test_rejected_measurements_are_not_silence():
-    made = tracking(silence_timeout_s=2.5, rejected_frames=9)
+    made = tracking(silence_timeout_s=2.5, alert=WIDE)
     for number in range(1, 5):
         made.see(blind(START_S + 1.0 + number))
         assert made.tick(START_S + 1.0 + number + 0.5) is None
-    assert made.mode == Mode.TRACKING
+    assert made.mode == Mode.COASTING
 
 
 @pytest.mark.parametrize("make", [rig, lost])
@@ -295,10 +335,11 @@ def test_the_prediction_is_tried_for_a_while_after_the_loss_only():
 
 
 def test_a_slow_sensors_prediction_is_tried_after_a_loss_by_rejections():
-    made = tracking(rejection_timeout_s=1.5, rejected_frames=3, near_search_s=3.0)
-    for number in (1, 2, 3):
-        made.see(blind(START_S + 1.0 + number))
-    made.see(good(START_S + 5.0))
+    made = tracking(START_S + 4.0, 1.0, near_search_s=3.0)
+    made.see(blind(START_S + 5.0))
+    made.see(blind(START_S + 6.0))
+    assert made.mode == Mode.LOST
+    made.see(good(START_S + 7.0))
     assert made.method.asked == ["track"]
     assert made.mode == Mode.VERIFYING
 
@@ -456,7 +497,8 @@ EVENTS = st.lists(
 NEXT = {
     Mode.ACQUIRING: {Mode.ACQUIRING, Mode.VERIFYING},
     Mode.VERIFYING: {Mode.VERIFYING, Mode.ACQUIRING, Mode.TRACKING},
-    Mode.TRACKING: {Mode.TRACKING, Mode.LOST},
+    Mode.TRACKING: {Mode.TRACKING, Mode.COASTING, Mode.LOST, Mode.VERIFYING},  # lost and found in one step
+    Mode.COASTING: {Mode.TRACKING, Mode.COASTING, Mode.LOST, Mode.VERIFYING},
     Mode.LOST: {Mode.LOST, Mode.VERIFYING},
 }
 VIEWS = {"good": good, "blind": blind, "wrong": wrong, "untracked": untracked}

@@ -171,3 +171,14 @@ def test_a_pose_that_a_search_finds_beyond_the_configured_range_begins_no_track(
 def test_a_range_that_does_not_rise_is_refused():
     with pytest.raises(ValueError, match="is 12 to 3 m, needs to rise"):
         PmdInput(range_m=(12.0, 3.0))
+
+
+def test_a_camera_that_finds_nothing_searches_once_a_second_only_and_does_not_keep_the_lidar_from_searching():
+    desk = Desk()
+    searches = 0
+    for number in range(30):
+        output = desk.see("pmd", blind(START_S + 0.1 * number))
+        searches += "acquire" in desk.asked["pmd"].asked
+        assert ("acquire" in desk.asked["pmd"].asked) != output.status.reason.startswith("not searched: ")
+    assert searches == 3
+    assert desk.see("lidar", good(START_S + 2.95)).status.mode == Mode.VERIFYING
