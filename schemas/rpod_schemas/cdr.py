@@ -4,6 +4,7 @@ Messages are rosbags' dataclasses for the ROS 2 types and the project's own. Dec
 ``memoryview`` leaves image and point data as read-only views of it.
 """
 
+import re
 import struct
 from functools import cache
 from importlib import resources
@@ -13,19 +14,24 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.service_types import service_types
 
 _STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 """Layouts of a stamp by the byte order in the encapsulation header."""
 _SEPARATOR = f"{'=' * 80}\n"
 """Line between the definitions of a type and of the types that it needs."""
 NANOSECONDS = 1_000_000_000
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
+"""A type's name. rosbags makes a class of a definition by running code that contains the name."""
+MOST_DEFINITION_BYTES = 1 << 20
+"""Longest definition that is learnt; the longest of the common ROS 2 types has some 10 kB."""
 
 
 @cache
 def typestore() -> Typestore:
-    """Return the type store: ROS 2 Humble's types, equal to Jazzy's and Kilted's here, and rpod_msgs."""
+    """Return the type store: ROS 2 Humble's types, the same as Kilted's here, its services, and rpod_msgs."""
     store = get_typestore(Stores.ROS2_HUMBLE)
-    own: dict[str, Any] = {}
+    own: dict[str, Any] = dict(service_types())
     for type_name, text in _own_definitions().items():
         own |= get_types_from_msg(text, type_name)
     store.register(own)
@@ -54,14 +60,18 @@ def is_known(type_name: str) -> bool:
 
 
 def learn(type_name: str, text: str | bytes) -> None:
-    """Register a type by its ``ros2msg`` definition; a type that is already known is not changed."""
-    if is_known(type_name):
+    """Register a type by its ``ros2msg`` definition; a type that is already known is not changed.
+
+    A definition that is none is not registered: its messages stay bytes, and decoding them is an error.
+    """
+    if is_known(type_name) or len(text) > MOST_DEFINITION_BYTES:
         return
     try:
         found = get_types_from_msg(text if isinstance(text, str) else text.decode(), type_name)
-        typestore().register({name: fields for name, fields in found.items() if not is_known(name)})
-    except (UnicodeDecodeError, TypesysError):
-        return  # its messages stay bytes; decoding them is an error
+        if all(_TYPE_NAME.fullmatch(name) for name in found):
+            typestore().register({name: fields for name, fields in found.items() if not is_known(name)})
+    except (UnicodeDecodeError, TypesysError, SyntaxError, ValueError, RecursionError):
+        return
 
 
 @cache
@@ -72,7 +82,7 @@ def message_class(type_name: str) -> Any:
 
 @cache
 def type_hash(type_name: str) -> str:
-    """Return the RIHS01 hash of a type."""
+    """Return the RIHS01 hash of a message type, or of a service with request, response and event."""
     return typestore().hash_rihs01(type_name)
 
 

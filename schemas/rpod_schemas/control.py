@@ -54,8 +54,9 @@ class StatusReply(Config):
 class StartRequest(Config):
     """Begin a scenario whose time counts from an epoch."""
 
-    epoch_ns: Stamp = Field(gt=0)
-    """Epoch of the scenario, ns of UTC since the Unix epoch."""
+    epoch_ns: Stamp | None = Field(default=None, gt=0)
+    """Epoch of the scenario, ns of UTC since the Unix epoch. By default motion takes its configured one, or
+    one as soon as possible, and the emulator the stamp of the next truth."""
     duration_s: Positive | None = None
     """Duration of the scenario; in lockstep no frame has a stamp after its end."""
 
@@ -86,8 +87,8 @@ class ResetRequest(Config):
 class LogRequest(Config):
     """Start, stop or split a log."""
 
-    name: str | None = Field(default=None, pattern=r"^[A-Za-z0-9._-]+$")
-    """Stem of the file's name."""
+    name: str | None = Field(default=None, pattern=r"^[A-Za-z0-9._-]+$", max_length=200)
+    """Stem of the file's name; file systems take names of 255 bytes, with the number and the suffix."""
 
 
 class LogReply(Config):

@@ -116,6 +116,8 @@ class Recovery(Config):
     """Number of bytes of the damaged file that belong to no complete record."""
     damaged_places: Total
     """Number of contiguous blocks of such bytes."""
+    chunks_over_limit: Total = 0
+    """Number of chunks that were not read, because they announce more than the limit; unreadable as well."""
     closed: bool
     """Whether the end of the file exists; if not, the data after the last record are unknown."""
     messages: Total

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 
 from rpod import __version__
 from rpod.campaign_verbs import campaign_verbs
+from rpod.log_options import NoLimits
 from rpod.log_verbs import log_verbs
 from rpod.target_verbs import target_verbs
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
@@ -181,6 +182,7 @@ def view(
     ] = None,
     start: Annotated[float, typer.Option("--from", help="First second of a log to show.")] = 0.0,
     end: Annotated[float | None, typer.Option("--to", help="Last second of a log to show.")] = None,
+    _no_limits: NoLimits = False,
 ) -> None:
     """Show the facility or a log: images, scene, errors, state."""
     from rpod.command_view import view_log

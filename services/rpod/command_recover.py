@@ -49,6 +49,11 @@ def _remarks(recovery: Recovery) -> list[str]:
         f"{recovery.unreadable_bytes} of {recovery.size_bytes} bytes in {recovery.damaged_places} places "
         "could not be read."
     ]
+    if recovery.chunks_over_limit:
+        remarks.append(
+            f"{recovery.chunks_over_limit} chunks announce too many bytes and were not read; if you trust "
+            "the file, repeat with --no-limits."
+        )
     if not recovery.closed:
         remarks.append("The end of the file is missing: it is not known how many messages followed.")
     if recovery.without_definition:

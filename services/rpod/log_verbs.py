@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from rpod.log_options import NoLimits
+
 log_verbs = typer.Typer()
 
 
@@ -21,6 +23,7 @@ def report(
         bool,
         typer.Option("--json", help="Print the summary, or that of several runs, as one JSON object only."),
     ] = False,
+    _no_limits: NoLimits = False,
 ) -> None:
     """Score a log, or several in comparison; write an HTML report and summary.json beside it."""
     from rpod.command_report import report_command
@@ -63,6 +66,7 @@ def replay(
         bool, typer.Option("--clock/--no-clock", help="Publish the time of the log, with --bus.")
     ] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    _no_limits: NoLimits = False,
 ) -> None:
     """Replay a log: through the navigator with any configuration, or onto the bus."""
     from rpod.command_replay import BusOptions, bus_command, navigator_command
@@ -84,6 +88,7 @@ def recover(
         Path | None, typer.Option("--out", help="File to write; <log>.recovered.mcap by default.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    _no_limits: NoLimits = False,
 ) -> None:
     """Recover a readable log from a truncated or damaged one."""
     from rpod.command_recover import recover_command

@@ -40,6 +40,16 @@ class DamagedLogError(AnalysisError):
         )
 
 
+class LogLimitError(AnalysisError):
+    """A log announces more than a limit allows."""
+
+    def __init__(self, path: Path, what: str, found: int, most: int) -> None:
+        super().__init__(
+            f"{path}: {found:,} {what}, at most {most:,} are read; "
+            "if you trust the file, repeat with --no-limits"
+        )
+
+
 class CannotWriteError(AnalysisError):
     """A file cannot be written."""
 

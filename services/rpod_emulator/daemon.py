@@ -17,6 +17,7 @@ from rpod_emulator.joints import MovingJoints
 from rpod_emulator.truth_buffer import TruthBuffer
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.errors import RefusedError
+from rpod_runtime.ros import trigger
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
 from rpod_schemas.control import Accepted, FaultRequest, StartRequest
@@ -81,9 +82,10 @@ class Emulator:
         self._suns: deque[tuple[int, FloatArray]] = deque([_DARKNESS], maxlen=4)
         self._inbox = Inbox()
         self._starts: SimpleQueue[StartRequest] = SimpleQueue()
+        self._awaits_start = config.await_start
         self._begin(config.epoch_ns, None)
         node.serve("fault", FaultRequest, self._plan_fault)
-        node.serve("start", StartRequest, self._ask_to_start)
+        node.serve("start", StartRequest, self._ask_to_start, ros=trigger(StartRequest))
         if not self._by_wall:
             node.follow_clock(self._inbox.put)
         node.subscribe(TRUTH, self._inbox.put, recover=True, history=True)
@@ -100,6 +102,8 @@ class Emulator:
         self._in_gap = False
 
     def _ask_to_start(self, request: StartRequest) -> Accepted:
+        if request.epoch_ns is None and not self._by_wall:
+            raise RefusedError("lockstep counts frames from motion's epoch: ask for a start with epoch_ns")
         self._starts.put(request)
         return Accepted()
 
@@ -123,7 +127,7 @@ class Emulator:
             except MessageRejectedError as error:
                 self._node.reject(received.topic.name, error)
         self._node.health.put("overflowed/inbox", self._inbox.overflowed)
-        if self._epoch_ns is None and not self._config.await_start:
+        if self._epoch_ns is None and not self._awaits_start:
             self._epoch_ns = self._truth.first_ns
 
     def _take_starts(self) -> None:
@@ -133,6 +137,7 @@ class Emulator:
             except Empty:
                 return
             self._begin(request.epoch_ns, request.duration_s)
+            self._awaits_start = False
             if not self._by_wall:
                 self._suns.append(_DARKNESS)  # until the first sun message of this run
 

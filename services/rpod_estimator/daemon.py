@@ -12,6 +12,7 @@ from rpod_estimator.subscriptions import Subscriptions
 from rpod_estimator.validity import Beacon, Validity
 from rpod_pose.navigation.state import Output
 from rpod_runtime import Node
+from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest
 from rpod_target import load_target
@@ -27,7 +28,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
         validity = Validity(config.stale_after_s)
         with Beacon(validity, outputs.tell, node.clock) as beacon:
             service = _Service(estimator, subscriptions, outputs, validity, beacon)
-            node.serve("reset", ResetRequest, service.reset)
+            node.serve("reset", ResetRequest, service.reset, ros=RESET_SERVICE)
             node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
             while not stop.is_set():
                 subscriptions.pin(estimator.pins_setups)

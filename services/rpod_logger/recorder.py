@@ -205,8 +205,7 @@ class Recorder:
     def _open(self, name: str | None, received: Counter[str], *, continues: str | None = None) -> LogReply:
         if self._recording is not None:
             raise AlreadyRecordingError(self._recording.file.path)
-        self._stem = name or self._stem
-        config = self._config
+        stem, config = name or self._stem, self._config
         settings = WriterSettings(
             config.bus.keys,
             f"rpod {self._version}",
@@ -215,10 +214,10 @@ class Recorder:
             config.reserve_bytes,
         )
         try:
-            file = create_log(config.directory, self._stem, settings)
+            file = create_log(config.directory, stem, settings)
         except OSError as error:
-            raise self._fail(CannotWriteError(config.directory / f"{self._stem}.mcap", error)) from error
-        self._failure = None
+            raise self._fail(CannotWriteError(config.directory / f"{stem}.mcap", error)) from error
+        self._stem, self._failure = stem, None
         recording = self._recording = Recording(file, self._totals(received), continues=continues)
         self._attempt(lambda recording: recording.describe(self._services, self._version))
         self._attempt(lambda recording: recording.repeat(self._latched.values()))
@@ -241,7 +240,13 @@ class Recorder:
 
     def _renew(self, name: str | None, received: Counter[str]) -> LogReply:
         before = self._close(received)
-        return self._open(name, received, continues=Path(before.path).name)
+        continued = Path(before.path).name
+        try:
+            return self._open(name, received, continues=continued)
+        except CannotWriteError:
+            if name is not None:  # the recording goes on under its own name; the caller gets the error
+                self._open(None, received, continues=continued)
+            raise
 
     def _split(self, received: Counter[str]) -> None:
         self._split_asked = False

@@ -11,6 +11,7 @@ from rpod_motion.motion import build_motion
 from rpod_motion.truth import TruthPublisher
 from rpod_runtime import Node
 from rpod_runtime.errors import RefusedError
+from rpod_runtime.ros import trigger
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import Accepted, StartRequest
 from rpod_schemas.errors import ConfigurationError
@@ -76,7 +77,7 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
     """Wait for the start and return the epoch; None if the service is stopped before."""
     if not config.await_start:
         node.ready("playing at once")
-        return config.epoch_ns or time.time_ns() + round(_SPARE_S * NANOSECONDS)
+        return _soon_ns(config)
     started = Event()
     requests: list[StartRequest] = []
 
@@ -89,12 +90,17 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
         started.set()
         return Accepted()
 
-    node.serve("start", StartRequest, start)
+    node.serve("start", StartRequest, start, ros=trigger(StartRequest))
     node.ready("waiting for the start query")
     while not started.wait(0.05):
         if node.stop.is_set():
             return None
-    return requests[0].epoch_ns
+    return requests[0].epoch_ns or _soon_ns(config)
+
+
+def _soon_ns(config: MotionServiceConfig) -> int:
+    """Return the configured epoch, or one as soon as possible."""
+    return config.epoch_ns or time.time_ns() + round(_SPARE_S * NANOSECONDS)
 
 
 def _play_by_the_wall(node: Node, truth: TruthPublisher, ticks: range, *, lead_s: float) -> None:

@@ -24,6 +24,8 @@ class BusConfig(Config):
     """Longest time to try to reach the router, s."""
     wait: bool = False
     """Whether to wait for the router without limit."""
+    ros_services: bool = True
+    """Whether services can be controlled, and their parameters read, by calls of ROS 2 services."""
 
     @property
     def keys(self) -> Namespace:

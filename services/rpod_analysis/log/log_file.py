@@ -5,6 +5,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import IO, cast
 
@@ -13,8 +14,11 @@ from mcap.opcode import Opcode
 from mcap.reader import McapReader, make_reader
 from mcap.records import ChunkIndex, Schema, Statistics
 from mcap.summary import Summary
+from zstandard import ZstdError
 
 from rpod_analysis.errors import DamagedLogError, NoLogError, NotMcapError, TruncatedLogError
+from rpod_analysis.log import limits
+from rpod_analysis.log.chunks import content
 from rpod_schemas.cdr import learn
 from rpod_schemas.logs import SCHEMA_ENCODING
 
@@ -27,8 +31,10 @@ _FOOTER = struct.Struct("<QQI")
 """Footer: beginning of the summary, beginning of its offsets, checksum from the summary up to here."""
 _CHUNK = struct.Struct("<BQQQQ")
 """Chunk: opcode, length, first and last time, size of the content; checksum and compression follow."""
+_LENGTHS = struct.Struct("<II")
+"""Chunk, after the above: checksum of the content, length of the compression's name."""
 _FRAME_BYTES = 9
-_DAMAGE = (McapError, RuntimeError, ValueError, KeyError, struct.error, EOFError)
+_DAMAGE = (McapError, RuntimeError, ValueError, KeyError, struct.error, EOFError, ZstdError)
 """Exceptions that the MCAP reader and the decompression raise on damaged bytes."""
 
 
@@ -55,7 +61,10 @@ def files_of(path: Path) -> list[Path]:
 
 
 class _Guarded:
-    """A file that compares each chunk with its index before it is read, because the reader does not."""
+    """A file whose chunks are compared with their index, and are decompressed within their announced size.
+
+    The reader does neither. It is given each chunk as one without compression.
+    """
 
     def __init__(self, path: Path, stream: IO[bytes]) -> None:
         self.tell, self.read, self.seekable = stream.tell, stream.read, stream.seekable
@@ -69,11 +78,14 @@ class _Guarded:
     def seek(self, offset: int, whence: int = 0) -> int:
         """Seek to an offset. Raises ``DamagedLogError`` if the chunk that should be there is not."""
         index = self._chunks.get(offset) if whence == 0 else None
-        if index is not None:
-            self._check(index)
-        return self._stream.seek(offset, whence)
+        if index is None:
+            self.read = self._stream.read
+            return self._stream.seek(offset, whence)
+        self.read = self._plain_chunk(index).read
+        return offset
 
-    def _check(self, index: ChunkIndex) -> None:
+    def _plain_chunk(self, index: ChunkIndex) -> BytesIO:
+        """Return the content of a chunk's record, as if it had been written without compression."""
         self._stream.seek(index.chunk_start_offset)
         compression = index.compression.encode()
         head = _CHUNK.pack(
@@ -83,9 +95,14 @@ class _Guarded:
             index.message_end_time,
             index.uncompressed_size,
         )
-        found = self._stream.read(_CHUNK.size + 8 + len(compression))
-        if found[: _CHUNK.size] != head or found[_CHUNK.size + 8 :] != compression:
+        found = self._stream.read(_CHUNK.size + _LENGTHS.size + len(compression))
+        if found[: _CHUNK.size] != head or found[_CHUNK.size + _LENGTHS.size :] != compression:
             raise DamagedLogError(self._path, f"no chunk at byte {index.chunk_start_offset}")
+        checksum, _ = _LENGTHS.unpack_from(found, _CHUNK.size)
+        packed = self._stream.read(8 + min(index.compressed_size, index.chunk_length))[8:]
+        data = content(index.compression, packed, index.uncompressed_size)
+        plain = head[_FRAME_BYTES:] + _LENGTHS.pack(checksum, 0) + len(data).to_bytes(8, "little")
+        return BytesIO(plain + data)
 
 
 @dataclass(frozen=True)
@@ -143,6 +160,7 @@ def open_file(path: Path, stack: ExitStack) -> LogFile:
         raise TruncatedLogError(path)
     if not summary_is_whole(stream):
         raise DamagedLogError(path, "the checksum of its summary is wrong")
+    limits.check(path, stream.seek(0, 2), summary)
     guarded.guard(summary.chunk_indexes)
     for schema in summary.schemas.values():
         if schema.encoding == SCHEMA_ENCODING:

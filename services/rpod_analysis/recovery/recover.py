@@ -181,6 +181,7 @@ class _Copier:
             return
         self.records += 1
         self._damage["bytes"] += found.size
+        self._damage["over_limit"] += found.over_limit
         for definition in found.definitions:
             self._definitions.add(definition, sure=False)
         for message in found.whole:
@@ -254,6 +255,7 @@ class _Copier:
             size_bytes=size,
             unreadable_bytes=self._damage["bytes"],
             damaged_places=self._damage["places"],
+            chunks_over_limit=self._damage["over_limit"],
             closed=self._closed,
             messages=sum(topic.messages for topic in topics.values()),
             without_definition=self._orphans,

@@ -10,11 +10,10 @@ import re
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import IO, Any
 
-import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
@@ -39,6 +38,8 @@ from mcap.records import (
 )
 from mcap.stream_reader import breakup_chunk
 
+from rpod_analysis.log.chunks import content, pieces
+from rpod_analysis.log.limits import limits
 from rpod_analysis.log.log_file import MAGIC
 
 DAMAGE = (
@@ -59,7 +60,6 @@ _CHUNK = struct.Struct("<QQQII")
 _CANDIDATE = re.compile(rb"(?=[\x01-\x0f].{4}\x00{4})", re.DOTALL)
 """Pattern of an opcode and a length below 4 GiB; a lookahead, so that candidates may overlap."""
 _WINDOW = 1 << 22
-_PIECE = 1 << 14
 _MOST_BYTES = 1 << 30
 """Largest length of a valid record."""
 _TYPES: dict[int, Any] = {
@@ -91,7 +91,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class DamagedChunk:
-    """A chunk with a wrong checksum, or one that is truncated by the end of the file."""
+    """A chunk with a wrong checksum, or that is truncated by the end of the file, or over the limit."""
 
     size: int
     """Size in the file, bytes."""
@@ -101,6 +101,8 @@ class DamagedChunk:
     """Complete messages of a truncated chunk."""
     end_ns: int | None = None
     """Time of arrival of the last message of a truncated chunk, from its header."""
+    over_limit: bool = False
+    """Whether the chunk was not read because it announces more than the limit."""
 
 
 Found = McapRecord | Gap | DamagedChunk
@@ -224,8 +226,12 @@ def _goes_on(stream: IO[bytes], offset: int, size: int) -> bool:
 
 
 def _opened(chunk: Chunk, length: int) -> Iterator[Found]:
+    if chunk.uncompressed_size > limits().chunk_bytes:
+        yield DamagedChunk(length, (), over_limit=True)
+        return
     try:
-        yield from breakup_chunk(chunk, validate_crc=True)
+        data = content(chunk.compression, chunk.data, chunk.uncompressed_size)
+        yield from breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
     except DAMAGE:
         yield DamagedChunk(length, tuple(_definitions(_records_in(_unpacked(chunk.compression, chunk.data)))))
 
@@ -254,21 +260,14 @@ def _definitions(records: Any) -> Iterator[Schema | Channel]:
 
 
 def _unpacked(compression: str, data: bytes) -> bytes:
-    """Return a chunk's content as far as it can be decompressed."""
-    if not compression:
-        return data
-    unpacker: Any
-    if compression == "lz4":
-        unpacker = lz4.frame.LZ4FrameDecompressor()
-    elif compression == "zstd":
-        unpacker = zstandard.ZstdDecompressor().decompressobj()
-    else:
-        return b""
-    content = bytearray()
+    """Return a chunk's content as far as it can be decompressed, and as the limits allow."""
+    found, most = bytearray(), limits().chunk_bytes
     with suppress(*DAMAGE):
-        for start in range(0, len(data), _PIECE):
-            content += unpacker.decompress(data[start : start + _PIECE])
-    return bytes(content)
+        for piece in pieces(compression, data):
+            found += piece
+            if len(found) > most:
+                break
+    return bytes(found)
 
 
 def _records_in(content: bytes) -> Iterator[McapRecord]:

@@ -34,7 +34,7 @@ class FakeNode:
         self.served, self.refused = {}, []
         self.follows_clock = False
 
-    def serve(self, verb, _, handler):
+    def serve(self, verb, _, handler, **__):
         self.served[verb] = handler
 
     def subscribe(self, topic, sink, **_):

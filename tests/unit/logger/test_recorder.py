@@ -179,6 +179,19 @@ def test_a_clock_that_jumps_is_told_and_nothing_is_lost(desk, arrive, caplog):
     assert "jumped by -3600.000 s" in caplog.text
 
 
+def test_a_split_to_a_name_that_the_disk_refuses_is_told_and_goes_on_under_the_old_one(desk, arrive):
+    one = desk()
+    one.recorder.start()
+    one.put(arrive(CLOCK, 1))
+    with pytest.raises(CannotWriteError, match="name too long"):
+        one.recorder.split("x" * 300)
+    one.put(arrive(CLOCK, 2))
+    closed = one.recorder.stop()
+    assert Path(closed.path).name == "run_0002.mcap"
+    assert len(read(closed.path)) == 1
+    assert completeness(closed.path) == Completeness(complete=True, continues="run.mcap")
+
+
 def test_a_split_loses_and_doubles_nothing_and_counts_each_file_for_itself(desk, arrive):
     one = desk()
     first = one.recorder.start()

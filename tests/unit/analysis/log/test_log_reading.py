@@ -182,11 +182,11 @@ def test_ten_gigabytes_are_opened_and_sliced_by_reading_a_few_kilobytes(tmp_path
     assert path.stat().st_size > 10_000_000_000
     assert path.stat().st_blocks * 512 < 10_000_000
     with open_log(path) as log:
-        reader = log._parts[0].reader
-        reader._stream = Reads(reader._stream)
+        guarded = log._parts[0].reader._stream
+        stream = guarded._stream = Reads(guarded._stream)
         middle_ns = (log.start_ns + log.end_ns) // 2
         found = list(log.messages(TRUTH, start_ns=middle_ns, end_ns=middle_ns + 10 * SECOND))
         assert [logged.sequence for logged in found] == list(range(101, 111))
         assert log.topics[TRUTH.name].count == 200
-        assert 0 < reader._stream.bytes < 10_000
+        assert 0 < stream.bytes < 10_000
     os.truncate(path, 0)

@@ -1,0 +1,66 @@
+"""Limits on what a log may ask of the machine that reads it.
+
+A file of a few megabytes may announce gigabytes. The limits lie far above what the logger and rosbag2 write;
+``--no-limits`` of the commands lifts them for a file that is trusted.
+"""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.summary import Summary
+
+from rpod_analysis.errors import LogLimitError
+
+
+@dataclass(frozen=True)
+class LogLimits:
+    """Greatest values that are accepted in a file of a log."""
+
+    chunk_bytes: float = 1 << 28
+    """Size of a chunk's decompressed content; loggers write chunks of 1 to 8 MB."""
+    content_bytes: float = 1 << 32
+    """Size of a file's decompressed content that is always accepted."""
+    ratio: float = 100.0
+    """Size of a file's decompressed content over the file's size, above ``content_bytes``; images of an empty
+    scene reach 20."""
+    channels: float = 10_000
+    """Number of channels, and number of schemas."""
+
+
+UNLIMITED = LogLimits(math.inf, math.inf, math.inf, math.inf)
+_DEFAULT = LogLimits()
+_LIMITS = ContextVar("log_limits", default=_DEFAULT)
+
+
+def limits() -> LogLimits:
+    """Return the limits in force."""
+    return _LIMITS.get()
+
+
+@contextmanager
+def lifted() -> Iterator[None]:
+    """Lift the limits for logs that are opened within the ``with`` statement."""
+    token = _LIMITS.set(UNLIMITED)
+    try:
+        yield
+    finally:
+        _LIMITS.reset(token)
+
+
+def check(path: Path, file_bytes: int, summary: Summary) -> None:
+    """Compare what a file's summary announces with the limits. Raises ``LogLimitError``."""
+    limit = limits()
+    sizes = [index.uncompressed_size for index in summary.chunk_indexes]
+    most_bytes = max(limit.content_bytes, limit.ratio * file_bytes)
+    for what, found, most in (
+        ("bytes in a chunk", max(sizes, default=0), limit.chunk_bytes),
+        (f"bytes in chunks, of a file of {file_bytes:,} bytes", sum(sizes), most_bytes),
+        ("channels", len(summary.channels), limit.channels),
+        ("schemas", len(summary.schemas), limit.channels),
+    ):
+        if found > most:
+            raise LogLimitError(path, what, found, int(most))
