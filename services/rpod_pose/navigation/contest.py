@@ -38,5 +38,4 @@ def challenged(
         state,
         history=challenger.history,
         separation=None,
-        accepted_ns=measured.stamp_ns,
     ), outcome

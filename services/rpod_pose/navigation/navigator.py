@@ -35,7 +35,7 @@ from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
-from rpod_pose.navigation.streams import RESTS, heard, rests, searched, supported, untracked
+from rpod_pose.navigation.streams import RESTS, begun, heard, rests, searched, silent_since_s, supported
 from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
@@ -118,8 +118,7 @@ class Navigator:
             return self._let_time_pass(state, event)
         state, why = self._coasting.aged(state, event.stamp_ns)
         why *= state.mode == Mode.LOST
-        streams = heard(state.streams, event.sensor, event.stamp_ns)
-        state = replace(state, heard_ns=max(state.heard_ns, event.stamp_ns), streams=streams)
+        state = replace(state, streams=heard(state.streams, event.sensor, event.stamp_ns))
         state, output = self._take(state, event)
         if why and state.mode == Mode.LOST:
             output = output.because(why)
@@ -188,10 +187,9 @@ class Navigator:
             state,
             mode=Mode.VERIFYING if unverified else Mode.TRACKING,
             history=History(self._start_filter(as_measured(registration, event))),
-            streams=supported(untracked(state.streams), event.sensor, event.stamp_ns),
+            streams=begun(state.streams, event.sensor, event.stamp_ns),
             established=frozenset({event.sensor}),
             separation=None,
-            accepted_ns=event.stamp_ns,
             confirmations=0,
             joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
         )
@@ -238,10 +236,9 @@ class Navigator:
             mode=Mode.TRACKING if verified else Mode.VERIFYING,
             rivals=None,
             history=rivals.tracks[0].history,
-            streams=supported(untracked(state.streams), event.sensor, event.stamp_ns),
+            streams=begun(state.streams, event.sensor, event.stamp_ns),
             established=frozenset({event.sensor}),
             separation=None,
-            accepted_ns=event.stamp_ns,
             confirmations=rivals.frames,
         )
         return state, self._output(state, event, registration)
@@ -257,10 +254,9 @@ class Navigator:
             history=History(
                 self._start_filter(PoseMeasurement(stamp_ns, given.T_chaser_target, given.covariance))
             ),
-            streams=untracked(state.streams),
+            streams=begun(state.streams),
             established=frozenset(),
             separation=None,
-            accepted_ns=stamp_ns,
             confirmations=self._limits.confirmations - 1,
         )
 
@@ -306,7 +302,6 @@ class Navigator:
         return replace(
             state,
             streams=supported(state.streams, event.sensor, event.stamp_ns),
-            accepted_ns=max(state.accepted_ns, event.stamp_ns),
             confirmations=state.confirmations + 1,
             challenger=None,
             joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
@@ -345,7 +340,7 @@ class Navigator:
 
     def _let_time_pass(self, state: NavigatorState, tick: Tick) -> tuple[NavigatorState, Output | None]:
         """Publish the prediction of a track while no sensor sends anything, until it is lost."""
-        silent_s = (tick.stamp_ns - state.heard_ns) / NANOSECONDS
+        silent_s = silent_since_s(state.streams, tick.stamp_ns)
         if not state.mode.has_track or silent_s <= self._limits.silence_timeout_s:
             return state, None
         state, reason = self._coasting.aged(state, tick.stamp_ns)

@@ -41,10 +41,6 @@ class NavigatorState:
     """Sensors that carry the track; empty while a given pose is not verified."""
     separation: Separation | None = None
     """The filters with and without sensors that are not established, where there are such."""
-    heard_ns: int = 0
-    """Newest stamp of a measurement, accepted or not."""
-    accepted_ns: int = 0
-    """Newest stamp of an accepted measurement."""
     lost_ns: int = 0
     """Stamp at which the target was lost."""
     shown_ns: int = 0

@@ -44,9 +44,10 @@ def supported(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
     return {**streams, sensor: replace(stream, accepted_ns=max(stream.accepted_ns, stamp_ns))}
 
 
-def untracked(streams: Streams) -> Streams:
-    """Return the streams as they are when a new track begins: none supports it yet."""
-    return {name: replace(stream, accepted_ns=0) for name, stream in streams.items()}
+def begun(streams: Streams, sensor: str = "", stamp_ns: int = 0) -> Streams:
+    """Return the streams when a new track begins: none supports it but a sensor whose frame it has accepted."""
+    none = {name: replace(stream, accepted_ns=0) for name, stream in streams.items()}
+    return supported(none, sensor, stamp_ns) if sensor else none
 
 
 def searched(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
@@ -64,6 +65,11 @@ def supporters(streams: Streams) -> list[str]:
     """Return the sensors of which the present track has accepted a frame, the newest first."""
     names = [name for name, stream in streams.items() if stream.accepted_ns]
     return sorted(names, key=lambda name: (-streams[name].accepted_ns, name))
+
+
+def silent_since_s(streams: Streams, stamp_ns: int) -> float:
+    """Return the time since the newest frame of any sensor, accepted or not, s."""
+    return (stamp_ns - max((stream.heard_ns for stream in streams.values()), default=0)) / NANOSECONDS
 
 
 def unsupported_s(streams: Streams, stamp_ns: int) -> float:
