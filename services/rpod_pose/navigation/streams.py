@@ -45,7 +45,7 @@ def supported(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
 
 
 def begun(streams: Streams, sensor: str = "", stamp_ns: int = 0) -> Streams:
-    """Return the streams when a new track begins: none supports it but a sensor whose frame it has accepted."""
+    """Return the streams when a track begins: none supports it but the sensor of its first frame, if any."""
     none = {name: replace(stream, accepted_ns=0) for name, stream in streams.items()}
     return supported(none, sensor, stamp_ns) if sensor else none
 
