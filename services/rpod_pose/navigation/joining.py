@@ -1,8 +1,8 @@
 """A sensor joins the track of others: with and without it, two filters are kept (solution separation).
 
 The sensors that began the track, or that have carried it alone since, are established. The frames of another
-sensor, a newcomer, update a filter beside the published one. The newcomer joins when the next frame of an
-established sensor agrees with both filters. If such a frame later agrees only with the filter without the
+sensor, a newcomer, update a filter beside the published one. The newcomer joins when two successive frames of
+established sensors agree with both filters. If such a frame later agrees only with the filter without the
 newcomer, the newcomer is put out again. Where no established sensor delivers any more, the newcomer becomes
 established. Source of the idea: R. G. Brown and P. W. McBurney, Self-contained GPS integrity check using
 maximum solution separation, Navigation 35 (1988).
@@ -10,14 +10,16 @@ maximum solution separation, Navigation 35 (1988).
 
 from collections.abc import Set
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import NamedTuple
 
 from rpod_pose.navigation.filter import is_consistent
 from rpod_pose.navigation.history import Applied, History, PoseMeasurement, apply
 from rpod_schemas.config.filter import FilterConfig
 
-PROBATION = "offered: the sensor joins the track when the next frame of {} agrees"
+AGREEMENTS = 2
+"""Number of frames of established sensors that must agree. By the first one, the newcomer may have delivered
+for a moment only; between two of them it has had the time to pull its filter away."""
+PROBATION = "offered: the sensor joins the track when the next frames of {} agree"
 """Reason for which a newcomer's pose is not used yet."""
 
 
@@ -29,21 +31,18 @@ class Separation:
     """Filter of the established sensors alone."""
     including: History
     """Filter of all sensors."""
-    joined: bool = False
-    """Whether the newcomers have joined: then the filter of all sensors is the published one."""
+    agreed: int = 0
+    """Number of frames of established sensors in succession that agree with both."""
+
+    @property
+    def joined(self) -> bool:
+        """Whether the newcomers have joined: then the filter of all sensors is the published one."""
+        return self.agreed >= AGREEMENTS
 
     @property
     def published(self) -> History:
         """The filter whose estimates are published."""
         return self.including if self.joined else self.without
-
-
-class Verdict(Enum):
-    """What a frame of an established sensor says of the newcomers."""
-
-    NONE = "nothing"
-    JOINED = "they agree"
-    PUT_OUT = "they disagree"
 
 
 class Settled(NamedTuple):
@@ -54,7 +53,6 @@ class Settled(NamedTuple):
     separation: Separation | None
     nis: float
     accepted: bool
-    verdict: Verdict = Verdict.NONE
 
 
 def settled(separation: Separation, measured: PoseMeasurement, config: FilterConfig) -> Settled:
@@ -67,11 +65,11 @@ def settled(separation: Separation, measured: PoseMeasurement, config: FilterCon
         return Settled(kept.published, kept, nis, accepted=False)
     agree = including.accepted and _agree(without, including, measured.stamp_ns, config)
     if without.accepted and not agree:
-        return Settled(without.history, None, without.nis, accepted=True, verdict=Verdict.PUT_OUT)
-    verdict = Verdict.NONE if separation.joined else Verdict.JOINED
+        return Settled(without.history, None, without.nis, accepted=True)
     alone = without if without.accepted else including
-    kept = Separation(alone.history, including.history, joined=True)
-    return Settled(including.history, kept, including.nis, accepted=True, verdict=verdict)
+    kept = Separation(alone.history, including.history, separation.agreed + 1)
+    nis = (including if kept.joined else alone).nis
+    return Settled(kept.published, kept, nis, accepted=True)
 
 
 def _agree(without: Applied, including: Applied, stamp_ns: int, config: FilterConfig) -> bool:
