@@ -101,6 +101,20 @@ class ErrorSummary(Config):
     """RMS position error along the sensor's boresight, m."""
 
 
+class TruthError(Config):
+    """Errors of the truth itself at the tracked frames, by the covariance that it states."""
+
+    attitude_deg_rms: NonNegative
+    """RMS angle of the truth's attitude error, deg."""
+    position_m_rms: NonNegative
+    """RMS length of the truth's position error, m."""
+    attitude_share: Share
+    """Part of the mean squared attitude error that may be the truth's; at 1, it tells nothing of the
+    estimates."""
+    position_share: Share
+    """Part of the mean squared position error that may be the truth's."""
+
+
 class FrameError(Config):
     """Errors of a frame that the target's file names, in the tracked frames of the sensors."""
 
@@ -218,6 +232,8 @@ class Summary(Config):
     """Shares of tracking."""
     error: ErrorSummary | None
     """Errors over the tracked frames."""
+    truth_error: TruthError | None = None
+    """Errors of the truth itself; null if it states no covariance."""
     frame_errors: dict[str, FrameError] = Field(default_factory=dict)
     """Errors at the target's named frames, by name."""
     joint_errors: dict[str, ErrorSize] = Field(default_factory=dict)

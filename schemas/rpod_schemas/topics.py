@@ -151,6 +151,7 @@ TF = Topic("tf", "tf2_msgs/msg/TFMessage")
 CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock")
 DEPTH = Topic("<camera>/depth/image_raw", _IMAGE)
 AMPLITUDE = Topic("<camera>/amplitude/image_raw", _IMAGE)
+DEPTH_SIGMA = Topic("<camera>/depth_sigma/image_raw", _IMAGE)
 CAMERA_INFO = Topic("<camera>/camera_info", "sensor_msgs/msg/CameraInfo")
 PHASE = Topic("<camera>/phase/image_raw", _IMAGE)
 PMD_INFO = Topic("<camera>/info", "rpod_msgs/msg/PmdInfo", latched=True)
@@ -172,9 +173,9 @@ PARAMETER_EVENTS = Topic(
 )
 
 TOPICS: tuple[Topic, ...] = (
-    TRUTH, TRUTH_JOINTS, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, CAMERA_INFO, PHASE,
-    PMD_INFO, POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME, ESTIMATE_JOINTS,
-    CONTRADICTION, VALIDITY, STATUS, COMMAND, IMU, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS,
+    TRUTH, TRUTH_JOINTS, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, DEPTH_SIGMA,
+    CAMERA_INFO, PHASE, PMD_INFO, POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME,
+    ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, STATUS, COMMAND, IMU, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS,
 )  # fmt: skip
 """All topics, in the order of the ICD's table."""
 

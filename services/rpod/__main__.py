@@ -10,7 +10,9 @@ import typer
 from pydantic import BaseModel
 
 from rpod import __version__
+from rpod.calibrate_verbs import calibrate_verbs
 from rpod.campaign_verbs import campaign_verbs
+from rpod.driver_verbs import driver_verbs
 from rpod.log_options import NoLimits
 from rpod.log_verbs import log_verbs
 from rpod.target_verbs import target_verbs
@@ -59,8 +61,10 @@ def _version(asked: bool) -> None:
 
 
 app.add_typer(log_verbs)
+app.add_typer(calibrate_verbs, name="calibrate")
 app.add_typer(campaign_verbs)
 app.add_typer(target_verbs)
+app.add_typer(driver_verbs)
 
 
 @app.callback()

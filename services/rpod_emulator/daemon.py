@@ -25,7 +25,7 @@ from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_stamp, read_vector_stamped
 from rpod_schemas.poses import chained
 from rpod_schemas.schedule import DueFrame, Step, frame_at, last_number, lockstep_steps
-from rpod_schemas.topics import CLOCK, SUN, TRUTH
+from rpod_schemas.topics import CLOCK, REFERENCE, SUN, TRUTH
 from rpod_schemas.types import Health
 from rpod_target import load_target
 
@@ -88,7 +88,8 @@ class Emulator:
         node.serve("start", StartRequest, self._ask_to_start, ros=trigger(StartRequest))
         if not self._by_wall:
             node.follow_clock(self._inbox.put)
-        node.subscribe(TRUTH, self._inbox.put, recover=True, history=True)
+        moved = REFERENCE if config.motion == REFERENCE.name else TRUTH
+        node.subscribe(moved, self._inbox.put, recover=True, history=True)
         node.subscribe(SUN, self._inbox.put, recover=True)
 
     def _begin(self, epoch_ns: int | None, duration_s: float | None) -> None:

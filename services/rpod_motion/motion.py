@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_motion.approach import Approach
-from rpod_motion.attitude import FixedAttitude, Spin, TargetAttitude, integrate_tumble
+from rpod_motion.attitude import FixedAttitude, Spin, Sway, TargetAttitude, integrate_tumble
 from rpod_motion.errors import MotionError
 from rpod_motion.relative_orbit import cross
 from rpod_motion.station_keeping import StationKeeping
@@ -22,6 +22,7 @@ from rpod_schemas.config.motion import (
     MotionConfig,
     SpinConfig,
     SunConfig,
+    SwayConfig,
     TrajectoryConfig,
 )
 from rpod_schemas.poses import pose_of
@@ -140,6 +141,8 @@ def _attitude(config: AttitudeConfig, inertia_kg_m2: FloatArray, duration_s: flo
         return FixedAttitude(rotation.as_matrix())
     if isinstance(config, SpinConfig):
         return Spin(rotation.as_matrix(), _unit(config.axis), np.deg2rad(config.rate_deg_s).item())
+    if isinstance(config, SwayConfig):
+        return Sway(rotation.as_matrix(), np.deg2rad(config.amplitude_deg), config.period_s)
     return integrate_tumble(
         quaternion_xyzw=rotation.as_quat(),
         rate_rad_s=np.deg2rad(config.rate_deg_s),

@@ -108,6 +108,9 @@ class Playground:
 
     def _give(self, block: Block) -> None:
         name, _, scenario = block.said.partition(" from ")
+        if not scenario:
+            shutil.copytree(ROOT / name, self._folder / name)
+            return
         shutil.copyfile(self._log_of(scenario), self._folder / name)
 
     # --- commands and Python ---

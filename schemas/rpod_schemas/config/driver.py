@@ -5,9 +5,10 @@ from typing import Self
 from pydantic import Field, field_validator, model_validator
 
 from rpod_schemas.config.base import Name, Positive
+from rpod_schemas.config.mount_calibration import Mount
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.errors import SchemaError
-from rpod_schemas.poses import Pose, make_pose
+from rpod_schemas.poses import make_pose
 from rpod_schemas.sensors import sensor_kind
 
 
@@ -20,8 +21,8 @@ class DriverConfig(ServiceConfig):
     """Kind of the sensor: ``pmd``, ``lidar``, or one that another installed package brings."""
     name: Name
     """Name of the sensor: the first part of its topics."""
-    T_chaser_sensor: Pose = Field(default_factory=make_pose)
-    """Mount: pose of the sensor's (optical) frame in the chaser, from the hand-eye calibration."""
+    T_chaser_sensor: Mount = Field(default_factory=make_pose)
+    """Mount: pose of the sensor's (optical) frame in the chaser, or the file of ``rpod calibrate mount``."""
     silence_s: Positive = 3.0
     """Longest time without a frame, s; a longer one is an error, after which the sensor is reconnected."""
     retry_s: Positive = 1.0

@@ -84,9 +84,9 @@ class PmdInput(SensorInput):
     distances beyond the unambiguous range are unwrapped. A camera with several frequencies unwraps by
     itself."""
     calibration: CalibrationSource | None = None
-    """Error of the distances, which is subtracted in every frame. Set it to the file that ``rpod calibrate``
-    wrote, or write its content inline. With it, the bias of the ranges is assumed to be millimetres, without
-    it centimetres."""
+    """Error of the distances, which is subtracted in every frame. Set it to the file that ``rpod calibrate
+    depth`` wrote, or write its content inline. With it, the bias of the ranges is assumed to be millimetres,
+    without it centimetres."""
     unwrapping: Literal["predicted", "none"] = "predicted"
     """Unwrapping of the depth of a camera that measures with one known frequency. ``predicted`` moves the
     depth by whole unambiguous ranges to where the target is predicted; without a prediction every multiple up

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.config.emulator import SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
-from rpod_schemas.config.motion import MotionConfig
+from rpod_schemas.config.motion import MotionConfig, TruthErrorConfig
 from rpod_schemas.config.surroundings import Thing
 
 DEFAULT_EPOCH_NS = 1_767_225_600_000_000_000
@@ -39,6 +39,9 @@ class Scenario(Config):
     """Start of time in lockstep, ns of UTC; live runs start at the wall clock's time."""
     motion: MotionConfig
     """Motion of chaser and target, and the sun."""
+    truth_error: TruthErrorConfig | None = None
+    """Errors of the published truth, as of robots or motion capture, with their covariance; exact if left
+    out. The sensors see the exact motion."""
     sensors: tuple[SensorConfig, ...] = Field(min_length=1)
     """Sensors to emulate."""
     world: WorldName = "documented"

@@ -16,6 +16,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
+from rpod_schemas.config.mount_calibration import Mount
 from rpod_schemas.config.source import Source, SourceConfig
 from rpod_schemas.errors import SchemaError
 from rpod_schemas.poses import Pose, make_pose
@@ -91,8 +92,8 @@ class SensorInput(Kinded):
 
     name: Name
     """Name of the sensor: the first part of its topics."""
-    T_chaser_sensor: Pose | None = None
-    """Mount of the sensor, if tf_static does not give it."""
+    T_chaser_sensor: Mount | None = None
+    """Mount of the sensor, if tf_static does not give it, or the file of ``rpod calibrate mount``."""
     range_m: Range | None = None
     """Least and greatest distance to the target's origin at which the sensor is used, m. Set it where the
     sensor's poses are worse than another sensor's beyond it: a camera's frames of a target that is a few

@@ -5,7 +5,7 @@ minute in bounded memory; ``read_run`` returns all of it at once.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.topics import STATUS
 from rpod_schemas.types import Mode
 from rpod_target import NO_SYMMETRY, Equivalence, TargetError, load_equivalence
+
+_NO_COVARIANCE = bytes(8 * 36)
 
 DEFAULT_PREFIX = STATUS.name.split("/")[0]
 
@@ -156,13 +158,13 @@ class StreamedRun:
             [row for minute in minutes for row in store.rows(minute)]
             for store in (found.truth, found.estimates, found.statuses, found.frames)
         )
-        truth, estimates, statuses = _track(truth_rows), _track(estimate_rows), _statuses(status_rows)
+        truth, estimates, statuses = _truth(truth_rows), _track(estimate_rows), _statuses(status_rows)
         tracked, sensor_of = _behind(estimates, _statuses(status_before + status_rows))
         covariance = np.frombuffer(b"".join(row[2] for row in estimate_rows)).reshape(-1, 6, 6)
         R_chaser_sensor = _sensor_axes(sensor_of, self.sensors)
         errors, T_truth = find_errors(
             estimates,
-            _track(sorted(truth_rows + truth_around, key=lambda row: row[0])) if truth_around else truth,
+            _truth(sorted(truth_rows + truth_around, key=lambda row: row[0])) if truth_around else truth,
             covariance=covariance,
             R_chaser_sensor=R_chaser_sensor,
             alike=self._alike,
@@ -255,6 +257,14 @@ def _track(rows: list[Row]) -> Track:
         np.array([row[0] for row in rows], np.int64),
         RigidTransform.from_components(poses[:, :3], Rotation.from_quat(poses[:, 3:])),
     )
+
+
+def _truth(rows: list[Row]) -> Track:
+    track = _track(rows)
+    if not any(row[2] for row in rows):
+        return track
+    covariance = np.frombuffer(b"".join(row[2] or _NO_COVARIANCE for row in rows)).reshape(-1, 6, 6)
+    return replace(track, covariance=covariance)
 
 
 def _statuses(rows: list[Row]) -> Statuses:

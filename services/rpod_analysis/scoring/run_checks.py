@@ -100,6 +100,7 @@ def _estimation(summary: Summary) -> Iterator[Check]:
         f"at most {_percent(MAX_OFF_TARGET_SHARE)}",
         None if off is None else off <= MAX_OFF_TARGET_SHARE,
     )
+    yield from _truth(summary)
     within = consistency.nees_share_in_95 if consistency else None
     yield Check(
         "Covariance",
@@ -107,6 +108,20 @@ def _estimation(summary: Summary) -> Iterator[Check]:
         f"at least {_percent(MIN_NEES_SHARE)}",
         None if within is None else within >= MIN_NEES_SHARE,
     )
+
+
+def _truth(summary: Summary) -> Iterator[Check]:
+    """Yield what the truth's own errors are, if it states them; a fact, which is neither good nor bad."""
+    truth = summary.truth_error
+    if truth is not None:
+        yield Check(
+            "Truth",
+            f"its own error is {truth.attitude_deg_rms:.2g}° and {1e3 * truth.position_m_rms:.3g} mm (RMS): "
+            f"it may be {_percent(truth.attitude_share)} of the mean squared attitude error and "
+            f"{_percent(truth.position_share)} of the position's",
+            "part of the covariance by which errors are judged",
+            None,
+        )
 
 
 def _kept_up(summary: Summary) -> Check:

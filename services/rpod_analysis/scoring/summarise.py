@@ -40,6 +40,7 @@ def summarise(
         inputs=run.account.inputs(run.status_topic),
         modes=totals.modes(),
         error=totals.error(),
+        truth_error=totals.truth_error(),
         frame_errors=totals.frame_errors(),
         joint_errors=joint_errors(log, prefix=run.prefix),
         latency_s=summarise_durations(totals.latency_s),

@@ -25,6 +25,7 @@ from rpod_schemas.summary import (
     FrameError,
     Innovation,
     Tracking,
+    TruthError,
 )
 from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Mode
@@ -104,6 +105,7 @@ class RunTotals:
         self._scored = self._off_target = 0
         self._angle_deg, self._distance_m = Column(), Column()
         self._axes = {name: Column() for name in _AXES}
+        self._truth_deg, self._truth_m = Column(), Column()
         self._frames = {name: (frame, Column(), Column()) for name, frame in (frames or {}).items()}
         self._last: tuple[int, int] | None = None
         self.handovers = Handovers()
@@ -209,6 +211,10 @@ class RunTotals:
         self._distance_m.extend(distance_m)
         for column, values in zip(self._axes.values(), _by_axis(errors), strict=True):
             column.extend(values)
+        if errors.truth_covariance is not None:
+            variance = np.diagonal(errors.truth_covariance, axis1=1, axis2=2)
+            self._truth_m.extend(np.sqrt(variance[:, :3].sum(axis=1)))
+            self._truth_deg.extend(np.rad2deg(np.sqrt(variance[:, 3:].sum(axis=1))))
         for frame, at_frame_deg, at_frame_m in self._frames.values() if tracked.any() else ():
             deg, m = frame_errors(frame, run.estimates.poses[tracked], run.T_truth[tracked])
             at_frame_deg.extend(deg)
@@ -240,6 +246,17 @@ class RunTotals:
             **{f"{name}_rms": column.rms for name, column in self._axes.items()},
         )
 
+    def truth_error(self) -> TruthError | None:
+        """Return how much of the errors may be the truth's; None for a truth that states no covariance."""
+        if not self._truth_m.count or self._truth_m.max == 0.0 == self._truth_deg.max:
+            return None
+        return TruthError(
+            attitude_deg_rms=self._truth_deg.rms,
+            position_m_rms=self._truth_m.rms,
+            attitude_share=_share(self._truth_deg, self._angle_deg),
+            position_share=_share(self._truth_m, self._distance_m),
+        )
+
     def frame_errors(self) -> dict[str, FrameError]:
         """Return the statistics of the errors at the target's frames over the tracked frames, by name."""
         return {
@@ -261,6 +278,11 @@ class RunTotals:
             return None
         within = self.nis.share_up_to(NEES_95[self.dof])
         return Innovation(nis_mean=self.nis.mean, nis_dof=self.dof, nis_share_in_95=within)
+
+
+def _share(truth: Column, error: Column) -> float:
+    """Return the part of the mean squared error that the truth's own may be, at most 1."""
+    return min(1.0, (truth.rms / error.rms) ** 2) if error.rms > 0.0 else 1.0
 
 
 def summarise_size(values: Column) -> ErrorSize:

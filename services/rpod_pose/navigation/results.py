@@ -80,7 +80,8 @@ class Results:
         refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
         odometry = self._odometry(state, event.stamp_ns)
         joints = _joints_at(state.joints, odometry.stamp_ns) if odometry else None
-        return Output(status, odometry, refused, joints)
+        used = registration if odometry and not reason else None
+        return Output(status, odometry, refused, joints, measured=used)
 
     def silent(
         self, state: NavigatorState, stamp_ns: int, reason: str, *, sensor: str = ""

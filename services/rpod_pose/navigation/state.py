@@ -12,6 +12,7 @@ from rpod_pose.navigation.joining import Separation
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.streams import Stream
+from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import EstimatorStatus, Joints, Mode, Odometry
 
@@ -74,6 +75,9 @@ class Output:
     """Pixels for which the frame was refused; None if it was not, or if they are not known."""
     joints: Joints | None = None
     """Angles of the target's joints, with the odometry; None for a target without joints."""
+    measured: Registration | None = None
+    """Pose that was measured in the frame, unfiltered, sensor axes; None outside TRACKING and if it was
+    refused."""
 
     def because(self, why: str) -> "Output":
         """Return this output with a reason before its own."""
