@@ -14,6 +14,7 @@ SCENARIOS = {
     "mockup-tumbling",
     "mockup-oblique",
     "mockup-approach",
+    "mockup-calibration",
     "mockup-handover",
     "envisat-station",
     "envisat-mesh",
