@@ -99,6 +99,11 @@ def session_of_token(token: str) -> str:
     return token.split("/")[2]
 
 
+def qos_of_token(token: str) -> str:
+    """Return the quality of service that an endpoint's token states, as rmw_zenoh writes it."""
+    return token.split("/")[12]
+
+
 def topic_of_token(token: str, namespace: Namespace) -> Topic | None:
     """Return the topic that an endpoint's token names; None if it is not of this namespace."""
     name, wire_type = token.split("/")[9:11]

@@ -1,4 +1,4 @@
-"""The verbs about sensors' drivers: list and run."""
+"""The verbs for drivers: run one, check a live sensor, write a new driver, list drivers and faults."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,15 +7,10 @@ import typer
 
 driver_verbs = typer.Typer(
     name="driver",
-    help="Run the drivers of real sensors.",
+    help="Run the driver of a sensor, check a live sensor, write a new driver.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
-
-
-@driver_verbs.callback()
-def driver() -> None:
-    """Run the drivers of real sensors."""
 
 
 @driver_verbs.command("list")
@@ -39,3 +34,59 @@ def run(
     from rpod.command_driver import run_command
 
     raise typer.Exit(run_command(name, config, connect=connect, wait=wait))
+
+
+@driver_verbs.command()
+def check(
+    name: Annotated[str, typer.Argument(help="Name of the sensor: the first part of its topics.")] = "pmd",
+    kind: Annotated[
+        str | None, typer.Option("--kind", help="Kind of the sensor; by default pmd, or lidar for that name.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="Configuration of the driver, for name, kind and bus.")
+    ] = None,
+    source: Annotated[
+        Path | None, typer.Option("--source", help="How a foreign driver publishes; see deploy/sensors.")
+    ] = None,
+    connect: Annotated[str | None, typer.Option("--connect", help="Zenoh endpoint of the router.")] = None,
+    duration: Annotated[float, typer.Option("--duration", help="Time to watch, s.")] = 30.0,
+    rate: Annotated[float | None, typer.Option("--rate", help="Nominal rate of the sensor, Hz.")] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            "--target", help="Target in view, to compare with truth: instant, range, mount, mirror."
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+) -> None:
+    """Watch a live sensor and say what is wrong: exit 0 if nothing is, 1 if a line fails."""
+    from rpod.command_driver_check import CheckOptions, check_command
+
+    options = CheckOptions(
+        name, kind, config=config, source=source, connect=connect, rate_hz=rate, target=target
+    )
+    raise typer.Exit(check_command(options, duration_s=duration, as_json=as_json))
+
+
+@driver_verbs.command()
+def new(
+    template: Annotated[str, typer.Argument(help="Template: ifm, ros or custom.")],
+    name: Annotated[str, typer.Argument(help="Name of the package, as my_camera.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder in which the package's folder is made.")
+    ] = Path(),
+) -> None:
+    """Write the package of a driver: driver, configuration, tests and systemd unit, which run at once."""
+    from rpod.command_driver_check import new_command
+
+    raise typer.Exit(new_command(template, name, out=out))
+
+
+@driver_verbs.command()
+def faults(
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list only.")] = False,
+) -> None:
+    """List the faults that the check knows, and that scenarios and queries may ask for."""
+    from rpod.command_driver_check import faults_command
+
+    raise typer.Exit(faults_command(as_json=as_json))

@@ -63,6 +63,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 motion="truth/odometry" if scenario.truth_error is None else "motion/reference",
                 seed=scenario.seed,
                 publish_samples=scenario.publish_samples,
+                faults=scenario.faults,
                 await_start=True,
                 time_source=time_source,
             ),

@@ -45,3 +45,17 @@ class ForeignDriverError(DriverError):
     def __init__(self, command: str, reason: str, tail: tuple[str, ...] = ()) -> None:
         said = "".join(f"\n    {line}" for line in tail)
         super().__init__(f"driver process {command!r} {reason}" + (f"; it said last:{said}" if said else ""))
+
+
+class NotSupportedError(DriverError):
+    """A driver is asked for what it does not have."""
+
+    def __init__(self, sensor: str, what: str, methods: str) -> None:
+        super().__init__(f"the driver of {sensor!r} has no {what}: it needs the methods {methods}")
+
+
+class NoAnswerError(DriverError):
+    """The device does not answer a request in time."""
+
+    def __init__(self, sensor: str, waited_s: float) -> None:
+        super().__init__(f"no answer of {sensor!r} after {waited_s:g} s; is its device connected?")

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from rpod_estimator.frame_reader import Arrived, FrameReader
-from rpod_estimator.input_book import clock_hint
 from rpod_estimator.input_health import InputHealth
-from rpod_estimator.stamp_watch import StampWatch
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
 from rpod_runtime.holders import Holders, SecondPublisherError
+from rpod_runtime.stamp_watch import StampWatch, clock_hint
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason

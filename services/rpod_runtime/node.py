@@ -37,7 +37,7 @@ from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_diagnostics
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Service, Topic
 from rpod_schemas.types import Health
-from rpod_schemas.wire import GraphNode, publisher_tokens, session_of_token, topic_of_token
+from rpod_schemas.wire import GraphNode, publisher_tokens, qos_of_token, session_of_token, topic_of_token
 
 log = logging.getLogger(__name__)
 
@@ -172,6 +172,13 @@ class Node(Asker):
 
         watcher = self._session.liveliness().declare_subscriber(publisher_tokens(self._keys), take)
         self._stack.callback(watcher.undeclare)
+
+    def publisher_qos(self) -> list[tuple[str, str]]:
+        """Return topic and quality of service of each publisher on the bus, from the liveliness tokens."""
+        replies = self._session.liveliness().get(publisher_tokens(self._keys), timeout=2.0)
+        tokens = [str(reply.ok.key_expr) for reply in replies if reply.ok]
+        topics = ((topic_of_token(token, self._keys), token) for token in tokens)
+        return [(topic.name, qos_of_token(token)) for topic, token in topics if topic is not None]
 
     def _subscribe(
         self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool

@@ -9,6 +9,7 @@ from rpod_schemas.config.motion import JointMotionConfig, MotionConfig, TruthErr
 from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.surroundings import Thing
+from rpod_schemas.faults import PlannedFault
 from rpod_schemas.sensors.fields import EMULATED
 
 SensorConfig = Annotated[EmulatedSensor, EMULATED]
@@ -49,6 +50,8 @@ class EmulatorConfig(ServiceConfig):
     motion: Literal["truth/odometry", "motion/reference"] = "truth/odometry"
     """Topic of the target's motion. ``motion/reference`` is the motion service's own, without the errors of
     the truth that it publishes (``truth_error``)."""
+    faults: tuple[PlannedFault, ...] = ()
+    """Faults of the sensors, at times from the epoch."""
 
 
 class LockstepConfig(Config):

@@ -6,12 +6,12 @@ from time import monotonic
 import numpy as np
 import pytest
 
-from rpod_estimator.stamp_watch import StampWatch
 from rpod_estimator.subscriptions import Subscriptions
 from rpod_runtime import BusClock, Received, WallClock
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.health import HealthBook
 from rpod_runtime.holders import Peer
+from rpod_runtime.stamp_watch import StampWatch
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
