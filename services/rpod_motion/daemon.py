@@ -7,8 +7,9 @@ from threading import Event
 
 from rpod_motion.errors import MotionError
 from rpod_motion.lockstep import Lockstep
-from rpod_motion.motion import build_motion
+from rpod_motion.motion import Motion, build_motion
 from rpod_motion.truth import TruthPublisher
+from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.ros import trigger
@@ -50,7 +51,7 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         epoch_ns = _epoch(node, config)
         if epoch_ns is None:
             return
-        truth = TruthPublisher(node, motion, epoch_ns=epoch_ns, rate_hz=config.rate_hz)
+        truth = _truth(node, motion, config, epoch_ns)
         first, last = truth.tick(-config.preroll_s), truth.tick(config.duration_s + _tail_s(config))
         node.state = "running"
         node.health.report(Health.OK, f"playing {config.duration_s:g} s")
@@ -63,6 +64,13 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         log.info("finished after %g s of scenario time", config.duration_s)
         if config.await_start:
             node.stop.wait()  # the process that started it asks for its state, then stops it
+
+
+def _truth(node: Node, motion: Motion, config: MotionServiceConfig, epoch_ns: int) -> TruthPublisher:
+    error = None
+    if config.truth_error is not None:
+        error = TruthError(config.truth_error, seed=config.seed, rate_hz=config.rate_hz)
+    return TruthPublisher(node, motion, epoch_ns=epoch_ns, rate_hz=config.rate_hz, error=error)
 
 
 def _tail_s(config: MotionServiceConfig) -> float:

@@ -20,15 +20,19 @@ from rpod_campaign.integrity.course import EPOCH_S, Course, IntegrityCell, lidar
 from rpod_campaign.integrity.faults import Injector, LyingTracker, model_of
 from rpod_campaign.lidar.methods import pattern_of, tracking_input
 from rpod_campaign.pmd.scene import camera_of, scenario_of
+from rpod_estimator.frame_reader import FROZEN_REPEATS
+from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.navigator import Navigator
-from rpod_pose.navigation.state import Output
+from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
 from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
 from rpod_schemas.config.sensor import SensorInput
+from rpod_schemas.errors import Reason
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.types import Integrity
+from rpod_schemas.topics import CHASER
+from rpod_schemas.types import EstimatorStatus, Integrity
 from rpod_target import Target
 
 FRAME = "frame"
@@ -78,9 +82,12 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
         measurement = injector.measured(time_s, clean) if mine else clean
         lies = mine and cell.fault == "half_turn" and injector.is_active(time_s)
         liars[clean.sensor].truth = clean.T_chaser_sensor.inv() * course.truth(time_s) if lies else None
-        state, output = navigator.step(state, measurement)
-        repeats = injector.repeats if mine else 0
-        memory, integrity = monitor.assess(memory, state, output, repeats=repeats)
+        frozen = mine and injector.repeats >= FROZEN_REPEATS
+        if frozen:  # as the estimator refuses it, before the navigator
+            output = _refused(measurement, state)
+        else:
+            state, output = navigator.step(state, measurement)
+        memory, integrity = monitor.assess(memory, state, output, frozen=frozen)
         rows.append(
             {
                 FRAME: number,
@@ -93,6 +100,17 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _refused(measurement: Measurement, state: NavigatorState) -> Output:
+    status = EstimatorStatus(
+        stamp_ns=measurement.stamp_ns,
+        frame_id=CHASER,
+        mode=state.mode,
+        sensor=measurement.sensor,
+        reason=Reason.FROZEN,
+    )
+    return Output(status, None)
 
 
 def _scored(course: Course, output: Output, integrity: Integrity, target: Target) -> dict[str, Any]:

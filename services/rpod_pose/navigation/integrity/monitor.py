@@ -26,9 +26,6 @@ from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState
 
-FROZEN_REPEATS = 2
-"""Number of repetitions to the bit from which on a stream is frozen: the third equal frame."""
-
 
 @dataclass(frozen=True, eq=False)
 class Memory:
@@ -62,7 +59,7 @@ class Monitor:
         self._limits = {sensor.name: sensor.alert_limit for sensor in settings.sensors}
 
     def assess(
-        self, memory: Memory, state: NavigatorState, output: Output, *, repeats: int = 0
+        self, memory: Memory, state: NavigatorState, output: Output, *, frozen: bool = False
     ) -> tuple[Memory, Integrity]:
         """Return the memory after a step of the navigator, and the integrity of its output.
 
@@ -70,14 +67,16 @@ class Monitor:
             memory: the memory before.
             state: the navigator's state after the step.
             output: what the step publishes.
-            repeats: number of frames in a row, up to this one, that equal the frame before to the bit.
+            frozen: whether the step's frame was refused, as its content is that of the frames before.
         """
-        memory = self._heard(memory, state, output, repeats)
-        if output.odometry is None or state.history is None:
+        memory = self._heard(memory, state, output, frozen)
+        if not state.mode.has_track or state.history is None:
             reason = f"the target is not tracked: {state.mode.name}"
-            return memory, self._integrity(output, IntegrityState.UNAVAILABLE, reason)
+            stamp_ns = output.status.stamp_ns
+            return memory, self._integrity(output, stamp_ns, IntegrityState.UNAVAILABLE, reason)
         newest = state.history.state
-        estimate = predict(newest, max(newest.stamp_ns, output.odometry.stamp_ns), self._filter)
+        shown_ns = state.shown_ns if output.odometry is None else output.odometry.stamp_ns
+        estimate = predict(newest, max(newest.stamp_ns, shown_ns), self._filter)
         tests, evidence = self._tests(memory, estimate)
         memory = self._remembered(memory, estimate)
         levels = self._levels(memory, state, output, estimate)
@@ -85,12 +84,12 @@ class Monitor:
 
     # --- memory ---
 
-    def _heard(self, memory: Memory, state: NavigatorState, output: Output, repeats: int) -> Memory:
+    def _heard(self, memory: Memory, state: NavigatorState, output: Output, frozen: bool) -> Memory:
         """Return the memory with the frame of a step."""
         status = output.status
         if status.sensor:
-            others = memory.frozen - {status.sensor}
-            memory = replace(memory, frozen=others | {status.sensor} if repeats >= FROZEN_REPEATS else others)
+            mine = {status.sensor}
+            memory = replace(memory, frozen=memory.frozen | mine if frozen else memory.frozen - mine)
         if status.accepted:
             memory = replace(memory, sensor=status.sensor)
         compared = None
@@ -228,6 +227,7 @@ class Monitor:
             state, reason = IntegrityState.CAUTION, caution
         return self._integrity(
             output,
+            estimate.stamp_ns,
             state,
             reason,
             attitude_level_deg=levels.attitude_deg,
@@ -261,13 +261,17 @@ class Monitor:
         return next((test.told(risk) for test in tests if test.fails(risk)), "")
 
     def _integrity(
-        self, output: Output, state: IntegrityState, reason: str, **levels: float | dict[str, float]
+        self,
+        output: Output,
+        stamp_ns: int,
+        state: IntegrityState,
+        reason: str,
+        **levels: float | dict[str, float],
     ) -> Integrity:
-        odometry, status = output.odometry, output.status
         return Integrity.model_validate(
             {
-                "stamp_ns": status.stamp_ns if odometry is None else odometry.stamp_ns,
-                "frame_id": status.frame_id,
+                "stamp_ns": stamp_ns,
+                "frame_id": output.status.frame_id,
                 "state": state,
                 "reason": reason,
                 "risk": self._config.risk,

@@ -45,7 +45,7 @@ class Track:
     memory: Memory = field(default_factory=Memory)
     state: NavigatorState = field(default_factory=NavigatorState)
 
-    def measure(self, time_s, *, sensor="pmd", off=None, repeats=0, accepted=True):
+    def measure(self, time_s, *, sensor="pmd", off=None, frozen=False, accepted=True):
         """Apply a pose of a sensor with noise, ``off`` by a pose; return the integrity."""
         pose = truth(time_s) * (make_pose() if off is None else off)
         error = self.noise.standard_normal(6) * ([SIGMA_M] * 3 + [SIGMA_RAD] * 3)
@@ -61,9 +61,9 @@ class Track:
         elif accepted:
             grown, nis, accepted = apply(self.state.history, measured, CONFIG)
             self.state = replace(self.state, history=grown)
-        return self.judge(stamp_ns, sensor=sensor, nis=nis, accepted=accepted, repeats=repeats)
+        return self.judge(stamp_ns, sensor=sensor, nis=nis, accepted=accepted, frozen=frozen)
 
-    def judge(self, stamp_ns, *, sensor, nis=float("nan"), accepted=True, repeats=0):
+    def judge(self, stamp_ns, *, sensor, nis=float("nan"), accepted=True, frozen=False):
         newest = self.state.history.state
         odometry = Odometry(
             stamp_ns=max(stamp_ns, newest.stamp_ns), frame_id="chaser", child_frame_id="target_estimate",
@@ -75,7 +75,7 @@ class Track:
             accepted=accepted, reason="" if accepted else "too few pixels",
         )  # fmt: skip
         output = Output(status, odometry if self.state.mode is Mode.TRACKING else None)
-        self.memory, integrity = self.monitor.assess(self.memory, self.state, output, repeats=repeats)
+        self.memory, integrity = self.monitor.assess(self.memory, self.state, output, frozen=frozen)
         return integrity
 
 
@@ -139,11 +139,14 @@ def test_a_track_that_jumps_to_a_half_turn_is_an_alert_for_as_long_as_both_may_b
     assert "its prediction from before" in told[0].reason
 
 
-def test_a_frozen_stream_is_an_alert_at_its_third_equal_frame_and_until_it_moves(track):
+def test_a_frozen_stream_is_an_alert_until_it_moves_again(track):
     follow(track, PMD_S)
-    states = [track.measure(6.0 + 0.1 * k, repeats=k).state for k in range(4)]
-    assert states == [IntegrityState.NOMINAL] * 2 + [IntegrityState.ALERT] * 2
-    assert track.measure(6.5, repeats=0).state is IntegrityState.NOMINAL
+    told = track.judge(START_NS + 6 * SECOND_NS, sensor="pmd", accepted=False, frozen=True)
+    assert (told.state, told.reason) == (
+        IntegrityState.ALERT,
+        "pmd: frozen, its last frames are identical",
+    )
+    assert track.measure(6.1).state is IntegrityState.NOMINAL
 
 
 def test_two_sensors_that_differ_by_more_than_their_covariances_are_an_alert(track):
