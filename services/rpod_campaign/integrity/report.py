@@ -59,7 +59,7 @@ def summarise(cell: IntegrityCell, rows: pl.DataFrame) -> dict[str, Any]:
         "false_alerts": false_alerts,
         "nominal_hours": hours,
         "false_alerts_per_hour": false_alerts / hours if hours else None,
-        "availability": rows.select(available.fill_nan(False).fill_null(False).mean()).item(),
+        "availability": rows.select(available.fill_null(False).mean()).item(),
         **_sizes(scored),
         **consistency(scored),
     }

@@ -14,9 +14,8 @@ from rpod_pose.ports import Registration
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan, Source
 
-SCAN = LidarScan(
-    stamp_ns=100_000_000_000, frame_id="lidar", points_m=np.array([[0.0, 3.0, 4.0], [np.nan] * 3, [0.0] * 3])
-)
+POINTS_M = np.array([[0.0, 3.0, 4.0], [np.nan] * 3, [0.0] * 3], np.float32)
+SCAN = LidarScan(stamp_ns=100_000_000_000, frame_id="lidar", points_m=POINTS_M)
 
 
 def measured(fault, size, time_s=7.0):
@@ -27,7 +26,7 @@ def measured(fault, size, time_s=7.0):
 
 def test_a_drift_of_ranges_lengthens_returns_along_their_rays_and_nothing_else():
     _, found = measured("range_drift", 50.0)  # 50 mm/s for 2 s
-    np.testing.assert_allclose(found.data.points_m[0], [0.0, 3.06, 4.08])
+    np.testing.assert_allclose(found.data.points_m[0], [0.0, 3.06, 4.08], rtol=1e-6)
     assert np.isnan(found.data.points_m[1]).all()
     assert not found.data.points_m[2].any()
 
