@@ -28,9 +28,8 @@ _CONFIDENCE = 0.95
 def summarise(cell: IntegrityCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell.
 
-    Alerted: the state is alert or unavailable, in the frame of the first error above the alert limit or
-    later. The time to alert runs from that frame. False alerts are those before the fault and before any such
-    error.
+    Alerted: from a frame on, no error above the alert limit has a usable state. The time to alert runs to this
+    frame from the first error above the limit. False alerts are those before the fault and such an error.
     """
     scored = rows.filter(pl.col("attitude_error_deg").is_not_null())
     available = (pl.col("attitude_level_deg") <= pl.col("attitude_limit_deg")) & (
@@ -131,8 +130,8 @@ def sections(results: Results) -> list[Section]:
         Section(
             "Faults that one sensor can see",
             "Misleading: an error is above its protection level while the state is nominal or caution. "
-            "Alerted: alert or unavailable from the first error above the alert limit on, or later; the time "
-            "runs from that frame. Available: both levels are below the alert limits.",
+            "Alerted: from a frame on, each error above the alert limit has the state alert or unavailable; "
+            "the time runs to it from the first such error. Available: both levels are below the limits.",
             (_table("Faults that one sensor can see", seen),),
             _stanford(seen),
         ),
@@ -241,16 +240,18 @@ def _sequences(rows: pl.DataFrame) -> list[pl.DataFrame]:
 
 
 def _delay_s(sequence: pl.DataFrame) -> float | None:
-    """Return the time from the first error above the alert limit to the first frame that is not usable.
+    """Return the time from the first error above the alert limit until no such frame is usable any more.
 
-    None without such an error, infinite if nothing told it.
+    None without such an error, infinite if the last such frame is usable.
     """
     harmful = sequence.filter(pl.col("harmful"))
     if not harmful.height:
         return None
-    first_s = float(harmful["time_s"][0])
-    told = sequence.filter(~pl.col("usable") & (pl.col("time_s") >= first_s))
-    return float(told["time_s"][0]) - first_s if told.height else float("inf")
+    first_s, untold = float(harmful["time_s"][0]), harmful.filter(pl.col("usable"))
+    if not untold.height:
+        return 0.0
+    after = harmful.filter(pl.col("time_s") > untold["time_s"].max())
+    return float(after["time_s"][0]) - first_s if after.height else float("inf")
 
 
 def _before(sequence: pl.DataFrame) -> pl.DataFrame:
