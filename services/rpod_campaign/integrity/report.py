@@ -28,8 +28,8 @@ _CONFIDENCE = 0.95
 def summarise(cell: IntegrityCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell.
 
-    Alerted: from a frame on, no error above the alert limit has a usable state. The time to alert runs to this
-    frame from the first error above the limit. False alerts come before the fault and before such an error.
+    Alerted: from a frame on, no error above the alert limit has a usable state. The time to alert runs to
+    this frame from the first error above the limit. False alerts come before the fault and such an error.
     """
     scored = rows.filter(pl.col("attitude_error_deg").is_not_null())
     available = (pl.col("attitude_level_deg") <= pl.col("attitude_limit_deg")) & (
