@@ -32,8 +32,10 @@ def summarise(cell: IntegrityCell, rows: pl.DataFrame) -> dict[str, Any]:
     this frame from the first error above the limit. False alerts come before the fault and such an error.
     """
     scored = rows.filter(pl.col("attitude_error_deg").is_not_null())
-    available = (pl.col("attitude_level_deg") <= pl.col("attitude_limit_deg")) & (
-        pl.col("position_level_m") <= pl.col("position_limit_m")
+    available = (
+        pl.col("attitude_level_deg").is_finite()  # NaN without a track, which polars takes as equal to NaN
+        & (pl.col("attitude_level_deg") <= pl.col("attitude_limit_deg"))
+        & (pl.col("position_level_m") <= pl.col("position_limit_m"))
     )
     delays_s = [_delay_s(each) for each in _sequences(rows)]
     harmed = [delay_s for delay_s in delays_s if delay_s is not None]

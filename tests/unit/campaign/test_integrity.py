@@ -95,6 +95,17 @@ def test_time_to_alert_runs_from_the_first_error_above_the_limit():
     assert found["availability"] == 1.0
 
 
+def test_frames_without_a_track_are_not_available():
+    lost = [
+        row | dict.fromkeys(("attitude_level_deg", "attitude_limit_deg"), float("nan"))
+        for row in rows(["unavailable"] * 4, error_deg=[0.1] * 4)
+    ]
+    table = pl.DataFrame(
+        [*lost, *rows(["nominal"] * 4, error_deg=[0.1] * 4, trial=1)], schema=SCHEMA | {"trial": pl.Int64}
+    )
+    assert summarise(IntegrityCell("none", 0.0, "mockup", "lidar"), table)["availability"] == 0.5
+
+
 def test_bounds_of_no_events_are_those_of_the_rule_of_three():
     assert share_bound(0, 3000) == pytest.approx(1e-3, rel=0.01)
     assert share_bound(5, 5) == 1.0
