@@ -15,6 +15,7 @@ from typing import Self
 
 from rpod_logger.backlog import Backlog, Command
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, LoggerError, NotRecordingError
+from rpod_logger.farewells import Endings
 from rpod_logger.recording import Recording, Totals
 from rpod_logger.writer import WriterSettings, create_log
 from rpod_runtime import Received
@@ -40,9 +41,16 @@ class Recorder:
     """Records the messages put into it. ``with`` runs its thread; at the end it writes what is queued."""
 
     def __init__(
-        self, config: LoggerConfig, *, version: str, health: HealthBook, account: SequenceAccount
+        self,
+        config: LoggerConfig,
+        *,
+        version: str,
+        health: HealthBook,
+        account: SequenceAccount,
+        endings: Callable[[int], Endings] = lambda _: Endings(),
     ) -> None:
-        self._config, self._version = config, version
+        """Prepare; ``endings`` returns what is to be said of a file opened at a stamp, and is called once."""
+        self._config, self._version, self._endings = config, version, endings
         self._health, self._account = health, account
         self._backlog = Backlog(config.queue_bytes)
         self._recording: Recording | None = None
@@ -218,6 +226,8 @@ class Recorder:
         except OSError as error:
             raise self._fail(CannotWriteError(config.directory / f"{stem}.mcap", error)) from error
         self._stem, self._failure = stem, None
+        if continues is None:
+            self._endings(time.time_ns())  # what ended before is no matter of this file
         recording = self._recording = Recording(file, self._totals(received), continues=continues)
         self._attempt(lambda recording: recording.describe(self._services, self._version))
         self._attempt(lambda recording: recording.repeat(self._latched.values()))
@@ -231,7 +241,8 @@ class Recorder:
         if recording is None:
             raise NotRecordingError
         closed_at = self._totals(received)
-        self._attempt(lambda recording: recording.close(closed_at, self._config.bus.keys))
+        endings = self._endings(recording.opened_ns)
+        self._attempt(lambda recording: recording.close(closed_at, self._config.bus.keys, endings=endings))
         if self._failure:
             raise self._failure
         self._recording = None
@@ -261,7 +272,12 @@ class Recorder:
         """Close the log if the disk still allows it; otherwise abandon it."""
         closed_at = self._totals(self._backlog.received())
         try:
-            recording.close(closed_at, self._config.bus.keys, reasons=(str(error.strerror),))
+            recording.close(
+                closed_at,
+                self._config.bus.keys,
+                reasons=(str(error.strerror),),
+                endings=self._endings(recording.opened_ns),
+            )
         except OSError:
             self._abandon(recording, error)
         else:

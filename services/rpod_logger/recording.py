@@ -8,24 +8,30 @@ from dataclasses import dataclass, field, fields
 from itertools import chain
 from typing import Self
 
+from rpod_logger.farewells import Endings
 from rpod_logger.writer import LogFile, channel_topic
 from rpod_runtime import Received
 from rpod_runtime.accounting import FARTHEST, Publication
 from rpod_schemas.control import StatusReply
 from rpod_schemas.logs import (
+    BUS,
     COMPLETENESS,
     CONFIGURATION,
     COUNTS,
     PUBLISHERS,
     SOFTWARE,
     STATUS,
+    BusRecord,
     Completeness,
     Numbers,
+    OutageTime,
     TopicCount,
     shortfalls,
 )
 from rpod_schemas.topics import Namespace
 from rpod_schemas.wire import UNNUMBERED
+
+_NOTHING = Endings()
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,8 @@ class Recording:
         self.file = file
         self._opened_at = opened_at
         self._opened_s = time.monotonic()
+        self.opened_ns = time.time_ns()
+        """Time at which the file was opened, ns of UTC."""
         self._continues = continues
         self._runs: dict[Publication, list[_Run]] = {}
         self._repeated: Counter[str] = Counter()
@@ -140,17 +148,25 @@ class Recording:
                 numbers[channel_topic(keys, run.topic)].append(each.model_dump())
         return {topic: json.dumps(each) for topic, each in numbers.items()}
 
-    def close(self, closed_at: Totals, keys: Namespace, *, reasons: tuple[str, ...] = ()) -> None:
+    def close(
+        self,
+        closed_at: Totals,
+        keys: Namespace,
+        *,
+        reasons: tuple[str, ...] = (),
+        endings: Endings = _NOTHING,
+    ) -> None:
         """Add the counts and the statement of completeness, and finish the file.
 
         Args:
             closed_at: the totals at this moment.
             keys: the facility's part of the key space.
             reasons: reasons why the file is not complete, beside those that follow from the counts.
+            endings: what is to be said of publishers that ended, and of the link.
         """
         counts = {channel_topic(keys, name): count for name, count in self.counts(closed_at).items()}
         written = {topic: count.written + count.repeated for topic, count in counts.items()}
-        reasons += shortfalls(counts, written)
+        reasons += endings.reasons + shortfalls(counts, written)
         statement = Completeness(
             complete=not reasons,
             reasons=reasons,
@@ -159,5 +175,8 @@ class Recording:
         )
         self.file.add_metadata(PUBLISHERS, self._publishers(keys))
         self.file.add_metadata(COUNTS, {topic: count.model_dump_json() for topic, count in counts.items()})
+        outages = tuple(OutageTime(begin_ns=each.begin_ns, end_ns=each.end_ns) for each in endings.outages)
+        bus = BusRecord(outages=outages, unconfirmed=endings.unconfirmed)
+        self.file.add_metadata(BUS, bus.record())
         self.file.add_metadata(COMPLETENESS, statement.record())
         self.file.close()

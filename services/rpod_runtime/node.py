@@ -24,6 +24,7 @@ from rpod_runtime.delivery import Delivery
 from rpod_runtime.errors import QueryFailedError
 from rpod_runtime.health import HealthBook
 from rpod_runtime.inbox import Received
+from rpod_runtime.link import Link
 from rpod_runtime.publisher import Publisher
 from rpod_runtime.replies import error_reply, error_text
 from rpod_runtime.session import open_client
@@ -33,7 +34,7 @@ from rpod_schemas.control import Accepted, Empty, StatusReply
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_diagnostics
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Topic
-from rpod_schemas.types import Health
+from rpod_schemas.types import CLOSING, PUBLISHED, Health
 from rpod_schemas.wire import GraphNode, publisher_tokens, session_of_token, topic_of_token
 
 log = logging.getLogger(__name__)
@@ -62,6 +63,7 @@ class Node:
         self.health = HealthBook(config.instance)
         self.account = SequenceAccount()
         self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
+        self.link = Link(self.health, config.bus.connect)
         self._keys = config.bus.keys
         self._delivery = Delivery(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
@@ -80,6 +82,7 @@ class Node:
         self._session = self._stack.enter_context(
             open_client(self.config.bus, zenoh_id=self.config.zenoh_id, stop=self.stop)
         )
+        self._stack.callback(self.link.watch(self._session))
         self._graph = GraphNode(self._keys, str(self._session.zid()), self.config.instance)
         self._token(self._graph.node_token())
         self._diagnostics = self.publisher(DIAGNOSTICS)
@@ -101,6 +104,11 @@ class Node:
         if serves and (linger_s := last_s + _LINGER_S - time.monotonic()) > 0:
             time.sleep(linger_s)
         self._stack.close()
+
+    @property
+    def session_id(self) -> str:
+        """Zenoh identity of the session."""
+        return self._graph.session_id
 
     # --- endpoints ---
 
@@ -147,16 +155,24 @@ class Node:
         )
         self._stack.callback(watcher.undeclare)
 
-    def watch_publishers(self, gone: Callable[[str, Topic], None]) -> None:
-        """Call ``gone`` with session and topic, in the bus's thread, when a publisher's token vanishes."""
+    def watch_publishers(
+        self, gone: Callable[[str, Topic], None], came: Callable[[str, Topic], None] | None = None
+    ) -> None:
+        """Call ``gone`` with session and topic, in the bus's thread, when a publisher's token vanishes.
+
+        ``came`` is called when one appears, and for those that are there already.
+        """
 
         def take(token: zenoh.Sample) -> None:
             key = str(token.key_expr)
             topic = topic_of_token(key, self._keys)
-            if token.kind == zenoh.SampleKind.DELETE and topic is not None:
-                gone(session_of_token(key), topic)
+            tell = gone if token.kind == zenoh.SampleKind.DELETE else came
+            if tell is not None and topic is not None:
+                tell(session_of_token(key), topic)
 
-        watcher = self._session.liveliness().declare_subscriber(publisher_tokens(self._keys), take)
+        watcher = self._session.liveliness().declare_subscriber(
+            publisher_tokens(self._keys), take, history=came is not None
+        )
         self._stack.callback(watcher.undeclare)
 
     def _subscribe(
@@ -330,6 +346,7 @@ class Node:
     def _last_beat(self) -> None:
         self.stop.set()
         self._heart.join(timeout=2.0)
+        self.health.tell(CLOSING, "true")
         self._publish_health()
 
     def _publish_health(self) -> None:
@@ -339,7 +356,7 @@ class Node:
     def _update_counters(self) -> None:
         totals: Counter[str] = Counter()  # several publishers, or type hashes, may share a topic
         for publisher in self._publishers:
-            totals[f"published/{publisher.topic.name}"] += publisher.published
+            totals[f"{PUBLISHED}{publisher.topic.name}"] += publisher.published
         for key, count in list(self.account.counts.items()):
             topic = self._keys.topic_at(key).name
             totals[f"received/{topic}"] += count.received
