@@ -84,22 +84,30 @@ class Link:
                 self._routers.add(router)
             else:
                 self._routers.discard(router)
-            if had and not self._routers:
-                self._lose(now_ns)
-            elif self._outages and self._outages[-1].end_ns is None and self._routers:
-                self._regain(now_ns)
+            lost = had and not self._routers
+            if lost:
+                self._begin(now_ns)
+            regained = self._end(now_ns) if opened else None
+        if lost:
+            log.error(
+                "bus lost: the link to the router at %s is gone; is the router running?", self._endpoint
+            )
+            self._health.count("bus/lost")
+            self._health.warn("bus/outage", str(Outage(now_ns)))
+        if regained is not None:
+            log.warning("bus regained: the link was lost %s", regained)
+            self._health.warn("bus/outage", str(regained))
 
-    def _lose(self, now_ns: int) -> None:
+    def _begin(self, now_ns: int) -> None:
         if len(self._outages) >= MOST_OUTAGES:
             first = self._outages.pop(0)
             self._outages[0] = replace(self._outages[0], begin_ns=first.begin_ns)
         self._outages.append(Outage(now_ns))
-        log.error("bus lost: the link to the router at %s is gone; is the router running?", self._endpoint)
-        self._health.count("bus/lost")
-        self._health.warn("bus/outage", str(self._outages[-1]))
 
-    def _regain(self, now_ns: int) -> None:
-        outage = self._outages[-1] = replace(self._outages[-1], end_ns=now_ns)
+    def _end(self, now_ns: int) -> Outage | None:
+        """Return the outage that ends now, if one lasted."""
+        if not self._outages or self._outages[-1].end_ns is not None:
+            return None
+        self._outages[-1] = replace(self._outages[-1], end_ns=now_ns)
         self.regained_s = time.monotonic()
-        log.warning("bus regained: the link was lost %s", outage)
-        self._health.warn("bus/outage", str(outage))
+        return self._outages[-1]
