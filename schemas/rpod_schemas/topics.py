@@ -153,7 +153,7 @@ class Namespace:
         """Return the topic of any key, without a type if the key or its type is unknown."""
         relative = key.removeprefix(f"{self.root}/")
         *name, wire_type, _ = relative.rsplit("/", 2) if relative.count("/") > 1 else ("", "")
-        if name and "::msg::dds_::" in wire_type and is_known(type_of_wire(wire_type)):
+        if name and is_wire_type(wire_type) and is_known(type_of_wire(wire_type)):
             return Topic(name[0], type_of_wire(wire_type))
         return Topic(relative, "")
 
@@ -165,6 +165,12 @@ def is_latched(name: str) -> bool:
         topic.latched and (topic.name == name or topic.name in (f"<camera>/{kind}", f"<lidar>/{kind}"))
         for topic in TOPICS
     )
+
+
+def is_wire_type(text: str) -> bool:
+    """Return whether a text is a message's type as DDS names it; anybody may write a key or a token."""
+    package, *middle, name = text.split("::")
+    return bool(package) and middle == ["msg", "dds_"] and name.endswith("_")
 
 
 @cache

@@ -170,7 +170,12 @@ class Log:
         totals: dict[str, Counter[str]] = defaultdict(Counter)
         for part in self._parts:
             for topic, text in part.metadata(COUNTS).items():
-                totals[self._name(topic)].update(json.loads(text))
+                try:
+                    count = TopicCount.model_validate_json(text)
+                except ValueError:
+                    self.unreadable.note(COUNTS, Reason.MALFORMED, f"{topic}: is no count")
+                    continue
+                totals[self._name(topic)].update(count.model_dump())
         return {topic: TopicCount(**counter) for topic, counter in totals.items()}
 
     @cached_property
