@@ -21,7 +21,8 @@ OPAQUE_ENCODING = "application/octet-stream"
 """Encoding of such messages."""
 
 SOFTWARE = "software"
-"""Record of plain text: ``name``, ``version``, and ``target_digest`` if a service reported it."""
+"""Record of plain text: ``name``, ``version``, and, if a service reported them, ``target_digest`` (of the
+parameters) and ``target_content`` (of the arrays)."""
 CONFIGURATION = "configuration"
 """Record of each service's resolved configuration, by instance."""
 STATUS = "status"

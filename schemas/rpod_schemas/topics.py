@@ -169,8 +169,8 @@ def is_latched(name: str) -> bool:
 
 def is_wire_type(text: str) -> bool:
     """Return whether a text is a message's type as DDS names it; anybody may write a key or a token."""
-    package, *middle, name = text.split("::")
-    return bool(package) and middle == ["msg", "dds_"] and name.endswith("_")
+    package, *rest = text.split("::")
+    return bool(package) and rest[:-1] == ["msg", "dds_"] and rest[-1].endswith("_")
 
 
 @cache

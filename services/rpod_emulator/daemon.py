@@ -40,7 +40,7 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
     """Emulate until stopped."""
     target = load_target(config.target)
     with Node(config, version=version, stop=stop) as node:
-        node.target_digest = target.digest
+        node.target_digest, node.target_content = target.digest, target.content_digest
         joints = MovingJoints(config, target)
         channels = [open_channel(node, config, sensor, joints.at(0.0)) for sensor in config.sensors]
         emulator = Emulator(node, config, sorted(channels, key=lambda channel: channel.sensor.name), joints)

@@ -21,6 +21,8 @@ _TICK_S = 0.25
 _LAST_WORD_S = 3.0
 """Longest time that the close of a file waits for answers, and for the messages that these tell of."""
 _POLL_S = 0.02
+_MOST_HEARTS = 1000
+"""Largest number of publishers of heartbeats that are remembered; one that was forgotten is asked again."""
 _ZENOH_THREADS = ("ZENOH_RUNTIME", "(rx:(worker_threads:1))")
 """Environment variable of Zenoh: one thread receives. By default two threads wake each other for every
 message."""
@@ -84,14 +86,16 @@ class Services:
 
     def __init__(self, node: Node, recorder: Recorder, farewells: Farewells) -> None:
         self._node, self._recorder, self._farewells = node, recorder, farewells
-        self._hearts: set[bytes] = set()
+        self._hearts: dict[bytes, None] = {}
         self._new = Event()
 
     def notice(self, received: Received) -> None:
         """Look at a message: for the first heartbeat of a service, and for the last numbers of publishers."""
         self._farewells.hear(received)
         if received.topic.name == DIAGNOSTICS.name and received.attachment.gid not in self._hearts:
-            self._hearts.add(received.attachment.gid)
+            self._hearts[received.attachment.gid] = None
+            if len(self._hearts) > _MOST_HEARTS:
+                del self._hearts[next(iter(self._hearts))]
             self._new.set()
 
     def ask_new(self) -> None:

@@ -3,7 +3,7 @@
 import errno
 import logging
 import time
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -32,6 +32,8 @@ _COMMAND_TIMEOUT_S = 30.0
 _IDLE_S = 0.05
 """Time for which the writer waits while few messages are queued."""
 _LOSSES_PERIOD_S = 5.0
+_MOST_LATCHED = 1000
+"""Largest number of latched messages that are kept for the beginning of the next file."""
 _CLOCK_JUMP_S = 0.5
 """Smallest change between the two clocks that counts as a jump. A delay of the process between the readings
 of both clocks, or a slow correction of the clock, changes them by less."""
@@ -56,7 +58,7 @@ class Recorder:
         self._recording: Recording | None = None
         self._stem = config.name or f"rpod-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
         self._failure: CannotWriteError | None = None
-        self._latched: dict[tuple[str, bytes], Received] = {}
+        self._latched: OrderedDict[tuple[str, bytes], Received] = OrderedDict()
         self._written: Counter[str] = Counter()
         """Number of messages of the current batch, by topic."""
         self._services: dict[str, StatusReply] = {}
@@ -160,13 +162,26 @@ class Recorder:
 
     def _write(self, received: Received) -> None:
         if received.topic.latched:
-            self._latched[received.key, received.attachment.gid] = received
+            self._keep(received)
         self._watch_clock(received)
         if self._attempt(lambda recording: recording.write(received)):
             self._written[received.topic.name] += 1
             self._tend()
         elif self._failure:
             self._health.count(f"lost/{received.topic.name}")
+
+    def _keep(self, received: Received) -> None:
+        """Keep a latched message for the next files, of a bounded number of publishers."""
+        publication = received.key, received.attachment.gid
+        self._latched[publication] = received
+        self._latched.move_to_end(publication)
+        if len(self._latched) > _MOST_LATCHED:
+            self._latched.popitem(last=False)
+            if not self._health.counters().get("latched/forgotten"):
+                log.warning(
+                    "more than %d latched messages: the next file begins without the rest", _MOST_LATCHED
+                )
+            self._health.count("latched/forgotten")
 
     def _count_written(self) -> None:
         """Add the batch to the counters: once for the whole batch, because each addition takes a lock."""

@@ -32,6 +32,8 @@ from rpod_schemas.topics import Namespace
 from rpod_schemas.wire import UNNUMBERED
 
 _NOTHING = Endings()
+_MOST_PUBLISHERS = 10_000
+"""Largest number of publishers that a file lists."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,8 @@ class Recording:
         self._continues = continues
         self._runs: dict[Publication, list[_Run]] = {}
         self._repeated: Counter[str] = Counter()
+        self._unlisted: Counter[str] = Counter()
+        """Number of messages of publishers that are not listed, because there are too many, by topic."""
         self._clock_jumps_s: list[float] = []
 
     @property
@@ -98,6 +102,9 @@ class Recording:
         """Append a message."""
         self.file.write(received)
         publication, sequence = (received.key, received.attachment.gid), received.attachment.sequence
+        if publication not in self._runs and len(self._runs) >= _MOST_PUBLISHERS:
+            self._unlisted[received.topic.name] += 1
+            return
         runs = self._runs.setdefault(publication, [])
         if not runs or not runs[-1].continues_with(sequence):
             numbered = received.attachment is not UNNUMBERED
@@ -115,7 +122,13 @@ class Recording:
     def describe(self, services: Mapping[str, StatusReply], version: str) -> None:
         """Add software version, configuration and status of the services; later records replace earlier."""
         digests = {status.target_digest for status in services.values() if status.target_digest}
-        software = {"name": "rpod", "version": version, "target_digest": " ".join(sorted(digests))}
+        contents = {status.target_content for status in services.values() if status.target_content}
+        software = {
+            "name": "rpod",
+            "version": version,
+            "target_digest": " ".join(sorted(digests)),
+            "target_content": " ".join(sorted(contents)),
+        }
         self.file.add_metadata(SOFTWARE, software)
         self.file.add_metadata(
             CONFIGURATION, {name: json.dumps(status.configuration) for name, status in services.items()}
@@ -131,7 +144,7 @@ class Recording:
 
     def counts(self, closed_at: Totals) -> dict[str, TopicCount]:
         """Return the numbers of messages of each topic since the log was opened."""
-        totals, written = closed_at.since(self._opened_at), Counter[str]()
+        totals, written = closed_at.since(self._opened_at), self._unlisted.copy()
         for run in chain.from_iterable(self._runs.values()):
             written[run.topic] += run.messages
         return {
@@ -166,6 +179,8 @@ class Recording:
         """
         counts = {channel_topic(keys, name): count for name, count in self.counts(closed_at).items()}
         written = {topic: count.written + count.repeated for topic, count in counts.items()}
+        if self._unlisted:
+            reasons += (f"more than {_MOST_PUBLISHERS:,} publishers: not all of them are listed",)
         reasons += endings.reasons + shortfalls(counts, written)
         statement = Completeness(
             complete=not reasons,

@@ -60,6 +60,7 @@ class Node:
         self.stop = stop or Event()
         self.state: State = "starting"
         self.target_digest: str | None = None
+        self.target_content: str | None = None
         self.health = HealthBook(config.instance)
         self.account = SequenceAccount()
         self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
@@ -321,6 +322,7 @@ class Node:
             counters=self.health.counters(),
             configuration=logged(self.config),
             target_digest=self.target_digest,
+            target_content=self.target_content,
         )
 
     def _shut_down(self, _: Empty) -> Accepted:

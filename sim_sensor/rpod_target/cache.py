@@ -1,5 +1,11 @@
-"""Cache of built targets: one file per digest, written atomically, so that several daemons may build."""
+"""Cache of built targets: one file per digest, written atomically, so that several daemons may build.
 
+A file also holds the digest of its arrays. One whose arrays are others, because it was changed after it was
+built, is not used.
+"""
+
+import hashlib
+import logging
 import os
 import tempfile
 import zipfile
@@ -11,6 +17,11 @@ import numpy as np
 
 from rpod_schemas.arrays import Array
 
+log = logging.getLogger(__name__)
+
+DIGEST = "content_digest"
+"""Name in a file of the digest of its arrays."""
+
 
 def default_directory() -> Path:
     """Return the cache's folder: $RPOD_CACHE, $XDG_CACHE_HOME/rpod or ~/.cache/rpod."""
@@ -21,17 +32,37 @@ def default_directory() -> Path:
     return Path.home() / ".cache" / "rpod"
 
 
+def sealed(arrays: Mapping[str, Array]) -> dict[str, Array]:
+    """Return arrays together with their digest, which is named ``DIGEST``."""
+    return {**arrays, DIGEST: np.array(_digest(arrays))}
+
+
+def _digest(arrays: Mapping[str, Array]) -> str:
+    """Return the SHA-256 of arrays: of their names, types, shapes and bytes."""
+    content = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        content.update(f"{name} {array.dtype.str} {array.shape} ".encode())
+        content.update(array.data.cast("B") if array.size else b"")
+    return content.hexdigest()
+
+
 def read(file: Path) -> dict[str, Array] | None:
-    """Return the arrays of a file; None if it is missing, or damaged by its checksums."""
+    """Return the sealed arrays of a file; None if it is missing, damaged, or not as it was built."""
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            return dict(stored.items())
+            arrays = dict(stored.items())
+        built = arrays.pop(DIGEST)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
+    if str(built) != _digest(arrays):
+        log.warning("%s was changed after it was built; the target is built anew", file)
+        return None
+    return {**arrays, DIGEST: built}
 
 
 def write(file: Path, arrays: Mapping[str, Array]) -> None:
-    """Write arrays as one file, which gets its name only when it is complete. Raises ``OSError``."""
+    """Write sealed arrays as one file, which gets its name only when it is complete. Raises ``OSError``."""
     file.parent.mkdir(parents=True, exist_ok=True)
     descriptor, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem}-", suffix=".tmp")
     temporary = Path(name)

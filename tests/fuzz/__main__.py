@@ -2,11 +2,10 @@
 
     PYTHONPATH=tests python -m fuzz [MINUTES] [SEED]
 
-Most of the time goes to this process; with more than MOST_QUIET_MIN minutes, a fifth to the bus. What fails is
-written to ``tests/fuzz/cases``, where a test reads it from then on.
+Of more than 5 minutes a fifth goes to the bus. What fails is written to ``tests/fuzz/found``, where a test
+reads it from then on.
 """
 
-import json
 import resource
 import sys
 import time
@@ -17,14 +16,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-from fuzz.cases import CASES, Case
+from fuzz.cases import Case
 from fuzz.over_bus import fuzz_facility
 from fuzz.subjects import Subject, subjects
 
 SLOW_S = 5.0
 """Processor time of one input above which it is a failure."""
 _SLICE_S = 1.0
-_BUS_SHARE, _MOST_QUIET_MIN = 0.2, 5.0
+_BUS_SHARE, _LEAST_FOR_BUS_MIN = 0.2, 5.0
 
 
 @dataclass
@@ -40,7 +39,7 @@ class Tally:
 def main(minutes: float, seed: int) -> int:
     """Fuzz for so long; return how many kinds of failures there are."""
     warnings.simplefilter("ignore")
-    on_bus = _BUS_SHARE if minutes > _MOST_QUIET_MIN else 0.0
+    on_bus = _BUS_SHARE if minutes > _LEAST_FOR_BUS_MIN else 0.0
     tallies = {name: Tally() for name in subjects()}
     until_s, memory_mib = time.monotonic() + 60.0 * minutes * (1.0 - on_bus), _memory_mib()
     round_number = 0
@@ -51,9 +50,12 @@ def main(minutes: float, seed: int) -> int:
         if round_number == 1:
             memory_mib = _memory_mib()
     for name, tally in tallies.items():
-        print(f"{name:50} {tally.inputs:9} inputs, {tally.accepted:9} accepted, {tally.cpu_s:7.1f} s, {len(tally.failures)} kinds of failures")
-    failures = sum((tally.failures for tally in tallies.values()), Counter())
-    print(f"{sum(tally.inputs for tally in tallies.values())} inputs with seed {seed}; memory {memory_mib:.0f} MiB after the first round, {_memory_mib():.0f} at the end")
+        counts = f"{tally.inputs:9} inputs, {tally.accepted:9} accepted, {tally.cpu_s:7.1f} s"
+        print(f"{name:45} {counts}, {len(tally.failures)} kinds of failures")
+    failures = sum((tally.failures for tally in tallies.values()), Counter[str]())
+    inputs = sum(tally.inputs for tally in tallies.values())
+    memory = f"{memory_mib:.0f} MiB after the first round, {_memory_mib():.0f} at the end"
+    print(f"{inputs} inputs with seed {seed}; most memory {memory}", flush=True)
     if on_bus:
         failures += fuzz_facility(60.0 * minutes * on_bus, seed)
     for text, count in failures.most_common():
@@ -68,7 +70,11 @@ def _fuzz(subject: Subject, tally: Tally, rnd: Random, until_s: float) -> None:
         read_s = time.process_time()
         try:
             tally.accepted += subject.read(data)
-            failure = f"{subject.name}: took more than {SLOW_S:g} s" if time.process_time() - read_s > SLOW_S else ""
+            failure = (
+                f"{subject.name}: took more than {SLOW_S:g} s"
+                if time.process_time() - read_s > SLOW_S
+                else ""
+            )
         except Exception as error:  # noqa: BLE001 - every kind is a finding
             failure = f"{subject.name}: {_kind(error)}"
         tally.inputs += 1

@@ -71,7 +71,9 @@ def _records_changed(rnd: Random) -> bytes:
 def _rewritten(rnd: Random) -> bytes:
     """Return a closed log with right checksums whose messages, times, names and metadata are hostile."""
     out, reader = BytesIO(), make_reader(BytesIO(rnd.choice(logs())))
-    writer = Writer(out, compression=rnd.choice((CompressionType.NONE, CompressionType.LZ4)), chunk_size=1 << 14)
+    writer = Writer(
+        out, compression=rnd.choice((CompressionType.NONE, CompressionType.LZ4)), chunk_size=1 << 14
+    )
     writer.start(profile="ros2", library="fuzz")
     share, channels = rnd.choice((0.0, 0.01, 0.2)), dict[str, int]()
     for record in reader.iter_metadata():

@@ -20,7 +20,18 @@ NUMBERS: tuple[float, ...] = (
     0, 1, -1, 2, 255, 2**16, 2**31 - 1, -(2**31), 2**32 - 1, 2**63 - 1, -(2**63), 2**64,
     -0.0, 5e-324, 1e-300, 1e-30, 1e-9, 1e30, 1e308, -1e308, math.inf, -math.inf, math.nan,
 )  # fmt: skip
-TEXTS = ("", "\x00", "a" * 70_000, "../../x", "<script>alert(1)</script>", "é\U0001f6f0", "*", "a/b", "nan", "1e999")
+TEXTS = (
+    "",
+    "\x00",
+    "a" * 70_000,
+    "../../x",
+    "<script>alert(1)</script>",
+    "é\U0001f6f0",
+    "*",
+    "a/b",
+    "nan",
+    "1e999",
+)
 _LENGTHS = 0, 1, 4, 8, 100, 5000
 _WORDS = tuple(struct.pack("<I", word) for word in (0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0x7FC00000))
 _HEAD = 600
@@ -36,7 +47,10 @@ def mutate_bytes(rnd: Random, base: bytes) -> bytes:
 
 
 def _change_bytes(rnd: Random, data: bytearray) -> None:
-    kind, at = rnd.randrange(6), rnd.randrange(min(len(data), _HEAD) + 1) if rnd.randrange(4) else rnd.randrange(len(data) + 1)
+    kind, at = (
+        rnd.randrange(6),
+        rnd.randrange(min(len(data), _HEAD) + 1) if rnd.randrange(4) else rnd.randrange(len(data) + 1),
+    )
     if kind == 0 and at < len(data):
         data[at] ^= 1 << rnd.randrange(8)
     elif kind == 1:
@@ -110,7 +124,11 @@ def _number(rnd: Random) -> float:
 
 
 def _integer(rnd: Random) -> int:
-    return int(rnd.choice([value for value in NUMBERS if math.isfinite(value)])) if rnd.randrange(4) else rnd.randrange(300)
+    return (
+        int(rnd.choice([value for value in NUMBERS if math.isfinite(value)]))
+        if rnd.randrange(4)
+        else rnd.randrange(300)
+    )
 
 
 def mutate_document(rnd: Random, base: Any) -> Any:
@@ -135,7 +153,9 @@ def _change_document(rnd: Random, node: Any) -> None:
         elif kind == 2:
             node[key] = _nested(rnd.choice((2, 50, 400)))
         else:
-            node[key] = rnd.choice((None, True, [], {}, _number(rnd), _integer(rnd), rnd.choice(TEXTS), [node[key]] * 3))
+            node[key] = rnd.choice(
+                (None, True, [], {}, _number(rnd), _integer(rnd), rnd.choice(TEXTS), [node[key]] * 3)
+            )
         return
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 from fuzz.logs import log_subjects
 from fuzz.mutation import json_of, mutate_bytes, mutate_document, mutate_message
-from fuzz.seeds import messages
+from fuzz.seeds import TOPICS, messages
 from pydantic import BaseModel, ValidationError
 
 from rpod_estimator.frame_reader import FrameReader
@@ -47,8 +47,15 @@ from rpod_schemas.messages import (
     read_validity,
     read_vector_stamped,
 )
-from rpod_schemas.topics import Namespace, Topic
-from rpod_schemas.wire import GID_BYTES, Attachment, GraphNode, session_of_token, topic_of_token, unpack_attachment
+from rpod_schemas.topics import DIAGNOSTICS, Namespace, Topic
+from rpod_schemas.wire import (
+    GID_BYTES,
+    Attachment,
+    GraphNode,
+    session_of_token,
+    topic_of_token,
+    unpack_attachment,
+)
 from rpod_target import load_equivalence, shipped_targets
 
 READERS: dict[str, tuple[Callable[[Any], Any], ...]] = {
@@ -65,13 +72,26 @@ READERS: dict[str, tuple[Callable[[Any], Any], ...]] = {
     "geometry_msgs/msg/Vector3Stamped": (read_vector_stamped,),
     "diagnostic_msgs/msg/DiagnosticArray": (read_diagnostics,),
 }
-REQUESTS = control.ResetRequest, control.StartRequest, control.LogRequest, control.FaultRequest, control.Empty
-_REQUEST_SEEDS = (
-    {"pose": {"translation_m": [0, 0, 4], "quaternion_xyzw": [0, 0, 0, 1]}, "frame_id": "chaser", "stamp_ns": 1,
-     "covariance": np.eye(6).tolist(), "keep_gid": "0" * 32},
-    {"epoch_ns": 10**18, "duration_s": 10.0}, {"name": "run"},
-    {"fault": "blackout", "start_s": 0.0, "duration_s": 1.0}, {},
-)  # fmt: skip
+REQUESTS = (
+    control.ResetRequest,
+    control.StartRequest,
+    control.LogRequest,
+    control.FaultRequest,
+    control.Empty,
+)
+_REQUEST_SEEDS: tuple[dict[str, Any], ...] = (
+    {
+        "pose": {"translation_m": [0, 0, 4], "quaternion_xyzw": [0, 0, 0, 1]},
+        "frame_id": "chaser",
+        "stamp_ns": 1,
+        "covariance": np.eye(6).tolist(),
+        "keep_gid": "0" * 32,
+    },
+    {"epoch_ns": 10**18, "duration_s": 10.0},
+    {"name": "run"},
+    {"fault": "blackout", "start_s": 0.0, "duration_s": 1.0},
+    {},
+)
 CONFIGURATIONS: tuple[tuple[type[BaseModel], Any], ...] = (
     (EstimatorConfig, {"target": "mockup", "sensors": [{"kind": "pmd"}, {"kind": "lidar"}]}),
     (EmulatorConfig, {"target": "mockup", "sensors": [{"kind": "pmd"}, {"kind": "lidar"}], "seed": 1}),
@@ -95,23 +115,28 @@ class Subject:
 @cache
 def subjects() -> dict[str, Subject]:
     """Return all subjects by name."""
-    found = (*_messages(), *_wire(), *_requests(), *_configurations(), *log_subjects())
-    return {subject.name: subject for subject in (Subject(*each) if isinstance(each, tuple) else each for each in found)}
+    of_logs = (Subject(*each) for each in log_subjects())
+    found = (*_messages(), *_wire(), *_requests(), *_configurations(), *of_logs)
+    return {subject.name: subject for subject in found}
 
 
 def _messages() -> Iterator[Subject]:
-    for topic, payload in messages().items():
-        if topic.type in READERS:
-            yield Subject(
-                f"message {topic.name}",
-                lambda rnd, payload=payload, topic=topic: mutate_message(rnd, payload, topic.type),  # type: ignore[misc]
-                lambda data, readers=READERS[topic.type], topic=topic: _reads(data, topic.type, readers),  # type: ignore[misc]
-            )
+    for topic in TOPICS:
+        readers = READERS.get(topic.type, ())
+        yield Subject(
+            f"message {topic.name}",
+            partial(_make_message, topic),
+            partial(_read_message, topic.type, readers),
+        )
     yield Subject("frames", _make_frames, _read_frames)
     yield Subject("heartbeats", _make_heartbeat, _read_heartbeat)
 
 
-def _reads(data: bytes, type_name: str, readers: tuple[Callable[[Any], Any], ...]) -> bool:
+def _make_message(topic: Topic, rnd: Random) -> bytes:
+    return mutate_message(rnd, messages()[topic], topic.type)
+
+
+def _read_message(type_name: str, readers: tuple[Callable[[Any], Any], ...], data: bytes) -> bool:
     accepted = False
     for read in readers:
         try:
@@ -127,12 +152,12 @@ def _reads(data: bytes, type_name: str, readers: tuple[Callable[[Any], Any], ...
 
 
 def _make_frames(rnd: Random) -> bytes:
-    """Return a few messages of all streams in any order, most of them valid, each behind its topic's number and length."""
+    """Return a few messages of all streams, most of them valid, each behind topic, peer and length."""
     out, known = b"", list(messages().items())
     for _ in range(rnd.randint(3, 12)):
         index = rnd.randrange(len(known))
         topic, payload = known[index]
-        data = payload if rnd.randrange(3) else mutate_message(rnd, payload, topic.type)
+        data = payload if rnd.randrange(6) else mutate_message(rnd, payload, topic.type)
         out += bytes([index, rnd.randrange(3)]) + len(data).to_bytes(4, "little") + data
     return out
 
@@ -145,7 +170,14 @@ def _read_frames(data: bytes) -> bool:
         size = int.from_bytes(data[at + 2 : at + 6], "little")
         payload = memoryview(data)[at + 6 : at + 6 + size]
         at, sequence = at + 6 + size, sequence + 1
-        received = Received(topic, topic.name, payload, Attachment(sequence, 0, bytes([peer] * GID_BYTES)), 0, session=str(peer))
+        received = Received(
+            topic,
+            topic.name,
+            payload,
+            Attachment(sequence, 0, bytes([peer] * GID_BYTES)),
+            0,
+            session=str(peer),
+        )
         try:
             used |= _put(reader, received)
         except (MessageRejectedError, PartRejectedError):
@@ -169,16 +201,16 @@ def _put(reader: FrameReader, received: Received) -> bool:
 
 
 def _make_heartbeat(rnd: Random) -> bytes:
-    topic = next(topic for topic in messages() if topic.name == "diagnostics")
-    return mutate_message(rnd, messages()[topic], topic.type)
+    return _make_message(DIAGNOSTICS, rnd)
 
 
 def _read_heartbeat(data: bytes) -> bool:
-    topic = next(topic for topic in messages() if topic.name == "diagnostics")
     farewells = Farewells(lambda _: True, Link(HealthBook("logger"), ""), own="")
-    farewells.came("s", topic)
-    farewells.hear(Received(topic, "k", memoryview(data), Attachment(1, 0, bytes(GID_BYTES)), 0, session="s"))
-    farewells.gone("s", topic, now_s=1.0, now_ns=10**9)
+    farewells.came("s", DIAGNOSTICS)
+    farewells.hear(
+        Received(DIAGNOSTICS, "k", memoryview(data), Attachment(1, 0, bytes(GID_BYTES)), 0, session="s")
+    )
+    farewells.gone("s", DIAGNOSTICS, now_s=1.0, now_ns=10**9)
     farewells.judge(9.0)
     return bool(farewells.take(0).reasons)
 
@@ -205,7 +237,9 @@ def _make_token(rnd: Random) -> bytes:
     topic = Topic("pmd/depth/image_raw", "sensor_msgs/msg/Image")
     parts = GraphNode(Namespace(), "a1", "node").endpoint_token("MP", 1, topic).split("/")
     for _ in range(rnd.randint(1, 3)):
-        parts[rnd.randrange(2, len(parts))] = rnd.choice(("", "%", "::", "a::msg::dds_::b", "::msg::dds_::", "x::msg::dds_::y::z", "%%", "é"))
+        parts[rnd.randrange(2, len(parts))] = rnd.choice(
+            ("", "%", "::", "a::msg::dds_::b", "::msg::dds_::", "x::msg::dds_::y::z", "%%", "é")
+        )
     return "/".join(parts).encode()
 
 
@@ -219,7 +253,9 @@ def _read_sequence(data: bytes) -> bool:
     for at in range(0, len(data) - 9, 10):
         sequence = int.from_bytes(data[at + 1 : at + 9], "little") >> data[at + 9] % 64
         try:
-            account.take("k", Attachment(sequence, 0, bytes([data[at] % 3] * GID_BYTES)), fetched=data[at] > 200)
+            account.take(
+                "k", Attachment(sequence, 0, bytes([data[at] % 3] * GID_BYTES)), fetched=data[at] > 200
+            )
             accepted += 1
         except (DuplicateError, JumpError):
             continue
@@ -237,9 +273,13 @@ def _requests() -> Iterator[Subject]:
     for model, seed in zip(REQUESTS, _REQUEST_SEEDS, strict=True):
         yield Subject(
             f"query {model.__name__}",
-            lambda rnd, seed=seed: json_of(rnd, mutate_document(rnd, seed)),  # type: ignore[misc]
-            lambda data, model=model: _read_request(model, data),  # type: ignore[misc]
+            partial(_make_document, seed),
+            partial(_read_request, model),
         )
+
+
+def _make_document(seed: Any, rnd: Random) -> bytes:
+    return json_of(rnd, mutate_document(rnd, seed))
 
 
 def _read_request(model: type[BaseModel], data: bytes) -> bool:
@@ -252,23 +292,23 @@ def _read_request(model: type[BaseModel], data: bytes) -> bool:
 
 def _configurations() -> Iterator[Subject]:
     scenarios = Path(__file__).parents[2] / "services" / "rpod" / "scenarios"
-    seeds = [*CONFIGURATIONS, *((Scenario, yaml.safe_load(file.read_text("utf-8"))) for file in scenarios.glob("*.yaml"))]
+    seeds = [
+        *CONFIGURATIONS,
+        *((Scenario, yaml.safe_load(file.read_text("utf-8"))) for file in scenarios.glob("*.yaml")),
+    ]
     for number, (model, seed) in enumerate(seeds):
         yield Subject(
             f"configuration {number} {model.__name__}",
-            lambda rnd, seed=seed: json_of(rnd, mutate_document(rnd, seed)),  # type: ignore[misc]
-            lambda data, model=model: _read_file(data, lambda file: load(model, file)),  # type: ignore[misc]
+            partial(_make_document, seed),
+            partial(_read_file, partial(load, model)),
         )
     folder = Path(load_equivalence.__code__.co_filename).parent / "targets"
     for name in shipped_targets()[:4]:
-        yield Subject(
-            f"target {name}",
-            lambda rnd, seed=yaml.safe_load((folder / f"{name}.yaml").read_text("utf-8")): json_of(rnd, mutate_document(rnd, seed)),  # type: ignore[misc]
-            lambda data: _read_file(data, load_equivalence),
-        )
+        seed = yaml.safe_load((folder / f"{name}.yaml").read_text("utf-8"))
+        yield Subject(f"target {name}", partial(_make_document, seed), partial(_read_file, load_equivalence))
 
 
-def _read_file(data: bytes, read: Callable[[Path], Any]) -> bool:
+def _read_file(read: Callable[[Path], Any], data: bytes) -> bool:
     with TemporaryDirectory() as folder:
         file = Path(folder) / "file.yaml"
         file.write_bytes(data)

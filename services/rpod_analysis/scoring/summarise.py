@@ -60,4 +60,4 @@ def _scenario(log: Log) -> str | None:
 def _seed(log: Log) -> int | None:
     """Return the first seed in the services' configurations."""
     seeds = (service.get("seed") for service in log.configuration.values())
-    return next((seed for seed in seeds if isinstance(seed, int)), None)
+    return next((seed for seed in seeds if isinstance(seed, int) and seed >= 0), None)
