@@ -5,9 +5,9 @@ built, is not used.
 """
 
 import hashlib
-import logging
 import os
 import tempfile
+import warnings
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -16,8 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from rpod_schemas.arrays import Array
-
-log = logging.getLogger(__name__)
 
 DIGEST = "content_digest"
 """Name in a file of the digest of its arrays."""
@@ -48,7 +46,10 @@ def _digest(arrays: Mapping[str, Array]) -> str:
 
 
 def read(file: Path) -> dict[str, Array] | None:
-    """Return the sealed arrays of a file; None if it is missing, damaged, or not as it was built."""
+    """Return the sealed arrays of a file; None if it is missing, damaged, or not as it was built.
+
+    Of one that is not as it was built a ``UserWarning`` tells.
+    """
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             arrays = dict(stored.items())
@@ -56,7 +57,8 @@ def read(file: Path) -> dict[str, Array] | None:
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
     if str(built) != _digest(arrays):
-        log.warning("%s was changed after it was built; the target is built anew", file)
+        text = f"{file} was changed after it was built; the target is built anew"
+        warnings.warn(text, stacklevel=2)  # a package without a log
         return None
     return {**arrays, DIGEST: built}
 

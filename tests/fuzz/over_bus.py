@@ -33,7 +33,7 @@ TRACKING_S = 2.0
 """Longest time from the last hostile message to an estimate."""
 _RATE_HZ = 500.0
 _QUERIES = (
-    ("estimator", "reset", "ResetRequest", True),
+    ("estimator", "reset", "ResetRequest", False),  # it accepts the newest mount, which may be a hostile one
     ("logger", "split", "LogRequest", True),
     ("motion", "start", "StartRequest", False),
     ("emulator", "fault", "FaultRequest", False),
