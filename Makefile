@@ -10,7 +10,7 @@ SCENARIO ?= mockup-tumbling
 ARGS ?=
 MINUTES ?= 60
 
-.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster peers fuzz check-viewers setup clean
+.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster hand-eye peers fuzz check-viewers setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -70,6 +70,9 @@ busy: $(READY) ## A run beside two busy processes: what its log misses
 
 cluster: $(READY) ## A campaign on a Dask cluster of this machine beside the process pool, in pairs
 	@PYTHONPATH=benchmarks $(BIN)/python -m cluster $(ARGS)
+
+hand-eye: $(READY) ## Errors of mount and clock calibrations on emulated minutes
+	@PYTHONPATH=benchmarks $(BIN)/python -m hand_eye $(ARGS)
 
 peers: $(PEERS)/.ready ## Registration packages beside our methods, on the same scans
 	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 PYTHONPATH=benchmarks $(PEERS)/bin/python -m peers $(ARGS)

@@ -36,7 +36,7 @@ fi
 echo "setup: dependencies, as pinned in constraints.txt (about 300 MB the first time)"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "pip>=25.1"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-  --editable '.[all]' --group dev --group docs
+  --editable '.[all]' --group dev --group docs --group devices
 
 # Open3D's wheel links against system libraries that a bare machine lacks.
 libraries=(libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1)

@@ -12,6 +12,7 @@ from mcap.writer import CompressionType, Writer
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.rays import RayGrid, cast
+from rpod_motion.truth_error import TruthError
 from rpod_schemas.cdr import definition, encode
 from rpod_schemas.logs import (
     COMPLETENESS,
@@ -169,6 +170,8 @@ class SyntheticRun:
     """T_sensor_target at a time."""
     frame: Callable[[int, float], Frame] = field(default=lambda _number, _time_s: Frame())
     """What the estimator says of a frame, by its number and time."""
+    truth_error: TruthError | None = None
+    """Perturbs the truth, which states its covariance."""
     truth_gaps_s: tuple[tuple[float, float], ...] = ()
     """Where the truth is missing: from, to, ends excluded."""
     clock: bool = False
@@ -260,7 +263,13 @@ class _LogWriter:
         if not self.run.with_truth or any(a < time_s < b for a, b in self.run.truth_gaps_s):
             return
         pose = T_CHASER_SENSOR * self.run.pose(time_s)
-        self.put(TRUTH, stamp_ns, write_odometry(_odometry(stamp_ns, TARGET, pose)))
+        error = self.run.truth_error
+        odometry = (
+            _odometry(stamp_ns, TARGET, pose)
+            if error is None
+            else _odometry(stamp_ns, TARGET, error.perturb(pose), error.covariance)
+        )
+        self.put(TRUTH, stamp_ns, write_odometry(odometry))
 
     def sensor_frame(self, number: int, time_s: float) -> None:
         stamp_ns = _stamp_ns(time_s)

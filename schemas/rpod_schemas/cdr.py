@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.service_types import service_types
 
 _STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 """Layouts of a stamp by the byte order in the encapsulation header."""
@@ -28,9 +29,9 @@ MOST_DEFINITION_BYTES = 1 << 20
 
 @cache
 def typestore() -> Typestore:
-    """Return the type store: ROS 2 Humble's types, equal to Jazzy's and Kilted's here, and rpod_msgs."""
+    """Return the type store: ROS 2 Humble's types, the same as Kilted's here, its services, and rpod_msgs."""
     store = get_typestore(Stores.ROS2_HUMBLE)
-    own: dict[str, Any] = {}
+    own: dict[str, Any] = dict(service_types())
     for type_name, text in _own_definitions().items():
         own |= get_types_from_msg(text, type_name)
     store.register(own)
@@ -81,7 +82,7 @@ def message_class(type_name: str) -> Any:
 
 @cache
 def type_hash(type_name: str) -> str:
-    """Return the RIHS01 hash of a type."""
+    """Return the RIHS01 hash of a message type, or of a service with request, response and event."""
     return typestore().hash_rihs01(type_name)
 
 

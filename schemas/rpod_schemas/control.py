@@ -6,7 +6,9 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.bounds import POSITION_M, Covariance6, Stamp
-from rpod_schemas.config.base import Config, NonNegative, Positive
+from rpod_schemas.config.base import Config, Name, NonNegative, Positive
+from rpod_schemas.config.driver import Setting
+from rpod_schemas.faults import FaultName
 from rpod_schemas.poses import Pose
 
 Delay = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
@@ -56,8 +58,9 @@ class StatusReply(Config):
 class StartRequest(Config):
     """Begin a scenario whose time counts from an epoch."""
 
-    epoch_ns: Stamp = Field(gt=0)
-    """Epoch of the scenario, ns of UTC since the Unix epoch."""
+    epoch_ns: Stamp | None = Field(default=None, gt=0)
+    """Epoch of the scenario, ns of UTC since the Unix epoch. By default motion takes its configured one, or
+    one as soon as possible, and the emulator the stamp of the next truth."""
     duration_s: Positive | None = None
     """Duration of the scenario; in lockstep no frame has a stamp after its end."""
 
@@ -85,6 +88,20 @@ class ResetRequest(Config):
         return pose
 
 
+class SettingsRequest(Config):
+    """Write settings to a driver's device; without any, ask for all."""
+
+    settings: dict[str, Setting] = Field(default_factory=dict)
+    """Settings to write, by name."""
+
+
+class SettingsReply(Config):
+    """The settings of a driver's device."""
+
+    settings: dict[str, Setting]
+    """All settings with their values in the device now."""
+
+
 class LogRequest(Config):
     """Start, stop or split a log."""
 
@@ -106,9 +123,11 @@ class LogReply(Config):
 class FaultRequest(Config):
     """Make the emulated sensors fail for a while."""
 
-    fault: Literal["dropout", "glints", "blackout", "silence"]
-    """dropout loses the depth of 60 % of the pixels, or 60 % of the returns, in patches; glints lose depth
-    and amplitude of 40 %, blackout of all; silence publishes nothing."""
+    fault: FaultName
+    """Name of a fault of the catalogue, as dropout, glints, blackout, silence; ``rpod driver faults`` lists
+    them."""
+    sensor: Name | None = None
+    """Name of the sensor; all that can have the fault if left out."""
     start_s: Delay = 0.0
     """Start of the fault, seconds from now."""
     duration_s: Delay

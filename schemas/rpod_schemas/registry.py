@@ -1,9 +1,9 @@
-"""Registry of the sensor kinds and methods of installed packages, found by their entry points.
+"""Registry of the sensor kinds, methods and drivers of installed packages, found by their entry points.
 
-A package declares ``name = "module:attribute"`` under the group ``rpod.sensors`` or ``rpod.methods``. An
-entry is loaded when it is requested by its name. Its object imports little: modules that take long to import
-(emulators, compiled methods) are named by a reference ``module:attribute``, which the process that needs them
-imports.
+A package declares ``name = "module:attribute"`` under the group ``rpod.sensors``, ``rpod.methods`` or
+``rpod.drivers``. An entry is loaded when it is requested by its name. Its object imports little: modules that
+take long to import (emulators, compiled methods, libraries of devices) are named by a reference
+``module:attribute``, which the process that needs them imports.
 """
 
 from functools import cache
@@ -13,8 +13,8 @@ from typing import Any
 
 from rpod_schemas.errors import SchemaError
 
-SENSORS, METHODS = "rpod.sensors", "rpod.methods"
-"""Entry point groups: sensor kinds by ``<kind>``, methods by ``<kind>.<method>``."""
+SENSORS, METHODS, DRIVERS = "rpod.sensors", "rpod.methods", "rpod.drivers"
+"""Entry point groups: sensor kinds by ``<kind>``, methods by ``<kind>.<method>``, drivers by their name."""
 
 
 class RegistryError(SchemaError):

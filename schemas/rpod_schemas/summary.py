@@ -101,6 +101,20 @@ class ErrorSummary(Config):
     """RMS position error along the sensor's boresight, m."""
 
 
+class TruthError(Config):
+    """Errors of the truth itself at the tracked frames, by the covariance that it states."""
+
+    attitude_deg_rms: NonNegative
+    """RMS angle of the truth's attitude error, deg."""
+    position_m_rms: NonNegative
+    """RMS length of the truth's position error, m."""
+    attitude_share: Share
+    """Part of the mean squared attitude error that may be the truth's; at 1, it tells nothing of the
+    estimates."""
+    position_share: Share
+    """Part of the mean squared position error that may be the truth's."""
+
+
 class FrameError(Config):
     """Errors of a frame that the target's file names, in the tracked frames of the sensors."""
 
@@ -171,8 +185,25 @@ class Tracking(Config):
     """Time from the first stamp of the run to the first frame in TRACKING, s."""
     tracking_share: KnownShare
     """Share of the frames in TRACKING, from the first such frame on."""
+    coasting_share: KnownShare = None
+    """Share of the frames in COASTING, from the first frame in TRACKING on: predictions within the alert
+    limit."""
     worse_than_10deg_or_0_3m_share: KnownShare
     """Share of the tracked frames whose attitude error exceeds 10 degrees or position error 0.3 m."""
+
+
+class Handover(Config):
+    """Handovers from one sensor to another, the worst of them."""
+
+    count: Count
+    """Number of handovers."""
+    gap_s: NonNegative
+    """Longest time from the last accepted frame of another sensor to the first of the new one, s."""
+    jump_m: Known
+    """Largest change of the position error between successive estimates around a handover, m; null without
+    truth."""
+    jump_deg: Known
+    """The same of the attitude error, deg."""
 
 
 class Summary(Config):
@@ -204,6 +235,8 @@ class Summary(Config):
     """Shares of tracking."""
     error: ErrorSummary | None
     """Errors over the tracked frames."""
+    truth_error: TruthError | None = None
+    """Errors of the truth itself; null if it states no covariance."""
     frame_errors: dict[str, FrameError] = Field(default_factory=dict)
     """Errors at the target's named frames, by name."""
     joint_errors: dict[str, ErrorSize] = Field(default_factory=dict)
@@ -217,6 +250,8 @@ class Summary(Config):
     innovation: Innovation | None = None
     """Innovations of all frames whose measurement was compared with the prediction, including rejected
     ones."""
+    handover: Handover | None = None
+    """Handovers from one sensor to another; null if there was none."""
     completeness: LogCompleteness | None = None
     """Completeness of the log."""
     unreadable: dict[str, dict[str, Count]] = Field(default_factory=dict)

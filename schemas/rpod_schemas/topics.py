@@ -6,13 +6,50 @@ string. A test holds this table equal to the one in ``schemas/ICD.md``.
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Protocol
 
+from rpod_schemas import qos
 from rpod_schemas.cdr import is_known, type_hash
+from rpod_schemas.qos import Qos
 
 SENSOR_CACHE = 90
 """Number of images or point clouds that a publisher keeps for receivers that missed them: two seconds."""
 SMALL_CACHE = 500
 """Number of small messages that a publisher keeps: two seconds of truth."""
+
+
+class Endpoint(Protocol):
+    """What topics and services have in common: where they are in the key space."""
+
+    @property
+    def name(self) -> str:
+        """Name without a slash at its start, in the facility's namespace unless it is absolute."""
+        ...
+
+    @property
+    def type(self) -> str:
+        """ROS 2 type."""
+        ...
+
+    @property
+    def absolute(self) -> bool:
+        """Whether the name stands outside of all namespaces."""
+        ...
+
+    @property
+    def wire_type(self) -> str:
+        """Type as DDS names it."""
+        ...
+
+    @property
+    def offered(self) -> Qos:
+        """Quality of service that publishers and services offer."""
+        ...
+
+    @property
+    def asked(self) -> Qos:
+        """Quality of service that subscribers and clients ask for."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -24,6 +61,10 @@ class Topic:
     """ROS 2 type, as ``sensor_msgs/msg/Image``."""
     latched: bool = False
     """Whether the quality of service is RELIABLE, TRANSIENT_LOCAL, KEEP_LAST 1."""
+    absolute: bool = False
+    """Whether the name stands outside of all namespaces, as ROS 2 has it for ``/rosout``."""
+    profile: Qos | None = None
+    """Quality of service that publishers offer, where ROS 2 prescribes one."""
 
     def of(self, sensor: str) -> "Topic":
         """Return this topic for a sensor: ``<camera>/camera_info`` of ``pmd`` is ``pmd/camera_info``."""
@@ -56,20 +97,45 @@ class Topic:
     @property
     def kept(self) -> int:
         """Number of messages that a publisher keeps for receivers that missed them, or start later."""
-        if self.latched:
-            return 1
+        if self.latched or (self.profile and self.profile.transient_local):
+            return self.offered.depth
         return SENSOR_CACHE if self.bulky else SMALL_CACHE
 
     @property
-    def qos(self) -> str:
-        """Quality of service as rmw_zenoh writes it into liveliness tokens."""
-        return ":1:,1:,:,:,," if self.latched else "::,10:,:,:,,"
+    def offered(self) -> Qos:
+        """Quality of service that publishers offer."""
+        return self.profile or (qos.LATCHED if self.latched else Qos())
+
+    @property
+    def asked(self) -> Qos:
+        """Quality of service that subscribers ask for: that of any publisher, unless the topic is latched."""
+        return qos.LATCHED if self.latched else qos.ANY_PUBLISHER
 
     @property
     def wire_type(self) -> str:
         """Type as DDS names it: ``sensor_msgs::msg::dds_::Image_``."""
-        package, _, name = self.type.split("/")
-        return f"{package}::msg::dds_::{name}_"
+        return wire_type(self.type)
+
+
+@dataclass(frozen=True)
+class Service:
+    """A ROS 2 service of a node: ``Service("logger/split", "std_srvs/srv/Trigger")``."""
+
+    name: str
+    type: str
+    """ROS 2 type."""
+    offered: Qos = qos.SERVICE
+    absolute: bool = False
+
+    @property
+    def asked(self) -> Qos:
+        """Quality of service that clients ask for."""
+        return self.offered
+
+    @property
+    def wire_type(self) -> str:
+        """Type as DDS names it: ``std_srvs::srv::dds_::Trigger_``."""
+        return wire_type(self.type)
 
 
 _IMAGE = "sensor_msgs/msg/Image"
@@ -85,6 +151,7 @@ TF = Topic("tf", "tf2_msgs/msg/TFMessage")
 CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock")
 DEPTH = Topic("<camera>/depth/image_raw", _IMAGE)
 AMPLITUDE = Topic("<camera>/amplitude/image_raw", _IMAGE)
+DEPTH_SIGMA = Topic("<camera>/depth_sigma/image_raw", _IMAGE)
 CAMERA_INFO = Topic("<camera>/camera_info", "sensor_msgs/msg/CameraInfo")
 PHASE = Topic("<camera>/phase/image_raw", _IMAGE)
 PMD_INFO = Topic("<camera>/info", "rpod_msgs/msg/PmdInfo", latched=True)
@@ -100,13 +167,39 @@ STATUS = Topic("estimate/status", "rpod_msgs/msg/EstimatorStatus")
 COMMAND = Topic("guidance/command", "geometry_msgs/msg/TwistStamped")
 IMU = Topic("chaser/imu", "sensor_msgs/msg/Imu")
 DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+ROSOUT = Topic("rosout", "rcl_interfaces/msg/Log", absolute=True, profile=qos.ROSOUT)
+PARAMETER_EVENTS = Topic(
+    "parameter_events", "rcl_interfaces/msg/ParameterEvent", absolute=True, profile=qos.PARAMETERS
+)
 
 TOPICS: tuple[Topic, ...] = (
-    TRUTH, TRUTH_JOINTS, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, CAMERA_INFO, PHASE,
-    PMD_INFO, POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME, ESTIMATE_JOINTS,
-    CONTRADICTION, VALIDITY, STATUS, COMMAND, IMU, DIAGNOSTICS,
+    TRUTH, TRUTH_JOINTS, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, DEPTH_SIGMA,
+    CAMERA_INFO, PHASE, PMD_INFO, POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME,
+    ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, STATUS, COMMAND, IMU, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS,
 )  # fmt: skip
 """All topics, in the order of the ICD's table."""
+
+SENT_BY: dict[str, tuple[str, ...]] = {
+    TRUTH.name: ("motion", "robots"),
+    TRUTH_JOINTS.name: ("motion",),
+    REFERENCE.name: ("motion",),
+    SUN.name: ("motion", "lamp"),
+    TF_STATIC.name: ("sensor",),
+    TF.name: ("motion", "estimator"),
+    CLOCK.name: ("motion", "replay"),
+    **dict.fromkeys((DEPTH.name, AMPLITUDE.name, DEPTH_SIGMA.name), ("camera",)),
+    **dict.fromkeys((CAMERA_INFO.name, PHASE.name, PMD_INFO.name), ("camera",)),
+    **dict.fromkeys((POINTS.name, LIDAR_INFO.name), ("LIDAR",)),
+    **dict.fromkeys((ESTIMATE.name, ESTIMATE_POSE.name, ESTIMATE_FRAME.name), ("estimator",)),
+    **dict.fromkeys((ESTIMATE_JOINTS.name, CONTRADICTION.name, VALIDITY.name, STATUS.name), ("estimator",)),
+    COMMAND.name: ("guidance",),
+    IMU.name: ("chaser",),
+    **dict.fromkeys((DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name), ("service",)),
+}  # fmt: skip
+"""Who publishes a topic: the column "from" of the ICD's table, by the topic's name."""
+
+ABSOLUTE_TOPICS: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.absolute)
+"""Topics that stand outside of all namespaces."""
 
 TRUTH_TOPICS: tuple[Topic, ...] = (TRUTH, TRUTH_JOINTS, REFERENCE, TF)
 """Topics that an estimator must never read: the facility's truth in any form."""
@@ -133,17 +226,27 @@ class Namespace:
         """First part of all keys, ``<domain>/<namespace>``, without trailing slash."""
         return f"{self.domain}/{self.prefix}" if self.prefix else str(self.domain)
 
-    def key(self, topic: Topic) -> str:
-        """Return the key on which a topic is published."""
-        return f"{self.root}/{topic.name}/{topic.wire_type}/{type_hash(topic.type)}"
+    def key(self, topic: Endpoint) -> str:
+        """Return the key on which a topic is published, or a service called."""
+        return f"{self._place(topic)}/{topic.wire_type}/{type_hash(topic.type)}"
 
-    def selector(self, topic: Topic) -> str:
-        """Return the key expression by which a topic is subscribed: any type hash."""
-        return f"{self.root}/{topic.name}/{topic.wire_type}/*"
+    def selector(self, topic: Endpoint) -> str:
+        """Return the key expression by which a topic is subscribed, or a service offered: any type hash."""
+        return f"{self._place(topic)}/{topic.wire_type}/*"
 
-    def control(self, instance: str, verb: str) -> str:
-        """Return the key of a control-plane query (ICD section 4)."""
-        return f"{self.root}/rpod/{instance}/{verb}"
+    def _place(self, topic: Endpoint) -> str:
+        return f"{self.domain if topic.absolute else self.root}/{topic.name}"
+
+    def ros_name(self, topic: Endpoint) -> str:
+        """Return the name that ROS 2 shows: ``/lab/logger/split``."""
+        return f"/{topic.name}" if topic.absolute or not self.prefix else f"/{self.prefix}/{topic.name}"
+
+    def control(self, instance: str, verb: str, role: str = "") -> str:
+        """Return the key of a control-plane query (ICD section 4).
+
+        In the profile ``secure`` it ends with the name of who asks, ``role``; a service serves ``*`` there.
+        """
+        return f"{self.root}/rpod/{instance}/{verb}" + (f"/by/{role}" if role else "")
 
     def topic_of(self, key: str) -> str:
         """Return the topic's name of a data-plane key."""
@@ -151,6 +254,9 @@ class Namespace:
 
     def topic_at(self, key: str) -> Topic:
         """Return the topic of any key, without a type if the key or its type is unknown."""
+        for topic in ABSOLUTE_TOPICS:
+            if key.startswith(f"{self._place(topic)}/{topic.wire_type}/"):
+                return topic
         relative = key.removeprefix(f"{self.root}/")
         *name, wire_type, _ = relative.rsplit("/", 2) if relative.count("/") > 1 else ("", "")
         if name and is_wire_type(wire_type) and is_known(type_of_wire(wire_type)):
@@ -173,8 +279,14 @@ def is_wire_type(text: str) -> bool:
     return bool(package) and rest[:-1] == ["msg", "dds_"] and rest[-1].endswith("_")
 
 
+def wire_type(type_name: str) -> str:
+    """Return a ROS 2 type as DDS names it: ``sensor_msgs::msg::dds_::Image_``."""
+    package, kind, name = type_name.split("/")
+    return f"{package}::{kind}::dds_::{name}_"
+
+
 @cache
 def type_of_wire(wire_type: str) -> str:
-    """Return the ROS 2 type of a DDS type: the inverse of ``Topic.wire_type``."""
+    """Return the ROS 2 type of a DDS type: the inverse of ``wire_type``."""
     package, kind, _, name = wire_type.split("::")
     return f"{package}/{kind}/{name.removesuffix('_')}"

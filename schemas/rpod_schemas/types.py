@@ -169,6 +169,9 @@ class PmdFrame(SensorFrame):
     saturated: Image | None = None
     """Pixels whose amplitude is saturated, so that it is at least what the image says and their depth is NaN,
     bool, shape (height, width); None if there are none."""
+    depth_sigma_m: Image | None = None
+    """Standard deviation of each pixel's depth as the camera states it, m, float32, shape (height, width);
+    None if it states none."""
 
     @property
     def lens(self) -> Camera:
@@ -188,7 +191,11 @@ class PmdFrame(SensorFrame):
         size = (self.camera.height, self.camera.width)
         if self.depth_m.shape != size:
             raise ValueError(f"depth image is {self.depth_m.shape}, camera_info says {size}")
-        for name, image in (("amplitude", self.amplitude), ("saturation", self.saturated)):
+        for name, image in (
+            ("amplitude", self.amplitude),
+            ("saturation", self.saturated),
+            ("depth sigma", self.depth_sigma_m),
+        ):
             if image is not None and image.shape != size:
                 raise ValueError(f"{name} image is {image.shape}, camera_info says {size}")
         return self
@@ -277,6 +284,13 @@ class Mode(IntEnum):
     VERIFYING = 1
     TRACKING = 2
     LOST = 3
+    COASTING = 4
+    """No measurement supports the track, and its prediction is within the alert limit."""
+
+    @property
+    def has_track(self) -> bool:
+        """Whether the pose is published: by measurements, or predicted."""
+        return self in (Mode.TRACKING, Mode.COASTING)
 
 
 class Source(IntEnum):
@@ -360,6 +374,9 @@ class SensorSync(Model):
     """Source of the trigger of each frame."""
     trigger_missed: Annotated[int, Field(ge=0)] | None = None
     """Number of triggers without a frame."""
+    stamp_source: Literal["device", "mapped", "host"] | None = None
+    """Clock that stamps the frames: the device's own, this clock mapped to the host's by the least delay, or
+    the host's at the arrival of the frame."""
 
     def values(self, sensor: str) -> dict[str, str]:
         """Return what is known as values of diagnostics (ICD section 2)."""

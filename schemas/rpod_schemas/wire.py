@@ -9,7 +9,7 @@ from typing import Literal
 
 from rpod_schemas.cdr import type_hash
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.topics import Namespace, Topic, is_wire_type, type_of_wire
+from rpod_schemas.topics import ABSOLUTE_TOPICS, Endpoint, Namespace, Topic, is_wire_type, type_of_wire
 
 _ATTACHMENT = struct.Struct("<qqB16s")
 GID_BYTES = 16
@@ -59,6 +59,11 @@ def _mangled(name: str) -> str:
     return name.replace("/", "%") or "%"
 
 
+def node_name(instance: str) -> str:
+    """Return the name of an instance's node in the ROS graph, which knows no hyphens."""
+    return instance.replace("-", "_")
+
+
 @dataclass(frozen=True)
 class GraphNode:
     """A node of the ROS graph, as its liveliness tokens show it."""
@@ -70,22 +75,40 @@ class GraphNode:
     def _head(self, entity: int, kind: str) -> str:
         prefix = f"/{self.namespace.prefix}" if self.namespace.prefix else ""
         session = f"@ros2_lv/{self.namespace.domain}/{self.session_id}"
-        return f"{session}/0/{entity}/{kind}/%/{_mangled(prefix)}/{self.name}"
+        return f"{session}/0/{entity}/{kind}/%/{_mangled(prefix)}/{node_name(self.name)}"
 
     def node_token(self) -> str:
         """Return the token of the node itself."""
         return self._head(0, "NN")
 
-    def endpoint_token(self, kind: Literal["MP", "MS"], entity: int, topic: Topic) -> str:
-        """Return the token of a publisher (MP) or subscriber (MS)."""
-        prefix = f"/{self.namespace.prefix}" if self.namespace.prefix else ""
-        name = _mangled(f"{prefix}/{topic.name}")
-        return f"{self._head(entity, kind)}/{name}/{topic.wire_type}/{type_hash(topic.type)}/{topic.qos}"
+    def endpoint_token(self, kind: Literal["MP", "MS", "SS", "SC"], entity: int, topic: Endpoint) -> str:
+        """Return the token of a publisher (MP), subscriber (MS), service (SS) or client (SC)."""
+        name = _mangled(self.namespace.ros_name(topic))
+        qos = topic.asked if kind in ("MS", "SC") else topic.offered
+        return f"{self._head(entity, kind)}/{name}/{topic.wire_type}/{type_hash(topic.type)}/{qos.token()}"
 
 
-def publisher_tokens(namespace: Namespace) -> str:
-    """Return the key expression of the tokens of all publishers in a domain."""
-    return f"@ros2_lv/{namespace.domain}/*/*/*/MP/*/*/*/*/*/*/*"
+def token_pattern(namespace: Namespace, kind: str, node: str, topic: Topic | None = None) -> str:
+    """Return the key expression of a node's tokens of one kind, in any session.
+
+    Args:
+        namespace: domain and ROS namespace of the node.
+        kind: ``NN``, ``MP``, ``MS``; also ``SS`` and ``SC`` of ROS services, whose topic is the service.
+        node: name of the node.
+        topic: topic of an endpoint, in which ``*`` stands for a part of the name; None for ``NN``.
+    """
+    prefix = f"/{namespace.prefix}" if namespace.prefix else ""
+    head = f"@ros2_lv/{namespace.domain}/*/*/*/{kind}/*/{_mangled(prefix)}/{node_name(node)}"
+    if topic is None:
+        return head
+    name = _mangled(namespace.ros_name(topic)).replace("*", "$*")
+    return f"{head}/{name}/{topic.wire_type if topic.type else '*'}/*/*"
+
+
+def publisher_tokens(namespace: Namespace, topic: Topic | None = None) -> str:
+    """Return the key expression of the tokens of all publishers in a domain, or of those of a topic."""
+    endpoint = f"{_mangled(namespace.ros_name(topic))}/{topic.wire_type}" if topic else "*/*"
+    return f"@ros2_lv/{namespace.domain}/*/*/*/MP/*/*/*/{endpoint}/*/*"
 
 
 def session_of_token(token: str) -> str:
@@ -93,9 +116,17 @@ def session_of_token(token: str) -> str:
     return token.split("/")[2]
 
 
+def qos_of_token(token: str) -> str:
+    """Return the quality of service that an endpoint's token states, as rmw_zenoh writes it."""
+    return token.split("/")[12]
+
+
 def topic_of_token(token: str, namespace: Namespace) -> Topic | None:
     """Return the topic that an endpoint's token names; None if it is not of this namespace."""
     name, wire_type = token.split("/")[9:11]
+    for topic in ABSOLUTE_TOPICS:
+        if (name, wire_type) == (_mangled(namespace.ros_name(topic)), topic.wire_type):
+            return topic
     prefix = _mangled(f"/{namespace.prefix}/" if namespace.prefix else "/")
     if not name.startswith(prefix) or not is_wire_type(wire_type):
         return None

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel
-
 from rpod_runtime.session import free_endpoint
 from rpod_schemas.config.emulator import EmulatorConfig, LockstepConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings
@@ -25,7 +23,7 @@ class Facility:
     """Configurations of all services, and that of the supervisor's own client."""
 
     router: RouterConfig
-    services: dict[str, BaseModel]
+    services: dict[str, ServiceConfig]
     """Configurations by verb, in the order in which services stop: publishers before their receivers."""
     supervisor: ServiceConfig
     view: ViewConfig
@@ -46,6 +44,8 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 target=scenario.target,
                 motion=scenario.motion,
                 duration_s=scenario.duration_s,
+                truth_error=scenario.truth_error,
+                seed=scenario.seed,
                 sensors=scenario.sensors,
                 await_start=True,
                 speed=speed,
@@ -58,8 +58,10 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 joints=scenario.motion.joints,
                 world=scenario.world,
                 surroundings=scenario.surroundings,
+                motion="truth/odometry" if scenario.truth_error is None else "motion/reference",
                 seed=scenario.seed,
                 publish_samples=scenario.publish_samples,
+                faults=scenario.faults,
                 await_start=True,
                 time_source=time_source,
             ),

@@ -1,4 +1,4 @@
-"""The verbs that read logs: report, replay, recover, calibrate."""
+"""The verbs that read logs: report, replay, recover."""
 
 from pathlib import Path
 from typing import Annotated
@@ -94,32 +94,3 @@ def recover(
     from rpod.command_recover import recover_command
 
     raise typer.Exit(recover_command(log, out=out, as_json=as_json))
-
-
-@log_verbs.command()
-def calibrate(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(
-            help="MCAP files with a PMD camera's frames and the truth; or the word background and MCAP files "
-            "of frames without the target."
-        ),
-    ],
-    camera: Annotated[str, typer.Option("--camera", help="Name of the camera.")] = "pmd",
-    check: Annotated[
-        Path | None, typer.Option("--check", help="Calibration to check on the logs, instead of a fit.")
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", help="File to write; <camera>-calibration.yaml, or surroundings.yaml."),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
-) -> None:
-    """Calibrate a PMD camera's distances (offset and wiggling) from logs, or learn a static background."""
-    if str(logs[0]) == "background":
-        from rpod.command_background import background_command
-
-        raise typer.Exit(background_command(logs[1:], out=out, as_json=as_json))
-    from rpod.command_calibrate import calibrate_command
-
-    raise typer.Exit(calibrate_command(logs, camera=camera, check=check, out=out, as_json=as_json))

@@ -2,6 +2,27 @@
 
 from rpod_driver.errors import DriverError
 from rpod_driver.host import main, run
-from rpod_driver.ports import CameraDriver, Driver, LidarDriver, Synchronised
+from rpod_driver.ports import (
+    Adjustable,
+    CameraDriver,
+    Counted,
+    Driver,
+    Drops,
+    LidarDriver,
+    Synchronised,
+    Triggered,
+)
 
-__all__ = ["CameraDriver", "Driver", "DriverError", "LidarDriver", "Synchronised", "main", "run"]
+__all__ = [
+    "Adjustable",
+    "CameraDriver",
+    "Counted",
+    "Driver",
+    "DriverError",
+    "Drops",
+    "LidarDriver",
+    "Synchronised",
+    "Triggered",
+    "main",
+    "run",
+]

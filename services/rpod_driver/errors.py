@@ -1,5 +1,7 @@
 """The errors of drivers and their host."""
 
+from pathlib import Path
+
 from rpod_schemas.errors import RpodError
 
 
@@ -21,3 +23,39 @@ class WrongKindError(DriverError):
         super().__init__(
             f"kind is {kind!r}, but the driver delivers {type(delivered).__name__}; correct kind"
         )
+
+
+class MissingSdkError(DriverError):
+    """The library of a device is not installed, or cannot be loaded."""
+
+    def __init__(self, driver: str, reason: str, needs: str) -> None:
+        super().__init__(f"the driver {driver!r} cannot load its device's library ({reason}); {needs}")
+
+
+class RecordingError(DriverError):
+    """A recording of a device cannot be used."""
+
+    def __init__(self, path: Path | str, reason: str) -> None:
+        super().__init__(f"{path}: {reason}")
+
+
+class ForeignDriverError(DriverError):
+    """The process of a driver with an environment of its own failed."""
+
+    def __init__(self, command: str, reason: str, tail: tuple[str, ...] = ()) -> None:
+        said = "".join(f"\n    {line}" for line in tail)
+        super().__init__(f"driver process {command!r} {reason}" + (f"; it said last:{said}" if said else ""))
+
+
+class NotSupportedError(DriverError):
+    """A driver is asked for what it does not have."""
+
+    def __init__(self, sensor: str, what: str, methods: str) -> None:
+        super().__init__(f"the driver of {sensor!r} has no {what}: it needs the methods {methods}")
+
+
+class NoAnswerError(DriverError):
+    """The device does not answer a request in time."""
+
+    def __init__(self, sensor: str, waited_s: float) -> None:
+        super().__init__(f"no answer of {sensor!r} after {waited_s:g} s; is its device connected?")

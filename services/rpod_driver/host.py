@@ -9,14 +9,15 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+from rpod_driver.commands import Commands
 from rpod_driver.errors import DriverError, SilentSensorError, WrongKindError
-from rpod_driver.ports import Driver, Synchronised
+from rpod_driver.ports import Counted, Driver, Synchronised
 from rpod_runtime import Node, lifecycle
 from rpod_runtime.sensors import open_publisher
 from rpod_schemas.config.base import load
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.types import Health, SensorFrame
+from rpod_schemas.types import Health, SensorFrame, SensorSync
 
 log = logging.getLogger(__name__)
 
@@ -58,6 +59,7 @@ class Host:
     def __init__(self, node: Node, driver: Driver, config: DriverConfig) -> None:
         self._node, self._driver, self._config = node, driver, config
         self._publisher = open_publisher(node, config.kind, config.name, config.T_chaser_sensor)
+        self._commands = Commands(node, driver, config)
         self._arrivals_s: deque[float] = deque(maxlen=_RATE_FRAMES)
         self._heard_s = time.monotonic()
         self._trouble = ""
@@ -79,6 +81,7 @@ class Host:
     def _begin(self, info: Any) -> None:
         self._heard_s = time.monotonic()
         self._arrivals_s.clear()
+        self._commands.restore()
         if info is not None:
             self._check(info, self._publisher.info_type)
             self._publisher.announce(info)
@@ -88,6 +91,7 @@ class Host:
         for frame in frames:
             if self._node.stop.is_set():
                 return
+            self._commands.serve(got_frame=frame is not None)
             if frame is not None:
                 self._publish(frame)
             elif (silence_s := time.monotonic() - self._heard_s) > self._config.silence_s:
@@ -131,9 +135,7 @@ class Host:
         age_s = time.monotonic() - self._heard_s
         self._node.health.measure("last_frame_age_s", age_s)
         self._node.health.measure("rate_hz", self._rate_hz())
-        if isinstance(self._driver, Synchronised):
-            for name, value in self._driver.sync().values(self._config.name).items():
-                self._node.health.tell(name, value)
+        self._tell_state()
         if self._trouble:
             return Health.ERROR, self._trouble
         if self.finished:
@@ -143,6 +145,18 @@ class Host:
         if not self._arrivals_s:
             return Health.WARN, "no frame yet"
         return Health.OK, f"{self._rate_hz():.1f} Hz, last frame {age_s:.2f} s ago"
+
+    def _tell_state(self) -> None:
+        """Tell what the driver knows of its sensor's time and of lost frames."""
+        name, missed = self._config.name, self._commands.trigger_missed
+        sync = self._driver.sync() if isinstance(self._driver, Synchronised) else SensorSync()
+        if missed:
+            sync = sync.model_copy(update={"trigger_missed": missed + (sync.trigger_missed or 0)})
+        for key, value in sync.values(name).items():
+            self._node.health.tell(key, value)
+        if isinstance(self._driver, Counted):
+            for stage, frames in self._driver.drops()._asdict().items():
+                self._node.health.put(f"lost/{name}/{stage}", frames)
 
     def _rate_hz(self) -> float:
         arrivals_s = list(self._arrivals_s)

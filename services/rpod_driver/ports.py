@@ -1,8 +1,9 @@
 """The ports of drivers. Emulator, recording and real device are equal behind them."""
 
-from collections.abc import Iterator
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+from rpod_schemas.config.driver import Setting
 from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame, SensorSync
 
 
@@ -35,6 +36,57 @@ class Synchronised(Protocol):
 
     def sync(self) -> SensorSync:
         """Return how the sensor keeps time now; called each second, it must return at once."""
+        ...
+
+
+@runtime_checkable
+class Adjustable(Protocol):
+    """A driver with settings; a driver need not be one.
+
+    The host applies the configured settings after each ``connect``, before the first frame, and those that an
+    operator changed since. So a device that forgets them with its power gets them back.
+    """
+
+    def settings(self) -> Mapping[str, Setting]:
+        """Return all settings with their values in the device now."""
+        ...
+
+    def apply(self, settings: Mapping[str, Setting]) -> None:
+        """Write settings to the device.
+
+        The host calls it in the thread that iterates over ``frames``, between two items. Raise an error that
+        names setting, value and limit if the device cannot take one; then none of them may have changed.
+        """
+        ...
+
+
+@runtime_checkable
+class Triggered(Protocol):
+    """A driver whose sensor takes a frame on request; a driver need not be one."""
+
+    def trigger(self) -> None:
+        """Ask for one frame, which ``frames`` yields; called like ``Adjustable.apply``."""
+        ...
+
+
+class Drops(NamedTuple):
+    """Number of frames that were lost before the host got them, since the start of the driver."""
+
+    device: int = 0
+    """Lost in the device or on its link: gaps of its frame counter."""
+    queue: int = 0
+    """Lost in the queue of the device's library, or of the driver, because the host was too slow."""
+
+
+@runtime_checkable
+class Counted(Protocol):
+    """A driver that knows where frames were lost; a driver need not be one.
+
+    What the bus loses after the host is counted by each receiver, as ``missed/<topic>``.
+    """
+
+    def drops(self) -> Drops:
+        """Return the counts now; called each second, it must return at once."""
         ...
 
 

@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_emulator.faults import Kind
+from rpod_emulator.faults import FaultyNode
 from rpod_geometry.errors import GeometryError
 from rpod_runtime import Node
 from rpod_schemas.arrays import FloatArray
@@ -28,7 +28,7 @@ class Channel(Protocol):
         ...
 
     def emulate(
-        self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
+        self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame
     ) -> Callable[[], None]:
         """Compute a frame from T_sensor_target at the sensor's pose times; the sun is in chaser axes.
 
@@ -46,7 +46,9 @@ class Showing(Protocol):
         ...
 
 
-def open_channel(node: Node, config: EmulatorConfig, sensor: SensorConfig, target: Target) -> Channel:
+def open_channel(
+    node: Node | FaultyNode, config: EmulatorConfig, sensor: SensorConfig, target: Target
+) -> Channel:
     """Return the channel of a sensor. It is warmed up: its first frame is as fast as any other.
 
     Raises:
@@ -58,9 +60,11 @@ def open_channel(node: Node, config: EmulatorConfig, sensor: SensorConfig, targe
         raise ConfigurationError(config.instance, f"sensors.{sensor.name}", str(error)) from error
 
 
-def _warm_channel(node: Node, config: EmulatorConfig, sensor: SensorConfig, target: Target) -> Channel:
+def _warm_channel(
+    node: Node | FaultyNode, config: EmulatorConfig, sensor: SensorConfig, target: Target
+) -> Channel:
     channel: Channel = resolve(sensor_kind(sensor.kind).emulator)(node, config, sensor, target)
     away = RigidTransform.from_translation([0.0, 0.0, 2.0 * target.radius_m + 1.0])
     poses = [away] * len(sensor.pose_times_s())
-    channel.emulate(poses, np.zeros(3), DueFrame(0, sensor.name, 0, 0), None)
+    channel.emulate(poses, np.zeros(3), DueFrame(0, sensor.name, 0, 0))
     return channel

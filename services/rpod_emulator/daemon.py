@@ -12,11 +12,12 @@ import numpy as np
 
 from rpod_emulator.channels import Channel, Showing, open_channel
 from rpod_emulator.errors import TruthGapError
-from rpod_emulator.faults import Fault, Faults
+from rpod_emulator.faults import Faults, FaultyNode
 from rpod_emulator.joints import MovingJoints
 from rpod_emulator.truth_buffer import TruthBuffer
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.errors import RefusedError
+from rpod_runtime.ros import trigger
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
 from rpod_schemas.control import Accepted, FaultRequest, StartRequest
@@ -24,7 +25,7 @@ from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_stamp, read_vector_stamped
 from rpod_schemas.poses import chained
 from rpod_schemas.schedule import DueFrame, Step, frame_at, last_number, lockstep_steps
-from rpod_schemas.topics import CLOCK, SUN, TRUTH
+from rpod_schemas.topics import CLOCK, REFERENCE, SUN, TRUTH
 from rpod_schemas.types import Health
 from rpod_target import load_target
 
@@ -42,14 +43,22 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
     with Node(config, version=version, stop=stop) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         joints = MovingJoints(config, target)
-        channels = [open_channel(node, config, sensor, joints.at(0.0)) for sensor in config.sensors]
-        emulator = Emulator(node, config, sorted(channels, key=lambda channel: channel.sensor.name), joints)
+        faults = Faults.of(config)
+        outlets = [FaultyNode(node, sensor, faults, seed=config.seed) for sensor in config.sensors]
+        channels = [
+            open_channel(outlet, config, sensor, joints.at(0.0))
+            for outlet, sensor in zip(outlets, config.sensors, strict=True)
+        ]
+        channels.sort(key=lambda channel: channel.sensor.name)
+        emulator = Emulator(node, config, channels, joints, faults)
         node.ready(f"emulating {', '.join(channel.sensor.name for channel in channels)} of {target.name}")
         while not stop.is_set():
             emulator.take_messages()
             for channel, frame in emulator.due():
                 emulator.make(channel, frame)
             emulator.publish_made()
+            for outlet in outlets:
+                outlet.refresh()
 
 
 def _exposure_end_ns(sensor: SensorConfig) -> int:
@@ -69,7 +78,12 @@ class Emulator:
     """State between frames: truth, sun, the next frame of each sensor, and frames not published yet."""
 
     def __init__(
-        self, node: Node, config: EmulatorConfig, channels: list[Channel], joints: MovingJoints | None = None
+        self,
+        node: Node,
+        config: EmulatorConfig,
+        channels: list[Channel],
+        joints: MovingJoints | None = None,
+        faults: Faults | None = None,
     ) -> None:
         self._node, self._config = node, config
         self._by_wall = config.time_source == "wall"
@@ -77,20 +91,23 @@ class Emulator:
         self._exposure_end_ns = {
             channel.sensor.name: _exposure_end_ns(channel.sensor) for channel in channels
         }
-        self._faults = Faults()
+        self._faults = faults or Faults.of(config)
         self._suns: deque[tuple[int, FloatArray]] = deque([_DARKNESS], maxlen=4)
         self._inbox = Inbox()
         self._starts: SimpleQueue[StartRequest] = SimpleQueue()
+        self._awaits_start = config.await_start
         self._begin(config.epoch_ns, None)
         node.serve("fault", FaultRequest, self._plan_fault)
-        node.serve("start", StartRequest, self._ask_to_start)
+        node.serve("start", StartRequest, self._ask_to_start, ros=trigger(StartRequest))
         if not self._by_wall:
             node.follow_clock(self._inbox.put)
-        node.subscribe(TRUTH, self._inbox.put, recover=True, history=True)
+        moved = REFERENCE if config.motion == REFERENCE.name else TRUTH
+        node.subscribe(moved, self._inbox.put, recover=True, history=True)
         node.subscribe(SUN, self._inbox.put, recover=True)
 
     def _begin(self, epoch_ns: int | None, duration_s: float | None) -> None:
         self._epoch_ns, self._duration_s = epoch_ns, duration_s
+        self._faults.begin(self._config, epoch_ns)
         self._clock_ns = 0
         self._steps: Iterator[Step] | None = None
         self._step: Step | None = None
@@ -100,14 +117,13 @@ class Emulator:
         self._in_gap = False
 
     def _ask_to_start(self, request: StartRequest) -> Accepted:
+        if request.epoch_ns is None and not self._by_wall:
+            raise RefusedError("lockstep counts frames from motion's epoch: ask for a start with epoch_ns")
         self._starts.put(request)
         return Accepted()
 
     def _plan_fault(self, request: FaultRequest) -> Accepted:
-        if request.fault == "silence" and not self._by_wall:
-            raise RefusedError("lockstep waits for every frame: ask for a blackout instead of silence")
-        start_ns = max(self._truth.last_ns, 0) + round(request.start_s * NANOSECONDS)
-        self._faults.add(Fault(request.fault, start_ns, start_ns + round(request.duration_s * NANOSECONDS)))
+        self._faults.request(request, max(self._truth.last_ns, 0))
         return Accepted()
 
     def take_messages(self) -> None:
@@ -123,8 +139,9 @@ class Emulator:
             except MessageRejectedError as error:
                 self._node.reject(received.topic.name, error)
         self._node.health.put("overflowed/inbox", self._inbox.overflowed)
-        if self._epoch_ns is None and not self._config.await_start:
+        if self._epoch_ns is None and not self._awaits_start:
             self._epoch_ns = self._truth.first_ns
+            self._faults.begin(self._config, self._epoch_ns)
 
     def _take_starts(self) -> None:
         while True:
@@ -133,6 +150,7 @@ class Emulator:
             except Empty:
                 return
             self._begin(request.epoch_ns, request.duration_s)
+            self._awaits_start = False
             if not self._by_wall:
                 self._suns.append(_DARKNESS)  # until the first sun message of this run
 
@@ -196,8 +214,7 @@ class Emulator:
 
     def make(self, channel: Channel, frame: DueFrame) -> None:
         """Compute one frame; a frame in a gap of the truth is counted and left out."""
-        fault = self._faults.at(frame.stamp_ns)
-        if fault == "silence":
+        if "silence" in [fault.name for fault in self._faults.at(frame.sensor, frame.stamp_ns)]:
             self._node.health.count(f"silenced/{frame.sensor}")
             return
         T_sensor_chaser = channel.sensor.T_chaser_sensor.inv()
@@ -219,7 +236,7 @@ class Emulator:
         started_s = time.perf_counter()
         if self._joints is not None and self._joints.turn and isinstance(channel, Showing):
             channel.show(self._joints.at((frame.stamp_ns - (self._epoch_ns or 0)) / NANOSECONDS))
-        self._made.append(_Made(frame, channel.emulate(poses, self._sun_W_m2(frame.stamp_ns), frame, fault)))
+        self._made.append(_Made(frame, channel.emulate(poses, self._sun_W_m2(frame.stamp_ns), frame)))
         self._node.health.put(f"emulation_us/{frame.sensor}", round(1e6 * (time.perf_counter() - started_s)))
         self._node.health.report(Health.OK, "emulating")
 

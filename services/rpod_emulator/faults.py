@@ -1,58 +1,194 @@
-"""Faults that an operator requests: lost depth, glints, blackout and silence."""
+"""Faults of the emulated sensors: when they hold, and a node between a sensor's publisher and the bus.
 
-from dataclasses import dataclass, field
-from typing import Literal
+What a fault does to messages is in ``rpod_sim_sensor.faults``. Messages that a fault delays wait here.
+"""
 
-import numpy as np
-from numpy.typing import NDArray
+import copy
+import heapq
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import count
+from typing import Any, Self
 
-Kind = Literal["dropout", "glints", "blackout", "silence"]
+from rpod_runtime import Node
+from rpod_runtime.errors import RefusedError
+from rpod_runtime.publisher import Publisher
+from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
+from rpod_schemas.control import FaultRequest
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.faults import BOTH, Fault, known_fault
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.topics import Topic
+from rpod_sim_sensor.faults import Injection, Outgoing, injection, parts_of
 
-_LOST_SHARE = {"dropout": 0.6, "glints": 0.4, "blackout": 1.0}
-_PATCHES = 12
-"""Number of patches along each side of the image; a fault takes whole patches, not single pixels."""
+_ALWAYS_NS = 2**62
 
 
 @dataclass(frozen=True)
-class Fault:
-    """One fault with its start and its end."""
+class Window:
+    """One fault with its sensor, its start and its end."""
 
-    kind: Kind
+    fault: Fault
+    sensor: str | None
+    """Name of the sensor; None for all."""
     start_ns: int
     end_ns: int
 
 
 @dataclass
 class Faults:
-    """The faults that were requested."""
+    """The faults that were configured or requested."""
 
-    _faults: list[Fault] = field(default_factory=list)
+    in_lockstep: bool = False
+    sensors: Mapping[str, str] = field(default_factory=dict)
+    """Kinds of the sensors, by name."""
+    _planned: list[Window] = field(default_factory=list)
+    _requested: list[Window] = field(default_factory=list)
 
-    def add(self, fault: Fault) -> None:
-        """Add a fault."""
-        self._faults.append(fault)
+    @classmethod
+    def of(cls, config: EmulatorConfig) -> Self:
+        """Return the configured faults; raise ``ConfigurationError`` if one cannot be injected."""
+        sensors = {sensor.name: sensor.kind for sensor in config.sensors}
+        self = cls(config.time_source == "clock", sensors)
+        for number, planned in enumerate(config.faults):
+            try:
+                self._check(known_fault(planned.fault), planned.sensor, at_start=not planned.start_s)
+            except RefusedError as error:
+                raise ConfigurationError(config.instance, f"faults.{number}", str(error)) from error
+        self.begin(config, None)
+        return self
 
-    def at(self, stamp_ns: int) -> Kind | None:
-        """Return the fault at a stamp, the last requested one if there are several; None if there is none."""
-        for fault in reversed(self._faults):
-            if fault.start_ns <= stamp_ns < fault.end_ns:
-                return fault.kind
-        return None
+    def begin(self, config: EmulatorConfig, epoch_ns: int | None) -> None:
+        """Plan the configured faults of a scenario from its epoch; without one, those of the start."""
+        self._planned = []
+        for planned in config.faults:
+            if planned.start_s and epoch_ns is None:
+                continue
+            start_ns = (epoch_ns or 0) + round(planned.start_s * NANOSECONDS) if planned.start_s else 0
+            lasts = epoch_ns is not None and planned.duration_s is not None
+            end_s = planned.start_s + (planned.duration_s or 0.0)
+            end_ns = (epoch_ns or 0) + round(end_s * NANOSECONDS) if lasts else _ALWAYS_NS
+            self._planned.append(Window(known_fault(planned.fault), planned.sensor, start_ns, end_ns))
+
+    def request(self, request: FaultRequest, now_ns: int) -> None:
+        """Plan a fault from the time of the newest truth on. Raises ``RefusedError``."""
+        fault = known_fault(request.fault)
+        self._check(fault, request.sensor, at_start=False)
+        start_ns = now_ns + round(request.start_s * NANOSECONDS)
+        end_ns = start_ns + round(request.duration_s * NANOSECONDS)
+        self._requested.append(Window(fault, request.sensor, start_ns, end_ns))
+
+    def _check(self, fault: Fault, sensor: str | None, *, at_start: bool) -> None:
+        if not any(sensor in (None, name) and can_have(kind, fault) for name, kind in self.sensors.items()):
+            known = ", ".join(f"{name} ({kind})" for name, kind in self.sensors.items())
+            raise RefusedError(f"no sensor {sensor or ''} can have the fault {fault.name}; there are {known}")
+        if self.in_lockstep and not fault.in_lockstep:
+            raise RefusedError(
+                f"lockstep waits for every frame under its own stamp, not so with {fault.name}: ask for "
+                "a blackout instead, or run with --speed 1"
+            )
+        if fault.from_start and not at_start:
+            raise RefusedError(f"{fault.name} cannot begin while a sensor runs: configure it with start_s 0")
+
+    def at(self, sensor: str, stamp_ns: int) -> list[Fault]:
+        """Return the faults of a sensor at a stamp, in the order in which they were asked for."""
+        return [
+            window.fault
+            for window in (*self._planned, *self._requested)
+            if window.sensor in (None, sensor) and window.start_ns <= stamp_ns < window.end_ns
+        ]
 
 
-def takes_amplitude(kind: Kind | None) -> bool:
-    """Return whether a fault removes the amplitude as well as the depth, as saturated pixels do."""
-    return kind in {"glints", "blackout"}
+def can_have(kind: str, fault: Fault) -> bool:
+    """Return whether a sensor of a kind can have a fault; of other packages' kinds that is not known."""
+    return kind in fault.kinds or kind not in BOTH
 
 
-def lost_cells(
-    kind: Kind | None, shape: tuple[int, ...], *, seed: int, number: int
-) -> NDArray[np.bool_] | None:
-    """Return a mask, of the given shape, of the cells that a fault removes; None for no fault."""
-    if kind is None or kind == "silence":
-        return None
-    generator = np.random.default_rng([seed, number, 0xFA17])
-    lost = generator.random((_PATCHES, _PATCHES)) < _LOST_SHARE[kind]
-    rows = np.arange(shape[0]) * _PATCHES // shape[0]
-    columns = np.arange(shape[1]) * _PATCHES // shape[1]
-    return lost[np.ix_(rows, columns)]
+class FaultyNode:
+    """A node for one sensor whose publishers pass each message through the sensor's faults.
+
+    Everything else is the node's.
+    """
+
+    def __init__(self, node: Node, sensor: SensorConfig, faults: Faults, *, seed: int) -> None:
+        self._node, self._faults, self._seed = node, faults, seed
+        self._name, self._kind = sensor.name, sensor.kind
+        self._parts = parts_of(sensor.kind, sensor.name)
+        self._injections: dict[str, Injection] = {}
+        self._publishers: dict[tuple[Topic, str], Publisher] = {}
+        self._announced: dict[str, tuple[Topic, Any, Sequence[str]]] = {}
+        self._waiting: list[tuple[float, int, Outgoing]] = []
+        self._numbers = count()
+        self._newest_ns = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._node, name)
+
+    def publisher(self, topic: Topic) -> "FaultyPublisher":
+        """Return a publisher of this sensor."""
+        return FaultyPublisher(self, topic)
+
+    def put(self, topic: Topic, message: Any) -> None:
+        """Publish a message, or what the faults make of it."""
+        outgoing = Outgoing(topic, self._parts.get(topic.name, "extra"), message)
+        if not outgoing.latched:
+            self._newest_ns = max(self._newest_ns, outgoing.stamp_ns)
+        active = self._active(self._newest_ns)
+        if active:  # it may be kept or delayed, and the sensor uses its arrays again
+            outgoing = replace(outgoing, message=copy.deepcopy(message))
+        if outgoing.latched:
+            self._announced[topic.name] = topic, message, [each.fault for each in active]
+        self._send(outgoing, active)
+
+    def _active(self, stamp_ns: int) -> list[Injection]:
+        names = [fault.name for fault in self._faults.at(self._name, stamp_ns) if can_have(self._kind, fault)]
+        for over in self._injections.keys() - set(names):
+            del self._injections[over]
+        for name in names:
+            if name not in self._injections:
+                self._injections[name] = injection(name, self._kind, self._seed)
+        return [self._injections[name] for name in dict.fromkeys(names)]
+
+    def _send(self, outgoing: Outgoing, active: list[Injection]) -> None:
+        several = [outgoing]
+        for each in active:
+            several = [made for one in several for made in each.apply(one)]
+        for made in several:
+            if made.delay_s > 0.0:
+                due_s = time.monotonic() + made.delay_s
+                heapq.heappush(self._waiting, (due_s, next(self._numbers), made))
+            else:
+                self._publish(made)
+
+    def _publish(self, outgoing: Outgoing) -> None:
+        place = outgoing.topic, outgoing.publisher
+        if place not in self._publishers:
+            self._publishers[place] = self._node.publisher(outgoing.topic)
+        if outgoing.lost:
+            self._publishers[place].lose()
+        else:
+            self._publishers[place].publish(outgoing.message)
+
+    def refresh(self) -> None:
+        """Publish delayed messages that are due; announce the sensor anew where its faults have changed."""
+        while self._waiting and self._waiting[0][0] <= time.monotonic():
+            self._publish(heapq.heappop(self._waiting)[2])
+        active = self._active(self._newest_ns)
+        names = [each.fault for each in active]
+        for topic, message, before in list(self._announced.values()):
+            if names != before and (set(names) ^ set(before)):
+                self._announced[topic.name] = topic, message, names
+                self._send(Outgoing(topic, self._parts[topic.name], message), active)
+
+
+@dataclass(frozen=True)
+class FaultyPublisher:
+    """A publisher of one topic of a ``FaultyNode``."""
+
+    node: FaultyNode
+    topic: Topic
+
+    def publish(self, message: Any) -> None:
+        """Publish a message, or what the faults make of it."""
+        self.node.put(self.topic, message)

@@ -3,10 +3,8 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_emulator.faults import Kind, lost_cells
 from rpod_runtime import Node
 from rpod_runtime.sensors import LidarPublisher
 from rpod_schemas.arrays import FloatArray
@@ -24,7 +22,6 @@ class LidarChannel:
 
     def __init__(self, node: Node, config: EmulatorConfig, sensor: LidarConfig, target: Target) -> None:
         self.sensor = sensor
-        self._seed = config.seed
         self._emulator = LidarEmulator(
             sensor,
             target,
@@ -45,18 +42,13 @@ class LidarChannel:
         poses: Sequence[RigidTransform],
         sun_W_m2: FloatArray,  # noqa: ARG002 - the detector's background is in its own configuration
         frame: DueFrame,
-        fault: Kind | None,
     ) -> Callable[[], None]:
-        """Compute a scan; a fault removes a part of its returns."""
+        """Compute a scan."""
         returns = self._emulator.scan(poses, frame=frame.number)
-        points_m = returns.points_m
-        lost = lost_cells(fault, points_m.shape[:2], seed=self._seed, number=frame.number)
-        if lost is not None:
-            points_m = np.where(lost[..., None], np.float32(np.nan), points_m)
         scan = LidarScan(
             stamp_ns=frame.stamp_ns,
             frame_id=self.sensor.name,
-            points_m=points_m,
+            points_m=returns.points_m,
             intensity=returns.intensity,
             time_s=returns.time_s,
         )

@@ -3,10 +3,8 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_emulator.faults import Kind, lost_cells, takes_amplitude
 from rpod_runtime import Node
 from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.arrays import FloatArray
@@ -26,7 +24,6 @@ class PmdChannel:
 
     def __init__(self, node: Node, config: EmulatorConfig, sensor: PmdConfig, target: Target) -> None:
         self.sensor = sensor
-        self._seed = config.seed
         self._with_samples = config.publish_samples
         self._emulator = PmdEmulator(
             sensor,
@@ -46,17 +43,12 @@ class PmdChannel:
         self._emulator.show(target)
 
     def emulate(
-        self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
+        self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame
     ) -> Callable[[], None]:
-        """Compute an image; a fault removes depth, or depth and amplitude, from a part of it."""
+        """Compute an image."""
         sun = rotation_of(self.sensor.T_chaser_sensor).inv().apply(sun_W_m2)
         buffers = self._spare.pop() if self._spare else None
         exposure = self._emulator.expose(poses, sun_W_m2=sun, frame=frame.number, out=buffers)
-        lost = lost_cells(fault, exposure.depth_m.shape, seed=self._seed, number=frame.number)
-        if lost is not None:
-            exposure.depth_m[lost] = np.nan
-            if takes_amplitude(fault):
-                exposure.amplitude[lost] = 0
         return partial(self._publish, exposure, frame.stamp_ns)
 
     def _publish(self, exposure: PmdExposure, stamp_ns: int) -> None:

@@ -5,13 +5,11 @@ It knows neither bus nor clock; times are seconds of one monotonic clock. Its me
 
 from collections import Counter, deque
 from dataclasses import dataclass
-from math import remainder
 from statistics import median
 from typing import NamedTuple
 
 from rpod_runtime.assembler import GivenUp
 from rpod_schemas.errors import Reason
-from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Health, SensorSync
 
@@ -21,15 +19,8 @@ LEAST_FRAMES = 3
 """Number of frames that are judged where fewer came in ``WINDOW_S``: a slow sensor has few."""
 PERIODS = 3.0
 """Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""
-TAI_S = 37.0
-"""Time by which TAI is ahead of UTC since 2017."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA})
 """Kinds of losses that are told with the first frame: the sensor is not set up as it was."""
-_LATENCY_S = 1.0
-_ZONE_S = 1800.0
-"""Time zones differ by multiples of it."""
-_DAY_S = 86_400.0
-_YEAR_NS = 365 * 86_400 * NANOSECONDS
 UNPAIRED, REJECTED = "unpaired", "rejected"
 """Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it."""
 
@@ -173,14 +164,3 @@ def _lack(part: str, step_ns: int | None) -> str:
         f"{part}: the nearest one is stamped {abs(step_ns) * 1e-6:.3f} ms {when}; give all parts of a frame "
         "the same stamp, or set source.pair_within_s of the sensor"
     )
-
-
-def clock_hint(ahead_s: float, stamp_ns: int) -> str:
-    """Return what probably is wrong with a clock whose stamps are ahead of the time, and what to do."""
-    if stamp_ns < _YEAR_NS < -ahead_s * NANOSECONDS:
-        return "the stamps count from the start of the device; let its driver stamp in UTC"
-    if abs(ahead_s - TAI_S) < _LATENCY_S:
-        return "is it TAI? Synchronise the sensor to UTC, or set source.clock_offset_s of the sensor to 37"
-    if 0.5 * _ZONE_S < abs(ahead_s) < _DAY_S and abs(remainder(ahead_s, _ZONE_S)) < _LATENCY_S:
-        return "is it local time? Let the driver stamp in UTC"
-    return "check the sensor's clock, or set source.clock_offset_s of the sensor"

@@ -13,6 +13,7 @@ from rpod_logger.recorder import Recorder
 from rpod_logger.selection import Extras, patterns
 from rpod_runtime import Node, Received
 from rpod_runtime.lifecycle import Stop
+from rpod_runtime.ros import trigger
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import LogReply, LogRequest, StatusReply
 from rpod_schemas.topics import DIAGNOSTICS, Topic
@@ -140,6 +141,7 @@ def _serve(node: Node, recorder: Recorder, services: Services) -> None:
         services.conclude()
         return recorder.split(request.name)
 
-    node.serve("start", LogRequest, lambda request: recorder.start(request.name))
-    node.serve("stop", LogRequest, stop)
-    node.serve("split", LogRequest, split)
+    call = trigger(LogRequest)
+    node.serve("start", LogRequest, lambda request: recorder.start(request.name), ros=call)
+    node.serve("stop", LogRequest, stop, ros=call)
+    node.serve("split", LogRequest, split, ros=call)

@@ -28,7 +28,7 @@ from rpod_schemas.logs import (
     QOS_METADATA,
     SCHEMA_ENCODING,
 )
-from rpod_schemas.topics import Namespace, Topic
+from rpod_schemas.topics import ABSOLUTE_TOPICS, Namespace, Topic
 
 Compression = Literal["lz4", "zstd", "none"]
 
@@ -185,18 +185,20 @@ def _last_number(directory: Path, stem: str) -> int:
 
 def channel_topic(keys: Namespace, name: str) -> str:
     """Return a topic's name in the log: absolute, with the ROS namespace, as in rosbag2."""
-    return f"/{keys.prefix}/{name}" if keys.prefix else f"/{name}"
+    absolute = any(name == topic.name for topic in ABSOLUTE_TOPICS)
+    return f"/{keys.prefix}/{name}" if keys.prefix and not absolute else f"/{name}"
 
 
 def qos_profile(topic: Topic) -> str:
     """Return the quality of service that the ICD gives a topic, in the YAML of rosbag2 since Jazzy."""
+    offered = topic.offered
     profile = {
         "history": "keep_last",
-        "depth": 1 if topic.latched else 10,
+        "depth": offered.depth,
         "reliability": "reliable",
-        "durability": "transient_local" if topic.latched else "volatile",
+        "durability": "transient_local" if offered.transient_local else "volatile",
         "deadline": dict(_INFINITE),
-        "lifespan": dict(_INFINITE),
+        "lifespan": {"sec": offered.lifespan_s, "nsec": 0} if offered.lifespan_s else dict(_INFINITE),
         "liveliness": "automatic",
         "liveliness_lease_duration": dict(_INFINITE),
         "avoid_ros_namespace_conventions": False,

@@ -1,4 +1,4 @@
-"""Attitude of the target over time: fixed to the chaser, spinning, or tumbling without torque."""
+"""Attitude of the target over time: fixed to the chaser, swaying, spinning, or tumbling without torque."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +15,9 @@ from rpod_schemas.arrays import FloatArray
 RELATIVE_TOLERANCE = 1e-12
 """Relative tolerance of the integration; the relative error of the energy is about as large after hundreds of
 turns."""
+
+
+_X, _Y, _Z = np.eye(3)
 
 
 class TargetAttitude(Protocol):
@@ -50,6 +53,32 @@ class Spin:
         """Return R_chaser_target and the relative rate, target axes."""
         turn = _rotation_about(self.axis, self.rate_rad_s * time_s)
         return _seen_from(chaser, self.R_epoch_target @ turn, self.rate_rad_s * self.axis)
+
+
+@dataclass(frozen=True, eq=False)
+class Sway:
+    """Sines of roll, pitch and yaw about an attitude relative to the chaser."""
+
+    R_chaser_middle: FloatArray
+    amplitude_rad: FloatArray
+    """Of roll, pitch and yaw, shape (3,)."""
+    period_s: FloatArray
+    """Of roll, pitch and yaw, shape (3,)."""
+
+    def relative(self, time_s: float, chaser: TrajectoryState) -> tuple[FloatArray, FloatArray]:  # noqa: ARG002
+        """Return R_chaser_target and the relative rate, target axes."""
+        phase = 2.0 * np.pi * time_s / self.period_s
+        a, b, c = (self.amplitude_rad * np.sin(phase)).tolist()
+        da, db, dc = (self.amplitude_rad * np.cos(phase) * 2.0 * np.pi / self.period_s).tolist()
+        turn = _rotation_about(_Z, c) @ _rotation_about(_Y, b) @ _rotation_about(_X, a)
+        rate = np.array(
+            [
+                da - dc * sin(b),
+                db * cos(a) + dc * cos(b) * sin(a),
+                dc * cos(b) * cos(a) - db * sin(a),
+            ]
+        )
+        return self.R_chaser_middle @ turn, rate
 
 
 @dataclass(frozen=True, eq=False)

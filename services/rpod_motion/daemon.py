@@ -7,10 +7,12 @@ from threading import Event
 
 from rpod_motion.errors import MotionError
 from rpod_motion.lockstep import Lockstep
-from rpod_motion.motion import build_motion
+from rpod_motion.motion import Motion, build_motion
 from rpod_motion.truth import TruthPublisher
+from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
 from rpod_runtime.errors import RefusedError
+from rpod_runtime.ros import trigger
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import Accepted, StartRequest
 from rpod_schemas.errors import ConfigurationError
@@ -49,7 +51,7 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         epoch_ns = _epoch(node, config)
         if epoch_ns is None:
             return
-        truth = TruthPublisher(node, motion, epoch_ns=epoch_ns, rate_hz=config.rate_hz)
+        truth = _truth(node, motion, config, epoch_ns)
         first, last = truth.tick(-config.preroll_s), truth.tick(config.duration_s + _tail_s(config))
         node.state = "running"
         node.health.report(Health.OK, f"playing {config.duration_s:g} s")
@@ -64,6 +66,13 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
             node.stop.wait()  # the process that started it asks for its state, then stops it
 
 
+def _truth(node: Node, motion: Motion, config: MotionServiceConfig, epoch_ns: int) -> TruthPublisher:
+    error = None
+    if config.truth_error is not None:
+        error = TruthError(config.truth_error, seed=config.seed, rate_hz=config.rate_hz)
+    return TruthPublisher(node, motion, epoch_ns=epoch_ns, rate_hz=config.rate_hz, error=error)
+
+
 def _tail_s(config: MotionServiceConfig) -> float:
     """Return the duration of truth after the end."""
     if config.speed != "max":
@@ -76,7 +85,7 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
     """Wait for the start and return the epoch; None if the service is stopped before."""
     if not config.await_start:
         node.ready("playing at once")
-        return config.epoch_ns or time.time_ns() + round(_SPARE_S * NANOSECONDS)
+        return _soon_ns(config)
     started = Event()
     requests: list[StartRequest] = []
 
@@ -89,12 +98,17 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
         started.set()
         return Accepted()
 
-    node.serve("start", StartRequest, start)
+    node.serve("start", StartRequest, start, ros=trigger(StartRequest))
     node.ready("waiting for the start query")
     while not started.wait(0.05):
         if node.stop.is_set():
             return None
-    return requests[0].epoch_ns
+    return requests[0].epoch_ns or _soon_ns(config)
+
+
+def _soon_ns(config: MotionServiceConfig) -> int:
+    """Return the configured epoch, or one as soon as possible."""
+    return config.epoch_ns or time.time_ns() + round(_SPARE_S * NANOSECONDS)
 
 
 def _play_by_the_wall(node: Node, truth: TruthPublisher, ticks: range, *, lead_s: float) -> None:

@@ -1,8 +1,10 @@
 """Publishes the truth: odometry at every tick, the sun, and transforms for viewers."""
 
 from math import radians
+from typing import NamedTuple
 
 from rpod_motion.motion import Motion
+from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
 from rpod_schemas.cdr import encode
 from rpod_schemas.messages import (
@@ -24,11 +26,24 @@ A tick that is computed alone, after the processor has done other work, takes th
 """
 
 
+class _Made(NamedTuple):
+    """Messages of a tick."""
+
+    truth: bytearray
+    """The motion as it is known, with its error."""
+    reference: bytearray
+    """The motion as it is; the same message where the truth has no error."""
+    transform: bytearray | None
+    """Transform for viewers, if one is due."""
+
+
 class TruthPublisher:
     """Publishes the state of a motion, tick by tick; tick 0 is the epoch."""
 
-    def __init__(self, node: Node, motion: Motion, *, epoch_ns: int, rate_hz: float) -> None:
-        self._motion = motion
+    def __init__(
+        self, node: Node, motion: Motion, *, epoch_ns: int, rate_hz: float, error: TruthError | None = None
+    ) -> None:
+        self._motion, self._error = motion, error
         self._epoch_ns, self._rate_hz = epoch_ns, rate_hz
         self._tf_every = max(1, round(rate_hz / _TF_HZ))
         self._sun_every = max(1, round(rate_hz / _SUN_HZ))
@@ -36,7 +51,7 @@ class TruthPublisher:
         self._truth, self._reference = node.publisher(TRUTH), node.publisher(REFERENCE)
         self._joints = node.publisher(TRUTH_JOINTS) if motion.joints else None
         self._tf, self._sun = node.publisher(TF), node.publisher(SUN)
-        self._made: dict[int, tuple[bytearray, bytearray | None]] = {}
+        self._made: dict[int, _Made] = {}
 
     def tick(self, time_s: float) -> int:
         """Return the last tick at or before a time from the epoch."""
@@ -47,15 +62,15 @@ class TruthPublisher:
         return self._epoch_ns + round(tick * NANOSECONDS / self._rate_hz)
 
     def publish(self, tick: int) -> None:
-        """Publish the truth of a tick, also as the reference: ideal robots follow it exactly."""
+        """Publish the truth of a tick, and the motion without its error as the reference."""
         if tick % self._sun_every == 0 or not self._sun.published:  # the latched sun precedes all truth
             sun = self._motion.sun_W_m2(tick / self._rate_hz)
             self._sun.publish(write_vector_stamped(self.stamp_ns(tick), CHASER, sun))
-        truth, transform = self._made.pop(tick) if tick in self._made else self._make(tick)
-        self._truth.put(truth)
-        self._reference.put(truth)
-        if transform:
-            self._tf.put(transform)
+        made = self._made.pop(tick) if tick in self._made else self._make(tick)
+        self._truth.put(made.truth)
+        self._reference.put(made.reference)
+        if made.transform:
+            self._tf.put(made.transform)
             self._publish_joints(tick)
         if not self._made:
             self._made = {later: self._make(later) for later in range(tick + 1, tick + 1 + self._ahead)}
@@ -68,11 +83,11 @@ class TruthPublisher:
             there = Joints(stamp_ns=self.stamp_ns(tick), angle_rad=angles, rate_rad_s=rates)
             self._joints.publish(write_joints(there))
 
-    def _make(self, tick: int) -> tuple[bytearray, bytearray | None]:
-        """Return the truth of a tick, and its transform if one is due."""
+    def _make(self, tick: int) -> _Made:
+        """Return the messages of a tick; the ticks' errors follow each other."""
         stamp_ns = self.stamp_ns(tick)
         state = self._motion.state(tick / self._rate_hz)
-        odometry = Odometry(
+        exact = Odometry(
             stamp_ns=stamp_ns,
             frame_id=CHASER,
             child_frame_id=TARGET,
@@ -80,7 +95,11 @@ class TruthPublisher:
             linear_m_s=state.linear_m_s,
             angular_rad_s=state.angular_rad_s,
         )
+        known, reference = exact, encode(write_odometry(exact))
+        if self._error is not None:
+            pose = self._error.perturb(exact.pose)
+            known = exact.model_copy(update={"pose": pose, "pose_covariance": self._error.covariance})
         transform = None
         if tick % self._tf_every == 0:
-            transform = encode(write_transforms(stamp_ns, [(CHASER, TARGET, state.T_chaser_target)]))
-        return encode(write_odometry(odometry)), transform
+            transform = encode(write_transforms(stamp_ns, [(CHASER, TARGET, known.pose)]))
+        return _Made(reference if known is exact else encode(write_odometry(known)), reference, transform)

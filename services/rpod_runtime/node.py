@@ -8,7 +8,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from functools import partial
 from threading import Event, Thread
 from types import TracebackType
@@ -16,42 +16,43 @@ from typing import Literal, Self, TypeVar
 
 import zenoh
 import zenoh.ext
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from rpod_runtime.accounting import SequenceAccount
+from rpod_runtime.asker import Asker
 from rpod_runtime.clock import BusClock, Clock, WallClock
+from rpod_runtime.control import Served
 from rpod_runtime.delivery import Delivery
-from rpod_runtime.errors import QueryFailedError
 from rpod_runtime.health import HealthBook
+from rpod_runtime.identity import open_identity
 from rpod_runtime.inbox import Received
 from rpod_runtime.link import Link
 from rpod_runtime.publisher import Publisher
-from rpod_runtime.replies import error_reply, error_text
+from rpod_runtime.ros import Form, RosGraph, trigger
+from rpod_runtime.ros.offers import offer_watch
+from rpod_runtime.ros.parameters import Parameters
 from rpod_runtime.session import open_client
 from rpod_schemas.config.migration import logged
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.control import Accepted, Empty, StatusReply
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_diagnostics
-from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Topic
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Service, Topic
 from rpod_schemas.types import CLOSING, PUBLISHED, Health
-from rpod_schemas.wire import GraphNode, publisher_tokens, session_of_token, topic_of_token
+from rpod_schemas.wire import GraphNode, publisher_tokens, qos_of_token, session_of_token, topic_of_token
 
 log = logging.getLogger(__name__)
 
 RequestT = TypeVar("RequestT", bound=BaseModel)
-ReplyT = TypeVar("ReplyT", bound=BaseModel)
 State = Literal["starting", "ready", "running", "finished", "stopping", "failed"]
 
 _DIAGNOSTICS_PERIOD_S = 1.0
 _CHANGE_POLL_S = 0.1
-_DISCOVERY_S, _RETRY_S = 2.0, 0.05
-"""Longest time until other sessions know what a service has just declared, and time between two tries."""
 _LINGER_S = 0.3
 """Time that a node stays open after its last message, so that receivers can recover what they missed."""
 
 
-class Node:
+class Node(Asker):
     """Represents one process on the bus."""
 
     def __init__(self, config: ServiceConfig, *, version: str, stop: Event | None = None) -> None:
@@ -65,11 +66,14 @@ class Node:
         self.account = SequenceAccount()
         self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
         self.link = Link(self.health, config.bus.connect)
+        self._identity = open_identity(config)
         self._keys = config.bus.keys
         self._delivery = Delivery(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
         self._entities = 0
         self._publishers: list[Publisher] = []
+        self.parameters = Parameters({})
+        """What ROS 2 tools see as the node's parameters, where the configuration does not leave them out."""
         self._clock_sinks: list[Callable[[Received], None]] = []
         self._stack = ExitStack()
 
@@ -87,8 +91,14 @@ class Node:
         self._graph = GraphNode(self._keys, str(self._session.zid()), self.config.instance)
         self._token(self._graph.node_token())
         self._diagnostics = self.publisher(DIAGNOSTICS)
+        self._ros = RosGraph(self, self._session, self._keys, self.config.instance)
+        self._stack.callback(self._ros.close)
         self.serve("status", Empty, lambda _: self.status())
-        self.serve("shutdown", Empty, self._shut_down)
+        self.serve("shutdown", Empty, self._shut_down, ros=trigger(Empty))
+        if self.config.bus.ros_services:
+            self.parameters = self._ros.serve_parameters(
+                logged(self.config), use_sim_time=self.config.time_source == "clock"
+            )
         if isinstance(self.clock, BusClock):
             self.subscribe(CLOCK, partial(self._take_clock, self.clock), recover=True)
         self._heart = Thread(target=self._beat, name="diagnostics", daemon=True)
@@ -131,6 +141,12 @@ class Node:
         """
         self._subscribe(topic, sink, recover=recover, history=history)
         self._token(self._graph.endpoint_token("MS", self._entity(), topic))
+        if topic.latched:
+            tell = offer_watch(topic, self.health.warn)
+            watcher = self._session.liveliness().declare_subscriber(
+                publisher_tokens(self._keys, topic), lambda token: tell(str(token.key_expr)), history=True
+            )
+            self._stack.callback(watcher.undeclare)
 
     def subscribe_all(
         self, patterns: Sequence[Topic], sink: Callable[[Received], None], *, recover: bool = True
@@ -159,10 +175,7 @@ class Node:
     def watch_publishers(
         self, gone: Callable[[str, Topic], None], came: Callable[[str, Topic], None] | None = None
     ) -> None:
-        """Call ``gone`` with session and topic, in the bus's thread, when a publisher's token vanishes.
-
-        ``came`` is called when one appears, and for those that are there already.
-        """
+        """Call ``gone`` with session and topic when a publisher's token vanishes, ``came`` for each there is."""
 
         def take(token: zenoh.Sample) -> None:
             key = str(token.key_expr)
@@ -175,6 +188,13 @@ class Node:
             publisher_tokens(self._keys), take, history=came is not None
         )
         self._stack.callback(watcher.undeclare)
+
+    def publisher_qos(self) -> list[tuple[str, str]]:
+        """Return topic and quality of service of each publisher on the bus, from the liveliness tokens."""
+        replies = self._session.liveliness().get(publisher_tokens(self._keys), timeout=2.0)
+        tokens = [str(reply.ok.key_expr) for reply in replies if reply.ok]
+        topics = ((topic_of_token(token, self._keys), token) for token in tokens)
+        return [(topic.name, qos_of_token(token)) for topic, token in topics if topic is not None]
 
     def _subscribe(
         self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool
@@ -237,79 +257,40 @@ class Node:
 
     # --- control plane ---
 
-    def serve(self, verb: str, request: type[RequestT], handler: Callable[[RequestT], BaseModel]) -> None:
-        """Answer a control-plane query with a model; an exception of the handler becomes an error reply."""
-        key = self._keys.control(self.config.instance, verb)
-
-        def answer(query: zenoh.Query) -> None:
-            with query:
-                payload = query.payload.to_bytes() if query.payload else b"{}"
-                try:
-                    asked = request.model_validate_json(payload)
-                    reply = handler(asked).model_dump_json()
-                except Exception as error:  # noqa: BLE001 - the client gets any error as a reply
-                    query.reply_err(error_reply(error).model_dump_json())
-                else:
-                    query.reply(key, reply)
-                    if verb != "status":  # status is queried often and changes nothing
-                        self.health.obey(verb, asked.model_dump_json())
-
-        queryable = self._session.declare_queryable(key, answer)
-        self._stack.callback(queryable.undeclare)
-
-    def ask(
+    def serve(
         self,
-        instance: str,
         verb: str,
-        reply: type[ReplyT],
-        request: BaseModel | None = None,
+        request: type[RequestT],
+        handler: Callable[[RequestT], BaseModel],
         *,
-        timeout_s: float = 5.0,
-    ) -> ReplyT:
-        """Query another service's control plane.
+        ros: Form[RequestT] | None = None,
+    ) -> None:
+        """Answer a control-plane query with a model; an exception of the handler becomes an error reply.
 
-        Raises:
-            QueryFailedError: no answer in time, or an error reply.
+        With ``ros`` it is answered as a ROS 2 service too, unless the configuration leaves them out.
         """
-        key = self._keys.control(instance, verb)
-        answer = self._first_answer(key, (request or Empty()).model_dump_json(), timeout_s)
-        if answer.ok is None:
-            raise QueryFailedError(
-                key, error_text(answer.err.payload.to_bytes()) if answer.err else "no answer"
+        served = Served(self._keys, self.config.instance, verb, request, handler, self._identity, self.health)
+        queryable = self._session.declare_queryable(served.key, served.answer)
+        self._stack.callback(queryable.undeclare)
+        if ros is not None and self.config.bus.ros_services:
+
+            def obey(asked: RequestT) -> BaseModel:
+                reply = handler(asked)
+                self.obeyed(verb, asked.model_dump_json())
+                return reply
+
+            self._ros.serve(
+                verb, ros.type, answer=lambda call: ros.accepted(obey(ros.request(call))), refuse=ros.refused
             )
-        try:
-            return reply.model_validate_json(answer.ok.payload.to_bytes())
-        except ValidationError as error:
-            raise QueryFailedError(
-                key, f"the answer is no {reply.__name__}; does the service have the same version?"
-            ) from error
 
-    def _first_answer(self, key: str, payload: str, timeout_s: float) -> zenoh.Reply:
-        """Return the first answer to a query; a service that has just started may not be known yet."""
-        begin_s = time.monotonic()
-        while True:
-            for answer in self._session.get(key, payload=payload, timeout=timeout_s):
-                return answer
-            waited_s = time.monotonic() - begin_s
-            if waited_s > min(_DISCOVERY_S, timeout_s) or self.stop.is_set():
-                raise QueryFailedError(key, f"no answer after {waited_s:.1f} s; is the service running?")
-            self.stop.wait(_RETRY_S)
+    def show(self, service: Service) -> None:
+        """Declare the liveliness token of a ROS 2 service, by which clients find it."""
+        self._token(self._graph.endpoint_token("SS", self._entity(), service))
 
-    def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:
-        """Query every service that answers a verb; invalid and missing answers are left out."""
-        answers = self._session.get(
-            self._keys.control("*", verb),
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            payload=Empty().model_dump_json(),
-            timeout=timeout_s,
-        )
-        replies = []
-        for answer in answers:
-            with suppress(ValidationError):
-                if answer.ok:
-                    replies.append(reply.model_validate_json(answer.ok.payload.to_bytes()))
-        return replies
+    def obeyed(self, verb: str, request: str) -> None:
+        """Keep a command of a ROS 2 client in the diagnostics, the log and the audit record."""
+        self._identity.record(asker="a ROS 2 client", verb=verb, request=request, outcome="accepted")
+        self.health.obey(verb, request)
 
     def status(self) -> StatusReply:
         """Return the state, the counters and the configuration of this service."""
@@ -352,6 +333,7 @@ class Node:
         self._publish_health()
 
     def _publish_health(self) -> None:
+        self.health.alarm("certificate", self._identity.warning())
         self._update_counters()
         self._diagnostics.publish(write_diagnostics([self.health.diagnostic(time.time_ns())]))
 

@@ -60,6 +60,11 @@ class Publisher:
             attachment = Attachment(self._sequence, time.time_ns(), self._gid)
             self._publisher.put(payload, attachment=attachment.pack())
 
+    def lose(self) -> None:
+        """Count a message as published without sending it: an injected fault of the bus."""
+        with self._lock:
+            self._sequence += 1
+
     def __enter__(self) -> Self:
         return self
 

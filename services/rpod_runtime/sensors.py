@@ -29,6 +29,7 @@ from rpod_schemas.topics import (
     CAMERA_INFO,
     CHASER,
     DEPTH,
+    DEPTH_SIGMA,
     LIDAR_INFO,
     PHASE,
     PMD_INFO,
@@ -78,6 +79,7 @@ class CameraPublisher:
         self._node, self._name = node, name
         self._info: Publisher | None = None
         self._phase: Publisher | None = None
+        self._depth_sigma: Publisher | None = None
         announce_mount(node, self.frame_id, T_chaser_sensor)
         if info is not None:
             self.announce(info)
@@ -91,7 +93,7 @@ class CameraPublisher:
         self._info.publish(write_pmd_info(self._node.clock.now_ns(), self.frame_id, info))
 
     def publish(self, frame: PmdFrame, samples: NDArray[np.uint16] | None = None) -> None:
-        """Publish a frame: camera_info, depth, amplitude where there is one, and the raw samples if given.
+        """Publish a frame: camera_info, depth, amplitude and sigma where there are any, raw samples if given.
 
         Args:
             frame: one exposure.
@@ -106,6 +108,9 @@ class CameraPublisher:
         self._image(self._depth, frame.stamp_ns, frame.depth_m, "32FC1")
         if frame.amplitude is not None:
             self._image(self._amplitude, frame.stamp_ns, frame.amplitude, encoding)
+        if frame.depth_sigma_m is not None:
+            self._depth_sigma = self._depth_sigma or self._node.publisher(DEPTH_SIGMA.of(self._name))
+            self._image(self._depth_sigma, frame.stamp_ns, frame.depth_sigma_m.astype(np.float32), "32FC1")
         if samples is not None:
             self._phase = self._phase or self._node.publisher(PHASE.of(self._name))
             for image in samples.reshape(-1, *samples.shape[-3:]):

@@ -8,6 +8,7 @@ A comment stands on the line above the block, ``<!-- kind: text -->`` or ``<!-- 
 ``output``             the block is what the block before prints; ``...`` stands for anything
 ``same as: path``      the block is the file at this path beside the document; it is also put into the folder
 ``given: a.mcap from scenario``  a log of a short run of the scenario is put into the folder; needs no block
+``given: folder``      a folder of the repository is put into the folder; needs no block
 """
 
 import re

@@ -15,9 +15,11 @@ import pytest
 import yaml
 
 import rpod_driver
-from rpod_driver import DriverError, run
+from rpod_driver import DriverError, Drops, run
 from rpod_runtime import Inbox
+from rpod_runtime.errors import QueryFailedError
 from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.control import Accepted, SettingsReply, SettingsRequest
 from rpod_schemas.messages import (
     read_amplitude,
     read_camera,
@@ -301,6 +303,85 @@ def test_a_lidar_delivers_scans_and_its_pattern(bus, organised):
     assert read_stamp(messages["front/points"][0].header) == STAMP_NS
     assert read_lidar_info(messages["front/info"][0]).azimuth_rad.tolist() == [0.0, 1.0, 2.0]
     assert read_transforms(messages["tf_static"][0])[0][1:3] == ("chaser", "front")
+
+
+class Adjusted(Scripted):
+    """A camera that forgets its settings with each connection, and takes a frame only when triggered."""
+
+    def __init__(self) -> None:
+        super().__init__(self.triggered)
+        self.device: dict[str, object] = {}
+        self.answers, self.broken, self.pulses = True, Event(), 0
+
+    def connect(self):
+        self.device = {"exposure_us": 1000, "mode": "near"}
+        return super().connect()
+
+    def settings(self):
+        return self.device
+
+    def apply(self, settings):
+        if unknown := settings.keys() - self.device.keys():
+            raise DriverError(f"no setting {unknown.pop()!r}")
+        self.device |= settings
+
+    def trigger(self):
+        self.pulses += self.answers
+
+    def drops(self):
+        return Drops(device=3, queue=1)
+
+    def triggered(self):
+        pause, number = Event(), 0
+        while not self.broken.is_set():
+            pause.wait(0.01)
+            if self.pulses:
+                self.pulses, number = self.pulses - 1, number + 1
+                yield frame(number)
+            else:
+                yield None
+        self.broken.clear()
+        raise OSError("the cable is out")
+
+
+def test_settings_are_written_while_it_runs_and_again_after_a_reconnection(bus):
+    node = bus.node("operator")
+    receiver = Receiver(bus.node("receiver"), DIAGNOSTICS)
+    driver = Adjusted()
+    config = DriverConfig(bus=bus.config, kind="pmd", name="pmd", retry_s=0.05, settings={"exposure_us": 500})
+    with hosted(driver, config):
+        told = receiver.diagnostic(lambda item: item.values.get("lost/pmd/device") == "3")
+        assert told.values["lost/pmd/queue"] == "1"
+        asked = node.ask("driver", "settings", SettingsReply, SettingsRequest(settings={"mode": "far"}))
+        assert asked.settings == {"exposure_us": 500, "mode": "far"}
+        with pytest.raises(QueryFailedError, match="no setting 'gain'"):
+            node.ask("driver", "settings", SettingsReply, SettingsRequest(settings={"gain": 2.0}))
+        driver.broken.set()
+        receiver.diagnostic(lambda item: item.values.get("failures/pmd") == "1")
+        asked = node.ask("driver", "settings", SettingsReply)
+    assert driver.opened == 2
+    assert asked.settings == {"exposure_us": 500, "mode": "far"}
+
+
+def test_a_trigger_gives_one_frame_and_one_without_a_frame_is_counted(bus):
+    node = bus.node("operator")
+    receiver = Receiver(bus.node("receiver"), DIAGNOSTICS, DEPTH.of("pmd"))
+    driver = Adjusted()
+    with hosted(driver, DriverConfig(bus=bus.config, kind="pmd", name="pmd", trigger_timeout_s=0.1)):
+        assert node.ask("driver", "trigger", Accepted).accepted
+        receiver.until(lambda messages: len(messages["pmd/depth/image_raw"]) == 1)
+        driver.answers = False
+        assert node.ask("driver", "trigger", Accepted).accepted
+        receiver.diagnostic(lambda item: item.values.get("sync/pmd/trigger_missed") == "1")
+
+
+def test_a_driver_without_settings_says_so(bus):
+    node = bus.node("operator")
+    with (
+        hosted(Scripted(silent), DriverConfig(bus=bus.config, kind="pmd", name="pmd")),
+        pytest.raises(QueryFailedError, match="it needs the methods settings and apply"),
+    ):
+        node.ask("driver", "settings", SettingsReply, SettingsRequest(settings={"gain": 2.0}))
 
 
 def test_a_driver_of_the_wrong_kind_is_told(bus):

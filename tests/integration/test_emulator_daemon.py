@@ -6,6 +6,7 @@ from time import monotonic
 import numpy as np
 import pytest
 from live_bus import TIMEOUT_S, daemon, first
+from ros_client import RosClient
 
 from rpod_emulator.daemon import run
 from rpod_motion.daemon import run as run_motion
@@ -199,3 +200,29 @@ def test_a_lens_that_no_camera_has_is_refused_by_the_sensors_name(bus):
     emulator, _ = facility(bus, PMD.model_copy(update={"camera": folded}))
     with pytest.raises(ConfigurationError, match=r"sensors\.pmd: "), daemon(run, emulator) as stop:
         stop.wait(30.0)
+
+
+def test_facility_is_started_by_calls_of_ros_services_without_an_epoch(bus, endpoint):
+    viewer = Viewer(bus)
+    viewer.hear(DEPTH.of("pmd"))
+    emulator, motion = facility(bus, PMD)
+    with daemon(run, emulator), daemon(run_motion, motion), RosClient(endpoint) as client:
+        viewer.ready("emulator", "motion")
+        called_ns = time.time_ns()
+        assert client.call("/emulator/start", "std_srvs/srv/Trigger").success
+        assert client.call("/motion/start", "std_srvs/srv/Trigger").success
+        depth = viewer.next(DEPTH.of("pmd"), lambda message: message)
+        assert called_ns < read_stamp(depth.header) < called_ns + 20 * NANOSECONDS
+        again = client.call("/motion/start", "std_srvs/srv/Trigger")
+    assert not again.success
+    assert "plays once" in again.message
+
+
+def test_lockstep_is_not_started_without_an_epoch(bus, endpoint):
+    viewer = Viewer(bus)
+    emulator, _ = facility(bus, PMD, speed="max")
+    with daemon(run, emulator), RosClient(endpoint) as client:
+        viewer.ready("emulator")
+        response = client.call("/emulator/start", "std_srvs/srv/Trigger")
+    assert not response.success
+    assert "ask for a start with epoch_ns" in response.message

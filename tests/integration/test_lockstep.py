@@ -30,7 +30,7 @@ from rpod_schemas.control import Accepted, StartRequest, StatusReply
 from rpod_schemas.messages import NANOSECONDS, read_status
 from rpod_schemas.poses import make_pose
 from rpod_schemas.schedule import due_frames, lockstep_steps
-from rpod_schemas.topics import DEPTH, DIAGNOSTICS, POINTS, STATUS
+from rpod_schemas.topics import DEPTH, DIAGNOSTICS, PARAMETER_EVENTS, POINTS, ROSOUT, STATUS
 from rpod_schemas.types import Camera, EstimatorStatus
 
 EPOCH_NS = 1_767_225_600 * NANOSECONDS
@@ -60,7 +60,7 @@ class Played:
     def of(cls, received: Iterable[Received]) -> "Played":
         publishers: dict[tuple[str, bytes], list[tuple[int, bytes]]] = {}
         for each in received:
-            if each.topic.name != DIAGNOSTICS.name:
+            if each.topic.name not in (DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name):
                 numbered = each.attachment.sequence, comparable(each)
                 publishers.setdefault((each.topic.name, each.attachment.gid), []).append(numbered)
         by_content = sorted(publishers.items(), key=lambda item: (item[0][0], item[1][0][1]))

@@ -363,11 +363,12 @@ def test_node_publishers_and_subscribers_are_seen_in_the_graph_until_the_node_en
     node = bus.node("seen")
     node.publisher(TRUTH)
     node.subscribe(COMMAND, Inbox().put)
-    mine = tokens_of(bare, "seen", count=4)  # node, two publishers, subscriber
+    mine = tokens_of(bare, "seen", count=13)  # node, four publishers, subscriber, seven services
     kinds = {token.split("/")[5]: topic_of_token(token, KEYS) for token in mine if token.count("/") > 9}
     published = {topic_of_token(token, KEYS).name for token in mine if "/MP/" in token}
     assert sum("/NN/" in token for token in mine) == 1
-    assert published == {"diagnostics", TRUTH.name}
+    assert published == {"diagnostics", "rosout", "parameter_events", TRUTH.name}
+    assert sum("/SS/" in token for token in mine) == 7
     assert kinds["MS"].name == COMMAND.name
     node.__exit__(None, None, None)
     assert tokens_of(bare, "seen", count=0) == []

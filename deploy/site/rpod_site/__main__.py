@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rpod_site import api, command_line, configuration, documents, navigation, notebooks, offline
+from rpod_site import api, command_line, configuration, documents, faults, navigation, notebooks, offline
 
 ROOT = Path(__file__).parents[3]
 ASSETS = ROOT / "deploy" / "site" / "assets"
@@ -37,6 +37,7 @@ def stage(*, execute: bool) -> None:
     api.write(ROOT, reference / "api")
     configuration.write(reference / "configuration")
     command_line.write(reference / "command-line.md")
+    faults.write(reference / "faults.md")
     shutil.copy(ASSETS / "site.css", pages)
     navigation.write(ASSETS.parent / "mkdocs.yml", BUILD / "mkdocs.yml", pages)
 

@@ -1,4 +1,4 @@
-"""Systematic error of a PMD camera's distances: offset and wiggling, as ``rpod calibrate`` finds them.
+"""Systematic error of a PMD camera's distances: offset and wiggling, as ``rpod calibrate depth`` finds them.
 
 The correlation of a real camera is no pure cosine. A third harmonic of share h3 turns the phase of Eq. 1
 (Klionovska et al. 2018) from phi into phi + arg(1 + h3 exp(-4 i phi)), phi - h3 sin(4 phi) to first order:

@@ -1,14 +1,18 @@
 """Configuration of a sensor's driver: the sensor, its mount, and limits of its silence."""
 
-from typing import Self
+from typing import Annotated, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, StrictBool, StrictInt, StrictStr, field_validator, model_validator
 
 from rpod_schemas.config.base import Name, Positive
+from rpod_schemas.config.mount_calibration import Mount
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.errors import SchemaError
-from rpod_schemas.poses import Pose, make_pose
+from rpod_schemas.poses import make_pose
 from rpod_schemas.sensors import sensor_kind
+
+Setting = StrictBool | StrictInt | Annotated[float, Field(allow_inf_nan=False)] | StrictStr
+"""Value of a setting of a device."""
 
 
 class DriverConfig(ServiceConfig):
@@ -20,14 +24,19 @@ class DriverConfig(ServiceConfig):
     """Kind of the sensor: ``pmd``, ``lidar``, or one that another installed package brings."""
     name: Name
     """Name of the sensor: the first part of its topics."""
-    T_chaser_sensor: Pose = Field(default_factory=make_pose)
-    """Mount: pose of the sensor's (optical) frame in the chaser, from the hand-eye calibration."""
+    T_chaser_sensor: Mount = Field(default_factory=make_pose)
+    """Mount: pose of the sensor's (optical) frame in the chaser, or the file of ``rpod calibrate mount``."""
     silence_s: Positive = 3.0
     """Longest time without a frame, s; a longer one is an error, after which the sensor is reconnected."""
     retry_s: Positive = 1.0
     """Wait after the first failure to connect, s; it doubles with each further one."""
     max_retry_s: Positive = 30.0
     """Longest wait between two attempts to connect, s."""
+
+    settings: dict[str, Setting] = Field(default_factory=dict)
+    """Settings of the device by name, written after each connection; the driver's documents name them."""
+    trigger_timeout_s: Positive = 1.0
+    """Longest time from a requested trigger to its frame, s; a longer one counts as ``trigger_missed``."""
 
     @field_validator("kind")
     @classmethod

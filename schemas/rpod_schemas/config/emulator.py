@@ -5,10 +5,11 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
-from rpod_schemas.config.motion import JointMotionConfig, MotionConfig
+from rpod_schemas.config.motion import JointMotionConfig, MotionConfig, TruthErrorConfig
 from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.surroundings import Thing
+from rpod_schemas.faults import PlannedFault
 from rpod_schemas.sensors.fields import EMULATED
 
 SensorConfig = Annotated[EmulatedSensor, EMULATED]
@@ -46,6 +47,11 @@ class EmulatorConfig(ServiceConfig):
     """Whether to begin only on the ``start`` query, which also gives the epoch."""
     publish_samples: bool = False
     """Whether to publish the PMD camera's raw samples as well."""
+    motion: Literal["truth/odometry", "motion/reference"] = "truth/odometry"
+    """Topic of the target's motion. ``motion/reference`` is the motion service's own, without the errors of
+    the truth that it publishes (``truth_error``)."""
+    faults: tuple[PlannedFault, ...] = ()
+    """Faults of the sensors, at times from the epoch."""
 
 
 class LockstepConfig(Config):
@@ -77,6 +83,10 @@ class MotionServiceConfig(ServiceConfig):
     """Duration of the scenario, s."""
     rate_hz: Positive = 250.0
     """Rate of the truth, Hz."""
+    truth_error: TruthErrorConfig | None = None
+    """Errors of the published truth; exact if left out. ``motion/reference`` is always exact."""
+    seed: int = Field(default=0, ge=0)
+    """Seed of these errors."""
     epoch_ns: int | None = Field(default=None, ge=0)
     """Start of the scenario, ns of UTC. If left out, the ``start`` query gives it, or it is the time at which
     the service is ready."""

@@ -24,6 +24,12 @@ def _with_direction(vector: FloatArray) -> FloatArray:
     return vector
 
 
+def _all_positive(vector: FloatArray) -> FloatArray:
+    if (vector <= 0.0).any():
+        raise ValueError(f"is {vector.tolist()}, needs positive numbers")
+    return vector
+
+
 Direction = Annotated[Vector3, AfterValidator(_with_direction)]
 """A direction, shape (3,), not zero; its length does not matter."""
 
@@ -33,7 +39,7 @@ axis to the right."""
 
 
 class ApproachConfig(Config):
-    """The target's origin moves on a straight line in chaser axes; the chaser holds its inertial attitude."""
+    """The target's origin moves on a straight line in the chaser's axes."""
 
     kind: Literal["approach"] = "approach"
     """Selects this trajectory."""
@@ -44,6 +50,10 @@ class ApproachConfig(Config):
     ramp_share: Annotated[float, Field(ge=0, le=0.5)] = 0.1
     """Share of the duration in which the speed rises, and in which it falls at the end; 0 is constant
     velocity."""
+
+    synchronised: bool = False
+    """Whether the chaser turns with the target and flies around it, so that the line is fixed in target axes
+    as well. Otherwise the chaser holds its inertial attitude."""
 
     @model_validator(mode="after")
     def _is_a_line_in_front(self) -> Self:
@@ -118,6 +128,36 @@ class TumbleConfig(Config):
     """Rotation rate at the epoch relative to inertial space, target axes, deg/s, shape (3,)."""
 
 
+class SwayConfig(Config):
+    """The target turns to and fro about each of its axes, as robots turn it for a calibration."""
+
+    kind: Literal["sway"] = "sway"
+    """Selects this attitude motion."""
+    R_chaser_target: Attitude = FACING
+    """Attitude about which it sways, relative to the chaser."""
+    amplitude_deg: Vector3 = Field(default_factory=lambda: np.array([40.0, 20.0, 20.0]))
+    """Largest roll, pitch and yaw (321 angles in target axes), deg."""
+    period_s: Annotated[Vector3, AfterValidator(_all_positive)] = Field(
+        default_factory=lambda: np.array([23.0, 17.0, 13.0])
+    )
+    """Periods of roll, pitch and yaw, s."""
+
+
+class TruthErrorConfig(Config):
+    """Errors of the published truth, as of robots or of motion capture.
+
+    They are a stationary first-order Gauss-Markov process for each axis; the truth states their covariance.
+    """
+
+    sigma_position_m: NonNegative = 0.00156
+    """Standard deviation along each axis, m; the default is the accuracy that Klionovska et al. 2018 give for
+    the EPOS facility."""
+    sigma_attitude_deg: NonNegative = 0.2
+    """Standard deviation about each axis, deg; the default is that of the same source."""
+    correlation_s: NonNegative = 1.0
+    """Time after which errors are correlated by 1/e, s; 0 for errors that are independent."""
+
+
 class SunConfig(Config):
     """The sun, at rest in inertial space."""
 
@@ -128,7 +168,9 @@ class SunConfig(Config):
 
 
 TrajectoryConfig = Annotated[ApproachConfig | StationKeepingConfig, Field(discriminator="kind")]
-AttitudeConfig = Annotated[FixedAttitudeConfig | SpinConfig | TumbleConfig, Field(discriminator="kind")]
+AttitudeConfig = Annotated[
+    FixedAttitudeConfig | SpinConfig | TumbleConfig | SwayConfig, Field(discriminator="kind")
+]
 
 
 class JointMotionConfig(Config):

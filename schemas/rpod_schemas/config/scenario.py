@@ -7,8 +7,9 @@ from pydantic import Field, model_validator
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.config.emulator import SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
-from rpod_schemas.config.motion import MotionConfig
+from rpod_schemas.config.motion import MotionConfig, TruthErrorConfig
 from rpod_schemas.config.surroundings import Thing
+from rpod_schemas.faults import PlannedFault
 
 DEFAULT_EPOCH_NS = 1_767_225_600_000_000_000
 """Default epoch, 2026-01-01T00:00:00Z, ns of UTC."""
@@ -39,6 +40,9 @@ class Scenario(Config):
     """Start of time in lockstep, ns of UTC; live runs start at the wall clock's time."""
     motion: MotionConfig
     """Motion of chaser and target, and the sun."""
+    truth_error: TruthErrorConfig | None = None
+    """Errors of the published truth, as of robots or motion capture, with their covariance; exact if left
+    out. The sensors see the exact motion."""
     sensors: tuple[SensorConfig, ...] = Field(min_length=1)
     """Sensors to emulate."""
     world: WorldName = "documented"
@@ -47,6 +51,9 @@ class Scenario(Config):
     """Things that the sensors see beside the target: walls, a stand, an arm; the truth stays the target's."""
     publish_samples: bool = False
     """Whether to publish the PMD cameras' raw samples as well, about 70 MB/s at 45 Hz."""
+    faults: tuple[PlannedFault, ...] = ()
+    """Faults of the sensors, at times of the scenario, by their names in the catalogue; the estimator is not
+    told."""
     estimator: ScenarioEstimator
     """Sensors, navigator and filter of the estimator, and the target that it looks for."""
 
@@ -60,6 +67,9 @@ class Scenario(Config):
         emulated = {(sensor.kind, sensor.name) for sensor in self.sensors}
         if len({name for _, name in emulated}) < len(self.sensors):
             raise ValueError("sensors: two have the same name")
+        for fault in self.faults:
+            if fault.sensor not in {None, *(name for _, name in emulated)}:
+                raise ValueError(f"faults: no sensor {fault.sensor!r} is emulated")
         for sensor in self.estimator.sensors:
             if (sensor.kind, sensor.name) not in emulated:
                 raise ValueError(f"estimator.sensors: no {sensor.kind} called {sensor.name!r} is emulated")

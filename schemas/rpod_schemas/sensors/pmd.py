@@ -7,7 +7,7 @@ from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.sensors.kind import Method, Part, SensorKind
-from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, PHASE, PMD_INFO
+from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, DEPTH_SIGMA, PHASE, PMD_INFO
 from rpod_schemas.types import Source
 
 PMD = SensorKind(
@@ -19,7 +19,7 @@ PMD = SensorKind(
         "amplitude": Part(AMPLITUDE, required=False),
     },
     info=PMD_INFO,
-    extras=(PHASE,),
+    extras=(PHASE, DEPTH_SIGMA),
     sources=(Source.PMD_DEPTH, Source.PMD_AMPLITUDE, Source.PMD_JOINT),
     emulated=PmdConfig,
     heard=PmdInput,

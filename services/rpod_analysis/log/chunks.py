@@ -6,11 +6,13 @@ from typing import Any
 import lz4.frame
 import zstandard
 
+from rpod_analysis.errors import AnalysisError
+
 _PIECE = 1 << 14
 """Compressed bytes that are decompressed at once; lz4 makes at most 255 times as many of them."""
 
 
-class ChunkSizeError(ValueError):
+class ChunkSizeError(AnalysisError, ValueError):
     """A chunk's content has another size than the chunk announces."""
 
     def __init__(self, announced: int, found: str) -> None:

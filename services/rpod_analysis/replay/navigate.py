@@ -130,6 +130,21 @@ def replay(
     )
 
 
+def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
+    """Yield the outputs of an estimator that processes every frame of a log's sensors, and write nothing.
+
+    Raises:
+        TargetError: the configured target cannot be loaded.
+        AnalysisError: the log cannot be read.
+    """
+    intake = FrameReader(config.sensors)
+    feed = _Feed(Estimator(config, load_target(config.target)), intake, as_live=False)
+    frames = Frames(intake, StampCheck(log))
+    for logged in log.messages(*(topic.name for topic in (*intake.latched, *intake.streams))):
+        yield from feed.outputs(frames.take(logged))
+    yield from feed.outputs(frames.rest())
+
+
 def _copied(log: Log, prefix: str) -> set[str]:
     """Return the names of the topics that are copied from the old log to the new one."""
     estimates = (topic.under(prefix).name for topic in (ESTIMATE, ESTIMATE_POSE, ESTIMATE_JOINTS, STATUS))

@@ -18,7 +18,7 @@ from rpod_runtime import Node
 from rpod_runtime.publisher import Publisher
 from rpod_schemas.cdr import NANOSECONDS, begins_with_stamp, is_known, restamped
 from rpod_schemas.messages import write_clock
-from rpod_schemas.topics import CLOCK, DIAGNOSTICS, STATUS, TF, Topic, is_latched
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, STATUS, TF, Topic, is_latched
 
 _CLOCK_PERIOD_NS = NANOSECONDS // 250
 _BETWEEN_LAPS_NS = NANOSECONDS // 10
@@ -77,7 +77,7 @@ def chosen_topics(log: Log, patterns: tuple[str, ...] = ()) -> list[str]:
     estimators = {
         name.rsplit("/", 1)[0] + "/" for name, info in log.topics.items() if info.type == STATUS.type
     }
-    others = {DIAGNOSTICS.name, TF.name}
+    others = {DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name, TF.name}
     return [name for name in log.topics if name not in others and not name.startswith(tuple(estimators))]
 
 

@@ -5,7 +5,7 @@ minute in bounded memory; ``read_run`` returns all of it at once.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.topics import STATUS
 from rpod_schemas.types import Mode
 from rpod_target import NO_SYMMETRY, Equivalence, TargetError, load_equivalence
+
+_NO_COVARIANCE = bytes(8 * 36)
 
 DEFAULT_PREFIX = STATUS.name.split("/")[0]
 
@@ -69,7 +71,7 @@ class Run:
     """Time from stamp to publication of the estimates, shape (N,); NaN if the run does not use the wall
     clock."""
     tracked: BoolArray
-    """Whether an estimate's frame was in TRACKING, shape (N,)."""
+    """Whether an estimate's frame was in TRACKING or COASTING, shape (N,)."""
     sensor_of: NDArray[np.str_]
     """Sensor whose frame gave each estimate, shape (N,); empty if unknown."""
     R_chaser_sensor: Rotation
@@ -156,13 +158,13 @@ class StreamedRun:
             [row for minute in minutes for row in store.rows(minute)]
             for store in (found.truth, found.estimates, found.statuses, found.frames)
         )
-        truth, estimates, statuses = _track(truth_rows), _track(estimate_rows), _statuses(status_rows)
+        truth, estimates, statuses = _truth(truth_rows), _track(estimate_rows), _statuses(status_rows)
         tracked, sensor_of = _behind(estimates, _statuses(status_before + status_rows))
         covariance = np.frombuffer(b"".join(row[2] for row in estimate_rows)).reshape(-1, 6, 6)
         R_chaser_sensor = _sensor_axes(sensor_of, self.sensors)
         errors, T_truth = find_errors(
             estimates,
-            _track(sorted(truth_rows + truth_around, key=lambda row: row[0])) if truth_around else truth,
+            _truth(sorted(truth_rows + truth_around, key=lambda row: row[0])) if truth_around else truth,
             covariance=covariance,
             R_chaser_sensor=R_chaser_sensor,
             alike=self._alike,
@@ -257,6 +259,14 @@ def _track(rows: list[Row]) -> Track:
     )
 
 
+def _truth(rows: list[Row]) -> Track:
+    track = _track(rows)
+    if not any(row[2] for row in rows):
+        return track
+    covariance = np.frombuffer(b"".join(row[2] or _NO_COVARIANCE for row in rows)).reshape(-1, 6, 6)
+    return replace(track, covariance=covariance)
+
+
 def _statuses(rows: list[Row]) -> Statuses:
     columns = list(zip(*rows, strict=True)) if rows else [()] * 8
     stamp_ns, mode, source, accepted, nis, processing_s, sensor, reason = columns
@@ -281,7 +291,7 @@ def _behind(estimates: Track, statuses: Statuses) -> tuple[BoolArray, NDArray[np
     if not len(statuses):
         return last < 0, np.full(len(estimates), "", np.str_)
     return (
-        (last < 0) | (statuses.mode[last] == Mode.TRACKING),
+        (last < 0) | np.isin(statuses.mode[last], (Mode.TRACKING, Mode.COASTING)),
         np.where(last >= 0, statuses.sensor[last], ""),
     )
 

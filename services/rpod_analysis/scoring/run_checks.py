@@ -88,7 +88,8 @@ def _estimation(summary: Summary) -> Iterator[Check]:
         "Tracking",
         "no frame tracked"
         if share is None
-        else f"{_percent(share)} of frames, {summary.estimates.lost_s:.1f} s lost",
+        else f"{_percent(share)} of frames, {_percent(modes.coasting_share or 0.0)} coasting, "
+        f"{summary.estimates.lost_s:.1f} s lost",
         f"at least {_percent(MIN_TRACKING_SHARE)} of frames after the first acquisition",
         None if share is None else share >= MIN_TRACKING_SHARE,
     )
@@ -99,6 +100,7 @@ def _estimation(summary: Summary) -> Iterator[Check]:
         f"at most {_percent(MAX_OFF_TARGET_SHARE)}",
         None if off is None else off <= MAX_OFF_TARGET_SHARE,
     )
+    yield from _truth(summary)
     within = consistency.nees_share_in_95 if consistency else None
     yield Check(
         "Covariance",
@@ -106,6 +108,20 @@ def _estimation(summary: Summary) -> Iterator[Check]:
         f"at least {_percent(MIN_NEES_SHARE)}",
         None if within is None else within >= MIN_NEES_SHARE,
     )
+
+
+def _truth(summary: Summary) -> Iterator[Check]:
+    """Yield what the truth's own errors are, if it states them; a fact, which is neither good nor bad."""
+    truth = summary.truth_error
+    if truth is not None:
+        yield Check(
+            "Truth",
+            f"its own error is {truth.attitude_deg_rms:.2g}° and {1e3 * truth.position_m_rms:.3g} mm (RMS): "
+            f"it may be {_percent(truth.attitude_share)} of the mean squared attitude error and "
+            f"{_percent(truth.position_share)} of the position's",
+            "part of the covariance by which errors are judged",
+            None,
+        )
 
 
 def _kept_up(summary: Summary) -> Check:

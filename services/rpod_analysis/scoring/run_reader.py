@@ -24,7 +24,7 @@ class Found:
     sensors: dict[str, Sensor]
     status_topic: str
     truth: RowStore = field(default_factory=RowStore)
-    """Rows of stamp and pose as x, y, z, qx, qy, qz, qw."""
+    """Rows of stamp, pose as x, y, z, qx, qy, qz, qw, and covariance as bytes, empty where it is zero."""
     estimates: RowStore = field(default_factory=RowStore)
     """Rows of stamp, pose, covariance as bytes, and time of publication."""
     statuses: RowStore = field(default_factory=RowStore)
@@ -64,7 +64,10 @@ class Reader:
 
     def _take_truth(self, logged: Logged) -> None:
         message = logged.decode()
-        self.found.truth.add((read_stamp(message.header), pose_numbers(message.pose.pose)))
+        known = b""
+        if message.pose.covariance.any():
+            known = read_odometry(message).pose_covariance.tobytes()
+        self.found.truth.add((read_stamp(message.header), pose_numbers(message.pose.pose), known))
         self.found.parents.add(message.header.frame_id)
 
     def _take_estimate(self, logged: Logged) -> None:

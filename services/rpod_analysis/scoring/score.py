@@ -34,6 +34,9 @@ class Track:
     """Stamps in the order of publication, shape (N,)."""
     poses: RigidTransform
     """Poses at the stamps, N of them."""
+    covariance: FloatArray | None = None
+    """Covariance of (dp, dtheta) in the fixed axes of the parent frame, shape (N, 6, 6); None if no pose has
+    one."""
 
     def __len__(self) -> int:
         return self.stamp_ns.size
@@ -49,6 +52,9 @@ class Errors:
     """Position errors, estimate minus truth in the sensor's axes, shape (N, 3)."""
     nees: FloatArray
     """NEES, shape (N,); NaN if the covariance is not valid."""
+    truth_covariance: FloatArray | None = None
+    """Covariance of (dp, dtheta) of the truth, chaser axes, shape (N, 6, 6), which is part of the NEES; None
+    for a truth that states none."""
     nees_dof: int = 6
     """Degrees of freedom of the NEES: the directions in which the target can be measured."""
 
@@ -74,7 +80,10 @@ class Errors:
 
     def at(self, where: BoolArray) -> "Errors":
         """Return the errors of some of the estimates."""
-        return Errors(self.attitude_rad[where], self.position_m[where], self.nees[where], self.nees_dof)
+        known = None if self.truth_covariance is None else self.truth_covariance[where]
+        return Errors(
+            self.attitude_rad[where], self.position_m[where], self.nees[where], known, self.nees_dof
+        )
 
 
 def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolArray]:
@@ -99,6 +108,23 @@ def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolA
     translation = a.translation + share * (b.translation - a.translation)
     known = exact | (inside & (gap_ns <= MAX_TRUTH_GAP_NS))
     return RigidTransform.from_components(translation, rotation), known
+
+
+def interpolate_covariance(truth: Track, stamp_ns: IntArray) -> FloatArray | None:
+    """Return the truth's covariance at stamps, shape (N, 6, 6); None if it states none.
+
+    Errors of neighbours count as the same, so that interpolation does not reduce them.
+    """
+    if truth.covariance is None or not len(truth):
+        return None
+    known_ns, first = np.unique(truth.stamp_ns, return_index=True)
+    after = np.searchsorted(known_ns, stamp_ns).clip(0, known_ns.size - 1)
+    before = (after - 1).clip(0)
+    gap_ns = np.maximum(known_ns[after] - known_ns[before], 1)
+    share = ((stamp_ns - known_ns[before]) / gap_ns).clip(0.0, 1.0)[:, None, None]
+    covariance = truth.covariance[first]
+    mixed: FloatArray = (1.0 - share) * covariance[before] + share * covariance[after]
+    return mixed
 
 
 def find_errors(
@@ -131,8 +157,18 @@ def find_errors(
     in_sensor_m = R_chaser_sensor.inv().apply(position_m)
     in_sensor_m[unknown] = np.nan
     error[unknown] = np.nan
-    nees = find_nees(error, alike.with_free_variance(covariance, R_estimate.as_matrix(), 1.0))
-    return Errors(attitude_rad, in_sensor_m, nees, alike.dof), T_truth
+    of_truth = interpolate_covariance(truth, estimates.stamp_ns)
+    expected = _with_truth(covariance, of_truth)
+    nees = find_nees(error, alike.with_free_variance(expected, R_estimate.as_matrix(), 1.0))
+    return Errors(attitude_rad, in_sensor_m, nees, of_truth, alike.dof), T_truth
+
+
+def _with_truth(covariance: FloatArray, of_truth: FloatArray | None) -> FloatArray:
+    """Return the covariance of estimate minus truth; zeros stay where that of the estimate is unknown."""
+    if of_truth is None:
+        return covariance
+    known = np.all(np.diagonal(covariance, axis1=1, axis2=2) > 0.0, axis=1, keepdims=True)
+    return covariance + np.where(known[:, :, None], of_truth, 0.0)
 
 
 def find_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_analysis.scoring.frame_errors import NamedFrame, frame_errors
+from rpod_analysis.scoring.handover import Handovers
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.run import Run, Statuses
 from rpod_analysis.scoring.score import NEES_95, Errors, IntArray
@@ -24,6 +25,7 @@ from rpod_schemas.summary import (
     FrameError,
     Innovation,
     Tracking,
+    TruthError,
 )
 from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Mode
@@ -99,12 +101,15 @@ class RunTotals:
         self.worst_deg: Worst | None = None
         self.worst_m: Worst | None = None
         self._first_tracking_s: float | None = None
-        self._since = self._tracking_since = 0
+        self._since = self._tracking_since = self._coasting_since = 0
         self._scored = self._off_target = 0
         self._angle_deg, self._distance_m = Column(), Column()
         self._axes = {name: Column() for name in _AXES}
+        self._truth_deg, self._truth_m = Column(), Column()
         self._frames = {name: (frame, Column(), Column()) for name, frame in (frames or {}).items()}
         self._last: tuple[int, int] | None = None
+        self.handovers = Handovers()
+        """Handovers from one sensor to another."""
 
     @classmethod
     def of(cls, *runs: Run, frames: Mapping[str, NamedFrame] | None = None) -> "RunTotals":
@@ -135,6 +140,7 @@ class RunTotals:
         self._take_outcomes(run.statuses)
         self._take_modes(run)
         self._take_errors(run)
+        self.handovers.take(run)
 
     def _take_outcomes(self, statuses: Statuses) -> None:
         accepted = statuses.accepted
@@ -156,10 +162,13 @@ class RunTotals:
         if self._first_tracking_s is None and tracking.any():
             first = int(np.argmax(tracking))
             self._first_tracking_s = float(run.seconds(statuses.stamp_ns)[first])
-            tracking = tracking[first:]
+            since = statuses.mode[first:]
+        else:
+            since = statuses.mode
         if self._first_tracking_s is not None:
-            self._since += tracking.size
-            self._tracking_since += int(tracking.sum())
+            self._since += since.size
+            self._tracking_since += int((since == Mode.TRACKING).sum())
+            self._coasting_since += int((since == Mode.COASTING).sum())
         earlier = [self._last] if self._last else []
         stamp_ns = np.array([stamp for stamp, _ in earlier] + statuses.stamp_ns.tolist(), np.int64)
         mode = np.array([mode for _, mode in earlier] + statuses.mode.tolist(), np.int64)
@@ -202,6 +211,10 @@ class RunTotals:
         self._distance_m.extend(distance_m)
         for column, values in zip(self._axes.values(), _by_axis(errors), strict=True):
             column.extend(values)
+        if errors.truth_covariance is not None:
+            variance = np.diagonal(errors.truth_covariance, axis1=1, axis2=2)
+            self._truth_m.extend(np.sqrt(variance[:, :3].sum(axis=1)))
+            self._truth_deg.extend(np.rad2deg(np.sqrt(variance[:, 3:].sum(axis=1))))
         for frame, at_frame_deg, at_frame_m in self._frames.values() if tracked.any() else ():
             deg, m = frame_errors(frame, run.estimates.poses[tracked], run.T_truth[tracked])
             at_frame_deg.extend(deg)
@@ -219,6 +232,7 @@ class RunTotals:
             longest_untracked_s=self._longest_gap_ns / NANOSECONDS if self._time_ns else None,
             first_tracking_s=self._first_tracking_s,
             tracking_share=self._tracking_since / self._since if self._since else None,
+            coasting_share=self._coasting_since / self._since if self._since else None,
             worse_than_10deg_or_0_3m_share=self._off_target / self._scored if self._scored else None,
         )
 
@@ -230,6 +244,17 @@ class RunTotals:
             attitude_deg=summarise_size(self._angle_deg),
             position_m=summarise_size(self._distance_m),
             **{f"{name}_rms": column.rms for name, column in self._axes.items()},
+        )
+
+    def truth_error(self) -> TruthError | None:
+        """Return how much of the errors may be the truth's; None for a truth that states no covariance."""
+        if not self._truth_m.count or self._truth_m.max == 0.0 == self._truth_deg.max:
+            return None
+        return TruthError(
+            attitude_deg_rms=self._truth_deg.rms,
+            position_m_rms=self._truth_m.rms,
+            attitude_share=_share(self._truth_deg, self._angle_deg),
+            position_share=_share(self._truth_m, self._distance_m),
         )
 
     def frame_errors(self) -> dict[str, FrameError]:
@@ -253,6 +278,11 @@ class RunTotals:
             return None
         within = self.nis.share_up_to(NEES_95[self.dof])
         return Innovation(nis_mean=self.nis.mean, nis_dof=self.dof, nis_share_in_95=within)
+
+
+def _share(truth: Column, error: Column) -> float:
+    """Return the part of the mean squared error that the truth's own may be, at most 1."""
+    return min(1.0, (truth.rms / error.rms) ** 2) if error.rms > 0.0 else 1.0
 
 
 def summarise_size(values: Column) -> ErrorSize:

@@ -99,7 +99,7 @@ class EmulatedKind:
         sun = self.sensor.T_chaser_sensor.rotation.apply(sun_W_m2)
         due = frame_at(self.sensor, number, epoch_ns=_EPOCH_NS)
         self._messages.kept.clear()
-        self._channel.emulate(poses, sun, due, None)()
+        self._channel.emulate(poses, sun, due)()
         topics = {name: part.topic.of(self.sensor.name).name for name, part in self.kind.parts.items()}
         kept = self._messages.kept
         received = {name: kept[topic] for name, topic in topics.items() if topic in kept}

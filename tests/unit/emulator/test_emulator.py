@@ -34,7 +34,7 @@ class FakeNode:
         self.served, self.refused = {}, []
         self.follows_clock = False
 
-    def serve(self, verb, _, handler):
+    def serve(self, verb, _, handler, **__):
         self.served[verb] = handler
 
     def subscribe(self, topic, sink, **_):
@@ -51,9 +51,9 @@ class FakeChannel:
     def __init__(self, sensor, log):
         self.sensor, self._log = sensor, log
 
-    def emulate(self, poses, sun_W_m2, frame, fault):
+    def emulate(self, poses, sun_W_m2, frame):
         self.poses, self.sun_W_m2 = poses, sun_W_m2
-        self._log.append(("made", frame.sensor, frame.number, fault))
+        self._log.append(("made", frame.sensor, frame.number))
         return partial(self._log.append, ("published", frame.sensor, frame.number))
 
 
@@ -257,7 +257,7 @@ def test_a_sensor_that_takes_long_does_not_hold_another_one_up():
     bench = Bench(PMD, slow, epoch_ns=now_ns)
     bench.truth(0.9, 1.05, epoch_ns=now_ns)
     bench.turn()
-    assert ("made", "lidar", 1, None) in bench.log
+    assert ("made", "lidar", 1) in bench.log
     bench.emulator._made = [
         made if made.frame.sensor == "lidar" else type(made)(frame_of_the_past(made.frame), made.publish)
         for made in bench.emulator._made
@@ -362,17 +362,6 @@ def test_a_second_start_plays_the_same_frames_again():
 
 
 # --- faults ---
-
-
-@pytest.mark.parametrize("fault", ["dropout", "blackout"])
-def test_a_fault_reaches_the_frames_of_its_time(fault):
-    bench = in_lockstep()
-    bench.truth(0.0, 0.15)
-    bench.turn()
-    bench.node.served["fault"](FaultRequest(fault=fault, start_s=0.1, duration_s=0.1))
-    bench.truth(0.154, 0.45)
-    bench.turn()
-    assert [entry[3] for entry in bench.log if entry[0] == "made"] == [None, None, fault, None]
 
 
 def test_silence_publishes_nothing_and_is_counted():

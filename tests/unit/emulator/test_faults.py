@@ -1,55 +1,196 @@
+"""Faults of emulated sensors: when they hold, and what a sensor's publisher makes of its messages."""
+
+from pathlib import Path
+
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from rpod_emulator.faults import Fault, Faults, lost_cells, takes_amplitude
+from rpod.facility import configure
+from rpod.scenarios import find
+from rpod_emulator.faults import Faults, FaultyNode
+from rpod_runtime.errors import RefusedError
+from rpod_runtime.sensors import CameraPublisher
+from rpod_schemas.config.emulator import EmulatorConfig
+from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.control import FaultRequest
+from rpod_schemas.errors import ConfigurationError, SchemaError
+from rpod_schemas.faults import FAULTS, PlannedFault
+from rpod_schemas.messages import read_image, read_stamp, read_transforms
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Camera, PmdFrame
+from rpod_sim_sensor.faults import injection
 
-SHAPE = (287, 352)
-
-
-def test_a_fault_holds_from_its_start_to_before_its_end():
-    faults = Faults()
-    faults.add(Fault("blackout", 10, 20))
-    assert [faults.at(stamp_ns) for stamp_ns in (9, 10, 19, 20)] == [None, "blackout", "blackout", None]
-
-
-def test_the_fault_that_was_asked_for_last_wins():
-    faults = Faults()
-    faults.add(Fault("dropout", 0, 100))
-    faults.add(Fault("silence", 40, 60))
-    assert [faults.at(stamp_ns) for stamp_ns in (30, 50, 70)] == ["dropout", "silence", "dropout"]
-
-
-@pytest.mark.parametrize("kind", [None, "silence"])
-def test_without_a_fault_of_the_image_nothing_is_lost(kind):
-    assert lost_cells(kind, SHAPE, seed=1, number=1) is None
-
-
-def test_a_blackout_takes_everything():
-    assert lost_cells("blackout", SHAPE, seed=1, number=1).all()
+SECOND_NS = 1_000_000_000
+CAMERA = Camera(width=24, height=36, fx=30.0, fy=30.0, cx=11.5, cy=17.5)
 
 
-def test_a_dropout_takes_60_percent_of_the_image_in_patches():
-    shares = [lost_cells("dropout", SHAPE, seed=1, number=number).mean() for number in range(50)]
-    assert 0.57 < np.mean(shares) < 0.63
-    lost = lost_cells("dropout", SHAPE, seed=1, number=1)
-    edges = np.count_nonzero(lost[:, 1:] != lost[:, :-1], axis=1)
-    assert edges.max() <= 11, "no more borders than between twelve patches"
+class Kept:
+    """A node that keeps what is published: topic, message, publisher."""
+
+    def __init__(self) -> None:
+        self.messages, self.publishers = [], []
+
+    @property
+    def clock(self):
+        return self
+
+    def now_ns(self) -> int:
+        return SECOND_NS
+
+    def publisher(self, topic):
+        self.publishers.append(topic)
+        return KeptPublisher(self, topic, len(self.publishers))
 
 
-def test_glints_take_40_percent_of_depth_and_amplitude() -> None:
-    shares = [lost_cells("glints", SHAPE, seed=1, number=number).mean() for number in range(50)]
-    assert 0.37 < np.mean(shares) < 0.43
-    takers = {kind for kind in (None, "dropout", "glints", "blackout", "silence") if takes_amplitude(kind)}
-    assert takers == {"glints", "blackout"}, "a dropout is the camera's mask: it leaves the amplitude"
+class KeptPublisher:
+    def __init__(self, node, topic, number) -> None:
+        self._node, self._topic, self._number = node, topic, number
+
+    def publish(self, message) -> None:
+        self._node.messages.append((self._topic.name, message, self._number))
+
+    def lose(self) -> None:
+        self._node.messages.append((self._topic.name, None, self._number))
 
 
-def test_a_dropout_is_that_of_its_frame_whenever_it_is_made():
-    first = lost_cells("dropout", SHAPE, seed=1, number=7)
-    np.testing.assert_array_equal(lost_cells("dropout", SHAPE, seed=1, number=7), first)
-    assert (lost_cells("dropout", SHAPE, seed=1, number=8) != first).any()
-    assert (lost_cells("dropout", SHAPE, seed=2, number=7) != first).any()
+def config(*faults: PlannedFault, **changes) -> EmulatorConfig:
+    return EmulatorConfig(target="mockup", faults=faults, **{"sensors": (PmdConfig(),), **changes})
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (5, 41), (12, 12), (41, 7)])
-def test_a_scan_of_any_size_can_drop_out(shape):
-    assert lost_cells("dropout", shape, seed=1, number=1).shape == shape
+class Camera24:
+    """A camera behind a faulty node."""
+
+    def __init__(self, *faults: PlannedFault, **changes) -> None:
+        self.node = Kept()
+        self.faults = Faults.of(config(*faults, **changes))
+        self.outlet = FaultyNode(self.node, PmdConfig(), self.faults, seed=3)
+        self.publisher = CameraPublisher(self.outlet, "pmd", T_chaser_sensor=make_pose())
+
+    def frame(self, stamp_s: float) -> dict[str, object]:
+        """Publish a frame; return what came of its parts."""
+        before = len(self.node.messages)
+        depth_m = np.full((36, 24), 4.0 + stamp_s, np.float32)
+        amplitude = np.full((36, 24), 900, np.uint16)
+        self.publisher.publish(
+            PmdFrame(
+                stamp_ns=round(stamp_s * SECOND_NS),
+                frame_id="",
+                depth_m=depth_m,
+                amplitude=amplitude,
+                camera=CAMERA,
+            )
+        )
+        depth_m[:], amplitude[:] = -1.0, 1  # as an emulator does, which uses its arrays again
+        self.outlet.refresh()
+        return {
+            name.split("/")[-1 if name == "tf_static" else 1]: message
+            for name, message, _ in self.node.messages[before:]
+        }
+
+
+def lost_share(message) -> float:
+    return float(np.isnan(read_image(message)).mean())
+
+
+def test_each_fault_of_the_catalogue_can_be_injected_into_the_sensors_that_have_it():
+    for fault in FAULTS:
+        for kind in fault.kinds:
+            assert injection(fault.name, kind, 1).fault == fault.name
+    with pytest.raises(SchemaError, match="cannot have the fault"):
+        injection("transposed", "pmd", 1)
+
+
+def test_a_planned_fault_holds_from_its_start_to_before_its_end():
+    faults = Faults.of(config(PlannedFault(fault="blackout", start_s=10.0, duration_s=10.0)))
+    faults.begin(config(PlannedFault(fault="blackout", start_s=10.0, duration_s=10.0)), 5 * SECOND_NS)
+    assert [len(faults.at("pmd", stamp_s * SECOND_NS)) for stamp_s in (14, 15, 24, 25)] == [0, 1, 1, 0]
+
+
+def test_a_requested_fault_outlives_the_start_of_a_scenario_and_is_of_its_sensor():
+    both = (PmdConfig(), LidarConfig())
+    faults = Faults.of(config(sensors=both))
+    faults.request(FaultRequest(fault="stall", sensor="lidar", duration_s=5.0), 7 * SECOND_NS)
+    faults.begin(config(sensors=both), SECOND_NS)
+    assert [fault.name for fault in faults.at("lidar", 8 * SECOND_NS)] == ["stall"]
+    assert faults.at("pmd", 8 * SECOND_NS) == []
+
+
+@pytest.mark.parametrize(
+    ("fault", "changes", "text"),
+    [
+        ("silence", {"time_source": "clock"}, "ask for a blackout instead"),
+        ("transposed", {}, "no sensor  can have the fault transposed; there are pmd"),
+    ],
+)
+def test_a_fault_that_cannot_be_is_refused_with_the_remedy(fault, changes, text):
+    with pytest.raises(ConfigurationError, match=text):
+        Faults.of(config(PlannedFault(fault=fault), **changes))
+    with pytest.raises(RefusedError, match=text):
+        Faults.of(config(**changes)).request(FaultRequest(fault=fault, duration_s=1.0), 0)
+    with pytest.raises(RefusedError, match="cannot begin while a sensor runs"):
+        Faults.of(config()).request(FaultRequest(fault="no_mount", duration_s=1.0), 0)
+
+
+def test_without_a_fault_a_sensor_publishes_as_ever():
+    camera = Camera24()
+    parts = camera.frame(1.0)
+    assert sorted(parts) == ["amplitude", "camera_info", "depth"]
+    assert lost_share(parts["depth"]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "share", "amplitude_too"),
+    [("dropout", 0.6, False), ("glints", 0.4, True), ("blackout", 1.0, True)],
+)
+def test_lost_pixels_are_whole_patches_that_change_from_frame_to_frame(fault, share, amplitude_too):
+    camera = Camera24(PlannedFault(fault=fault))
+    frames = [camera.frame(number / 10) for number in range(1, 41)]
+    assert np.mean([lost_share(parts["depth"]) for parts in frames]) == pytest.approx(share, abs=0.04)
+    first, second = (np.isnan(read_image(frames[number]["depth"])) for number in (0, 1))
+    assert np.count_nonzero(first[:, 1:] != first[:, :-1], axis=1).max() <= 11
+    assert fault == "blackout" or (first != second).any()
+    dark = read_image(frames[0]["amplitude"]) == 0
+    assert np.array_equal(dark, first) if amplitude_too else not dark.any()
+    again = Camera24(PlannedFault(fault=fault)).frame(0.1)
+    np.testing.assert_array_equal(np.isnan(read_image(again["depth"])), first)
+
+
+def test_a_frozen_frame_keeps_its_content_though_the_sensor_uses_its_arrays_again():
+    camera = Camera24(PlannedFault(fault="frozen"))
+    first, second = camera.frame(1.0), camera.frame(2.0)
+    assert read_stamp(second["depth"].header) == 2 * SECOND_NS
+    assert np.array_equal(read_image(second["depth"]), np.full((36, 24), 5.0))
+    assert np.array_equal(read_image(first["depth"]), read_image(second["depth"]))
+
+
+def test_a_mount_is_announced_anew_when_a_fault_of_it_begins_and_ends():
+    camera = Camera24()
+    camera.faults.request(FaultRequest(fault="mount_off", start_s=1.0, duration_s=2.0), 0)
+    for stamp_s in (0.5, 1.5, 2.5, 3.5):
+        camera.frame(stamp_s)
+    mounts = [
+        read_transforms(message)[0][3] for name, message, _ in camera.node.messages if name == "tf_static"
+    ]
+    away_m = [round(float(np.linalg.norm(mount.translation)), 3) for mount in mounts]
+    assert away_m == [0.0, 0.08, 0.0]
+
+
+def test_a_second_publisher_has_an_identity_of_its_own():
+    camera = Camera24(PlannedFault(fault="second_publisher"))
+    camera.frame(1.0)
+    depth = [number for name, _, number in camera.node.messages if name == "pmd/depth/image_raw"]
+    assert len(set(depth)) == 2
+
+
+def test_the_faults_of_a_scenario_reach_its_emulator():
+    document = dict(find("mockup-tumbling"))
+    scenario = Scenario.model_validate(document | {"faults": [{"fault": "glints", "start_s": 2.0}]})
+    facility = configure(scenario, directory=Path("runs"), speed="1")
+    assert facility.services["emulator"].faults == (PlannedFault(fault="glints", start_s=2.0),)
+    with pytest.raises(ValidationError, match="no sensor 'front' is emulated"):
+        Scenario.model_validate(document | {"faults": [{"fault": "glints", "sensor": "front"}]})
+    with pytest.raises(ValidationError, match="no fault 'gremlins'; known are silence"):
+        Scenario.model_validate(document | {"faults": [{"fault": "gremlins"}]})

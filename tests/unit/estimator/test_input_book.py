@@ -4,10 +4,11 @@ import logging
 
 import pytest
 
-from rpod_estimator.input_book import Loss, SensorBook, clock_hint, unpaired
+from rpod_estimator.input_book import Loss, SensorBook, unpaired
 from rpod_estimator.input_health import InputHealth
 from rpod_runtime.assembler import Assembler
 from rpod_runtime.health import HealthBook
+from rpod_runtime.stamp_watch import clock_hint
 from rpod_schemas.types import Health, Mode
 
 LATE = Loss("late", "late: 1.200 s old, max_age_s is 1; check the sensor's clock")

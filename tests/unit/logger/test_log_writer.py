@@ -14,7 +14,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 
 from rpod_logger.writer import WriterSettings, channel_topic, create_log
 from rpod_schemas.cdr import type_hash
-from rpod_schemas.topics import CLOCK, TF_STATIC, Namespace, Topic
+from rpod_schemas.topics import CLOCK, ROSOUT, TF_STATIC, Namespace, Topic
 
 SETTINGS = WriterSettings(Namespace(), "rpod test")
 RAW = Topic("lab/raw", "")
@@ -58,17 +58,20 @@ def test_rosbags_reads_the_quality_of_service_and_the_type_hash(tmp_path, arrive
     log = create_log(tmp_path, "run", SETTINGS)
     log.write(arrive(TF_STATIC, 1))
     log.write(arrive(CLOCK, 1))
+    log.write(arrive(ROSOUT, 1, payload=b""))
     log.close()
     with AnyReader([log.path]) as bag:
         qos = {c.topic: c.ext.offered_qos_profiles[0] for c in bag.connections}
     assert (qos["/tf_static"].durability, qos["/tf_static"].depth) == (QosDurability.TRANSIENT_LOCAL, 1)
     assert (qos["/clock"].durability, qos["/clock"].depth) == (QosDurability.VOLATILE, 10)
+    assert (qos["/rosout"].durability, qos["/rosout"].depth) == (QosDurability.TRANSIENT_LOCAL, 1000)
     assert {profile.reliability for profile in qos.values()} == {QosReliability.RELIABLE}
     with log.path.open("rb") as stream:
         channels = make_reader(stream).get_summary().channels.values()
     assert {channel.topic: channel.metadata["topic_type_hash"] for channel in channels} == {
         "/tf_static": type_hash(TF_STATIC.type),
         "/clock": type_hash(CLOCK.type),
+        "/rosout": type_hash(ROSOUT.type),
     }
 
 
@@ -160,6 +163,7 @@ def test_a_stamp_before_the_epoch_does_not_end_the_log(tmp_path, arrive):
 def test_topics_carry_the_namespace_as_rosbag2_has_it():
     assert channel_topic(Namespace(), "pmd/points") == "/pmd/points"
     assert channel_topic(Namespace(0, "servicer/a"), "tf") == "/servicer/a/tf"
+    assert channel_topic(Namespace(0, "servicer/a"), "rosout") == "/rosout"
 
 
 def _records(path: Path) -> list[object]:

@@ -14,6 +14,7 @@ from rpod_schemas.config.motion import (
     MotionConfig,
     SpinConfig,
     StationKeepingConfig,
+    SwayConfig,
     TumbleConfig,
 )
 
@@ -142,3 +143,13 @@ def test_a_fixed_target_keeps_its_attitude_in_the_axes_of_a_turning_chaser() -> 
     assert turn.magnitude() < 1e-12
     assert not motion.state(600.0).angular_rad_s.any()
     assert np.linalg.norm(motion.state(600.0).chaser_angular_rad_s) > 5e-4
+
+
+def test_a_swaying_target_has_the_rate_of_its_attitude() -> None:
+    config = MotionConfig(attitude=SwayConfig())
+    motion = build_motion(config, centre_of_mass_m=np.zeros(3), inertia_kg_m2=np.eye(3), duration_s=60.0)
+    step_s = 1e-4
+    for time_s in (0.0, 3.7, 11.0, 52.3):
+        before, now, after = (motion.state(time_s + shift_s) for shift_s in (-step_s, 0.0, step_s))
+        turn = before.T_chaser_target.rotation.inv() * after.T_chaser_target.rotation
+        np.testing.assert_allclose(turn.as_rotvec() / (2.0 * step_s), now.angular_rad_s, atol=1e-6)

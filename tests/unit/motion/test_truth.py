@@ -7,10 +7,11 @@ import pytest
 
 from rpod_motion.motion import Motion, build_motion
 from rpod_motion.truth import TruthPublisher
+from rpod_motion.truth_error import TruthError
 from rpod_schemas.cdr import decode, encode
-from rpod_schemas.config.motion import MotionConfig
+from rpod_schemas.config.motion import MotionConfig, TruthErrorConfig
 from rpod_schemas.messages import read_odometry, read_transforms
-from rpod_schemas.topics import SUN, TF, TRUTH
+from rpod_schemas.topics import REFERENCE, SUN, TF, TRUTH
 
 EPOCH_NS = 1_767_225_600_000_000_000
 STEP_NS = 4_000_000
@@ -69,3 +70,21 @@ def test_a_slow_truth_is_never_made_beyond_the_motion(motion):
     truth = TruthPublisher(KeptMessages(), motion, epoch_ns=EPOCH_NS, rate_hz=2.0)
     for tick in range(3):
         truth.publish(tick)
+
+
+def test_the_truth_states_its_error_and_the_reference_is_exact(motion):
+    error = TruthError(TruthErrorConfig(), seed=1, rate_hz=250.0)
+    node = KeptMessages()
+    publisher = TruthPublisher(node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0, error=error)
+    for tick in range(20):
+        publisher.publish(tick)
+    truth, reference = (
+        [read_odometry(message) for message in node.of(topic)] for topic in (TRUTH, REFERENCE)
+    )
+    for tick, (known, exact) in enumerate(zip(truth, reference, strict=True)):
+        expected = motion.state(tick / 250.0).T_chaser_target
+        np.testing.assert_allclose(exact.pose.as_matrix(), expected.as_matrix(), atol=1e-14)
+        assert not exact.pose_covariance.any()
+        np.testing.assert_allclose(known.pose_covariance, error.covariance)
+        off_m = np.linalg.norm(known.pose.translation - exact.pose.translation)
+        assert 0.0 < off_m < 5.0 * 1.56e-3

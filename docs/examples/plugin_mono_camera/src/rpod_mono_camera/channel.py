@@ -5,7 +5,6 @@ from functools import partial
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_emulator.faults import Kind, lost_cells
 from rpod_mono_camera.bus import MonoPublisher
 from rpod_mono_camera.config import MonoConfig
 from rpod_mono_camera.emulator import MonoEmulator
@@ -23,19 +22,16 @@ class MonoChannel:
     """An emulated monocular camera: rpod_emulator.channels.Channel."""
 
     def __init__(self, node: Node, config: EmulatorConfig, sensor: MonoConfig, target: Target) -> None:
-        self.sensor, self._seed = sensor, config.seed
+        self.sensor = sensor
         self._emulator = MonoEmulator(sensor, target, seed=config.seed)
         self._publisher = MonoPublisher(node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor)
 
     def emulate(
-        self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame, fault: Kind | None
+        self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame
     ) -> Callable[[], None]:
-        """Expose; a fault blackens patches."""
+        """Expose."""
         sun = rotation_of(self.sensor.T_chaser_sensor).inv().apply(sun_W_m2)
         image = self._emulator.expose(poses[0], sun_W_m2=sun, frame=frame.number)
-        lost = lost_cells(fault, image.shape, seed=self._seed, number=frame.number)
-        if lost is not None:
-            image[lost] = 0
         made = MonoFrame(
             stamp_ns=frame.stamp_ns,
             frame_id=optical_frame(self.sensor.name),

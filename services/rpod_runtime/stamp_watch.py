@@ -6,6 +6,7 @@ clock.
 """
 
 from collections import deque
+from math import remainder
 
 import numpy as np
 
@@ -14,6 +15,13 @@ from rpod_schemas.messages import NANOSECONDS
 _SECONDS = 60
 """Number of seconds over which the drift is estimated."""
 _LEAST_SECONDS = 10
+TAI_S = 37.0
+"""Time by which TAI is ahead of UTC since 2017."""
+_LATENCY_S = 1.0
+_ZONE_S = 1800.0
+"""Time zones differ by multiples of it."""
+_DAY_S = 86_400.0
+_YEAR_NS = 365 * 86_400 * NANOSECONDS
 
 
 class StampWatch:
@@ -42,3 +50,24 @@ class StampWatch:
             return float("nan")
         second, age_s = np.array(self._least_s).T
         return float(-1e6 * np.polyfit(second - second[0], age_s, 1)[0])
+
+
+def is_boot_time(ahead_s: float, stamp_ns: int) -> bool:
+    """Return whether stamps that are ahead of the time by this much count from the start of a device."""
+    return stamp_ns < _YEAR_NS < -ahead_s * NANOSECONDS
+
+
+def is_local_time(ahead_s: float) -> bool:
+    """Return whether stamps that are ahead of UTC by this much are probably local time."""
+    return 0.5 * _ZONE_S < abs(ahead_s) < _DAY_S and abs(remainder(ahead_s, _ZONE_S)) < _LATENCY_S
+
+
+def clock_hint(ahead_s: float, stamp_ns: int) -> str:
+    """Return what probably is wrong with a clock whose stamps are ahead of the time, and what to do."""
+    if is_boot_time(ahead_s, stamp_ns):
+        return "the stamps count from the start of the device; let its driver stamp in UTC"
+    if abs(ahead_s - TAI_S) < _LATENCY_S:
+        return "is it TAI? Synchronise the sensor to UTC, or set source.clock_offset_s of the sensor to 37"
+    if is_local_time(ahead_s):
+        return "is it local time? Let the driver stamp in UTC"
+    return "check the sensor's clock, or set source.clock_offset_s of the sensor"

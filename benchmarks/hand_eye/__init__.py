@@ -1,0 +1,1 @@
+"""Calibration of mount and clock on emulated minutes with known errors, over seeds."""

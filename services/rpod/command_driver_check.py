@@ -1,0 +1,154 @@
+"""``rpod driver`` from its arguments to its exit code."""
+
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from rpod import __version__
+from rpod_driver.check import Level, Observer, Options, Verdict, judge
+from rpod_driver.check.live import watch
+from rpod_driver.check.surface import Surface
+from rpod_driver.scaffold import ScaffoldError, scaffold
+from rpod_runtime import BusError, Node
+from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_schemas.config.base import check, load, read_document
+from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.config.service import BusConfig, ServiceConfig
+from rpod_schemas.config.source import SourceConfig
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.faults import FAULTS
+
+_STYLES = {Level.OK: "green", Level.NOTE: "cyan", Level.FAIL: "bold red", Level.UNCHECKED: "yellow"}
+
+
+@dataclass(frozen=True)
+class CheckOptions:
+    """What the command line gives of a sensor."""
+
+    name: str
+    kind: str | None
+    config: Path | None
+    source: Path | None
+    connect: str | None
+    rate_hz: float | None
+    target: str | None
+
+
+def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) -> int:
+    """Watch a sensor, print a verdict a line, and return 0 if none of them fails, 1 if one does."""
+    try:
+        driver, bus = _driver(options)
+        known = Options(
+            rate_hz=options.rate_hz,
+            source=_source(options.source),
+            surface=_surface(options.target) if options.target else None,
+        )
+    except ConfigurationError as error:
+        return _refuse(error)
+    if duration_s <= 0.0:
+        return _refuse(f"--duration is {duration_s:g} s, needs more than 0")
+    observer = Observer(driver.kind, driver.name, known)
+    config = ServiceConfig(instance="driver-check", bus=bus)
+    if not as_json:
+        print(f"watching {driver.name} ({driver.kind}) for {duration_s:g} s", file=sys.stderr)
+    try:
+        with Node(config, version=__version__, stop=Event()) as node:
+            seen = watch(node, observer, duration_s=duration_s, stop=node.stop)
+    except BusError as error:
+        print(f"rpod driver check: {error}", file=sys.stderr)
+        return EXIT_FAILURE
+    except KeyboardInterrupt:
+        print("rpod driver check: interrupted", file=sys.stderr)
+        return EXIT_FAILURE
+    verdicts = judge(seen)
+    wrong = [each for each in verdicts if each.level is Level.FAIL]
+    if as_json:
+        print(json.dumps(_document(driver, duration_s, verdicts), indent=2))
+    else:
+        _show(verdicts)
+    return EXIT_FAILURE if wrong else EXIT_OK
+
+
+def _driver(options: CheckOptions) -> tuple[DriverConfig, BusConfig]:
+    if options.config:
+        driver = load(DriverConfig, options.config)
+    else:
+        kind = options.kind or ("lidar" if options.name.startswith("lidar") else "pmd")
+        driver = check(DriverConfig, {"kind": kind, "name": options.name}, source="rpod driver check")
+    bus = driver.bus.model_dump() | ({"connect": options.connect} if options.connect else {})
+    return driver, check(BusConfig, bus, source="rpod driver check")
+
+
+def _source(path: Path | None) -> SourceConfig:
+    return SourceConfig() if path is None else check(SourceConfig, read_document(path), source=path)
+
+
+def _surface(name: str) -> Surface:
+    from rpod_target import TargetError, load_target  # noqa: PLC0415 - needs the extra [target]
+
+    try:
+        return Surface.of(load_target(name))
+    except TargetError as error:
+        raise ConfigurationError("rpod driver check", "--target", str(error)) from error
+
+
+def _document(driver: DriverConfig, duration_s: float, verdicts: list[Verdict]) -> dict[str, Any]:
+    return {
+        "sensor": driver.name,
+        "kind": driver.kind,
+        "duration_s": duration_s,
+        "ok": not any(each.level is Level.FAIL for each in verdicts),
+        "faults": list(dict.fromkeys(fault for each in verdicts for fault in each.faults)),
+        "verdicts": [each.model_dump(mode="json") | {"remedy": each.remedy} for each in verdicts],
+    }
+
+
+def _show(verdicts: list[Verdict]) -> None:
+    table = Table(box=None, pad_edge=False)
+    for column in ("line", "verdict", "figures and remedy"):
+        table.add_column(column, overflow="fold")
+    for each in verdicts:
+        faults = f" [{', '.join(each.faults)}] {each.remedy}" if each.faults else ""
+        text = each.text + faults
+        table.add_row(each.line, f"[{_STYLES[each.level]}]{each.level}[/]", text.replace("[", r"\["))
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+def new_command(template: str, name: str, *, out: Path) -> int:
+    """Write a driver's package; return the exit code."""
+    try:
+        folder = scaffold(template, name, out)
+    except ScaffoldError as error:
+        return _refuse(error)
+    except OSError as error:
+        print(f"rpod driver new: {error}", file=sys.stderr)
+        return EXIT_FAILURE
+    print(
+        f"{folder}: next, pip install -e {folder} and python -m pytest {folder}; then read {folder}/README.md"
+    )
+    return EXIT_OK
+
+
+def faults_command(*, as_json: bool) -> int:
+    """Print the catalogue of faults."""
+    if as_json:
+        print(json.dumps([asdict(fault) for fault in FAULTS], indent=2))
+        return EXIT_OK
+    table = Table(box=None, pad_edge=False)
+    for column in ("fault", "line", "cause"):
+        table.add_column(column, overflow="fold")
+    for fault in FAULTS:
+        table.add_row(fault.name, fault.line, fault.cause)
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    return EXIT_OK
+
+
+def _refuse(error: object) -> int:
+    print(f"rpod: {error}", file=sys.stderr)
+    return EXIT_USAGE

@@ -1,0 +1,92 @@
+"""The verbs for drivers: run one, check a live sensor, write a new driver, list drivers and faults."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+driver_verbs = typer.Typer(
+    name="driver",
+    help="Run the driver of a sensor, check a live sensor, write a new driver.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@driver_verbs.command("list")
+def list_drivers(
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+) -> None:
+    """List the drivers for 'rpod driver run', and how each was tested."""
+    from rpod.command_driver import list_command
+
+    raise typer.Exit(list_command(as_json=as_json))
+
+
+@driver_verbs.command()
+def run(
+    name: Annotated[str, typer.Argument(help="Name of the driver; see 'rpod driver list'.")],
+    config: Annotated[Path, typer.Argument(help="Configuration of driver and device: YAML, TOML or JSON.")],
+    connect: Annotated[str | None, typer.Option("--connect", help="Zenoh endpoint of the router.")] = None,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")] = False,
+) -> None:
+    """Publish the frames of a sensor: connect to its device, report its health, connect again."""
+    from rpod.command_driver import run_command
+
+    raise typer.Exit(run_command(name, config, connect=connect, wait=wait))
+
+
+@driver_verbs.command()
+def check(
+    name: Annotated[str, typer.Argument(help="Name of the sensor: the first part of its topics.")] = "pmd",
+    kind: Annotated[
+        str | None, typer.Option("--kind", help="Kind of the sensor; by default pmd, or lidar for that name.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="Configuration of the driver, for name, kind and bus.")
+    ] = None,
+    source: Annotated[
+        Path | None, typer.Option("--source", help="How a foreign driver publishes; see deploy/sensors.")
+    ] = None,
+    connect: Annotated[str | None, typer.Option("--connect", help="Zenoh endpoint of the router.")] = None,
+    duration: Annotated[float, typer.Option("--duration", help="Time to watch, s.")] = 30.0,
+    rate: Annotated[float | None, typer.Option("--rate", help="Nominal rate of the sensor, Hz.")] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            "--target", help="Target in view, to compare with truth: instant, range, mount, mirror."
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+) -> None:
+    """Watch a live sensor and say what is wrong: exit 0 if nothing is, 1 if a line fails."""
+    from rpod.command_driver_check import CheckOptions, check_command
+
+    options = CheckOptions(
+        name, kind, config=config, source=source, connect=connect, rate_hz=rate, target=target
+    )
+    raise typer.Exit(check_command(options, duration_s=duration, as_json=as_json))
+
+
+@driver_verbs.command()
+def new(
+    template: Annotated[str, typer.Argument(help="Template: ifm, ros or custom.")],
+    name: Annotated[str, typer.Argument(help="Name of the package, as my_camera.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder in which the package's folder is made.")
+    ] = Path(),
+) -> None:
+    """Write the package of a driver: driver, configuration, tests and systemd unit, which run at once."""
+    from rpod.command_driver_check import new_command
+
+    raise typer.Exit(new_command(template, name, out=out))
+
+
+@driver_verbs.command()
+def faults(
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list only.")] = False,
+) -> None:
+    """List the faults that the check knows, and that scenarios and queries may ask for."""
+    from rpod.command_driver_check import faults_command
+
+    raise typer.Exit(faults_command(as_json=as_json))

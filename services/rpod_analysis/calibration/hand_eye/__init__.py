@@ -1,0 +1,1 @@
+"""Hand-eye calibration: mount, holder and clock of a sensor, from its poses of a target and the truth."""

@@ -1,0 +1,48 @@
+"""Configuration of the driver of GenICam cameras."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from rpod_driver.stamps import StampConfig
+from rpod_schemas.config.base import Config, Positive, read_document
+from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.types import Camera
+
+
+def _read(value: Any) -> Any:
+    return read_document(Path(value)) if isinstance(value, str | Path) else value
+
+
+class GenicamDevice(Config):
+    """The camera."""
+
+    producer: Path
+    """GenTL producer of the camera's maker, a .cti file."""
+    select: dict[str, str] = Field(default_factory=dict)
+    """Which of the producer's cameras, as ``serial_number: "1234"`` (also ``id_``, ``model``, ``vendor``,
+    ``user_defined_name``); needed where it finds several."""
+    settings: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    """Features of the camera by name, written in this order at each connection: a camera forgets with its
+    power what was not saved in it."""
+    trigger: Literal["none", "software", "hardware"] = "none"
+    """Start of each frame: by itself, by the driver at ``trigger_rate_hz``, or by ``trigger_line``."""
+    trigger_rate_hz: Positive = 10.0
+    """Rate of software triggers, Hz."""
+    trigger_line: str = "Line0"
+    """Input of hardware triggers, a value of TriggerSource."""
+    calibration: Annotated[Camera, BeforeValidator(_read)] | None = None
+    """Lens, inline or as the path of a file; else the camera's Scan3dFocalLength and
+    Scan3dPrincipalPoint are used."""
+    stamps: StampConfig = StampConfig()
+    """How the stamps of the camera become UTC."""
+
+
+class GenicamConfig(DriverConfig):
+    """Configuration of the driver ``genicam``."""
+
+    kind: str = Field(default="pmd", pattern="^pmd$")
+    """Kind of the sensor."""
+    device: GenicamDevice
+    """The camera."""

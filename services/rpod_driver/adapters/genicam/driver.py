@@ -1,0 +1,153 @@
+"""The driver of GenICam cameras."""
+
+import logging
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from rpod_driver.adapters.genicam.config import GenicamConfig, GenicamDevice
+from rpod_driver.adapters.genicam.depth import Scan3d, amplitude_of, confident, depth_of
+from rpod_driver.adapters.genicam.features import execute, write
+from rpod_driver.errors import DriverError
+from rpod_driver.registered import sdk
+from rpod_driver.stamps import StampMapper
+from rpod_schemas.types import PmdFrame, SensorSync
+
+log = logging.getLogger(__name__)
+
+_WAIT_S = 0.5
+"""Longest wait for a buffer, s: without one harvesters waits for ever (harvesters#354)."""
+
+
+def open_driver(config: GenicamConfig) -> "GenicamCamera":
+    """Return the driver. Raises ``MissingSdkError``."""
+    needs = "pip install 'rpod[genicam]'"
+    return GenicamCamera(config, sdk("harvesters.core", driver="genicam", needs=needs))
+
+
+class GenicamCamera:
+    """A camera with depth."""
+
+    def __init__(self, config: GenicamConfig, module: Any) -> None:
+        self._name, self._device, self._module = config.name, config.device, module
+        self._harvester: Any = None
+        self._acquirer: Any = None
+        self._missed = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._stamps = StampMapper(self._name, self._device.stamps)
+        self._told: set[str] = set()
+
+    def connect(self) -> None:
+        """Open the camera, write its settings, and start it. Raises ``DriverError``."""
+        self._begin()
+        device = self._device
+        if not device.producer.is_file():
+            raise DriverError(f"device.producer is {device.producer}, which is no file; install the producer")
+        self._harvester = self._module.Harvester()
+        try:
+            self._harvester.add_file(str(device.producer))
+            self._harvester.update()
+            self._acquirer = self._harvester.create(self._selected(self._harvester.device_info_list))
+            self._nodes = self._acquirer.remote_device.node_map
+            for name, value in device.settings.items():
+                write(self._nodes, name, value)
+            self._set_trigger(device)
+            self._acquirer.start()
+            self._scan = Scan3d(self._nodes, device.calibration)
+        except BaseException:
+            self.close()
+            raise
+
+    def frames(self) -> Iterator[PmdFrame | None]:
+        """Yield frames as they come. A frame that is not whole is left out and told."""
+        software = self._device.trigger == "software"
+        while True:
+            started_s = time.monotonic()
+            if software:
+                self.trigger()
+            buffer = self._acquirer.try_fetch(timeout=_WAIT_S)
+            if buffer is None:
+                self._missed += self._device.trigger != "none"
+                yield None
+                continue
+            try:
+                frame = self._frame(buffer)
+            finally:
+                buffer.queue()
+            yield frame
+            if software:
+                time.sleep(max(0.0, started_s + 1.0 / self._device.trigger_rate_hz - time.monotonic()))
+
+    def trigger(self) -> None:
+        """Ask for one frame by software. Raises ``FeatureError``."""
+        execute(self._nodes, "TriggerSoftware")
+
+    def close(self) -> None:
+        """Stop and release the camera and its producer."""
+        acquirer, self._acquirer = self._acquirer, None
+        harvester, self._harvester = self._harvester, None
+        try:
+            if acquirer is not None:
+                acquirer.stop()
+                acquirer.destroy()
+        finally:
+            if harvester is not None:
+                harvester.reset()
+
+    def sync(self) -> SensorSync:
+        """Return how frames are triggered and stamped."""
+        told = {"trigger": self._device.trigger, "stamp_source": self._stamps.source}
+        missed = {"trigger_missed": self._missed} if self._device.trigger != "none" else {}
+        return SensorSync.model_validate(told | missed)
+
+    def _selected(self, found: Any) -> Any:
+        if not found:
+            raise DriverError(f"{self._device.producer} finds no camera; check its network and power")
+        if len(found) > 1 and not self._device.select:
+            known = "; ".join(f"{each.model} {each.serial_number}" for each in found)
+            raise DriverError(f"{self._device.producer} finds several cameras ({known}); set device.select")
+        return self._device.select or 0
+
+    def _set_trigger(self, device: GenicamDevice) -> None:
+        if device.trigger == "none":
+            return
+        source = "Software" if device.trigger == "software" else device.trigger_line
+        wanted = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": source}
+        for name, value in wanted.items():
+            write(self._nodes, name, value)
+
+    def _frame(self, buffer: Any) -> PmdFrame:
+        components = list(buffer.payload.components)
+        depth_m = depth_of(components, self._scan)
+        height, width = depth_m.shape
+        amplitude = amplitude_of(components)
+        if amplitude is None:
+            formats = ", ".join(each.data_format for each in components)
+            self._tell(f"no grey image among {formats}: frames have no amplitude")
+        elif amplitude.shape != depth_m.shape:
+            self._tell(f"the intensity is {amplitude.shape}, the depth {depth_m.shape}: it is left out")
+            amplitude = None
+        return PmdFrame(
+            stamp_ns=self._stamps.utc_ns(_stamp_ns(buffer)),
+            frame_id="",
+            depth_m=np.where(confident(components, depth_m.shape), depth_m, np.float32(np.nan)),
+            amplitude=amplitude,
+            camera=self._scan.camera(width, height),
+        )
+
+    def _tell(self, text: str) -> None:
+        if text not in self._told:
+            self._told.add(text)
+            log.warning("%s: %s", self._name, text)
+
+
+def _stamp_ns(buffer: Any) -> int | None:
+    """Return a buffer's stamp by the camera's clock, ns; None if the producer gives none."""
+    try:
+        return int(buffer.timestamp_ns)
+    except Exception:  # noqa: BLE001 - not available: an exception of compiled code without a common base
+        return None

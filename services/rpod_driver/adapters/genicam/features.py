@@ -1,0 +1,48 @@
+"""Features of a GenICam camera by the names of the Standard Features Naming Convention (SFNC 2.7)."""
+
+from typing import Any
+
+from rpod_driver.errors import DriverError
+
+
+class FeatureError(DriverError):
+    """A feature of a camera is missing, or does not take a value."""
+
+
+def write(nodes: Any, name: str, value: Any) -> None:
+    """Write a feature. Raises ``FeatureError``."""
+    if not nodes.has_node(name):
+        raise FeatureError(f"the camera has no feature {name!r}; look its name up in the camera's manual")
+    try:
+        getattr(nodes, name).value = value
+    except Exception as error:  # genicam raises classes of compiled code without a common base
+        limits = _limits(getattr(nodes, name))
+        raise FeatureError(f"the camera refuses {name} = {value!r}{limits}: {_first_line(error)}") from error
+
+
+def execute(nodes: Any, name: str) -> None:
+    """Execute a command. Raises ``FeatureError``."""
+    if not nodes.has_node(name):
+        raise FeatureError(f"the camera has no command {name!r}; it cannot be triggered by software")
+    getattr(nodes, name).execute()
+
+
+def read(nodes: Any, name: str) -> Any:
+    """Return a feature's value, None if the camera has none, or none now."""
+    try:
+        return getattr(nodes, name).value if nodes.has_node(name) else None
+    except Exception:  # noqa: BLE001 - a feature that is not available now raises a class of compiled code
+        return None
+
+
+def _limits(node: Any) -> str:
+    try:
+        if hasattr(node, "symbolics"):
+            return f", it takes {', '.join(map(str, node.symbolics))}"
+        return f", it takes {node.min:g} to {node.max:g}"
+    except Exception:  # noqa: BLE001 - limits of a feature that is not available
+        return ""
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]

@@ -1,0 +1,157 @@
+"""Frames of an ifm O3R from its images, recorded or live."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_driver.adapters.ifm.chunks import (
+    AMPLITUDE,
+    CONFIDENCE,
+    DISTANCE_NOISE,
+    RADIAL_DISTANCE,
+    TOF_INFO,
+    Chunk,
+)
+from rpod_driver.adapters.ifm.tof_info import TofInfo, TofInfoError, read_tof_info
+from rpod_driver.errors import RecordingError
+from rpod_geometry.lens import ray_cosines
+from rpod_schemas.types import Camera, Float32Array, PmdFrame
+
+_INVALID = 1
+"""Bit of a pixel's confidence: it is not valid (ifm documentation, confidenceImage.md)."""
+
+
+@dataclass(frozen=True)
+class IfmImages:
+    """The images of one frame, in metres and in the device's units, each of shape (height, width)."""
+
+    stamp_ns: int
+    """Stamp by the device's clock, ns; the middle of its exposures where it tells them."""
+    range_m: Float32Array
+    """Radial distance, m; 0 where there is none."""
+    sigma_m: Float32Array | None
+    """Standard deviation of the radial distance, m."""
+    amplitude: Float32Array | None
+    """Amplitude, normalised over the exposure times; negative where there is none."""
+    confidence: NDArray[Any] | None
+    """Bits that tell why a pixel is not valid."""
+    tof_info: TofInfo | None
+    problem: str = ""
+    """Why there is no ``tof_info``."""
+
+
+def images_of(chunks: dict[int, Chunk]) -> IfmImages:
+    """Return the images of a recorded buffer (o3r_uncompress_di.cpp tells the units).
+
+    Raises:
+        RecordingError: there is no radial distance, or no resolution for it.
+    """
+    if RADIAL_DISTANCE not in chunks:
+        told = ", ".join(str(kind) for kind in sorted(chunks)) or "none"
+        raise RecordingError("buffer", f"no image {RADIAL_DISTANCE} (radial distance), it holds {told}")
+    distance = chunks[RADIAL_DISTANCE]
+    info, problem = tof_info_of(chunks[TOF_INFO].data if TOF_INFO in chunks else b"")
+    metres = distance.metadata.get("DistanceResolution", info and info.distance_resolution_m)
+    if not metres:
+        raise RecordingError("buffer", "neither metadata nor TOF_INFO tell the resolution of the distance")
+    noise = _scaled(chunks.get(DISTANCE_NOISE), metres)
+    confidence = chunks[CONFIDENCE].image() if CONFIDENCE in chunks else None
+    return IfmImages(
+        stamp_ns=middle_ns(info, distance.stamp_ns),
+        range_m=(distance.image() * metres).astype(np.float32),
+        sigma_m=noise,
+        amplitude=_amplitude(chunks.get(AMPLITUDE), info),
+        confidence=confidence,
+        tof_info=info,
+        problem=problem,
+    )
+
+
+def tof_info_of(data: bytes) -> tuple[TofInfo | None, str]:
+    """Return what TOF_INFO tells, or None and why it cannot be used."""
+    if not data:
+        return None, "the frame has no TOF_INFO; give the lens as device.calibration"
+    try:
+        return read_tof_info(data), ""
+    except TofInfoError as error:
+        return None, str(error)
+
+
+def middle_ns(info: TofInfo | None, stamp_ns: int) -> int:
+    """Return the middle of a frame's exposures by the device's clock, ns; its stamp where it tells none."""
+    exposures = info.exposures_ns if info else ()
+    return (min(exposures) + max(exposures)) // 2 if exposures else stamp_ns
+
+
+def _scaled(chunk: Chunk | None, resolution: float) -> Float32Array | None:
+    return None if chunk is None else (chunk.image() * resolution).astype(np.float32)
+
+
+def _amplitude(chunk: Chunk | None, info: TofInfo | None) -> Float32Array | None:
+    """Return amplitudes of their roots: (count - 1) squared times the resolution, -1 where there is none."""
+    if chunk is None:
+        return None
+    resolution = chunk.metadata.get("AmplitudeResolution", info and info.amplitude_resolution)
+    if not resolution:
+        raise RecordingError("buffer", "neither metadata nor TOF_INFO tell the resolution of the amplitude")
+    root = chunk.image().astype(np.float64) - 1.0
+    return np.where(root >= 0.0, root * root * resolution, -1.0).astype(np.float32)
+
+
+class FrameMaker:
+    """Makes frames of images: z-depth, validity and noise, with the lens found once."""
+
+    def __init__(self, calibration: Camera | None) -> None:
+        self._calibration = calibration
+        self._lens: tuple[object, Camera, Float32Array] | None = None
+
+    def frame(self, images: IfmImages, stamp_ns: int) -> PmdFrame:
+        """Return a frame.
+
+        Distances are radial; z-depth is what their rays have along the boresight, and their noise likewise.
+        Pixels that the confidence refuses have neither.
+
+        Raises:
+            TofInfoError: the lens is not known, or not for this size.
+        """
+        camera, cosines = self._lens_of(images)
+        valid = images.range_m > 0.0
+        if images.confidence is not None:
+            valid &= (images.confidence & _INVALID) == 0
+        nan = np.float32(np.nan)
+        sigma_m = images.sigma_m
+        return PmdFrame(
+            stamp_ns=stamp_ns,
+            frame_id="",
+            depth_m=np.where(valid, images.range_m * cosines, nan),
+            amplitude=images.amplitude,
+            camera=camera,
+            depth_sigma_m=None if sigma_m is None else np.where(valid, sigma_m * cosines, nan),
+        )
+
+    def _lens_of(self, images: IfmImages) -> tuple[Camera, Float32Array]:
+        height, width = images.range_m.shape
+        info = images.tof_info
+        known = (info and info.intrinsic, images.range_m.shape)
+        if self._lens is None or self._lens[0] != known:
+            camera, cosines = self._found(info, images.problem, (height, width))
+            self._lens = known, camera, cosines.astype(np.float32)
+        return self._lens[1:]
+
+    def _found(
+        self, info: TofInfo | None, problem: str, size: tuple[int, int]
+    ) -> tuple[Camera, NDArray[np.float64]]:
+        height, width = size
+        given = self._calibration
+        if given is not None:
+            if (given.height, given.width) != size:
+                raise TofInfoError(
+                    f"device.calibration is for {given.width} x {given.height} pixels, the head sends "
+                    f"{width} x {height}; calibrate it in this mode"
+                )
+            return given, ray_cosines(given)
+        if info is None:
+            raise TofInfoError(problem)
+        return info.camera(width, height), info.cosines(width, height)

@@ -1,0 +1,138 @@
+"""The driver of RealSense cameras."""
+
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+import numpy as np
+
+from rpod_driver.adapters.realsense import RealsenseConfig, RealsenseDevice
+from rpod_driver.errors import DriverError
+from rpod_driver.registered import sdk
+from rpod_driver.stamps import StampMapper
+from rpod_schemas.types import Camera, PmdFrame, SensorSync
+
+_WAIT_MS = 500
+_UNDISTORTED = ("none", "brown_conrady", "inverse_brown_conrady")
+"""Distortion models of depth streams; their coefficients are all 0, since depth images are rectified."""
+
+
+class Stream(Protocol):
+    """Where sets of frames come from: a pipeline, or the syncer of a software device."""
+
+    def try_wait_for_frames(self, timeout_ms: int) -> tuple[bool, Any]:
+        """Return whether a set came in time, and the set."""
+        ...
+
+
+def open_driver(config: RealsenseConfig) -> "RealsenseCamera":
+    """Return the driver. Raises ``MissingSdkError``."""
+    needs = "pip install 'rpod[realsense]'"
+    return RealsenseCamera(config, sdk("pyrealsense2", driver="realsense", needs=needs))
+
+
+class RealsenseCamera:
+    """A camera whose depth is stereo's or a time of flight's; pixels with 0 have none."""
+
+    def __init__(self, config: RealsenseConfig, module: Any) -> None:
+        self._name, self._device, self._module = config.name, config.device, module
+        self._pipeline: Any = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self._stamps = StampMapper(self._name, self._device.stamps)
+
+    def connect(self) -> None:
+        """Start the streams, and write the options. Raises ``DriverError``, or what the SDK raises."""
+        self._begin()
+        rs, device = self._module, self._device
+        if not list(rs.context().query_devices()):  # the pipeline would wait for one for 15 s
+            raise DriverError("no RealSense camera is connected; check its USB cable and its udev rules")
+        config = rs.config()
+        if device.serial:
+            config.enable_device(device.serial)
+        size = (device.width, device.height)
+        config.enable_stream(rs.stream.depth, *size, rs.format.z16, device.rate_hz)
+        if device.infrared:
+            config.enable_stream(rs.stream.infrared, 1, *size, rs.format.y8, device.rate_hz)
+        pipeline = rs.pipeline()
+        profile = pipeline.start(config)
+        self._pipeline = pipeline
+        try:
+            _apply(rs, profile.get_device().first_depth_sensor(), device)
+        except BaseException:
+            self.close()
+            raise
+
+    def frames(self) -> Iterator[PmdFrame | None]:
+        """Yield frames as they come."""
+        yield from self.read(self._pipeline)
+
+    def read(self, stream: Stream) -> Iterator[PmdFrame | None]:
+        """Yield the frames of a stream, None where none comes in half a second."""
+        while True:
+            came, frames = stream.try_wait_for_frames(_WAIT_MS)
+            depth = frames.get_depth_frame() if came else None
+            yield self._frame(depth, frames) if depth else None
+
+    def close(self) -> None:
+        """Stop the streams."""
+        if self._pipeline is not None:
+            self._pipeline.stop()
+            self._pipeline = None
+
+    def sync(self) -> SensorSync:
+        """Return where the stamps come from."""
+        return self._stamps.sync
+
+    def _middle_ns(self, depth: Any) -> int:
+        """Return the middle of the exposure; the stamp is of the readout's begin, the metadata tell both."""
+        values = self._module.frame_metadata_value
+        both = (values.frame_timestamp, values.sensor_timestamp)
+        stamp_ns = round(float(depth.timestamp) * 1e6)
+        if not all(map(depth.supports_frame_metadata, both)):
+            return stamp_ns
+        read_us, middle_us = (int(depth.get_frame_metadata(each)) for each in both)
+        return stamp_ns - (read_us - middle_us) * 1000
+
+    def _frame(self, depth: Any, frames: Any) -> PmdFrame:
+        counts = np.asarray(depth.get_data())
+        metres = counts * np.float32(depth.get_units())
+        infrared = frames.get_infrared_frame() if self._device.infrared else None
+        return PmdFrame(
+            stamp_ns=self._stamps.utc_ns(self._middle_ns(depth)),
+            frame_id="",
+            depth_m=np.where(counts > 0, metres, np.float32(np.nan)).astype(np.float32),
+            amplitude=np.array(infrared.get_data()) if infrared else None,
+            camera=camera_of(depth.profile.as_video_stream_profile().intrinsics),
+        )
+
+
+def camera_of(intrinsics: Any) -> Camera:
+    """Return the lens of a depth stream. Raises ``DriverError`` if it is distorted."""
+    model = str(intrinsics.model).rpartition(".")[2]
+    if any(intrinsics.coeffs) or model not in _UNDISTORTED:
+        raise DriverError(
+            f"the depth stream has lens {model} with coefficients {list(intrinsics.coeffs)}, a rectified "
+            "one is needed; take another profile"
+        )
+    return Camera(
+        width=intrinsics.width,
+        height=intrinsics.height,
+        fx=intrinsics.fx,
+        fy=intrinsics.fy,
+        cx=intrinsics.ppx,
+        cy=intrinsics.ppy,
+    )
+
+
+def _apply(rs: Any, sensor: Any, device: RealsenseDevice) -> None:
+    for name, value in device.options.items():
+        option = getattr(rs.option, name, None)
+        if option is None or not sensor.supports(option):
+            raise DriverError(f"device.options: the camera has no option {name!r}; correct its name")
+        limits = sensor.get_option_range(option)
+        if not limits.min <= value <= limits.max:
+            raise DriverError(
+                f"device.options: {name} is {value:g}, the camera takes {limits.min:g} to {limits.max:g}"
+            )
+        sensor.set_option(option, value)

@@ -1,0 +1,63 @@
+"""The driver that plays recordings at their pace, as if their frames were taken now."""
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from rpod_driver.adapters.replay.bag import Bag
+from rpod_driver.adapters.replay.config import ReplayConfig
+from rpod_driver.adapters.replay.images import ImageFolder
+from rpod_schemas.types import SensorFrame, SensorSync
+
+_NANOSECONDS = 1_000_000_000
+_POLL_S = 0.5
+
+
+def open_driver(config: ReplayConfig) -> "PlayedSensor":
+    """Return the driver. Raises ``RecordingError``."""
+    device = config.device
+    if device.images is not None:
+        return PlayedSensor(config, ImageFolder(device.images))
+    assert device.bag is not None  # noqa: S101 - the configuration has one of both
+    return PlayedSensor(config, Bag(config, device.bag))
+
+
+class PlayedSensor:
+    """A sensor whose frames stand in a recording. The time between them is kept, over the speed."""
+
+    def __init__(self, config: ReplayConfig, recording: Bag | ImageFolder) -> None:
+        self._recording, self._device = recording, config.device
+
+    def connect(self) -> Any:
+        """Return the recorded info, None if there is none."""
+        return self._recording.info()
+
+    def frames(self) -> Iterator[SensorFrame | None]:
+        """Yield the frames, stamped as if taken now; None while the next one is not due."""
+        begin_ns = time.time_ns()
+        for _ in range(self._device.repeat):
+            first_ns = last_ns = step_ns = None
+            for frame in self._recording.frames():
+                first_ns = frame.stamp_ns if first_ns is None else first_ns
+                step_ns = frame.stamp_ns - last_ns if last_ns is not None else step_ns
+                last_ns = frame.stamp_ns
+                due_ns = begin_ns + round((frame.stamp_ns - first_ns) / self._device.speed)
+                yield from _until(due_ns)
+                yield frame.model_copy(update={"stamp_ns": due_ns})
+            if first_ns is not None and last_ns is not None:
+                length_ns = last_ns - first_ns + (step_ns or _NANOSECONDS)
+                begin_ns += round(length_ns / self._device.speed)
+
+    def close(self) -> None:
+        """Do nothing: the file is closed after each pass."""
+
+    def sync(self) -> SensorSync:
+        """Return that stamps are the recording's, moved to now."""
+        return SensorSync(stamp_source="mapped")
+
+
+def _until(due_ns: int) -> Iterator[None]:
+    while (left_s := (due_ns - time.time_ns()) / _NANOSECONDS) > 0:
+        time.sleep(min(left_s, _POLL_S))
+        if left_s > _POLL_S:
+            yield None

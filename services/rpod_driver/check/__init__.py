@@ -1,0 +1,11 @@
+"""Whether a live sensor keeps to the interface control document, judged from what came of it.
+
+``Observer`` takes messages and keeps little of each; ``judge`` is a pure function of what it kept. So the
+same judgement holds for a sensor on the bus, a recording, and a driver in a test.
+"""
+
+from rpod_driver.check.judge import judge
+from rpod_driver.check.observations import Observations, Observer, Options
+from rpod_driver.check.verdict import Level, Verdict
+
+__all__ = ["Level", "Observations", "Observer", "Options", "Verdict", "judge"]

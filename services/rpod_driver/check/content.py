@@ -1,0 +1,248 @@
+"""Lines about content: what images and points hold."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_driver.check.observations import Kept, Observations, middle_m
+from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
+from rpod_runtime.scan_grid import angles_of
+from rpod_schemas.errors import Reason
+from rpod_schemas.types import PmdFrame, PmdInfo
+
+_LIGHT_M_S = 299_792_458.0
+_CAMERA_M, _LIDAR_M = 100.0, 1000.0
+"""Distance beyond which no flash camera and no scanner of a facility sees a target."""
+_NEAR_M = 0.01
+_WRAPS = 10.0
+"""Number of unambiguous ranges that several modulation frequencies may extend."""
+_SATURATED_SHARE = 0.1
+"""Share of the lit pixels that may be saturated: a glint, not an exposure."""
+_IMAGE_BINS, _SCAN_BINS, _LEAST_POINTS = 24, 12, 4
+"""Number of blocks along each side of an image, and of a scan; number of returns of a full block."""
+_FLICKER_SHARE = 0.2
+"""Share of the full blocks of a frame that may be empty in the next one: a moving target uncovers edges."""
+_ROWS_SHARE = 0.15
+_CUT_SHARE = 0.04
+"""Share of cut frames that is no fault yet: single lost packets, which a track does not notice."""
+_EMPTY = (Reason.NOT_FINITE, Reason.EMPTY)
+
+
+def content(seen: Observations) -> Verdict:
+    """Judge whether the frames can be read."""
+    line = "content"
+    if not seen.frames:
+        return unchecked(line, "no frame is complete")
+    refused = [(reason, text) for reason, text in seen.refused if reason not in _EMPTY]
+    if refused:
+        reason, text = Counter(refused).most_common(1)[0][0]
+        names = {Reason.WRONG_SIZE: "wrong_size", Reason.WRONG_TYPE: "wrong_encoding"}
+        faults = [names[reason]] if reason in names else []
+        return fail(line, f"{len(refused)} frames cannot be read: {text}", *faults)
+    return ok(line, f"{len(seen.kept)} of {seen.frames} frames read")
+
+
+def frozen(seen: Observations) -> Verdict:
+    """Judge whether content comes again under another stamp: noise never repeats to the bit."""
+    line = "frozen"
+    blank = not any(each.frame.returns_m.size or _has_depth(each) for each in seen.kept)
+    if len(seen.leads) < 2 or blank:
+        return unchecked(line, "fewer than two frames with returns came")
+    stamps_ns: dict[bytes, set[int]] = {}
+    for heard in seen.leads:
+        stamps_ns.setdefault(heard.digest, set()).add(heard.stamp_ns)
+    again = sum(len(stamps) - 1 for stamps in stamps_ns.values())
+    text = f"{again} of {len(seen.leads)} frames hold what another one held to the bit"
+    return fail(line, text, "frozen", repeated_share=again / len(seen.leads)) if again else ok(line, text)
+
+
+def _has_depth(kept: Kept) -> bool:
+    depth_m = getattr(kept.frame, "depth_m", None)
+    return depth_m is not None and bool(np.isfinite(depth_m).any())
+
+
+def _pairs(seen: Observations) -> Iterator[tuple[Kept, Kept]]:
+    """Yield successive frames, both ways."""
+    for earlier, later in pairwise(seen.kept):
+        if later.number == earlier.number + 1:
+            yield earlier, later
+            yield later, earlier
+
+
+def returns(seen: Observations) -> Verdict:
+    """Judge whether there are returns, and whether whole blocks of them come and go."""
+    line = "returns"
+    empty = sum(reason in _EMPTY for reason, _ in seen.refused)
+    filled = [kept for kept in seen.kept if kept.frame.returns_m.size or _has_depth(kept)]
+    frames = len(seen.kept) + empty
+    if not frames:
+        return unchecked(line, "no frame could be read")
+    if len(filled) < 0.5 * frames:
+        return fail(line, f"{frames - len(filled)} of {frames} frames have no return", "blackout")
+    flickers = [found for pair in _pairs(seen) if (found := _flicker(*pair)) is not None]
+    shares = [share for share, _ in flickers]
+    if shares and float(np.median(shares)) > _FLICKER_SHARE:
+        dark = float(np.median([part for _, part in flickers]))
+        faults = ("dropout", "glints") if np.isnan(dark) else ("glints",) if dark > 0.5 else ("dropout",)
+        text = f"{100 * np.median(shares):.0f} % of the blocks with returns have none in the next frame"
+        return fail(line, text, *faults, flicker_share=float(np.median(shares)))
+    share = np.median([_filled_share(kept) for kept in filled])
+    text = f"{100 * share:.0f} % of pixels or rays have a return"
+    return ok(line, text, valid_share=float(share))
+
+
+def _filled_share(kept: Kept) -> float:
+    depth_m = getattr(kept.frame, "depth_m", None)
+    if depth_m is not None:
+        return float(np.isfinite(depth_m).mean())
+    return len(kept.frame.returns_m) / max(kept.raw.size // 3, 1)
+
+
+def _flicker(before: Kept, after: Kept) -> tuple[float, float] | None:
+    """Return the share of full blocks that are empty in the other frame, and how many of these are dark."""
+    first, second = getattr(before.frame, "depth_m", None), getattr(after.frame, "depth_m", None)
+    if first is not None and second is not None:
+        if first.shape != second.shape:
+            return None
+        full = _block_share(np.isfinite(first), _IMAGE_BINS) > 0.95
+        lost = full & (_block_share(np.isfinite(second), _IMAGE_BINS) < 0.05)
+        amplitude = getattr(after.frame, "amplitude", None)
+        dark = np.nan
+        if amplitude is not None and lost.any():
+            dark = float((_block_share(amplitude == 0, _IMAGE_BINS)[lost] > 0.95).mean())
+        return (float(lost.sum() / full.sum()), dark) if full.sum() >= 4 else None
+    if before.raw.ndim == 3 and before.raw.shape == after.raw.shape:
+        masks = [np.isfinite(kept.raw[..., 0]) & kept.raw.any(axis=-1) for kept in (before, after)]
+        full = _block_share(masks[0], _SCAN_BINS) > 0.8
+        lost = full & (_block_share(masks[1], _SCAN_BINS) < 0.05)
+        return (float(lost.sum() / full.sum()), np.nan) if full.sum() >= 4 else None
+    counts = _point_blocks(before.frame.returns_m, after.frame.returns_m)
+    if counts is None:
+        return None
+    full = counts[0] >= _LEAST_POINTS
+    return (float((full & (counts[1] == 0)).sum() / full.sum()), np.nan) if full.sum() >= 4 else None
+
+
+def _block_share(mask: NDArray[np.bool_], bins: int) -> NDArray[np.float64]:
+    """Return the share of each of the blocks of an image in which a mask is true."""
+    rows, columns = (np.arange(size) * bins // size for size in mask.shape)
+    place = (rows[:, None] * bins + columns[None, :]).ravel()
+    total = np.bincount(place, minlength=bins**2)
+    return np.bincount(place, mask.ravel(), minlength=bins**2) / np.maximum(total, 1)
+
+
+def _point_blocks(first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.intp] | None:
+    """Return the number of returns of two scans by blocks of direction, shape (2, blocks)."""
+    if not len(first):
+        return None
+    angles = [np.stack(angles_of(points)[:2]) for points in (first, second)]
+    low, high = angles[0].min(axis=1), angles[0].max(axis=1)
+    counts = []
+    for each in angles:
+        place = (_SCAN_BINS * (each - low[:, None]) / np.maximum(high - low, 1e-6)[:, None]).astype(np.intp)
+        inside = ((place >= 0) & (place <= _SCAN_BINS)).all(axis=0)
+        place = place[:, inside].clip(0, _SCAN_BINS - 1)
+        counts.append(np.bincount(place[0] * _SCAN_BINS + place[1], minlength=_SCAN_BINS**2))
+    return np.array(counts)
+
+
+def saturation(seen: Observations) -> Verdict:
+    """Judge how many of the lit pixels are saturated."""
+    line = "saturation"
+    shares = []
+    for kept in seen.kept:
+        amplitude = getattr(kept.frame, "amplitude", None)
+        if amplitude is None or not (lit := np.count_nonzero(amplitude > 0)):
+            continue
+        saturated = getattr(kept.frame, "saturated", None)
+        shares.append(0.0 if saturated is None else np.count_nonzero(saturated) / lit)
+    if not shares:
+        return unchecked(line, "no amplitude came")
+    share = float(np.median(shares))
+    text = f"{100 * share:.1f} % of the lit pixels"
+    if share > _SATURATED_SHARE:
+        return fail(line, text, "saturation", saturated_share=share)
+    return ok(line, text, saturated_share=share)
+
+
+def values(seen: Observations) -> Verdict:
+    """Judge whether pixels without depth are NaN, and no depth is negative."""
+    line = "values"
+    floats = [kept.raw for kept in seen.kept if kept.encoding == "32FC1"]
+    if not floats:
+        return unchecked(line, "no frame with depth in 32FC1 could be read")
+    zeros = float(np.median([np.mean(raw == 0.0) for raw in floats]))
+    below = float(np.median([np.mean(raw < 0.0) for raw in floats]))
+    if zeros or below:
+        text = f"{100 * zeros:.1f} % of the pixels are 0 and {100 * below:.1f} % negative"
+        return fail(line, text, "zeros_for_none", zero_share=zeros, negative_share=below)
+    return ok(line, "pixels without depth are NaN")
+
+
+def unit(seen: Observations) -> Verdict:
+    """Judge whether distances can be metres."""
+    line = "unit"
+    middles = [middle_m(kept.raw, kept.encoding) for kept in seen.kept] + seen.raw_middle_m
+    middles = [middle for middle in middles if np.isfinite(middle)]
+    if not middles:
+        return unchecked(line, "no frame with a return could be read")
+    middle = float(np.median(middles))
+    most_m, why = _LIDAR_M, "no scanner of a facility sees farther"
+    if seen.kind == "pmd":
+        most_m, why = _CAMERA_M, "no camera with a lamp sees farther"
+    if isinstance(seen.info, PmdInfo) and seen.info.modulation_frequency_hz.size:
+        unambiguous_m = _LIGHT_M_S / (2.0 * float(seen.info.modulation_frequency_hz.min()))
+        limit_m = unambiguous_m * (_WRAPS if seen.info.modulation_frequency_hz.size > 1 else 1.0)
+        if limit_m < most_m:
+            most_m, why = limit_m, "its modulation frequencies measure no farther"
+    text = f"median distance {middle:.3g} m"
+    if middle > most_m:
+        return fail(line, f"{text}, more than {most_m:.3g} m: {why}", "millimetres", median_m=middle)
+    if middle < _NEAR_M:
+        return fail(line, f"{text}, less than {_NEAR_M:g} m", "millimetres", median_m=middle)
+    return ok(line, text, median_m=middle)
+
+
+def partial(seen: Observations) -> Verdict:
+    """Judge whether frames or scans are cut."""
+    line = "partial"
+    if len(seen.kept) < 4:
+        return unchecked(line, f"{len(seen.kept)} frames could be read, 4 are needed")
+    if isinstance(seen.kept[0].frame, PmdFrame):
+        cut: Sequence[float] = [_cut_share(*pair) for pair in _pairs(seen)]
+        cut_frames = sum(share > _ROWS_SHARE for share in cut)
+    else:
+        organised = [kept for kept in seen.kept if kept.raw.ndim == 3]
+        if not organised:
+            return unchecked(line, "scans have no rows and columns, and as many points as returns")
+        sizes = [kept.raw.size for kept in organised]
+        cut = sizes
+        cut_frames = sum(size < 0.95 * max(sizes) for size in sizes)
+    text = f"{cut_frames} of {len(cut)} frames are cut"
+    share = cut_frames / len(cut)
+    return fail(line, text, "partial", cut_share=share) if share > _CUT_SHARE else ok(line, text)
+
+
+def _cut_share(before: Kept, after: Kept) -> float:
+    """Return the share of a frame's live rows that are dead, to its border, in the next frame."""
+    alive, then = (_live_rows(kept) for kept in (before, after))
+    if alive.shape != then.shape or not then.any():
+        return 0.0
+    places = np.flatnonzero(then)
+    first, last = int(places[0]), int(places[-1])
+    beyond = np.ones(alive.shape, bool)
+    beyond[first : last + 1] = False
+    return float(np.count_nonzero(alive & beyond) / max(int(np.count_nonzero(alive)), 1))
+
+
+def _live_rows(kept: Kept) -> NDArray[np.bool_]:
+    depth_m, amplitude = getattr(kept.frame, "depth_m", None), getattr(kept.frame, "amplitude", None)
+    alive = np.isfinite(depth_m) & (depth_m != 0.0) if depth_m is not None else np.zeros((1, 1), bool)
+    if amplitude is not None:
+        alive = alive | (amplitude > 0)
+    rows: NDArray[np.bool_] = alive.sum(axis=1) >= 3
+    return rows

@@ -1,0 +1,126 @@
+"""Whether depth is along the boresight or along each ray, from a plane in view.
+
+A plane is flat under the right meaning and curved under the other one. The test compares how flat the largest
+plane is under both; where it is too small, or the lens too narrow, for the noise, it says nothing.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_driver.check.observations import Observations
+from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
+from rpod_geometry.errors import DistortionError
+from rpod_geometry.lens import ray_cosines, undistort
+from rpod_schemas.types import Camera, PmdFrame
+
+Points = NDArray[np.float64]
+_FRAMES, _PIXELS, _TRIALS = 6, 4000, 200
+_LEAST_SHARE = 0.1
+"""Share of a frame's pixels that make a plane."""
+_NOISES = 3.0
+"""Distance of a plane's points from it, over their noise."""
+_CONTRAST = 0.5
+"""Least curvature under the wrong meaning, over the noise, that is visible."""
+
+
+def depth_model(seen: Observations) -> Verdict:
+    """Judge whether depth is z-depth, on planes in view."""
+    line = "depth_model"
+    frames = [kept.frame for kept in seen.kept if isinstance(kept.frame, PmdFrame)]
+    if not frames:
+        return unchecked(line, "no frame with a depth image could be read")
+    few = frames[:: len(frames) // _FRAMES + 1]
+    found = [result for frame in few if (result := _flatness(frame)) is not None]
+    if 2 * len(found) < len(few) or not found:
+        return unchecked(line, "no plane wide enough for its noise is in view; show it a wall")
+    as_z, as_radial, contrast = np.median(np.array(found), axis=0)
+    figures = {"rms_z_m": float(as_z), "rms_radial_m": float(as_radial)}
+    text = (
+        f"the plane in view is flat to {1e3 * as_z:.1f} mm as z-depth, "
+        f"{1e3 * as_radial:.1f} mm as radial depth"
+    )
+    clear = abs(as_radial**2 - as_z**2) > (0.5 * contrast) ** 2
+    if not clear:
+        return unchecked(line, f"{text}: no clear difference; show it a wall", **figures)
+    return fail(line, text, "radial_depth", **figures) if as_z > as_radial else ok(line, text, **figures)
+
+
+def _flatness(frame: PmdFrame) -> tuple[float, float, float] | None:
+    """Return the deviation from the largest plane as z-depth, as radial depth, and how far they differ, m."""
+    try:
+        slopes, cosines = _rays(frame.camera)
+    except DistortionError:
+        return None
+    depth_m = frame.depth_m.astype(np.float64)
+    noise_m = _noise_m(depth_m)
+    valid = np.flatnonzero(np.isfinite(depth_m.ravel()) & (depth_m.ravel() > 0.0))
+    if valid.size < 500 or not np.isfinite(noise_m):
+        return None
+    some = valid[:: valid.size // _PIXELS + 1]
+    rays = slopes.reshape(3, -1)[:, some]
+    as_z = (rays * depth_m.ravel()[some]).T
+    as_radial = as_z * cosines.ravel()[some][:, None]
+    inside = np.zeros(len(some), bool)
+    for points in (as_z, as_radial):
+        inside |= _largest_plane(points, _NOISES * max(noise_m, 1e-3))
+    if np.count_nonzero(inside) < _LEAST_SHARE * len(some):
+        return None
+    flat_z, flat_radial = (_rms(points[inside]) for points in (as_z, as_radial))
+    better = as_z if flat_z < flat_radial else as_radial
+    factor = 1.0 / cosines.ravel()[some][inside] if better is as_radial else cosines.ravel()[some][inside]
+    plane = _projected(better[inside])
+    contrast = _rms(plane * factor[:, None])
+    return (flat_z, flat_radial, contrast) if contrast > _CONTRAST * noise_m else None
+
+
+def _rays(camera: Camera) -> tuple[Points, Points]:
+    """Return x/z, y/z, 1 of each pixel, shape (3, height, width), and its cosine to the boresight."""
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    distorted = np.stack(((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy))
+    x, y = undistort(distorted.astype(np.float64), camera)
+    return np.stack((x, y, np.ones_like(x))), ray_cosines(camera)
+
+
+def _noise_m(depth_m: Points) -> float:
+    """Return the noise of a depth image from its second differences along rows, m."""
+    second = depth_m[:, 2:] - 2.0 * depth_m[:, 1:-1] + depth_m[:, :-2]
+    second = second[np.isfinite(second)]
+    return float(1.4826 * np.median(np.abs(second)) / np.sqrt(6.0)) if second.size else float("nan")
+
+
+def _largest_plane(points_m: Points, within_m: float) -> NDArray[np.bool_]:
+    """Return which points are within a distance of the plane that holds most of them (RANSAC)."""
+    random = np.random.default_rng(0)
+    best = np.zeros(len(points_m), bool)
+    for chosen in random.integers(len(points_m), size=(_TRIALS, 3)):
+        first, second, third = points_m[chosen]
+        normal = np.cross(second - first, third - first)
+        length = float(np.linalg.norm(normal))
+        if length < 1e-9:
+            continue
+        inside = np.abs((points_m - first) @ (normal / length)) < within_m
+        if np.count_nonzero(inside) > np.count_nonzero(best):
+            best = inside
+    return best
+
+
+def _fit(points_m: Points) -> tuple[Points, Points]:
+    centre = points_m.mean(axis=0)
+    return centre, np.linalg.svd(points_m - centre, full_matrices=False)[2][2]
+
+
+def _rms(points_m: Points) -> float:
+    """Return the deviation of points from their plane, robust against a few that are of none, m."""
+    centre, normal = _fit(points_m)
+    off_m = np.abs((points_m - centre) @ normal)
+    centre, normal = _fit(points_m[off_m <= 3.0 * np.median(off_m) + 1e-12])
+    return float(1.4826 * np.median(np.abs((points_m - centre) @ normal)))
+
+
+def _projected(points_m: Points) -> Points:
+    """Return points on their plane, along their rays."""
+    centre, normal = _fit(points_m)
+    along = points_m @ normal
+    scale = np.where(np.abs(along) > 1e-9, (centre @ normal) / np.where(along == 0, 1.0, along), 1.0)
+    flat: Points = points_m * scale[:, None]
+    return flat

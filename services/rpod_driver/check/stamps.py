@@ -1,0 +1,116 @@
+"""Lines about stamps: order, jitter, offset and drift of the clock."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from rpod_driver.check.delivery import few
+from rpod_driver.check.observations import Observations
+from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
+from rpod_runtime.stamp_watch import TAI_S, clock_hint, is_boot_time, is_local_time
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.messages import NANOSECONDS
+
+_JITTER_S, _JITTER_SHARE = 1e-3, 0.02
+"""Greatest standard deviation of stamps: the ICD takes stamps 1 ms apart as those of one frame; and 2 % of a
+period, which the motor of a turning scanner keeps."""
+_DRIFT_PPM = 50.0
+"""Greatest drift that an undisciplined quartz has over temperature; a synchronised one has none."""
+_DRIFT_SIGMAS = 5.0
+_DRIFT_S = 8.0
+_TAI_WITHIN_S = 1.0
+
+
+def order(seen: Observations) -> Verdict:
+    """Judge whether stamps rise."""
+    line = "order"
+    if len(seen.leads) < 2:
+        return unchecked(line, f"{len(seen.leads)} frames came")
+    steps_ns = [later.stamp_ns - earlier.stamp_ns for earlier, later in pairwise(seen.leads)]
+    same, back = sum(step == 0 for step in steps_ns), sum(step < 0 for step in steps_ns)
+    text = f"{same} stamps repeated, {back} back, of {len(seen.leads)}"
+    faults = [*(["repeated_stamps"] if same else []), *(["reordered_stamps"] if back else [])]
+    return fail(line, text, *faults) if faults else ok(line, text)
+
+
+def jitter(seen: Observations) -> Verdict:
+    """Judge how even the stamps are, whatever frames are missing."""
+    line = "jitter"
+    if reason := few(seen):
+        return unchecked(line, reason)
+    period_s = seen.period_s
+    if not np.isfinite(period_s):
+        return unchecked(line, "stamps do not rise")
+    steps_s = np.diff([heard.stamp_ns for heard in seen.leads]) / NANOSECONDS
+    off_s = steps_s - period_s * np.round(steps_s / period_s)
+    sigma_s = float(1.4826 * np.median(np.abs(off_s - np.median(off_s))) / np.sqrt(2.0))
+    limit_s = max(_JITTER_S, _JITTER_SHARE * period_s)
+    text = f"{1e3 * sigma_s:.3f} ms about a period of {1e3 * period_s:.3f} ms, limit {1e3 * limit_s:.1f} ms"
+    if sigma_s > limit_s:
+        return fail(line, text, "stamp_jitter", jitter_s=sigma_s)
+    return ok(line, text, jitter_s=sigma_s)
+
+
+def clock(seen: Observations) -> Verdict:
+    """Judge the stamps against the time of arrival, within the limits of the estimator."""
+    line = "clock"
+    if not seen.leads:
+        return unchecked(line, "no frame came")
+    ages_s = np.array([heard.arrival_ns - heard.stamp_ns for heard in seen.leads]) / NANOSECONDS
+    least_s, middle_s = float(ages_s.min()), float(np.median(ages_s))
+    fields = EstimatorConfig.model_fields
+    late_s, ahead_s = fields["max_age_s"].default, fields["max_future_s"].default
+    figures = {"least_age_s": least_s, "median_age_s": middle_s}
+    if -ahead_s <= least_s and middle_s <= late_s:
+        text = (
+            f"frames arrive {1e3 * least_s:.1f} ms after their stamp at least, {1e3 * middle_s:.1f} ms mostly"
+        )
+        return ok(line, f"{text}: transport and offset of the clock together", **figures)
+    age_s = least_s if least_s < -ahead_s else middle_s
+    stamp_ns = seen.leads[-1].stamp_ns
+    where = f"{-age_s:.3f} s ahead of" if age_s < 0 else f"{age_s:.3f} s behind"
+    text = f"stamps are {where} this machine's clock; {clock_hint(-age_s, stamp_ns)}"
+    return fail(line, text, _name(-age_s, stamp_ns), **figures)
+
+
+def _name(ahead_s: float, stamp_ns: int) -> str:
+    if is_boot_time(ahead_s, stamp_ns):
+        return "boot_clock"
+    if abs(ahead_s - TAI_S) < _TAI_WITHIN_S:
+        return "tai_clock"
+    if is_local_time(ahead_s):
+        return "local_time"
+    return "clock_ahead" if ahead_s > 0 else "clock_behind"
+
+
+def drift(seen: Observations) -> Verdict:
+    """Judge whether the sensor's clock runs as fast as this machine's.
+
+    Delays only add. So the least difference between arrival and stamp in each stretch follows the clock.
+    """
+    line = "drift"
+    if reason := few(seen):
+        return unchecked(line, reason)
+    arrivals_s = np.array([heard.arrival_ns - seen.leads[0].arrival_ns for heard in seen.leads]) / NANOSECONDS
+    ages_s = np.array([heard.arrival_ns - heard.stamp_ns for heard in seen.leads]) / NANOSECONDS
+    ages_s -= ages_s[0]
+    stretch_s = max(1.0, 4.0 * seen.period_s)
+    bins = (arrivals_s / stretch_s).astype(np.intp)
+    least = np.array(
+        [np.flatnonzero(bins == each)[ages_s[bins == each].argmin()] for each in np.unique(bins)]
+    )
+    x_s, y_s = arrivals_s[least], ages_s[least]
+    if x_s[-1] - x_s[0] < _DRIFT_S or len(least) < 4:
+        return unchecked(line, f"watched for {arrivals_s[-1]:.0f} s; watch for longer")
+    slope, first = np.polyfit(x_s, y_s, 1)
+    scatter_s = float(np.std(y_s - slope * x_s - first, ddof=2))
+    sigma_ppm = 1e6 * scatter_s / (float(np.std(x_s)) * np.sqrt(len(least)))
+    drift_ppm = -1e6 * float(slope)
+    limit_ppm = _DRIFT_PPM + _DRIFT_SIGMAS * sigma_ppm
+    text = f"{drift_ppm:+.0f} ppm, standard deviation {sigma_ppm:.0f} ppm, limit {limit_ppm:.0f} ppm"
+    figures = {"drift_ppm": drift_ppm, "sigma_ppm": sigma_ppm}
+    if abs(drift_ppm) > limit_ppm:
+        return fail(line, text, "clock_drift", **figures)
+    if limit_ppm > 4.0 * _DRIFT_PPM:
+        return unchecked(line, f"{text}: arrivals are too irregular; watch for longer", **figures)
+    return ok(line, text, **figures)

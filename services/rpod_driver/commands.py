@@ -1,0 +1,94 @@
+"""Requests of operators to a driver: settings and triggers.
+
+A query arrives in a thread of the bus, but a driver is used in one thread only, that of the host. So a
+request waits until the host has the next item of the driver, and the driver needs no lock.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from rpod_driver.errors import NoAnswerError, NotSupportedError
+from rpod_driver.ports import Adjustable, Triggered
+from rpod_runtime import Node
+from rpod_schemas.config.driver import DriverConfig, Setting
+from rpod_schemas.control import Accepted, SettingsReply, SettingsRequest
+from rpod_schemas.control import Empty as NoFields
+
+_ANSWER_S = 3.0
+"""Longest wait of a request for the host: a driver yields an item at least once a second."""
+
+
+class Commands:
+    """Settings and triggers of one driver."""
+
+    def __init__(self, node: Node, driver: Any, config: DriverConfig) -> None:
+        self._driver, self._name = driver, config.name
+        self._timeout_s = config.trigger_timeout_s
+        self._wanted: dict[str, Setting] = dict(config.settings)
+        self._asked: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = SimpleQueue()
+        self._triggers_s: deque[float] = deque()
+        self.trigger_missed = 0
+        """Number of requested triggers without a frame in time."""
+        node.serve("settings", SettingsRequest, lambda request: self._ask(lambda: self._change(request)))
+        node.serve("trigger", NoFields, lambda _: self._ask(self._trigger))
+
+    def restore(self) -> None:
+        """Write the wanted settings to a device that has just been connected.
+
+        Raises:
+            NotSupportedError: settings are configured, but the driver has none.
+        """
+        self._triggers_s.clear()
+        if self._wanted:
+            self._adjustable().apply(dict(self._wanted))
+
+    def serve(self, *, got_frame: bool) -> None:
+        """Answer what was asked, and judge the triggers; called by the host between two items."""
+        if got_frame and self._triggers_s:
+            self._triggers_s.popleft()
+        while self._triggers_s and time.monotonic() - self._triggers_s[0] > self._timeout_s:
+            self._triggers_s.popleft()
+            self.trigger_missed += 1
+        while True:
+            try:
+                act, answer = self._asked.get_nowait()
+            except Empty:
+                return
+            if not answer.set_running_or_notify_cancel():
+                continue
+            try:
+                answer.set_result(act())
+            except Exception as error:  # noqa: BLE001 - the query gets any error as its reply
+                answer.set_exception(error)
+
+    def _ask(self, act: Callable[[], Any]) -> Any:
+        answer: Future[Any] = Future()
+        self._asked.put((act, answer))
+        try:
+            return answer.result(_ANSWER_S)
+        except TimeoutError as error:
+            answer.cancel()
+            raise NoAnswerError(self._name, _ANSWER_S) from error
+
+    def _adjustable(self) -> Adjustable:
+        if not isinstance(self._driver, Adjustable):
+            raise NotSupportedError(self._name, "settings", "settings and apply")
+        return self._driver
+
+    def _change(self, request: SettingsRequest) -> SettingsReply:
+        device = self._adjustable()
+        if request.settings:
+            device.apply(request.settings)
+            self._wanted |= request.settings
+        return SettingsReply(settings=dict(device.settings()))
+
+    def _trigger(self) -> Accepted:
+        if not isinstance(self._driver, Triggered):
+            raise NotSupportedError(self._name, "trigger", "trigger")
+        self._driver.trigger()
+        self._triggers_s.append(time.monotonic())
+        return Accepted()

@@ -1,0 +1,127 @@
+"""What every driver must keep to, as tests for pytest: derive a class, and say which driver.
+
+    from rpod_driver.contract import DriverContract
+
+    class TestMyCamera(DriverContract):
+        kind = "pmd"
+
+        @pytest.fixture
+        def driver(self):
+            return MyCamera(...)
+
+The frames go through the same judgement as ``rpod driver check``, without a bus. Truth does not come, so that
+what needs it is not judged.
+"""
+
+import time
+from contextlib import contextmanager
+from typing import Any, ClassVar, cast
+
+import pytest
+
+from rpod_driver.check import Level, Observations, Observer, Options, Verdict, judge
+from rpod_driver.check.live import StraightNode
+from rpod_driver.ports import Adjustable, Counted, Drops, Synchronised
+from rpod_runtime import Node
+from rpod_runtime.sensors import open_publisher
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import SensorSync
+
+__all__ = ["DriverContract"]
+
+_AT_ONCE_S = 0.2
+_ITEM_S = 1.5
+"""Longest wait for an item: a driver yields None at least once a second while no frame comes."""
+
+
+class DriverContract:
+    """Tests of one driver; a derived class sets ``kind`` and has a fixture ``driver``."""
+
+    kind: ClassVar[str]
+    """Kind of the sensor."""
+    duration_s: ClassVar[float] = 3.0
+    """Time for which frames are watched, s."""
+    options: ClassVar[Options] = Options()
+    """What is known of the sensor, as its nominal rate."""
+    expected: ClassVar[frozenset[str]] = frozenset()
+    """Names of the lines that may fail, with a reason beside it; a recording cannot have stamps of now."""
+
+    @pytest.fixture
+    def driver(self) -> Any:
+        """Return the driver; derived classes have their own."""
+        raise NotImplementedError("give the class a fixture `driver` that returns the driver")
+
+    def test_the_check_finds_nothing_wrong(self, driver: Any) -> None:
+        """Frames of a few seconds, judged as ``rpod driver check`` does."""
+        verdicts = judge(self._watched(driver))
+        wrong = [each for each in verdicts if each.level is Level.FAIL and each.line not in self.expected]
+        assert not wrong, "\n".join(_line(each) for each in wrong)
+
+    def test_frames_come_and_no_item_takes_long(self, driver: Any) -> None:
+        """The host can stop and can detect a silent sensor only between two items."""
+        with connected(driver):
+            frames, items = 0, iter(driver.frames())
+            end_s = time.monotonic() + self.duration_s
+            while time.monotonic() < end_s:
+                asked_s = time.monotonic()
+                item = next(items, driver)
+                waited_s = time.monotonic() - asked_s
+                assert waited_s < _ITEM_S, f"an item took {waited_s:.1f} s; yield None once a second"
+                if item is driver:
+                    break  # the source has ended
+                frames += item is not None
+        assert frames, f"no frame in {self.duration_s:g} s"
+
+    def test_it_can_be_connected_again_after_it_was_closed(self, driver: Any) -> None:
+        """The host does so after each error."""
+        for _ in range(2):
+            with connected(driver):
+                assert next((item for item in driver.frames() if item is not None), None) is not None
+
+    def test_what_it_tells_of_itself_comes_at_once(self, driver: Any) -> None:
+        """The host asks each second, in the thread of its diagnostics."""
+        with connected(driver):
+            asked_s = time.monotonic()
+            if isinstance(driver, Synchronised):
+                assert isinstance(driver.sync(), SensorSync)
+            if isinstance(driver, Counted):
+                assert isinstance(driver.drops(), Drops)
+            assert time.monotonic() - asked_s < _AT_ONCE_S
+
+    def test_settings_can_be_written_as_they_were_read(self, driver: Any) -> None:
+        """So the host can restore them."""
+        if not isinstance(driver, Adjustable):
+            pytest.skip("the driver has no settings")
+        with connected(driver):
+            before = dict(driver.settings())
+            driver.apply(before)
+            assert dict(driver.settings()) == before
+
+    def _watched(self, driver: Any) -> Observations:
+        observer = Observer(self.kind, "sensor", self.options)
+        with connected(driver) as info:
+            node = cast(Node, StraightNode(observer))
+            publisher = open_publisher(node, self.kind, "sensor", make_pose())
+            if info is not None:
+                publisher.announce(info)
+            end_s = time.monotonic() + self.duration_s
+            for frame in driver.frames():
+                if frame is not None:
+                    publisher.publish(frame)
+                if time.monotonic() >= end_s:
+                    break
+        return observer.end(time.time_ns())
+
+
+@contextmanager
+def connected(driver: Any) -> Any:
+    """Connect a driver, hand out its info, and close it."""
+    info = driver.connect()
+    try:
+        yield info
+    finally:
+        driver.close()
+
+
+def _line(verdict: Verdict) -> str:
+    return f"{verdict.line}: {verdict.text}; {verdict.remedy}"

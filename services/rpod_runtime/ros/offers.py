@@ -1,0 +1,31 @@
+"""Tells of publishers that offer less than a latched topic needs."""
+
+from collections.abc import Callable
+
+from rpod_schemas.qos import Qos
+from rpod_schemas.topics import Topic
+
+_NODE, _QOS = 8, -1
+"""Places of the node's name and of the quality of service in a token."""
+
+
+def offer_watch(topic: Topic, warn: Callable[[str, str], None]) -> Callable[[str], None]:
+    """Return a function that takes the token of a publisher, and warns if its offer lacks something.
+
+    ``warn`` takes a name and a text for the operator.
+    """
+
+    def take(token: str) -> None:
+        parts = token.split("/")
+        try:
+            lacks = Qos.read(parts[_QOS]).lacks(topic.asked)
+        except ValueError:
+            return  # a form of a later rmw_zenoh
+        if lacks:
+            warn(
+                f"qos/{topic.name}",
+                f"node {parts[_NODE]} does not publish it as {' and '.join(lacks)}, so that what it sent "
+                "before this service started is missing; set its publisher to RELIABLE and TRANSIENT_LOCAL",
+            )
+
+    return take

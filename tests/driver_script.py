@@ -1,0 +1,105 @@
+"""A driver process without a device: what it does stands in its first argument."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+
+def image(number):
+    return np.full((3, 4), number, np.float32)
+
+
+def stream(sender, count, **fields):
+    camera = {"width": 4, "height": 3, "fx": 5.0, "fy": 5.0, "cx": 1.5, "cy": 1.0}
+    sender.send("info", text="four pixels wide", frame={"camera": camera}, **fields)
+    for number in range(count):
+        arrays = {"depth_m": image(number), "amplitude": image(number).astype(np.uint16)}
+        sender.send("frame", arrays, stamp_ns=10**12 + number * 10**7)
+
+
+def crash_after(sender, count):
+    stream(sender, count)
+    sys.stderr.write("bus error in the library\n")
+    sys.stderr.flush()
+    os._exit(7)
+
+
+def printing(sender):
+    sys.stdout.write("a library prints this\n")
+    sys.stdout.flush()
+    os.write(1, b"and this from compiled code\n")
+    stream(sender, 2)
+    sender.send("end")
+
+
+def tell(sender):
+    stream(sender, 0)
+    sender.send("error", text="the sensor is too hot")
+
+
+def silent(sender):
+    stream(sender, 1)
+    while True:
+        sender.send("idle")
+        time.sleep(0.02)
+
+
+def environment(sender):
+    told = {"path": sys.path, "venv": os.environ.get("VIRTUAL_ENV"), "modules": sorted(sys.modules)}
+    sender.send("error", text=repr(told))
+
+
+def hang(_sender):
+    time.sleep(600)
+
+
+def garbage(sender):
+    sender.send("info")
+    sender._stream.write(b"Traceback (most recent call last):")
+
+
+def early(sender):
+    sender.send("frame")
+
+
+def wrong(sender):
+    sender.send("info")
+    sender.send("frame", {"depth_m": image(1)}, stamp_ns=1)
+
+
+def partial(sender):
+    sender.send("info")
+    for number in range(12):
+        points = np.zeros((2, 3, 3), np.float32)
+        sender.send("frame", {"points_m": points}, stamp_ns=10**12 + number, partial="lacks 7 columns")
+    sender.send("end")
+
+
+def pid(sender, file):
+    Path(file).write_text(str(os.getpid()))
+    silent(sender)
+
+
+def parent(sender):
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=False)
+    silent(sender)
+
+
+def recorded(sender, file):
+    sender._stream.write(Path(file).read_bytes())
+
+
+def ten(sender):
+    stream(sender, 10)
+    sender.send("end")
+
+
+if __name__ == "__main__":
+    import frame_pipe
+
+    does = {"crash": lambda sender: crash_after(sender, 2)} | globals()
+    does[sys.argv[1]](frame_pipe.open_sender(), *sys.argv[2:])

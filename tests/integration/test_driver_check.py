@@ -1,0 +1,131 @@
+"""``rpod driver check`` on a real bus: emulator and driver are in order, and seeded faults are named."""
+
+import json
+import time
+from contextlib import ExitStack, contextmanager
+from threading import Event, Thread
+
+import numpy as np
+import pytest
+from checked_sensors import INFO, wall_frames
+from live_bus import TIMEOUT_S, daemon
+
+from rpod.command_driver_check import CheckOptions, check_command
+from rpod_driver import run as run_driver
+from rpod_emulator.daemon import run
+from rpod_motion.daemon import run as run_motion
+from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
+from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.control import StatusReply
+from rpod_schemas.faults import PlannedFault
+from rpod_schemas.types import Camera
+
+CAMERA = Camera(width=64, height=48, fx=110.0, fy=110.0, cx=31.5, cy=23.5)
+
+
+class Walls:
+    """A driver that plays the camera before a wall, as if taken now."""
+
+    def connect(self):
+        return INFO
+
+    def frames(self):
+        pause, start_ns = Event(), time.time_ns()
+        for number, frame in enumerate(wall_frames(1, 600.0)):
+            stamp_ns = start_ns + number * 100_000_000
+            pause.wait(max(0.0, (stamp_ns - time.time_ns()) * 1e-9))
+            yield frame.model_copy(update={"stamp_ns": stamp_ns})
+
+    def close(self) -> None:
+        pass
+
+
+def checked(bus, capsys, name="pmd", *, rate_hz=10.0, duration_s=3.0, target=None) -> tuple[int, dict]:
+    """Run the verb; return its exit code and its JSON."""
+    options = CheckOptions(
+        name, "pmd", config=None, source=None, connect=bus.endpoint, rate_hz=rate_hz, target=target
+    )
+    capsys.readouterr()
+    code = check_command(options, duration_s=duration_s, as_json=True)
+    return code, json.loads(capsys.readouterr().out)
+
+
+@contextmanager
+def emulated(bus, *faults: str):
+    """Run motion and emulator with a camera; it is at work when the context begins."""
+    emulator = EmulatorConfig(
+        bus=bus.config,
+        target="mockup",
+        sensors=(PmdConfig(rate_hz=10.0, camera=CAMERA),),
+        faults=tuple(PlannedFault(fault=fault) for fault in faults),
+    )
+    motion = MotionServiceConfig(
+        bus=bus.config,
+        target="mockup",
+        duration_s=120.0,
+        motion={
+            "trajectory": {"kind": "approach", "start_m": [0.0, 0.0, 3.5], "end_m": [0.0, 0.0, 3.0]},
+            "attitude": {"kind": "tumble", "rate_deg_s": [3.0, 8.0, 2.0]},
+        },
+    )
+    node = bus.node("observer")
+    with daemon(run, emulator), daemon(run_motion, motion):
+        for _ in range(200):
+            status = node.ask("emulator", "status", StatusReply, timeout_s=TIMEOUT_S)
+            if status.counters.get("frames/pmd", 0) >= 3 or "silence" in faults:
+                break
+            Event().wait(0.1)
+        yield
+
+
+def test_the_emulator_is_in_order_and_beside_truth_too(bus, capsys):
+    with emulated(bus):
+        code, told = checked(bus, capsys, duration_s=9.0, target="mockup")
+    assert told["faults"] == []
+    assert (code, told["ok"]) == (0, True)
+    levels = {each["line"]: each["level"] for each in told["verdicts"]}
+    assert {line for line in levels if levels[line] == "ok"} >= {
+        "publisher", "rate", "gaps", "bus", "parts", "clock", "order", "frozen", "returns", "unit", "mount",
+        "qos", "lens", "range",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["tai_clock", "second_publisher", "lost_messages", "not_latched", "frozen", "no_mount", "missing_part"],
+)
+def test_a_fault_of_the_emulator_is_named_and_the_exit_code_is_1(bus, capsys, fault):
+    with emulated(bus, fault):
+        code, told = checked(bus, capsys, duration_s=3.0)
+    assert code == 1
+    assert fault in told["faults"]
+    (named,) = (each for each in told["verdicts"] if fault in each["faults"])
+    assert named["remedy"]
+
+
+def test_a_driver_on_the_bus_is_in_order(bus, capsys):
+    stop = Event()
+    config = DriverConfig(bus=bus.config, kind="pmd", name="front")
+    thread = Thread(target=run_driver, args=(Walls(), config), kwargs={"version": "test", "stop": stop})
+    with ExitStack() as stack:
+        stack.callback(thread.join, TIMEOUT_S)
+        stack.callback(stop.set)
+        thread.start()
+        bus.node("waiting").ask("driver", "status", StatusReply, timeout_s=TIMEOUT_S)
+        code, told = checked(bus, capsys, "front", duration_s=4.0)
+    assert (code, told["faults"]) == (0, []), told
+    model = next(each for each in told["verdicts"] if each["line"] == "depth_model")
+    assert model["level"] == "ok"
+    assert np.isfinite(model["figures"]["rms_z_m"])
+
+
+def test_without_a_sensor_the_exit_code_is_1_and_the_line_says_so(bus, capsys):
+    code, told = checked(bus, capsys, "nobody", duration_s=0.5)
+    assert (code, told["faults"]) == (1, ["silence"])
+
+
+def test_what_cannot_be_asked_is_refused_in_one_line(capsys):
+    options = CheckOptions("pmd", "radar", config=None, source=None, connect=None, rate_hz=None, target=None)
+    assert check_command(options, duration_s=1.0, as_json=True) == 2
+    assert "kind" in capsys.readouterr().err

@@ -1,0 +1,154 @@
+"""The check against the catalogue: each fault is named, and nothing on good sensors."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from checked_sensors import (
+    EPOCH_NS,
+    INFO,
+    SECOND_NS,
+    facility,
+    failed,
+    ideal_camera,
+    room_scanner,
+    wall_camera,
+    wall_frames,
+    watched,
+)
+
+from rpod_driver.check import Level, Options, Verdict, judge
+from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
+from rpod_schemas.types import Camera, PmdFrame
+
+SEEDS = range(int(os.environ.get("RPOD_FAULT_SEEDS", "1")))
+"""Seeds of each fault; ten with RPOD_FAULT_SEEDS=10, as in docs/results.md."""
+BESIDE_TRUTH = ("stamp_start", "biased", "mirrored", "mount_off")
+"""Faults of a camera that show only beside truth."""
+OF_CAMERA = [fault.name for fault in FAULTS if "pmd" in fault.kinds and fault.name not in BESIDE_TRUTH]
+OF_SCANNER = [fault.name for fault in FAULTS if "lidar" in fault.kinds and fault.needs != "truth"]
+
+
+def at(verdicts: list[Verdict], line: str) -> Verdict:
+    (verdict,) = (each for each in verdicts if each.line == line)
+    return verdict
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("fault", OF_CAMERA)
+def test_a_camera_with_a_fault_is_named_by_its_line_with_the_remedy(fault, seed):
+    verdicts = wall_camera(fault, seed=seed)
+    assert fault in failed(verdicts)
+    named = at(verdicts, BY_NAME[fault].line)
+    assert named.level is Level.FAIL
+    assert BY_NAME[fault].remedy in named.remedy
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("fault", [*OF_SCANNER, "stamp_start", "mirrored"])
+def test_a_scanner_with_a_fault_is_named_by_its_line(fault, seed):
+    verdicts = room_scanner(fault, seed=seed)
+    assert fault in failed(verdicts)
+    assert fault in at(verdicts, BY_NAME[fault].line).faults
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("fault", BESIDE_TRUTH)
+def test_beside_truth_the_instant_the_range_the_mirror_and_the_mount_are_named(fault, seed):
+    assert fault in at(ideal_camera(fault, seed=seed), BY_NAME[fault].line).faults
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("fault", ["biased", "mount_off"])
+def test_a_scanner_beside_truth_is_compared_with_it(fault, seed):
+    assert fault in at(facility("lidar", fault, seed=seed), BY_NAME[fault].line).faults
+
+
+def test_every_fault_of_the_catalogue_is_seen_by_one_of_these_tests():
+    assert {*OF_CAMERA, *OF_SCANNER, *BESIDE_TRUTH} == set(BY_NAME)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    "sensor", [wall_camera, room_scanner, ideal_camera, lambda seed: facility("pmd", seed=seed),
+               lambda seed: facility("lidar", seed=seed)],
+    ids=["camera", "scanner", "ideal camera", "facility's camera", "facility's scanner"],
+)  # fmt: skip
+def test_nothing_is_wrong_with_a_good_sensor(sensor, seed):
+    verdicts = sensor(seed=seed)
+    assert [(each.line, each.text) for each in verdicts if each.level is Level.FAIL] == []
+    assert sum(each.level is Level.OK for each in verdicts) >= 16
+
+
+def test_what_cannot_be_seen_is_not_called_in_order():
+    verdicts = wall_camera()
+    for line in ("instant", "grid", "range", "mount_truth"):
+        assert at(verdicts, line).level is Level.UNCHECKED
+        assert "--target" in at(verdicts, line).text
+    blind = judge(watched("pmd", wall_frames(0, 1.0), INFO, latency_s=0.01))
+    assert "--rate" in at(blind, "rate").text
+    assert at(blind, "drift").level is Level.UNCHECKED
+
+
+def test_a_camera_that_sees_no_plane_is_not_told_to_have_z_depth():
+    random = np.random.default_rng(3)
+
+    def clouds():
+        for frame in wall_frames(0, 4.0):
+            depth_m = random.uniform(1.0, 4.0, frame.depth_m.shape).astype(np.float32)
+            yield frame.model_copy(update={"depth_m": depth_m})
+
+    verdict = at(judge(watched("pmd", clouds(), INFO, latency_s=0.01)), "depth_model")
+    assert verdict.level is Level.UNCHECKED
+    assert "show it a wall" in verdict.text
+
+
+def test_the_motion_tells_the_instant_of_a_stamp_to_a_millisecond():
+    good, early = (at(ideal_camera(*faults), "instant").figures for faults in ((), ("stamp_start",)))
+    assert abs(good["offset_s"]) < 1e-3
+    assert early["offset_s"] == pytest.approx(8e-3, abs=1e-3)
+
+
+def test_a_sensor_that_is_not_there_gives_one_failure_and_no_line_in_order():
+    verdicts = judge(watched("pmd", (), None, latency_s=0.0, options=Options(rate_hz=10.0)))
+    assert [each.line for each in verdicts if each.level is Level.FAIL] == ["publisher"]
+    assert {each.line for each in verdicts if each.level is Level.OK} <= {"qos"}
+
+
+def test_a_verdict_becomes_json():
+    verdicts = [each.model_dump(mode="json") for each in wall_camera(duration_s=3.0)]
+    assert json.loads(json.dumps(verdicts, allow_nan=False)) == verdicts
+
+
+def test_the_catalogue_names_lines_of_the_check():
+    lines = {each.line for each in (*wall_camera(duration_s=1.0), *room_scanner(duration_s=1.0))}
+    assert {fault.line for fault in FAULTS} <= lines
+    assert known_fault("frozen").name == "frozen"
+
+
+BOTTLE = Path(__file__).parents[2] / "data" / "depth_bottle"
+
+
+def test_recorded_frames_of_a_stereo_camera_are_in_order():
+    """Two real frames (tests/data/depth_bottle, MIT): what two frames cannot show is not checked."""
+    import cv2  # noqa: PLC0415
+
+    camera = Camera(width=848, height=480, fx=425.773, fy=425.773, cx=427.202, cy=237.662)
+    images = [cv2.imread(str(BOTTLE / f"depth_{number}.png"), cv2.IMREAD_UNCHANGED) for number in (200, 201)]
+    frames = [
+        PmdFrame(
+            stamp_ns=EPOCH_NS + SECOND_NS + number * 33_333_333,
+            frame_id="",
+            depth_m=np.where(image > 0, image * np.float32(1e-3), np.float32(np.nan)).astype(np.float32),
+            amplitude=None,
+            camera=camera,
+        )
+        for number, image in enumerate(images)
+    ]
+    for name in ("", "radial_depth", "millimetres"):
+        verdicts = judge(watched("pmd", frames, None, latency_s=0.02, faults=(name,) if name else ()))
+        if name != "radial_depth":
+            assert failed(verdicts) == ({name} if name else set()), verdicts
+    assert at(judge(watched("pmd", frames, None, latency_s=0.02)), "jitter").level is Level.UNCHECKED

@@ -1,0 +1,237 @@
+"""A GenICam camera: the simulated one of genicam's own producer, and fakes for what it has not."""
+
+from itertools import islice
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rpod_driver.adapters.genicam.config import GenicamConfig
+from rpod_driver.adapters.genicam.depth import Scan3d, amplitude_of, confident, depth_of
+from rpod_driver.adapters.genicam.driver import GenicamCamera, open_driver
+from rpod_driver.adapters.genicam.features import FeatureError
+from rpod_driver.errors import DriverError
+from rpod_schemas.types import Camera
+
+LENS = {"width": 400, "height": 400, "fx": 300.0, "fy": 300.0, "cx": 199.5, "cy": 199.5}
+RANGE = {"ComponentSelector": "Range", "ComponentEnable": True}
+
+
+def simulated(**device):
+    genicam = pytest.importorskip("genicam", reason="genicam is not installed (pip install --group devices)")
+    pytest.importorskip("harvesters", reason="harvesters is not installed (pip install --group devices)")
+    producer = Path(genicam.__file__).parent / "viky.cti"
+    told = {"producer": producer, "select": {"id_": "VikyTL_DEV_red"}, "settings": RANGE, "calibration": LENS}
+    return open_driver(GenicamConfig.model_validate({"name": "front", "device": told | device}))
+
+
+def taken(driver, count):
+    driver.connect()
+    try:
+        return [frame for frame in islice(driver.frames(), count) if frame is not None]
+    finally:
+        driver.close()
+
+
+def test_a_simulated_camera_is_connected_read_and_connected_again(caplog):
+    driver = simulated()
+    for _ in range(2):
+        frames = taken(driver, 3)
+        assert len(frames) == 3
+        depths = np.stack([frame.depth_m for frame in frames])
+        assert depths.shape == (3, 400, 400)
+        assert 0.02 < np.nanmax(depths) < 0.1  # it tells millimetres
+        assert frames[0].amplitude is None  # its image is of colours
+        assert (np.diff([frame.stamp_ns for frame in frames]) > 0).all()
+    assert driver.sync().stamp_source == "host"
+    assert "the device gives no stamps" in caplog.text
+    assert "no grey image among RGBa8, Coord3D_A32f" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("device", "reason"),
+    [
+        ({"settings": {}}, "Scan3dDistanceUnit is None.*ComponentSelector: Range"),
+        ({"settings": RANGE | {"Gain": 1}}, "no feature 'Gain'"),
+        ({"settings": {"PixelFormat": "Mono99"}}, "it takes RGBa8, Mono8"),
+        ({"trigger": "software"}, "no feature 'TriggerSelector'"),
+        ({"select": {}}, r"several cameras \(Viky 0; Viky 1; Viky 2\)"),
+        ({"producer": "/opt/none.cti"}, "which is no file"),
+        ({"calibration": None}, "no Scan3dFocalLength"),
+        ({"calibration": LENS | {"width": 640}}, "640 x 400 pixels, the camera sends 400 x 400"),
+    ],
+)
+def test_what_a_camera_does_not_have_is_told_by_name_and_nothing_stays_open(device, reason):
+    driver = simulated(**device)
+    with pytest.raises(DriverError, match=reason):
+        taken(driver, 1)
+    driver = simulated()
+    assert taken(driver, 1)
+
+
+class Nodes:
+    """Features with limits."""
+
+    def __init__(self, **values) -> None:
+        self.executed: list[str] = []
+        for name, value in values.items():
+            setattr(self, name, SimpleNamespace(value=value))
+        self.TriggerSoftware = SimpleNamespace(execute=lambda: self.executed.append("TriggerSoftware"))
+
+    def has_node(self, name):
+        return hasattr(self, name)
+
+
+SCAN = {
+    "Scan3dOutputMode": "CalibratedABC_Grid",
+    "Scan3dCoordinateSystem": "Cartesian",
+    "Scan3dDistanceUnit": "Millimeter",
+    "Scan3dCoordinateSelector": "CoordinateA",
+    "Scan3dCoordinateScale": 0.5,
+    "Scan3dCoordinateOffset": 100.0,
+    "Scan3dInvalidDataFlag": True,
+    "Scan3dInvalidDataValue": 0.0,
+    "Scan3dFocalLength": 4.0,
+    "Scan3dPrincipalPointU": 1.5,
+    "Scan3dPrincipalPointV": 1.0,
+    "Width": 4,
+    "Height": 3,
+}
+
+
+def component(data_format, data, width=4, height=3):
+    return SimpleNamespace(data_format=data_format, data=np.ravel(data), width=width, height=height)
+
+
+COUNTS = np.arange(12, dtype=np.uint16).reshape(3, 4)
+
+
+def test_counts_become_metres_by_scale_offset_and_unit():
+    scan = Scan3d(Nodes(**SCAN), None)
+    depth_m = depth_of([component("Mono8", COUNTS), component("Coord3D_C16", COUNTS)], scan)
+    assert np.isnan(depth_m[0, 0])
+    assert np.allclose(depth_m.ravel()[1:], (np.arange(1, 12) * 0.5 + 100) * 1e-3)
+    assert (scan.camera(4, 3).fx, scan.camera(4, 3).cx) == (4.0, 1.5)
+
+
+def test_of_interleaved_coordinates_the_third_is_depth():
+    points = np.stack([COUNTS, COUNTS, COUNTS + 1000.0], axis=-1).astype(np.float32)
+    scan = Scan3d(Nodes(**SCAN | {"Scan3dCoordinateScale": 1.0, "Scan3dCoordinateOffset": 0.0}), None)
+    depth_m = depth_of([component("Coord3D_ABC32f", points)], scan)
+    assert np.allclose(depth_m, (COUNTS + 1000) * 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"Scan3dOutputMode": "DisparityC"}, "DisparityC, in which C is no z-depth"),
+        ({"Scan3dOutputMode": "UncalibratedC"}, "UncalibratedC"),
+        ({"Scan3dCoordinateSystem": "Spherical"}, "Spherical"),
+        ({"Scan3dDistanceUnit": "Pixel"}, "Pixel, known are Millimeter"),
+    ],
+)
+def test_coordinates_that_are_no_depth_are_refused(changed, reason):
+    with pytest.raises(FeatureError, match=reason):
+        Scan3d(Nodes(**SCAN | changed), None)
+
+
+def test_amplitude_and_confidence_are_found_by_their_formats():
+    parts = [component("Confidence8", COUNTS > 5), component("Mono12", COUNTS)]
+    assert amplitude_of(parts).dtype == np.uint16
+    assert np.array_equal(confident(parts, (3, 4)), COUNTS > 5)
+    assert confident([], (3, 4)).all()
+
+
+class Buffer:
+    """A buffer with depth, intensity and a stamp."""
+
+    timestamp_ns = 77_000_000_000
+
+    def __init__(self) -> None:
+        parts = [component("Coord3D_C16", COUNTS + 1), component("Mono16", COUNTS)]
+        self.payload = SimpleNamespace(components=parts)
+        self.queued = 0
+
+    def queue(self):
+        self.queued += 1
+
+
+class FakeHarvesters:
+    """``harvesters.core`` with one camera that gives the buffers of a list, None for a time-out."""
+
+    def __init__(self, nodes, buffers) -> None:
+        self.nodes, self._buffers = nodes, list(buffers)
+        self.remote_device = SimpleNamespace(node_map=nodes)
+        self.device_info_list = [SimpleNamespace(model="Fake", serial_number="1")]
+        self.calls: list[str] = []
+
+    def Harvester(self):  # noqa: N802 - harvesters' name
+        return self
+
+    def create(self, _selected):
+        return self
+
+    def try_fetch(self, timeout):
+        assert timeout > 0
+        return self._buffers.pop(0)
+
+    def __getattr__(self, name):
+        return lambda *_: self.calls.append(name)
+
+
+def faked(nodes, buffers, tmp_path, **device):
+    (tmp_path / "fake.cti").touch()
+    told = {"producer": tmp_path / "fake.cti", "trigger_rate_hz": 1000} | device
+    config = GenicamConfig.model_validate({"name": "front", "device": told})
+    return GenicamCamera(config, FakeHarvesters(nodes, buffers))
+
+
+def test_a_software_trigger_starts_each_frame_and_one_without_a_frame_is_counted(tmp_path):
+    trigger = {"TriggerSelector": "", "TriggerMode": "Off", "TriggerSource": ""}
+    nodes, buffers = Nodes(**SCAN | trigger), [Buffer(), Buffer()]
+    driver = faked(nodes, [buffers[0], None, buffers[1]], tmp_path, trigger="software")
+    driver.connect()
+    got = list(islice(driver.frames(), 3))
+    assert [frame is None for frame in got] == [False, True, False]
+    assert nodes.executed == ["TriggerSoftware"] * 3
+    assert (nodes.TriggerMode.value, nodes.TriggerSource.value) == ("On", "Software")
+    told = driver.sync()
+    assert (told.trigger, told.trigger_missed, told.stamp_source) == ("software", 1, "mapped")
+    assert buffers[0].queued == 1
+    assert np.array_equal(got[0].amplitude, COUNTS)
+
+
+def test_a_hardware_trigger_names_its_input(tmp_path):
+    trigger = {"TriggerSelector": "", "TriggerMode": "Off", "TriggerSource": ""}
+    nodes = Nodes(**SCAN | trigger)
+    driver = faked(nodes, [None], tmp_path, trigger="hardware", trigger_line="Line2")
+    driver.connect()
+    assert nodes.TriggerSource.value == "Line2"
+    assert next(driver.frames()) is None
+    assert not nodes.executed
+
+
+def test_a_buffer_is_given_back_also_where_it_cannot_be_used(tmp_path):
+    bad = Buffer()
+    bad.payload.components.pop(0)
+    driver = faked(Nodes(**SCAN), [bad], tmp_path)
+    driver.connect()
+    with pytest.raises(FeatureError, match="Mono16 4 x 3 and no coordinate C"):
+        next(driver.frames())
+    assert bad.queued == 1
+
+
+def test_settings_are_written_in_their_order_at_each_connection(tmp_path):
+    nodes = Nodes(**SCAN | {"ExposureTime": 1.0, "Gain": 0.0})
+    driver = faked(nodes, [], tmp_path, settings={"ExposureTime": 500.0, "Gain": 2.0})
+    driver.connect()
+    driver.close()
+    nodes.ExposureTime.value = 1.0
+    driver.connect()
+    assert (nodes.ExposureTime.value, nodes.Gain.value) == (500.0, 2.0)
+
+
+def test_the_lens_may_be_given():
+    lens = Camera(width=4, height=3, fx=9.0, fy=9.0, cx=1.0, cy=1.0)
+    assert Scan3d(Nodes(**SCAN), lens).camera(4, 3).fx == 9.0
