@@ -175,7 +175,7 @@ class Node(Asker):
     def watch_publishers(
         self, gone: Callable[[str, Topic], None], came: Callable[[str, Topic], None] | None = None
     ) -> None:
-        """Call ``gone`` with session and topic when a publisher's token vanishes, ``came`` for each there is."""
+        """Call ``gone`` with session and topic when a publisher's token vanishes, ``came`` when one comes."""
 
         def take(token: zenoh.Sample) -> None:
             key = str(token.key_expr)

@@ -79,6 +79,7 @@ def _rewritten(rnd: Random) -> bytes:
     for record in reader.iter_metadata():
         writer.add_metadata(record.name, {key: _text(rnd, text) for key, text in record.metadata.items()})
     for schema, channel, message in reader.iter_messages():
+        assert schema is not None
         hostile = rnd.random() < share
         if channel.topic not in channels:
             name = rnd.choice((channel.topic, "/", "", "/x/y")) if rnd.randrange(40) == 0 else channel.topic

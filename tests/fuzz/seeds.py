@@ -5,6 +5,7 @@ from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 from malformed_logs import INFO, write_good
 from mcap.reader import make_reader
 from synthetic_log import SyntheticRun
@@ -65,7 +66,10 @@ def messages() -> dict[Topic, bytes]:
             1,
             "lidar",
             LidarInfo(
-                azimuth_rad=[-0.1, 0.0, 0.1], elevation_rad=[-0.1, 0.1], scan_time_s=0.5, sigma_range_m=0.02
+                azimuth_rad=np.array([-0.1, 0.0, 0.1]),
+                elevation_rad=np.array([-0.1, 0.1]),
+                scan_time_s=0.5,
+                sigma_range_m=0.02,
             ),
         ),
     }
