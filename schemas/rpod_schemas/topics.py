@@ -163,6 +163,7 @@ ESTIMATE_FRAME = Topic("estimate/frames/<frame>", "geometry_msgs/msg/PoseWithCov
 ESTIMATE_JOINTS = Topic("estimate/joints", "sensor_msgs/msg/JointState")
 CONTRADICTION = Topic("estimate/contradiction", _IMAGE)
 VALIDITY = Topic("estimate/validity", "rpod_msgs/msg/EstimateValidity")
+INTEGRITY = Topic("estimate/integrity", "rpod_msgs/msg/Integrity")
 STATUS = Topic("estimate/status", "rpod_msgs/msg/EstimatorStatus")
 COMMAND = Topic("guidance/command", "geometry_msgs/msg/TwistStamped")
 IMU = Topic("chaser/imu", "sensor_msgs/msg/Imu")
@@ -175,7 +176,8 @@ PARAMETER_EVENTS = Topic(
 TOPICS: tuple[Topic, ...] = (
     TRUTH, TRUTH_JOINTS, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, DEPTH_SIGMA,
     CAMERA_INFO, PHASE, PMD_INFO, POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME,
-    ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, STATUS, COMMAND, IMU, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS,
+    ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, INTEGRITY, STATUS, COMMAND, IMU, DIAGNOSTICS, ROSOUT,
+    PARAMETER_EVENTS,
 )  # fmt: skip
 """All topics, in the order of the ICD's table."""
 

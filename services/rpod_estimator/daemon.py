@@ -15,6 +15,7 @@ from rpod_runtime import Node
 from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest
+from rpod_schemas.errors import Reason
 from rpod_target import load_target
 
 
@@ -95,4 +96,6 @@ class _Service:
         if output is not None:
             self._validity.take(output, arrived, now_s=self._beacon.arrival_s(arrived))
             since_s = arrived.arrival_s if arrived is not None else None
-            self._outputs.publish(output, self._beacon.current(), since_s=since_s)
+            frozen = arrived is not None and arrived.refused == Reason.FROZEN
+            integrity = self._estimator.integrity(output, frozen=frozen)
+            self._outputs.publish(output, self._beacon.current(), integrity, since_s=since_s)

@@ -48,6 +48,7 @@ def summarise(
         consistency=totals.consistency(),
         innovation=totals.innovation(),
         handover=totals.handovers.summary(),
+        integrity=totals.integrity.summary(),
         completeness=check_log_completeness(log).summary(),
         unreadable=log.unreadable.by_topic(),
     )
