@@ -10,6 +10,7 @@ from rpod_campaign.integrity.trial import FRAME
 from rpod_campaign.lidar.cells import targets
 from rpod_campaign.pmd.cells import calibrated, scenarios
 from rpod_campaign.pmd.options import PmdOptions
+from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.errors import ConfigurationError
 
 SCENARIO = "tumbling"
@@ -38,7 +39,7 @@ def cells(options: Options) -> list[IntegrityCell]:
     ]
 
 
-def _document(options: Options, target: str, world: str) -> str:
+def _document(options: Options, target: str, world: WorldName) -> str:
     """Return the camera's scenario, calibrated, with a target in a world, as JSON."""
     own = PmdOptions(scenario=(SCENARIO,), target=(target,), world=(world,), scenarios=options.scenarios)
     ((_, scenario),) = scenarios(own)

@@ -6,6 +6,7 @@ from functools import lru_cache
 from math import asin, ceil, degrees, sqrt
 from typing import NamedTuple
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_campaign.engine.trial.streams import stream
@@ -128,7 +129,7 @@ def _approach(target: str, drawn: Rotation) -> Motion:
     loaded = cached_target(target)
     end_m, start_m = lidar_span_m(target)
     config = MotionConfig(
-        trajectory=ApproachConfig(start_m=(0.0, 0.0, start_m), end_m=(0.0, 0.0, end_m)),
+        trajectory=ApproachConfig(start_m=np.array((0.0, 0.0, start_m)), end_m=np.array((0.0, 0.0, end_m))),
         attitude=TumbleConfig(
             R_chaser_target=drawn[0], rate_deg_s=TUMBLE_DEG_S * drawn[1].apply((1.0, 0.0, 0.0))
         ),

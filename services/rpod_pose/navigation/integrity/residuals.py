@@ -68,8 +68,8 @@ def residual_of(predicted: FilterState, measured: PoseMeasurement, config: Filte
     except np.linalg.LinAlgError:
         return None
     twist = np.concatenate([predicted.velocity_m_s, predicted.rate_rad_s])
-    z, late = solve_triangular(L, np.column_stack([y, -twist]), lower=True).T
-    return Residual(measured.stamp_ns, z, late)
+    white: FloatArray = solve_triangular(L, np.column_stack([y, -twist]), lower=True)
+    return Residual(measured.stamp_ns, white[:, 0], white[:, 1])
 
 
 def recent(residuals: Sequence[Residual], newest_ns: int, window_s: float) -> tuple[Residual, ...]:
