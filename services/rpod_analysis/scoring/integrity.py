@@ -7,7 +7,6 @@ misleading information).
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rpod_analysis.scoring.row_store import Row
 from rpod_analysis.scoring.score import Errors, IntArray
@@ -82,6 +81,6 @@ def _misleading(told: Integrities, estimate_ns: IntArray, errors: Errors) -> tup
     matched = known_ns[place] == told.stamp_ns
     index = known[place[matched]]
     sizes = np.column_stack([np.rad2deg(errors.angle_rad[index]), errors.distance_m[index]])
-    above: NDArray[np.bool_] = (sizes > told.levels[matched]).any(axis=1)
+    above = np.any(sizes > told.levels[matched], axis=1)
     usable = np.isin(told.state[matched], _USABLE)
     return int((above & usable).sum()), int(matched.sum())

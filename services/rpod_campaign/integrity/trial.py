@@ -17,10 +17,9 @@ from rpod_campaign.engine.trial.poses import errors, nees_of
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.integrity.course import EPOCH_S, Course, IntegrityCell, lidar_of
-from rpod_campaign.integrity.faults import Injector, LyingTracker, model_of
+from rpod_campaign.integrity.faults import FROZEN_REPEATS, Injector, LyingTracker, model_of
 from rpod_campaign.lidar.methods import pattern_of, tracking_input
 from rpod_campaign.pmd.scene import camera_of, scenario_of
-from rpod_estimator.frame_reader import FROZEN_REPEATS
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.integrity.monitor import Memory, Monitor
