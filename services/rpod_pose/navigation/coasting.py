@@ -11,8 +11,8 @@ import numpy as np
 
 from rpod_pose.belief import worst_sigma
 from rpod_pose.navigation.filter import POSE, FilterState, predict
+from rpod_pose.navigation.sensors.streams import is_supported, supporters, unsupported_s
 from rpod_pose.navigation.state import NavigatorState
-from rpod_pose.navigation.streams import is_supported, supporters, unsupported_s
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.types import Mode

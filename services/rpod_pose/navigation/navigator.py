@@ -28,14 +28,22 @@ from rpod_pose.navigation.filter import FilterState, start
 from rpod_pose.navigation.frames import as_measured
 from rpod_pose.navigation.history import History, PoseMeasurement
 from rpod_pose.navigation.joints import tracked_joints
-from rpod_pose.navigation.newcomers import LATE, Newcomers, applied
 from rpod_pose.navigation.parallel import ParallelTracks
-from rpod_pose.navigation.ranges import Ranges
 from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
 from rpod_pose.navigation.rivals import Rivals
+from rpod_pose.navigation.sensors.newcomers import LATE, Newcomers, applied
+from rpod_pose.navigation.sensors.ranges import Ranges
+from rpod_pose.navigation.sensors.streams import (
+    RESTS,
+    begun,
+    heard,
+    rests,
+    searched,
+    silent_since_s,
+    supported,
+)
 from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
-from rpod_pose.navigation.streams import RESTS, begun, heard, rests, searched, silent_since_s, supported
 from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings

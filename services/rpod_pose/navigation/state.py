@@ -8,10 +8,10 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.challenger import Challenger
 from rpod_pose.navigation.history import History
-from rpod_pose.navigation.joining import Separation
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
-from rpod_pose.navigation.streams import Stream
+from rpod_pose.navigation.sensors.joining import Separation
+from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import EstimatorStatus, Joints, Mode, Odometry

@@ -7,10 +7,10 @@ from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.frames import as_measured
 from rpod_pose.navigation.history import History, PoseMeasurement, apply
-from rpod_pose.navigation.joining import Separation, probation, settled
 from rpod_pose.navigation.registering import Registrar
+from rpod_pose.navigation.sensors.joining import Separation, probation, settled
+from rpod_pose.navigation.sensors.streams import is_supported
 from rpod_pose.navigation.state import NavigatorState, Output
-from rpod_pose.navigation.streams import is_supported
 from rpod_pose.ports import Registration
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.filter import FilterConfig
