@@ -15,6 +15,7 @@ from rpod.campaign_verbs import campaign_verbs
 from rpod.driver_verbs import driver_verbs
 from rpod.log_options import NoLimits
 from rpod.log_verbs import log_verbs
+from rpod.pki_verbs import pki_verbs
 from rpod.target_verbs import target_verbs
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_runtime.lifecycle import run as run_service
@@ -36,6 +37,10 @@ ConfigOption = Annotated[
     Path | None, typer.Option("--config", help="Configuration file: YAML, TOML or JSON.")
 ]
 ConnectOption = Annotated[str | None, typer.Option("--connect", help="Zenoh endpoint of the router.")]
+CredentialsOption = Annotated[
+    Path | None,
+    typer.Option("--credentials", help="Folder of certificate and key, made by 'rpod pki issue'."),
+]
 WaitOption = Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")]
 
 
@@ -64,6 +69,7 @@ app.add_typer(log_verbs)
 app.add_typer(calibrate_verbs, name="calibrate")
 app.add_typer(campaign_verbs)
 app.add_typer(target_verbs)
+app.add_typer(pki_verbs)
 app.add_typer(driver_verbs)
 
 
@@ -111,6 +117,10 @@ def _serve(
 def router(
     config: ConfigOption = None,
     listen: Annotated[str | None, typer.Option("--listen", help="Zenoh endpoint to listen on.")] = None,
+    credentials: CredentialsOption = None,
+    rules: Annotated[
+        Path | None, typer.Option("--rules", help="File of access rules, made by 'rpod pki rules'.")
+    ] = None,
 ) -> None:
     """Run the bus: a Zenoh router that keeps the truth from the estimators."""
     from rpod_runtime import router as daemon
@@ -118,7 +128,8 @@ def router(
 
     try:
         document = read_document(config) if config else {}
-        document |= {"listen": listen} if listen else {}
+        given = {"listen": listen, "credentials": credentials, "rules": rules}
+        document |= {field: value for field, value in given.items() if value}
         checked = check(RouterConfig, document, source=config or "rpod router")
     except ConfigurationError as error:
         _refuse(error)
@@ -126,39 +137,85 @@ def router(
 
 
 @app.command()
-def motion(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+def motion(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = False,
+    credentials: CredentialsOption = None,
+) -> None:
     """Publish the truth: the trajectory of the target."""
     from rpod_motion import daemon
     from rpod_schemas.config.emulator import MotionServiceConfig
 
-    _serve("motion", MotionServiceConfig, daemon.run, config=config, connect=connect, wait=wait)
+    _serve(
+        "motion",
+        MotionServiceConfig,
+        daemon.run,
+        config=config,
+        connect=connect,
+        wait=wait,
+        credentials=credentials,
+    )
 
 
 @app.command()
-def emulator(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+def emulator(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = False,
+    credentials: CredentialsOption = None,
+) -> None:
     """Emulate the sensors: publish their messages from the truth."""
     from rpod_emulator import daemon
     from rpod_schemas.config.emulator import EmulatorConfig
 
-    _serve("emulator", EmulatorConfig, daemon.run, config=config, connect=connect, wait=wait)
+    _serve(
+        "emulator",
+        EmulatorConfig,
+        daemon.run,
+        config=config,
+        connect=connect,
+        wait=wait,
+        credentials=credentials,
+    )
 
 
 @app.command()
-def estimator(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+def estimator(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = False,
+    credentials: CredentialsOption = None,
+) -> None:
     """Estimate poses from sensor messages."""
     from rpod_estimator import daemon
     from rpod_schemas.config.estimator import EstimatorConfig
 
-    _serve("estimator", EstimatorConfig, daemon.run, config=config, connect=connect, wait=wait)
+    _serve(
+        "estimator",
+        EstimatorConfig,
+        daemon.run,
+        config=config,
+        connect=connect,
+        wait=wait,
+        credentials=credentials,
+    )
 
 
 @app.command()
-def logger(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+def logger(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = False,
+    credentials: CredentialsOption = None,
+) -> None:
     """Record everything on the bus into MCAP files."""
     from rpod_logger import daemon
     from rpod_schemas.config.logger import LoggerConfig
 
-    _serve("logger", LoggerConfig, daemon.run, config=config, connect=connect, wait=wait)
+    _serve(
+        "logger", LoggerConfig, daemon.run, config=config, connect=connect, wait=wait, credentials=credentials
+    )
 
 
 @app.command()
@@ -169,6 +226,7 @@ def view(
     config: ConfigOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = False,
+    credentials: CredentialsOption = None,
     target: Annotated[
         str | None, typer.Option("--target", help="Target whose mesh and wireframe are drawn.")
     ] = None,
@@ -201,7 +259,16 @@ def view(
     from rpod_view.scheduling import lower_priority
 
     lower_priority()
-    _serve("view", ViewConfig, daemon.run, config=config, changes=given, connect=connect, wait=wait)
+    _serve(
+        "view",
+        ViewConfig,
+        daemon.run,
+        config=config,
+        changes=given,
+        connect=connect,
+        wait=wait,
+        credentials=credentials,
+    )
 
 
 @app.command()
@@ -227,6 +294,15 @@ def run(
         "runs"
     ),
     with_view: Annotated[bool, typer.Option("--view", help="Open the live view.")] = False,
+    secure: Annotated[
+        bool,
+        typer.Option(
+            "--secure", help="Encrypt, and give each service the rights of its role; see 'rpod pki'."
+        ),
+    ] = False,
+    pki: Annotated[Path, typer.Option("--pki", help="Folder of the certificates, with --secure.")] = Path(
+        "pki"
+    ),
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the summary as one JSON object only.")
     ] = False,
@@ -235,7 +311,14 @@ def run(
     from rpod.command_run import run_command
 
     code = run_command(
-        scenario, duration_s=duration, speed=speed, seed=seed, out=out, view=with_view, as_json=as_json
+        scenario,
+        duration_s=duration,
+        speed=speed,
+        seed=seed,
+        out=out,
+        view=with_view,
+        pki=pki if secure else None,
+        as_json=as_json,
     )
     raise typer.Exit(code)
 

@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 from rpod_runtime.errors import BusError, NoRouterError
 from rpod_schemas.errors import ConfigurationError
+from rpod_security.errors import SecurityError
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +51,7 @@ def run(instance: str, body: Callable[[threading.Event], None]) -> int:
     except NoRouterError as error:
         log.error("%s", error)
         return EXIT_OK if stop.is_set() else EXIT_FAILURE  # stopped while it waited
-    except BusError as error:
+    except (BusError, SecurityError) as error:
         log.error("%s", error)
         return EXIT_FAILURE
     except Exception:
