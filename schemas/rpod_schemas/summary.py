@@ -166,6 +166,9 @@ class LogCompleteness(Config):
     this."""
     reasons: tuple[str, ...]
     """Reasons why the log is not complete, a sentence each."""
+    unconfirmed: tuple[str, ...] = ()
+    """Publishers of other software that ended without saying their last number, a sentence each; they are no
+    reason against the log."""
 
 
 class Tracking(Config):

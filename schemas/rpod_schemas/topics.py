@@ -259,7 +259,7 @@ class Namespace:
                 return topic
         relative = key.removeprefix(f"{self.root}/")
         *name, wire_type, _ = relative.rsplit("/", 2) if relative.count("/") > 1 else ("", "")
-        if name and "::msg::dds_::" in wire_type and is_known(type_of_wire(wire_type)):
+        if name and is_wire_type(wire_type) and is_known(type_of_wire(wire_type)):
             return Topic(name[0], type_of_wire(wire_type))
         return Topic(relative, "")
 
@@ -271,6 +271,12 @@ def is_latched(name: str) -> bool:
         topic.latched and (topic.name == name or topic.name in (f"<camera>/{kind}", f"<lidar>/{kind}"))
         for topic in TOPICS
     )
+
+
+def is_wire_type(text: str) -> bool:
+    """Return whether a text is a message's type as DDS names it; anybody may write a key or a token."""
+    package, *rest = text.split("::")
+    return bool(package) and rest[:-1] == ["msg", "dds_"] and rest[-1].endswith("_")
 
 
 def wire_type(type_name: str) -> str:

@@ -408,6 +408,12 @@ class Health(IntEnum):
     STALE = 3
 
 
+PUBLISHED = "published/"
+"""Beginning of the names of counters in a diagnostic: messages that the service published, by topic."""
+CLOSING = "closing"
+"""Name of the value that is ``true`` in the last diagnostic of a service: it publishes nothing after it."""
+
+
 class Diagnostic(Model):
     """Health of one service; also its heartbeat."""
 

@@ -23,7 +23,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     target = load_target(config.target)
     estimator = Estimator(config, target)
     with Node(config, version=version, stop=stop) as node:
-        node.target_digest = target.digest
+        node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
         validity = Validity(config.stale_after_s)
         with Beacon(validity, outputs.tell, node.clock) as beacon:

@@ -23,6 +23,13 @@ SUPERVISED = "RPOD_SUPERVISED"
 """Environment variable that a supervisor sets; the supervisor holds the other end of standard input."""
 
 
+class Stop(threading.Event):
+    """The event that asks a service to stop."""
+
+    orphaned = False
+    """Whether it was set because the supervisor had ended without stopping the service."""
+
+
 def configure_logging(instance: str, level: int = logging.INFO) -> None:
     """Send log lines to standard error, each with time, level, instance and message."""
     logging.basicConfig(
@@ -39,7 +46,7 @@ def run(instance: str, body: Callable[[threading.Event], None]) -> int:
     The body receives the event that asks it to stop. An exception that it raises is logged here, once.
     """
     configure_logging(instance)
-    stop = threading.Event()
+    stop = Stop()
     _stop_on_signals(stop)
     if os.environ.get(SUPERVISED):
         threading.Thread(target=_stop_with_supervisor, args=(stop,), daemon=True).start()
@@ -82,7 +89,10 @@ def _heed_signals(reader: int, stop: threading.Event) -> None:
     os._exit(128 + number)
 
 
-def _stop_with_supervisor(stop: threading.Event) -> None:
+def _stop_with_supervisor(stop: Stop) -> None:
     while os.read(sys.stdin.fileno(), 4096):  # unbuffered: a lock held at the interpreter's exit is fatal
         pass
+    if not stop.is_set():
+        log.error("the supervisor has ended without stopping this service; was it killed?")
+        stop.orphaned = True
     stop.set()
