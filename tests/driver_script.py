@@ -93,6 +93,33 @@ def recorded(sender, file):
     sender._stream.write(Path(file).read_bytes())
 
 
+def paced(sender):
+    """Send a slanted plane with noise, 20 frames a second, as if taken now."""
+    camera = {"width": 40, "height": 30, "fx": 31.0, "fy": 31.0, "cx": 19.5, "cy": 14.5}
+    random, next_s = np.random.default_rng(1), time.time()
+    plane = np.add.outer(np.linspace(2.5, 2.0, 30), np.linspace(0.0, 0.3, 40))
+    sender.send("info", text="a plane", frame={"camera": camera})
+    while True:
+        next_s += 0.05
+        time.sleep(max(0.0, next_s - time.time()))
+        depth_m = (plane + 0.006 * random.standard_normal(plane.shape)).astype(np.float32)
+        sender.send("frame", {"depth_m": depth_m}, stamp_ns=round(1e9 * next_s))
+
+
+def repeated(sender, file):
+    """Send the recorded frames again and again, 20 a second, as if taken now."""
+    with Path(file).open("rb") as stream:
+        messages = list(iter(lambda: frame_pipe.receive(stream), None))
+    (info, *frames) = [each for each in messages if each.kind in ("info", "frame")]
+    sender.send("info", info.arrays, **info.fields)
+    next_s = time.time()
+    while True:
+        for frame in frames:
+            next_s += 0.05
+            time.sleep(max(0.0, next_s - time.time()))
+            sender.send("frame", frame.arrays, **frame.fields | {"stamp_ns": round(1e9 * next_s)})
+
+
 def ten(sender):
     stream(sender, 10)
     sender.send("end")

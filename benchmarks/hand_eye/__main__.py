@@ -62,6 +62,7 @@ def main() -> None:
     given = parser.parse_args()
     console = Console(soft_wrap=True, highlight=False)
     errors: dict[str, list[FloatArray]] = {name: [] for name in TRUTHS}
+    bounds: dict[str, list[FloatArray]] = {name: [] for name in TRUTHS}
     for seed in range(1, given.seeds + 1):
         put_in = _Errors(seed)
         seen = _kept(given.keep, put_in, given.seconds)
@@ -73,14 +74,21 @@ def main() -> None:
             )
             wrong = put_in.difference(found)
             errors[name].append(wrong)
+            bounds[name].append(np.sqrt(np.diag(found.independent)))
             console.print(
                 f"{name}, seed {seed}: {_told(wrong)}; sigma {_told(np.sqrt(np.diag(found.covariance)))}; "
+                f"bound {_told(np.sqrt(np.diag(found.independent)))}; "
                 f"depth correlation {found.depth_correlation:.3f}, boresight alone "
                 f"{1e3 * found.boresight_sigma_m:.2f} mm, residual scale {found.scale:.2f}, blocks "
                 f"{found.block_correlation:.2f}"
             )
     for name, wrongs in errors.items():
-        console.print(f"{name}, RMS: {_told(np.sqrt(np.mean(np.square(wrongs), axis=0)))}")
+        console.print(f"{name}, RMS: {_told(_rms(wrongs))}; Cramer-Rao bound: {_told(_rms(bounds[name]))}")
+
+
+def _rms(vectors: list[FloatArray]) -> FloatArray:
+    rms: FloatArray = np.sqrt(np.mean(np.square(vectors), axis=0))
+    return rms
 
 
 def _told(values: FloatArray) -> str:

@@ -7,6 +7,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from rpod.log_options import NoLimits
+
 
 class _WithOldForm(TyperGroup):
     """Verbs of ``rpod calibrate``; ``rpod calibrate LOG`` still is ``rpod calibrate depth LOG``."""
@@ -57,6 +59,7 @@ def depth(
     ] = None,
     out: OutOption = None,
     as_json: JsonOption = False,
+    _no_limits: NoLimits = False,
 ) -> None:
     """Find offset and wiggling of a PMD camera's distances; writes <camera>-calibration.yaml."""
     from rpod.command_calibrate import calibrate_command
@@ -69,6 +72,7 @@ def background(
     logs: Annotated[list[Path], typer.Argument(help="MCAP file of frames without the target.")],
     out: OutOption = None,
     as_json: JsonOption = False,
+    _no_limits: NoLimits = False,
 ) -> None:
     """Learn what each sensor sees without the target; writes surroundings.yaml."""
     from rpod.command_background import background_command
@@ -84,6 +88,7 @@ def mount(
     depth_sigma_mm: DepthSigmaOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
+    _no_limits: NoLimits = False,
 ) -> None:
     """Find the mount of a sensor in the chaser (hand-eye calibration); writes <sensor>-mount.yaml."""
     from rpod.command_hand_eye import mount_command
@@ -101,6 +106,7 @@ def clock(
     depth_sigma_mm: DepthSigmaOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
+    _no_limits: NoLimits = False,
 ) -> None:
     """Find offset and drift of a sensor's clock against the truth's; writes <sensor>-source.yaml."""
     from rpod.command_hand_eye import clock_command
@@ -123,6 +129,7 @@ def camera(
     ] = "plumb_bob",
     out: OutOption = None,
     as_json: JsonOption = False,
+    _no_limits: NoLimits = False,
 ) -> None:
     """Find the intrinsics of a camera from images of a checkerboard; writes <sensor>-camera.yaml."""
     from rpod.command_intrinsics import camera_command

@@ -77,7 +77,7 @@ def contract() -> DriverContract:
 
 
 def test_a_driver_with_stamps_in_tai_breaks_it_and_the_remedy_is_told():
-    with pytest.raises(AssertionError, match=r"clock: stamps are 37.* let the driver subtract 37 s"):
+    with pytest.raises(AssertionError, match=r"clock: stamps are 3[67]\..* let the driver subtract 37 s"):
         contract().test_the_check_finds_nothing_wrong(Played(WALLS, ahead_s=37.0))
 
 

@@ -2,14 +2,14 @@
 
 from itertools import islice
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from genicam_fakes import COUNTS, SCAN, Buffer, Nodes, component, faked
 
 from rpod_driver.adapters.genicam.config import GenicamConfig
 from rpod_driver.adapters.genicam.depth import Scan3d, amplitude_of, confident, depth_of
-from rpod_driver.adapters.genicam.driver import GenicamCamera, open_driver
+from rpod_driver.adapters.genicam.driver import open_driver
 from rpod_driver.adapters.genicam.features import FeatureError
 from rpod_driver.errors import DriverError
 from rpod_schemas.types import Camera
@@ -70,43 +70,6 @@ def test_what_a_camera_does_not_have_is_told_by_name_and_nothing_stays_open(devi
     assert taken(driver, 1)
 
 
-class Nodes:
-    """Features with limits."""
-
-    def __init__(self, **values) -> None:
-        self.executed: list[str] = []
-        for name, value in values.items():
-            setattr(self, name, SimpleNamespace(value=value))
-        self.TriggerSoftware = SimpleNamespace(execute=lambda: self.executed.append("TriggerSoftware"))
-
-    def has_node(self, name):
-        return hasattr(self, name)
-
-
-SCAN = {
-    "Scan3dOutputMode": "CalibratedABC_Grid",
-    "Scan3dCoordinateSystem": "Cartesian",
-    "Scan3dDistanceUnit": "Millimeter",
-    "Scan3dCoordinateSelector": "CoordinateA",
-    "Scan3dCoordinateScale": 0.5,
-    "Scan3dCoordinateOffset": 100.0,
-    "Scan3dInvalidDataFlag": True,
-    "Scan3dInvalidDataValue": 0.0,
-    "Scan3dFocalLength": 4.0,
-    "Scan3dPrincipalPointU": 1.5,
-    "Scan3dPrincipalPointV": 1.0,
-    "Width": 4,
-    "Height": 3,
-}
-
-
-def component(data_format, data, width=4, height=3):
-    return SimpleNamespace(data_format=data_format, data=np.ravel(data), width=width, height=height)
-
-
-COUNTS = np.arange(12, dtype=np.uint16).reshape(3, 4)
-
-
 def test_counts_become_metres_by_scale_offset_and_unit():
     scan = Scan3d(Nodes(**SCAN), None)
     depth_m = depth_of([component("Mono8", COUNTS), component("Coord3D_C16", COUNTS)], scan)
@@ -141,50 +104,6 @@ def test_amplitude_and_confidence_are_found_by_their_formats():
     assert amplitude_of(parts).dtype == np.uint16
     assert np.array_equal(confident(parts, (3, 4)), COUNTS > 5)
     assert confident([], (3, 4)).all()
-
-
-class Buffer:
-    """A buffer with depth, intensity and a stamp."""
-
-    timestamp_ns = 77_000_000_000
-
-    def __init__(self) -> None:
-        parts = [component("Coord3D_C16", COUNTS + 1), component("Mono16", COUNTS)]
-        self.payload = SimpleNamespace(components=parts)
-        self.queued = 0
-
-    def queue(self):
-        self.queued += 1
-
-
-class FakeHarvesters:
-    """``harvesters.core`` with one camera that gives the buffers of a list, None for a time-out."""
-
-    def __init__(self, nodes, buffers) -> None:
-        self.nodes, self._buffers = nodes, list(buffers)
-        self.remote_device = SimpleNamespace(node_map=nodes)
-        self.device_info_list = [SimpleNamespace(model="Fake", serial_number="1")]
-        self.calls: list[str] = []
-
-    def Harvester(self):  # noqa: N802 - harvesters' name
-        return self
-
-    def create(self, _selected):
-        return self
-
-    def try_fetch(self, timeout):
-        assert timeout > 0
-        return self._buffers.pop(0)
-
-    def __getattr__(self, name):
-        return lambda *_: self.calls.append(name)
-
-
-def faked(nodes, buffers, tmp_path, **device):
-    (tmp_path / "fake.cti").touch()
-    told = {"producer": tmp_path / "fake.cti", "trigger_rate_hz": 1000} | device
-    config = GenicamConfig.model_validate({"name": "front", "device": told})
-    return GenicamCamera(config, FakeHarvesters(nodes, buffers))
 
 
 def test_a_software_trigger_starts_each_frame_and_one_without_a_frame_is_counted(tmp_path):
@@ -235,3 +154,26 @@ def test_settings_are_written_in_their_order_at_each_connection(tmp_path):
 def test_the_lens_may_be_given():
     lens = Camera(width=4, height=3, fx=9.0, fy=9.0, cx=1.0, cy=1.0)
     assert Scan3d(Nodes(**SCAN), lens).camera(4, 3).fx == 9.0
+
+
+def test_features_change_while_it_runs_all_or_none(tmp_path):
+    nodes = Nodes(**SCAN | {"ExposureTime": 1.0, "Gain": 0.0})
+    driver = faked(nodes, [], tmp_path)
+    driver.connect()
+    assert driver.settings() == {"ExposureTime": 1.0, "Gain": 0.0}
+    driver.apply({"ExposureTime": 500.0, "Width": 4})
+    assert driver.settings() == {"ExposureTime": 500.0, "Gain": 0.0, "Width": 4}
+    with pytest.raises(FeatureError, match="no feature 'Gamma'"):
+        driver.apply({"Gain": 2.0, "Gamma": 1.0})
+    assert nodes.Gain.value == 0.0
+
+
+def test_frames_without_a_buffer_are_told_apart_from_those_that_the_link_lost(tmp_path):
+    nodes = Nodes(**SCAN)
+    driver = faked(nodes, [Buffer(number=1), Buffer(number=5)], tmp_path)
+    driver.connect()
+    assert all(islice(driver.frames(), 2))
+    driver._acquirer.underruns = 1
+    assert driver.drops() == (2, 1)
+    driver.close()
+    assert driver.drops() == (2, 1)

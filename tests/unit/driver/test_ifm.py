@@ -1,11 +1,8 @@
 """An ifm O3R: its buffers are read as its SDK reads them, and what cannot be used is refused by name."""
 
-from datetime import UTC, datetime
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from ifm_recording import BUFFER, LENS, configuration, tof_info_bytes
+from ifm_recording import BUFFER, LENS, FakeSdk, configuration, recorded, tof_info_bytes
 from pydantic import ValidationError
 
 from rpod_driver.adapters.ifm.chunks import (
@@ -24,11 +21,6 @@ from rpod_driver.errors import DriverError, RecordingError
 from rpod_geometry.lens import ray_cosines
 
 CONTENT = BUFFER.read_bytes()
-
-
-def recorded():
-    (chunks,) = buffers(CONTENT, "recorded")
-    return chunks
 
 
 def test_a_buffer_holds_the_images_that_its_headers_name():
@@ -150,58 +142,6 @@ def test_a_played_recording_is_stamped_as_taken_now():
     assert driver.sync().stamp_source == "mapped"
 
 
-class FakeSdk:
-    """``ifm3dpy`` with one head that sends the recorded images, after ``silent`` waits without a frame."""
-
-    def __init__(self, *, tof_info: bytes, starts: bool = True, raw: bool = False) -> None:
-        names = ("RADIAL_DISTANCE_IMAGE", "RADIAL_DISTANCE_NOISE", "NORM_AMPLITUDE_IMAGE", "CONFIDENCE_IMAGE")
-        self.settings: list[dict] = []
-        self.ports: list[int] = []
-        self.stopped = 0
-        self._starts, self._silent = starts, 1
-        images = images_of(recorded())
-        arrays = (images.range_m, images.sigma_m, images.amplitude, images.confidence)
-        self._buffers = dict(zip(names, arrays, strict=True)) | {
-            "TOF_INFO": np.frombuffer(tof_info, np.uint8)[None]
-        }
-        if raw:
-            self._buffers["RADIAL_DISTANCE_IMAGE"] = recorded()[RADIAL_DISTANCE].image()
-        self.device = SimpleNamespace(O3R=lambda _: self)
-        self.framegrabber = SimpleNamespace(
-            FrameGrabber=self._grab, buffer_id=SimpleNamespace(**{name: name for name in self._buffers})
-        )
-
-    def set(self, settings):
-        self.settings.append(settings)
-
-    def port(self, name):
-        return SimpleNamespace(pcic_port=50010 + int(name[-1]))
-
-    def _grab(self, _device, port):
-        self.ports.append(port)
-        return self
-
-    def start(self, _wanted):
-        return SimpleNamespace(wait_for=lambda _: (self._starts, None))
-
-    def stop(self):
-        self.stopped += 1
-        return SimpleNamespace(wait_for=lambda _: (True, None))
-
-    def wait_for_frame(self):
-        self._silent -= 1
-        return SimpleNamespace(wait_for=lambda _: (False, None) if self._silent >= 0 else (True, self))
-
-    def has_buffer(self, name):
-        return name in self._buffers
-
-    def get_buffer(self, name):
-        return self._buffers[name]
-
-    def timestamps(self):
-        return [datetime.fromtimestamp(324_896.5, UTC)]
-
-
 def live(sdk, **device):
     told = {"recording": None, "calibration": None, "ip": "192.168.0.69", "port": "port3"} | device
     return LiveIfm(configuration(**told), sdk)
@@ -250,3 +190,25 @@ def test_the_sdk_has_the_names_that_the_driver_calls():
     driver = live(module, ip="127.0.0.1")
     with pytest.raises(RuntimeError, match="XMLRPC"):  # there is no device
         driver.connect()
+
+
+def test_settings_of_a_live_head_change_by_their_paths_while_it_runs():
+    sdk = FakeSdk(tof_info=tof_info_bytes())
+    driver = live(sdk)
+    driver.connect()
+    assert driver.settings() == {"acquisition/framerate": 10.0, "mode": "standard_range2m"}
+    driver.apply({"acquisition/framerate": 5.0})
+    assert sdk.settings == [{"ports": {"port3": {"acquisition": {"framerate": 5.0}}}}]
+    with pytest.raises(DriverError, match=r"'framerate' is none of the head's port.*acquisition/framerate"):
+        driver.apply({"framerate": 5.0})
+
+
+def test_missing_numbers_of_a_live_heads_frames_are_counted():
+    sdk = FakeSdk(tof_info=tof_info_bytes())
+    driver = live(sdk)
+    driver.connect()
+    frames = (frame for frame in driver.frames() if frame is not None)
+    next(frames)
+    sdk.count += 3
+    next(frames)
+    assert driver.drops().device == 3

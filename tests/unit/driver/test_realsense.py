@@ -5,52 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from realsense_fakes import SHAPE, UTC_MS, FakeSdk, SoftwareCamera, rs
 
 from rpod_driver.adapters.realsense import RealsenseConfig
 from rpod_driver.adapters.realsense.driver import RealsenseCamera, camera_of, open_driver
 from rpod_driver.errors import DriverError
-
-rs = pytest.importorskip("pyrealsense2", reason="pyrealsense2 is not installed (pip install --group devices)")
-SHAPE = (48, 64)
-UTC_MS = 1_700_000_000_000.0
-
-
-class SoftwareCamera:
-    """A camera of the SDK that sends the images it is given."""
-
-    def __init__(self) -> None:
-        self._device = rs.software_device()
-        self._sensor = self._device.add_sensor("Stereo Module")
-        streams = ((rs.stream.depth, 0, rs.format.z16, 2), (rs.stream.infrared, 1, rs.format.y8, 1))
-        self._profiles = [self._profile(*stream) for stream in streams]
-        self._sensor.add_read_only_option(rs.option.depth_units, 0.001)
-        self.stream = rs.syncer()
-        self._sensor.open(self._profiles)
-        self._sensor.start(self.stream)
-
-    def _profile(self, kind, index, form, bytes_per_pixel):
-        intrinsics = rs.intrinsics()
-        intrinsics.height, intrinsics.width = SHAPE
-        intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy = 50.0, 51.0, 31.0, 23.5
-        intrinsics.model, intrinsics.coeffs = rs.distortion.brown_conrady, [0.0] * 5
-        stream = rs.video_stream()
-        stream.type, stream.index, stream.uid, stream.fmt = kind, index, int(kind), form
-        stream.height, stream.width = SHAPE
-        stream.fps, stream.bpp, stream.intrinsics = 30, bytes_per_pixel, intrinsics
-        return self._sensor.add_video_stream(stream)
-
-    def send(self, number, depth, infrared):
-        for profile, image in zip(self._profiles, (depth, infrared), strict=True):
-            frame = rs.software_video_frame()
-            frame.pixels, frame.stride, frame.bpp = image, image.strides[0], image.itemsize
-            frame.timestamp, frame.frame_number = UTC_MS + 33.0 * number, number
-            frame.domain, frame.profile = rs.timestamp_domain.system_time, profile.as_video_stream_profile()
-            frame.depth_units = 0.001
-            self._sensor.on_video_frame(frame)
-
-    def close(self):
-        self._sensor.stop()
-        self._sensor.close()
 
 
 @pytest.fixture
@@ -109,40 +68,6 @@ def test_without_a_camera_that_is_told_at_once_and_nothing_is_open():
     opened.close()
 
 
-class FakeSdk:
-    """A pipeline whose depth sensor has one option; the rest is the SDK's."""
-
-    stream, format, option = rs.stream, rs.format, rs.option
-
-    def __init__(self) -> None:
-        self.written: dict[object, float] = {}
-        self.streams: list[tuple] = []
-        self.stopped = 0
-        self.frame_metadata_value = rs.frame_metadata_value
-
-    def context(self):
-        return SimpleNamespace(query_devices=lambda: [self])
-
-    def config(self):
-        return SimpleNamespace(
-            enable_device=self.streams.append, enable_stream=lambda *a: self.streams.append(a)
-        )
-
-    def pipeline(self):
-        return self
-
-    def start(self, _config):
-        sensor = SimpleNamespace(
-            supports=lambda option: option == rs.option.exposure,
-            get_option_range=lambda _: SimpleNamespace(min=1.0, max=100.0),
-            set_option=self.written.__setitem__,
-        )
-        return SimpleNamespace(get_device=lambda: SimpleNamespace(first_depth_sensor=lambda: sensor))
-
-    def stop(self):
-        self.stopped += 1
-
-
 def test_options_are_written_at_each_connection():
     sdk = FakeSdk()
     opened = RealsenseCamera(
@@ -158,12 +83,24 @@ def test_options_are_written_at_each_connection():
     assert len(sdk.streams) == 6
 
 
+def test_options_change_while_it_runs_all_or_none_and_automatic_exposure_is_written_last():
+    sdk = FakeSdk()
+    opened = RealsenseCamera(RealsenseConfig(name="front"), sdk)
+    opened.connect()
+    opened.apply({"enable_auto_exposure": 1, "exposure": 9})
+    assert list(sdk.written) == [rs.option.exposure, rs.option.enable_auto_exposure]
+    assert opened.settings() == {"exposure": 9.0, "enable_auto_exposure": 1.0}
+    with pytest.raises(DriverError, match=r"exposure is 500(\.0)?, the camera takes 1 to 100"):
+        opened.apply({"enable_auto_exposure": 0, "exposure": 500})
+    assert opened.settings()["enable_auto_exposure"] == 1.0
+
+
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"exposure": 500}, "exposure is 500, the camera takes 1 to 100"),
-        ({"gain": 16}, "no option 'gain'"),
-        ({"colour": 1}, "no option 'colour'"),
+        ({"exposure": 500}, r"exposure is 500(\.0)?, the camera takes 1 to 100"),
+        ({"gain": 16}, "option 'gain': the camera has none"),
+        ({"colour": 1}, "option 'colour': the camera has none"),
     ],
 )
 def test_an_option_that_the_camera_does_not_take_is_refused_and_nothing_stays_open(options, reason):

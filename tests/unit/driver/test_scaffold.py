@@ -4,8 +4,10 @@ import os
 import subprocess
 import sys
 from configparser import ConfigParser
+from importlib import import_module
 
 import pytest
+from ifm_recording import PlayedSdk
 
 from rpod_driver.scaffold import TEMPLATES, ScaffoldError, scaffold
 from rpod_schemas.config.base import load
@@ -51,3 +53,19 @@ def test_what_cannot_be_written_is_refused_with_the_remedy(template, name, text,
     (tmp_path / "there").mkdir()
     with pytest.raises(ScaffoldError, match=text):
         scaffold(template, name, tmp_path)
+
+
+def test_the_package_for_ifm_drives_a_live_head_by_the_projects_driver(tmp_path, monkeypatch):
+    folder = scaffold("ifm", "my_head", tmp_path)
+    monkeypatch.syspath_prepend(folder / "src")
+    monkeypatch.setattr("rpod_driver.adapters.ifm.driver.sdk", lambda *_, **__: PlayedSdk())
+    driver = import_module("my_head").MyHead("192.168.0.69", "port3")
+    driver.connect()
+    frame = next(each for each in driver.frames() if each is not None)
+    driver.close()
+    assert frame.depth_sigma_m is not None
+    assert driver.settings() == {
+        "ip": "192.168.0.69", "port": "port3", "acquisition/framerate": 10.0, "mode": "standard_range2m"
+    }  # fmt: skip
+    with pytest.raises(ValueError, match="port is 'port3' since the start"):
+        driver.apply({"port": "port2"})

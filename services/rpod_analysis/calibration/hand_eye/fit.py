@@ -100,6 +100,9 @@ class HandEye:
     """Stamp of the sensor in the middle of the poses, at which the offset is given."""
     covariance: FloatArray
     """Covariance of all 15 parameters, see the places above; zero for those that were kept."""
+    independent: FloatArray
+    """Covariance if errors were independent and of the residuals' own size: the Cramer-Rao bound of normal
+    ones, shape (15, 15)."""
     motion: Motion
     pairs: int
     """Number of pairs of poses."""
@@ -359,14 +362,17 @@ def _result(
     jacobian = whitening @ problem.jacobian(state)[:, :, free]
     information = np.einsum("n,nip,niq->npq", weights, jacobian, jacobian, optimize=True)
     scores = np.einsum("n,nip,ni->np", weights, jacobian, white)
-    covariance = np.zeros((PARAMETERS, PARAMETERS))
     prior = np.diag(problem.prior_information[free])
-    covariance[np.ix_(free, free)] = _covariance(information, scores, prior, scale)
+    independent = _independent(information, prior, scale)
+    found = _lasting(information, scores, prior, independent)
+    covariance, bound = np.zeros((2, PARAMETERS, PARAMETERS))
+    covariance[np.ix_(free, free)], bound[np.ix_(free, free)] = found, independent
     counts = weights > 0.0
     return HandEye(
         state=state,
         middle_ns=problem.middle_ns,
         covariance=covariance,
+        independent=bound,
         motion=NO_MOTION,
         pairs=len(problem.measured),
         unused=0,
@@ -391,11 +397,21 @@ def _rms(vectors: FloatArray) -> float:
     return float(np.sqrt((vectors**2).sum(axis=1).mean()))
 
 
-def _covariance(information: FloatArray, scores: FloatArray, prior: FloatArray, scale: float) -> FloatArray:
+def _independent(information: FloatArray, prior: FloatArray, scale: float) -> FloatArray:
+    """Return the covariance of independent errors of the residuals' own size."""
+    seen = information.sum(axis=0)
+    inverse = np.linalg.inv(seen + prior)
+    covariance: FloatArray = inverse @ (scale**2 * seen + prior) @ inverse
+    return 0.5 * (covariance + covariance.T)
+
+
+def _lasting(
+    information: FloatArray, scores: FloatArray, prior: FloatArray, independent: FloatArray
+) -> FloatArray:
     """Return the covariance from the solutions that lack one block of time each, to first order.
 
-    It is at least that of independent errors of the residuals' own size, since few blocks tell little of the
-    directions in which the parameters are known worst.
+    It is at least that of independent errors, since few blocks tell little of the directions in which the
+    parameters are known worst.
     """
     whole = information.sum(axis=0) + prior
     blocks = np.array_split(np.arange(len(scores)), _BLOCKS)
@@ -407,11 +423,7 @@ def _covariance(information: FloatArray, scores: FloatArray, prior: FloatArray, 
     )
     moves -= moves.mean(axis=0)
     inverse = np.linalg.inv(whole)
-    independent = scale**2 * inverse @ information.sum(axis=0) @ inverse + inverse @ prior @ inverse
-    values, vectors = eigh(
-        (_BLOCKS - 1) / _BLOCKS * moves.T @ moves + inverse @ prior @ inverse,
-        0.5 * (independent + independent.T),
-    )
+    values, vectors = eigh((_BLOCKS - 1) / _BLOCKS * moves.T @ moves + inverse @ prior @ inverse, independent)
     root = independent @ vectors  # vectors.T @ independent @ vectors = 1
     covariance: FloatArray = (root * np.maximum(values, 1.0)) @ root.T
     return covariance

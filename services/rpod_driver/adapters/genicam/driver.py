@@ -2,21 +2,26 @@
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from rpod_driver.adapters.genicam.config import GenicamConfig, GenicamDevice
 from rpod_driver.adapters.genicam.depth import Scan3d, amplitude_of, confident, depth_of
-from rpod_driver.adapters.genicam.features import execute, write
+from rpod_driver.adapters.genicam.features import execute, read, write, write_all
 from rpod_driver.errors import DriverError
+from rpod_driver.gaps import GapCounter
+from rpod_driver.ports import Drops
 from rpod_driver.registered import sdk
 from rpod_driver.stamps import StampMapper
+from rpod_schemas.config.driver import Setting
 from rpod_schemas.types import PmdFrame, SensorSync
 
 log = logging.getLogger(__name__)
 
+_USUAL = ("ExposureTime", "Gain", "AcquisitionFrameRate", "DeviceLinkThroughputLimit")
+"""Features that are settings also where the configuration does not name them, by the SFNC."""
 _WAIT_S = 0.5
 """Longest wait for a buffer, s: without one harvesters waits for ever (harvesters#354)."""
 
@@ -35,11 +40,14 @@ class GenicamCamera:
         self._harvester: Any = None
         self._acquirer: Any = None
         self._missed = 0
+        self._gaps, self._underruns = GapCounter(), 0
+        self._named = dict.fromkeys([*config.device.settings, *_USUAL])
         self._begin()
 
     def _begin(self) -> None:
         self._stamps = StampMapper(self._name, self._device.stamps)
         self._told: set[str] = set()
+        self._gaps.begin()
 
     def connect(self) -> None:
         """Open the camera, write its settings, and start it. Raises ``DriverError``."""
@@ -75,6 +83,7 @@ class GenicamCamera:
                 yield None
                 continue
             try:
+                self._gaps.take(_number(buffer))
                 frame = self._frame(buffer)
             finally:
                 buffer.queue()
@@ -88,6 +97,7 @@ class GenicamCamera:
 
     def close(self) -> None:
         """Stop and release the camera and its producer."""
+        self._underruns += self._underruns_now()
         acquirer, self._acquirer = self._acquirer, None
         harvester, self._harvester = self._harvester, None
         try:
@@ -103,6 +113,30 @@ class GenicamCamera:
         told = {"trigger": self._device.trigger, "stamp_source": self._stamps.source}
         missed = {"trigger_missed": self._missed} if self._device.trigger != "none" else {}
         return SensorSync.model_validate(told | missed)
+
+    def drops(self) -> Drops:
+        """Return the frames that the camera counted and did not deliver, and those without a free buffer.
+
+        Both stay 0 with producers that number no frames, or count no underruns.
+        """
+        queue = self._underruns + self._underruns_now()
+        return Drops(device=max(self._gaps.lost - queue, 0), queue=queue)
+
+    def settings(self) -> Mapping[str, Setting]:
+        """Return the configured features, those written since, and usual ones that the camera has now."""
+        values = {name: read(self._nodes, name) for name in self._named}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def apply(self, settings: Mapping[str, Setting]) -> None:
+        """Write features in their order. Raises ``FeatureError``; then those before are written back."""
+        write_all(self._nodes, settings)
+        self._named |= dict.fromkeys(settings)
+
+    def _underruns_now(self) -> int:
+        try:
+            return sum(int(each.module.num_underrun) for each in self._acquirer.data_streams)
+        except Exception:  # noqa: BLE001 - not told: an exception of compiled code without a common base
+            return 0
 
     def _selected(self, found: Any) -> Any:
         if not found:
@@ -143,6 +177,14 @@ class GenicamCamera:
         if text not in self._told:
             self._told.add(text)
             log.warning("%s: %s", self._name, text)
+
+
+def _number(buffer: Any) -> int | None:
+    """Return the number of a frame by the camera's count; None if the producer gives none."""
+    try:
+        return int(buffer.module.frame_id)
+    except Exception:  # noqa: BLE001 - not available: an exception of compiled code without a common base
+        return None
 
 
 def _stamp_ns(buffer: Any) -> int | None:

@@ -1,5 +1,6 @@
 """Features of a GenICam camera by the names of the Standard Features Naming Convention (SFNC 2.7)."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from rpod_driver.errors import DriverError
@@ -18,6 +19,21 @@ def write(nodes: Any, name: str, value: Any) -> None:
     except Exception as error:  # genicam raises classes of compiled code without a common base
         limits = _limits(getattr(nodes, name))
         raise FeatureError(f"the camera refuses {name} = {value!r}{limits}: {_first_line(error)}") from error
+
+
+def write_all(nodes: Any, settings: Mapping[str, Any]) -> None:
+    """Write features in their order, or none of them. Raises ``FeatureError``."""
+    before: list[tuple[str, Any]] = []
+    try:
+        for name, value in settings.items():
+            was = read(nodes, name)
+            write(nodes, name, value)
+            before.append((name, was))
+    except FeatureError:
+        for name, was in reversed(before):
+            if was is not None:
+                write(nodes, name, was)
+        raise
 
 
 def execute(nodes: Any, name: str) -> None:

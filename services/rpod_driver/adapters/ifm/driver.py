@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 
 from rpod_driver.adapters.ifm.chunks import buffers
-from rpod_driver.adapters.ifm.config import IfmConfig, IfmDevice
+from rpod_driver.adapters.ifm.config import IfmConfig
 from rpod_driver.adapters.ifm.frames import FrameMaker, IfmImages, images_of, middle_ns, tof_info_of
+from rpod_driver.adapters.ifm.settings import nested, scalars
 from rpod_driver.errors import DriverError, RecordingError
-from rpod_driver.ports import Driver
+from rpod_driver.gaps import GapCounter
+from rpod_driver.ports import Driver, Drops
 from rpod_driver.registered import sdk
 from rpod_driver.stamps import StampMapper
+from rpod_schemas.config.driver import Setting
 from rpod_schemas.types import PmdFrame, SensorSync
 
 log = logging.getLogger(__name__)
@@ -97,13 +100,16 @@ class LiveIfm(_Head):
         super().__init__(config)
         self._module = module
         self._grabber: Any = None
+        self._gaps = GapCounter()
 
     def connect(self) -> None:
         """Connect, apply the settings, and start the stream."""
         self._begin()
+        self._gaps.begin()
         device, fg = self._module.device, self._module.framegrabber
-        vpu = device.O3R(self._device.ip)
-        _apply(vpu, self._device)
+        self._vpu = vpu = device.O3R(self._device.ip)
+        if self._device.settings:
+            vpu.set(self._device.settings)
         ids = fg.buffer_id
         self._ids = ids
         self._grabber = fg.FrameGrabber(vpu, vpu.port(self._device.port).pcic_port)
@@ -126,13 +132,30 @@ class LiveIfm(_Head):
         """Yield frames as they come."""
         while True:
             arrived, frame = self._grabber.wait_for_frame().wait_for(_WAIT_MS)
-            yield self._frame(self._images(frame)) if arrived else None
+            if not arrived:
+                yield None
+                continue
+            self._gaps.take(int(frame.frame_count()))
+            yield self._frame(self._images(frame))
 
     def close(self) -> None:
         """Stop the stream."""
         if self._grabber is not None:
             self._grabber.stop().wait_for(_WAIT_MS)
             self._grabber = None
+
+    def drops(self) -> Drops:
+        """Return how many numbers are missing in the head's frame counter."""
+        return Drops(device=self._gaps.lost)
+
+    def settings(self) -> Mapping[str, Setting]:
+        """Return the settings of the head by their paths below its port, as ``acquisition/framerate``."""
+        told = self._vpu.get([f"/ports/{self._device.port}"])["ports"][self._device.port]
+        return dict(scalars(told))
+
+    def apply(self, settings: Mapping[str, Setting]) -> None:
+        """Write settings; the VPU takes all of them or none. Raises what the SDK raises."""
+        self._vpu.set({"ports": {self._device.port: nested(settings)}})
 
     def _images(self, frame: Any) -> IfmImages:
         def image(name: Any) -> Any:
@@ -158,11 +181,6 @@ class LiveIfm(_Head):
             tof_info=info,
             problem=problem,
         )
-
-
-def _apply(vpu: Any, device: IfmDevice) -> None:
-    if device.settings:
-        vpu.set(device.settings)
 
 
 def _nanoseconds(stamp: datetime) -> int:

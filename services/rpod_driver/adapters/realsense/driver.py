@@ -1,17 +1,22 @@
 """The driver of RealSense cameras."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Protocol
 
 import numpy as np
 
-from rpod_driver.adapters.realsense import RealsenseConfig, RealsenseDevice
+from rpod_driver.adapters.realsense import RealsenseConfig
 from rpod_driver.errors import DriverError
+from rpod_driver.gaps import GapCounter
+from rpod_driver.ports import Drops
 from rpod_driver.registered import sdk
 from rpod_driver.stamps import StampMapper
+from rpod_schemas.config.driver import Setting
 from rpod_schemas.types import Camera, PmdFrame, SensorSync
 
 _WAIT_MS = 500
+_AUTOMATIC = "enable_auto"
+"""Begin of the names of options that are written last: to write an exposure ends automatic exposure."""
 _UNDISTORTED = ("none", "brown_conrady", "inverse_brown_conrady")
 """Distortion models of depth streams; their coefficients are all 0, since depth images are rectified."""
 
@@ -36,10 +41,12 @@ class RealsenseCamera:
     def __init__(self, config: RealsenseConfig, module: Any) -> None:
         self._name, self._device, self._module = config.name, config.device, module
         self._pipeline: Any = None
+        self._gaps = GapCounter()
         self._begin()
 
     def _begin(self) -> None:
         self._stamps = StampMapper(self._name, self._device.stamps)
+        self._gaps.begin()
 
     def connect(self) -> None:
         """Start the streams, and write the options. Raises ``DriverError``, or what the SDK raises."""
@@ -58,7 +65,8 @@ class RealsenseCamera:
         profile = pipeline.start(config)
         self._pipeline = pipeline
         try:
-            _apply(rs, profile.get_device().first_depth_sensor(), device)
+            self._sensor = profile.get_device().first_depth_sensor()
+            self.apply(device.options)
         except BaseException:
             self.close()
             raise
@@ -84,6 +92,25 @@ class RealsenseCamera:
         """Return where the stamps come from."""
         return self._stamps.sync
 
+    def drops(self) -> Drops:
+        """Return how many numbers of depth frames are missing; the SDK's own queue loses some of them."""
+        return Drops(device=self._gaps.lost)
+
+    def settings(self) -> Mapping[str, Setting]:
+        """Return the options of the depth sensor that can be written, by their names in the SDK."""
+        sensor = self._sensor
+        return {
+            option.name: float(sensor.get_option(option))
+            for option in sensor.get_supported_options()
+            if not sensor.is_option_read_only(option)
+        }
+
+    def apply(self, settings: Mapping[str, Setting]) -> None:
+        """Write options. Raises ``DriverError``; then none has changed."""
+        options = [_checked(self._module, self._sensor, name, value) for name, value in settings.items()]
+        for option, value in sorted(options, key=lambda each: each[0].name.startswith(_AUTOMATIC)):
+            self._sensor.set_option(option, value)
+
     def _middle_ns(self, depth: Any) -> int:
         """Return the middle of the exposure; the stamp is of the readout's begin, the metadata tell both."""
         values = self._module.frame_metadata_value
@@ -95,6 +122,7 @@ class RealsenseCamera:
         return stamp_ns - (read_us - middle_us) * 1000
 
     def _frame(self, depth: Any, frames: Any) -> PmdFrame:
+        self._gaps.take(int(depth.get_frame_number()))
         counts = np.asarray(depth.get_data())
         metres = counts * np.float32(depth.get_units())
         infrared = frames.get_infrared_frame() if self._device.infrared else None
@@ -125,14 +153,12 @@ def camera_of(intrinsics: Any) -> Camera:
     )
 
 
-def _apply(rs: Any, sensor: Any, device: RealsenseDevice) -> None:
-    for name, value in device.options.items():
-        option = getattr(rs.option, name, None)
-        if option is None or not sensor.supports(option):
-            raise DriverError(f"device.options: the camera has no option {name!r}; correct its name")
-        limits = sensor.get_option_range(option)
-        if not limits.min <= value <= limits.max:
-            raise DriverError(
-                f"device.options: {name} is {value:g}, the camera takes {limits.min:g} to {limits.max:g}"
-            )
-        sensor.set_option(option, value)
+def _checked(rs: Any, sensor: Any, name: str, value: Setting) -> tuple[Any, float]:
+    """Return an option and its value as the SDK takes them. Raises ``DriverError``."""
+    option = getattr(rs.option, name, None)
+    if option is None or not sensor.supports(option):
+        raise DriverError(f"option {name!r}: the camera has none of this name; correct it")
+    limits = sensor.get_option_range(option)
+    if isinstance(value, str) or not limits.min <= value <= limits.max:
+        raise DriverError(f"option {name} is {value!r}, the camera takes {limits.min:g} to {limits.max:g}")
+    return option, float(value)
