@@ -13,6 +13,7 @@ from rpod import __version__
 from rpod.calibrate_verbs import calibrate_verbs
 from rpod.campaign_verbs import campaign_verbs
 from rpod.driver_verbs import driver_verbs
+from rpod.host_verbs import host_verbs
 from rpod.log_options import NoLimits
 from rpod.log_verbs import log_verbs
 from rpod.target_verbs import target_verbs
@@ -65,6 +66,7 @@ app.add_typer(calibrate_verbs, name="calibrate")
 app.add_typer(campaign_verbs)
 app.add_typer(target_verbs)
 app.add_typer(driver_verbs)
+app.add_typer(host_verbs)
 
 
 @app.callback()

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable
 
 from rpod_runtime.errors import BusError, NoRouterError
+from rpod_runtime.notify import manager
 from rpod_schemas.errors import ConfigurationError
 
 log = logging.getLogger(__name__)
@@ -76,6 +77,7 @@ def _stop_on_signals(stop: threading.Event) -> None:
 
 def _heed_signals(reader: int, stop: threading.Event) -> None:
     os.read(reader, 1)
+    manager.stopping()
     stop.set()
     (number,) = os.read(reader, 1)
     os._exit(128 + number)

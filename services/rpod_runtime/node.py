@@ -24,6 +24,7 @@ from rpod_runtime.clock import BusClock, Clock, WallClock
 from rpod_runtime.delivery import Delivery
 from rpod_runtime.health import HealthBook
 from rpod_runtime.inbox import Received
+from rpod_runtime.notify import manager
 from rpod_runtime.publisher import Publisher
 from rpod_runtime.replies import error_reply
 from rpod_runtime.ros import Form, RosGraph, trigger
@@ -310,6 +311,7 @@ class Node(Asker):
         self.state = "ready"
         self.health.report(Health.OK, message)
         log.info("ready: %s", message)
+        manager.ready(message)
 
     def _beat(self) -> None:
         next_s = time.monotonic()

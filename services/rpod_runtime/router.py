@@ -3,6 +3,7 @@
 import logging
 from threading import Event
 
+from rpod_runtime.notify import manager
 from rpod_runtime.session import open_router
 from rpod_schemas.config.service import RouterConfig
 
@@ -13,4 +14,5 @@ def run(config: RouterConfig, *, stop: Event) -> None:
     """Route until stopped. Raises ``EndpointError``."""
     with open_router(config):
         log.info("ready: listening on %s", config.listen)
-        stop.wait()
+        manager.ready(f"listening on {config.listen}")
+        manager.attend(stop)
