@@ -40,3 +40,28 @@ def down(facility: FacilityArgument, as_json: JsonOption = False) -> None:
     from rpod.command_up import down_command
 
     raise typer.Exit(down_command(facility, as_json=as_json))
+
+
+@host_verbs.command()
+def doctor(
+    facility: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FACILITY]", help="A facility's file, for its bus, its port and its logs."),
+    ] = None,
+    connect: Annotated[str | None, typer.Option("--connect", help="Zenoh endpoint of the router.")] = None,
+    other_router: Annotated[
+        str | None, typer.Option("--other-router", help="Endpoint of a second router, of another host.")
+    ] = None,
+    directory: Annotated[
+        Path | None, typer.Option("--directory", help="Folder of the logs, whose disk is measured.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check this host (clock, versions, disk, port, link) and say what to do: exit 1 if a check fails."""
+    from rpod.command_doctor import doctor_command
+
+    raise typer.Exit(
+        doctor_command(
+            facility, connect=connect, other_router=other_router, directory=directory, as_json=as_json
+        )
+    )

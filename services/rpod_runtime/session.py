@@ -80,6 +80,12 @@ def open_router(config: RouterConfig) -> zenoh.Session:
             _zenoh_config(
                 mode="router",
                 listen={"endpoints": [config.listen], "exit_on_failure": True},
+                connect={
+                    "endpoints": list(config.connect),
+                    "timeout_ms": -1,  # without end, in the background
+                    "exit_on_failure": False,
+                    "retry": {"period_init_ms": 100, "period_max_ms": 500},
+                },
                 scouting={"multicast": {"enabled": False}, "gossip": {"enabled": True}},
                 access_control=truth_rules(config),
             )

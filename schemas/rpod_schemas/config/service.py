@@ -1,12 +1,13 @@
 """Configuration that every service has: its name and the bus."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.topics import Namespace
 
+_ENDPOINT = r"^(tcp|tls|quic|unixsock-stream)/.+"
 ESTIMATOR_ID = "e57a7e"
 """Default Zenoh identity of an estimator, from which the router withholds the truth."""
 
@@ -14,7 +15,7 @@ ESTIMATOR_ID = "e57a7e"
 class BusConfig(Config):
     """Connection of a service to the bus."""
 
-    connect: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|tls|quic|unixsock-stream)/.+")
+    connect: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT)
     """Zenoh endpoint of the router."""
     domain: int = Field(default=0, ge=0, le=232)
     """ROS domain."""
@@ -52,7 +53,10 @@ class RouterConfig(Config):
 
     instance: Name = "router"
     """Name of this process in its log lines."""
-    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|tls|quic|unixsock-stream)/.+")
+    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT)
     """Zenoh endpoint to listen on."""
+    connect: tuple[Annotated[str, Field(pattern=_ENDPOINT)], ...] = ()
+    """Zenoh endpoints of the routers of other hosts, to which this one connects and connects again. Each
+    router judges its own clients; one of the two names the other."""
     estimators: tuple[str, ...] = (ESTIMATOR_ID,)
     """Zenoh identities that may not read the truth, in any domain and namespace."""
