@@ -94,9 +94,8 @@ class Daemon:
         log.info("%s: started, process %d", self.name, self._process.pid)
 
     def _spawn(self) -> subprocess.Popen[bytes]:
-        for file in (self._config, self.log):
-            file.parent.mkdir(parents=True, exist_ok=True)
-        self._config.write_text(self.service.config.model_dump_json(indent=2), "utf-8")
+        self._write_config()
+        self.log.parent.mkdir(parents=True, exist_ok=True)
         if self.log.exists() and self.log.stat().st_size > _LOG_BYTES:
             self.log.replace(self.log.with_suffix(".log.1"))
         environment = os.environ | {
@@ -127,6 +126,20 @@ class Daemon:
         elif self.state == "waiting" and time.monotonic() >= self._due_s:
             self.restarts += 1
             self.start()
+
+    def reload(self, service: ResolvedService) -> None:
+        """Take another configuration: at once what may change, and all of it at the next start."""
+        self.service = service
+        try:
+            self._write_config()
+        except OSError as error:
+            log.error("%s: its configuration cannot be written: %s", self.name, error)
+        if self.state == "ready":  # before that, a process does not heed the signal yet
+            self.send(signal.SIGHUP)
+
+    def _write_config(self) -> None:
+        self._config.parent.mkdir(parents=True, exist_ok=True)
+        self._config.write_text(self.service.config.model_dump_json(indent=2), "utf-8")
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal to the process, if there is one."""

@@ -44,6 +44,7 @@ class ResolvedService:
 class ResolvedFacility:
     """A facility whose services are all checked."""
 
+    path: Path
     file: FacilityFile
     state: Path
     """Folder of configurations, log lines and the state."""
@@ -71,7 +72,7 @@ def resolve_facility(path: Path) -> ResolvedFacility:
             raise ConfigurationError(
                 path, f"services.{service.name}.config.instance", f"another service has the name {instance!r}"
             )
-    return ResolvedFacility(file, state, services)
+    return ResolvedFacility(path, file, state, services)
 
 
 def _resolve(path: Path, file: FacilityFile, name: str, service: FacilityService) -> ResolvedService:

@@ -2,7 +2,6 @@
 
 import logging
 import os
-import signal
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -12,7 +11,8 @@ from tempfile import TemporaryDirectory
 
 from rpod.daemon import Daemon, DaemonState
 from rpod.host_state import DaemonStatus, FacilityStatus, held, write_status
-from rpod.resolved import ResolvedFacility
+from rpod.resolved import ResolvedFacility, resolve_facility
+from rpod_schemas.errors import ConfigurationError
 
 log = logging.getLogger(__name__)
 
@@ -81,9 +81,19 @@ class Keeper:
         return FacilityStatus(name=self._facility.file.name, up=True, pid=os.getpid(), services=services)
 
     def _reload(self) -> None:
-        log.info("SIGHUP: passed on to the services")
+        """Read the facility's file again, and pass the configurations on to the services that run."""
+        try:
+            new = {service.name: service for service in resolve_facility(self._facility.path).services}
+        except ConfigurationError as error:
+            log.error("SIGHUP: everything stays as it is: %s", error)
+            return
         for daemon in self._daemons:
-            daemon.send(signal.SIGHUP)
+            if daemon.name in new:
+                daemon.reload(new.pop(daemon.name))
+            else:
+                log.warning("%s is not in the file any more; it ends with the next 'rpod down'", daemon.name)
+        for name in new:
+            log.warning("%s is new in the file; it is started with the next 'rpod up'", name)
 
     def _write(self, tell: Callable[[FacilityStatus], None]) -> None:
         """Write the state at each change, and once a second."""

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from contextlib import ExitStack
+from pathlib import Path
 
 import psutil
 import pytest
@@ -27,11 +28,11 @@ class Facility:
 
     def __init__(self, folder, services, **fields):
         self.endpoint = free_endpoint()
-        self._path = folder / "hall.yaml"
+        self.path = folder / "hall.yaml"
         document = {"name": "hall", "bus": {"connect": self.endpoint}, "services": services} | fields
-        self._path.write_text(yaml.safe_dump(document, sort_keys=False), "utf-8")
+        self.path.write_text(yaml.safe_dump(document, sort_keys=False), "utf-8")
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "rpod", "up", str(self._path)], stderr=subprocess.PIPE, text=True
+            [sys.executable, "-m", "rpod", "up", str(self.path)], stderr=subprocess.PIPE, text=True
         )
         self.said = Lines(self.process.stderr)
         self._status = folder / "hall.state" / "status.json"
@@ -40,7 +41,7 @@ class Facility:
     def ask(self, verb):
         """Return exit code and answer of ``rpod ps`` or ``rpod down``."""
         done = subprocess.run(
-            [sys.executable, "-m", "rpod", verb, str(self._path), "--json"],
+            [sys.executable, "-m", "rpod", verb, str(self.path), "--json"],
             capture_output=True, text=True, timeout=DEADLINE_S, check=False,
         )  # fmt: skip
         return done.returncode, json.loads(done.stdout)
@@ -117,12 +118,25 @@ def test_a_router_that_hangs_is_killed_and_started_again(up):
     assert not router.is_running()
 
 
+def test_at_a_sighup_the_log_level_changes_and_what_needs_a_restart_is_named(up):
+    facility = up({"router": {"verb": "router"}})
+    before = facility.service("router")
+    document = yaml.safe_load(facility.path.read_text("utf-8"))
+    document["services"]["router"]["config"] = {"log_level": "warning", "estimators": ["abc"]}
+    facility.path.write_text(yaml.safe_dump(document, sort_keys=False), "utf-8")
+    facility.process.send_signal(signal.SIGHUP)
+    log = Path(before["log"])
+    until(lambda: "log_level is warning" in log.read_text("utf-8"))
+    assert "a restart is needed for the changes of estimators" in log.read_text("utf-8")
+    assert facility.service("router")["pid"] == before["pid"]
+
+
 def test_down_stops_the_services_and_a_second_up_is_refused_while_one_runs(up):
     facility = up({"router": {"verb": "router"}})
     facility.service("router")
     with pytest.raises(subprocess.CalledProcessError) as refused:
         subprocess.run(
-            [sys.executable, "-m", "rpod", "up", str(facility._path)], capture_output=True, check=True
+            [sys.executable, "-m", "rpod", "up", str(facility.path)], capture_output=True, check=True
         )
     assert refused.value.returncode == 1
     assert b"the facility is up already" in refused.value.stderr

@@ -12,6 +12,9 @@ ESTIMATOR_ID = "e57a7e"
 """Default Zenoh identity of an estimator, from which the router withholds the truth."""
 
 
+LogLevel = Literal["debug", "info", "warning", "error"]
+
+
 class BusConfig(Config):
     """Connection of a service to the bus."""
 
@@ -43,6 +46,8 @@ class ServiceConfig(Config):
     """Connection to the bus."""
     zenoh_id: str = Field(default="", pattern=r"^[0-9a-f]{0,32}$")
     """Zenoh identity by which the router's access rules know this client; random if empty."""
+    log_level: LogLevel = "info"
+    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP."""
     time_source: Literal["wall", "clock"] = "wall"
     """Clock that decides which messages are late or in the future: that of this machine, or the topic
     ``clock``."""
@@ -53,6 +58,8 @@ class RouterConfig(Config):
 
     instance: Name = "router"
     """Name of this process in its log lines."""
+    log_level: LogLevel = "info"
+    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP."""
     listen: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT)
     """Zenoh endpoint to listen on."""
     connect: tuple[Annotated[str, Field(pattern=_ENDPOINT)], ...] = ()
