@@ -52,6 +52,7 @@ class Reason(StrEnum):
     OTHER_CAMERA = "other_camera"
     OTHER_SETUP = "other_setup"
     SECOND_PUBLISHER = "second_publisher"
+    FROZEN = "frozen"
     TOO_MANY = "too_many"
     OLD_ATTACHMENT = "old_attachment"
 

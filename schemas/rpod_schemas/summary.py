@@ -182,8 +182,25 @@ class Tracking(Config):
     """Time from the first stamp of the run to the first frame in TRACKING, s."""
     tracking_share: KnownShare
     """Share of the frames in TRACKING, from the first such frame on."""
+    coasting_share: KnownShare = None
+    """Share of the frames in COASTING, from the first frame in TRACKING on: predictions within the alert
+    limit."""
     worse_than_10deg_or_0_3m_share: KnownShare
     """Share of the tracked frames whose attitude error exceeds 10 degrees or position error 0.3 m."""
+
+
+class Handover(Config):
+    """Handovers from one sensor to another, the worst of them."""
+
+    count: Count
+    """Number of handovers."""
+    gap_s: NonNegative
+    """Longest time from the last accepted frame of another sensor to the first of the new one, s."""
+    jump_m: Known
+    """Largest change of the position error between successive estimates around a handover, m; null without
+    truth."""
+    jump_deg: Known
+    """The same of the attitude error, deg."""
 
 
 class Summary(Config):
@@ -230,6 +247,8 @@ class Summary(Config):
     innovation: Innovation | None = None
     """Innovations of all frames whose measurement was compared with the prediction, including rejected
     ones."""
+    handover: Handover | None = None
+    """Handovers from one sensor to another; null if there was none."""
     completeness: LogCompleteness | None = None
     """Completeness of the log."""
     unreadable: dict[str, dict[str, Count]] = Field(default_factory=dict)

@@ -179,6 +179,25 @@ TOPICS: tuple[Topic, ...] = (
 )  # fmt: skip
 """All topics, in the order of the ICD's table."""
 
+SENT_BY: dict[str, tuple[str, ...]] = {
+    TRUTH.name: ("motion", "robots"),
+    TRUTH_JOINTS.name: ("motion",),
+    REFERENCE.name: ("motion",),
+    SUN.name: ("motion", "lamp"),
+    TF_STATIC.name: ("sensor",),
+    TF.name: ("motion", "estimator"),
+    CLOCK.name: ("motion", "replay"),
+    **dict.fromkeys((DEPTH.name, AMPLITUDE.name, DEPTH_SIGMA.name), ("camera",)),
+    **dict.fromkeys((CAMERA_INFO.name, PHASE.name, PMD_INFO.name), ("camera",)),
+    **dict.fromkeys((POINTS.name, LIDAR_INFO.name), ("LIDAR",)),
+    **dict.fromkeys((ESTIMATE.name, ESTIMATE_POSE.name, ESTIMATE_FRAME.name), ("estimator",)),
+    **dict.fromkeys((ESTIMATE_JOINTS.name, CONTRADICTION.name, VALIDITY.name, STATUS.name), ("estimator",)),
+    COMMAND.name: ("guidance",),
+    IMU.name: ("chaser",),
+    **dict.fromkeys((DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name), ("service",)),
+}  # fmt: skip
+"""Who publishes a topic: the column "from" of the ICD's table, by the topic's name."""
+
 ABSOLUTE_TOPICS: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.absolute)
 """Topics that stand outside of all namespaces."""
 
@@ -222,9 +241,12 @@ class Namespace:
         """Return the name that ROS 2 shows: ``/lab/logger/split``."""
         return f"/{topic.name}" if topic.absolute or not self.prefix else f"/{self.prefix}/{topic.name}"
 
-    def control(self, instance: str, verb: str) -> str:
-        """Return the key of a control-plane query (ICD section 4)."""
-        return f"{self.root}/rpod/{instance}/{verb}"
+    def control(self, instance: str, verb: str, role: str = "") -> str:
+        """Return the key of a control-plane query (ICD section 4).
+
+        In the profile ``secure`` it ends with the name of who asks, ``role``; a service serves ``*`` there.
+        """
+        return f"{self.root}/rpod/{instance}/{verb}" + (f"/by/{role}" if role else "")
 
     def topic_of(self, key: str) -> str:
         """Return the topic's name of a data-plane key."""

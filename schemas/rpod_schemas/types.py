@@ -284,6 +284,13 @@ class Mode(IntEnum):
     VERIFYING = 1
     TRACKING = 2
     LOST = 3
+    COASTING = 4
+    """No measurement supports the track, and its prediction is within the alert limit."""
+
+    @property
+    def has_track(self) -> bool:
+        """Whether the pose is published: by measurements, or predicted."""
+        return self in (Mode.TRACKING, Mode.COASTING)
 
 
 class Source(IntEnum):

@@ -88,6 +88,23 @@ class GraphNode:
         return f"{self._head(entity, kind)}/{name}/{topic.wire_type}/{type_hash(topic.type)}/{qos.token()}"
 
 
+def token_pattern(namespace: Namespace, kind: str, node: str, topic: Topic | None = None) -> str:
+    """Return the key expression of a node's tokens of one kind, in any session.
+
+    Args:
+        namespace: domain and ROS namespace of the node.
+        kind: ``NN``, ``MP``, ``MS``; also ``SS`` and ``SC`` of ROS services, whose topic is the service.
+        node: name of the node.
+        topic: topic of an endpoint, in which ``*`` stands for a part of the name; None for ``NN``.
+    """
+    prefix = f"/{namespace.prefix}" if namespace.prefix else ""
+    head = f"@ros2_lv/{namespace.domain}/*/*/*/{kind}/*/{_mangled(prefix)}/{node_name(node)}"
+    if topic is None:
+        return head
+    name = _mangled(namespace.ros_name(topic)).replace("*", "$*")
+    return f"{head}/{name}/{topic.wire_type if topic.type else '*'}/*/*"
+
+
 def publisher_tokens(namespace: Namespace, topic: Topic | None = None) -> str:
     """Return the key expression of the tokens of all publishers in a domain, or of those of a topic."""
     endpoint = f"{_mangled(namespace.ros_name(topic))}/{topic.wire_type}" if topic else "*/*"

@@ -16,6 +16,7 @@ from rpod.driver_verbs import driver_verbs
 from rpod.host_verbs import host_verbs
 from rpod.log_options import NoLimits
 from rpod.log_verbs import log_verbs
+from rpod.pki_verbs import pki_verbs
 from rpod.reloading import run_reloading
 from rpod.target_verbs import target_verbs
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
@@ -37,6 +38,10 @@ ConfigOption = Annotated[
     Path | None, typer.Option("--config", help="Configuration file: YAML, TOML or JSON.")
 ]
 ConnectOption = Annotated[str | None, typer.Option("--connect", help="Zenoh endpoint of the router.")]
+CredentialsOption = Annotated[
+    Path | None,
+    typer.Option("--credentials", help="Folder of certificate and key, made by 'rpod pki issue'."),
+]
 WaitOption = Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")]
 
 
@@ -65,6 +70,7 @@ app.add_typer(log_verbs)
 app.add_typer(calibrate_verbs, name="calibrate")
 app.add_typer(campaign_verbs)
 app.add_typer(target_verbs)
+app.add_typer(pki_verbs)
 app.add_typer(driver_verbs)
 app.add_typer(host_verbs)
 
@@ -117,6 +123,10 @@ def _serve(
 def router(
     config: ConfigOption = None,
     listen: Annotated[str | None, typer.Option("--listen", help="Zenoh endpoint to listen on.")] = None,
+    credentials: CredentialsOption = None,
+    rules: Annotated[
+        Path | None, typer.Option("--rules", help="File of access rules, made by 'rpod pki rules'.")
+    ] = None,
 ) -> None:
     """Run the bus: a Zenoh router that keeps the truth from the estimators."""
     from rpod_runtime import router as daemon
@@ -124,7 +134,8 @@ def router(
 
     def read() -> RouterConfig:
         document = read_document(config) if config else {}
-        document |= {"listen": listen} if listen else {}
+        given = {"listen": listen, "credentials": credentials, "rules": rules}
+        document |= {field: value for field, value in given.items() if value}
         return check(RouterConfig, document, source=config or "rpod router")
 
     try:
@@ -139,39 +150,85 @@ def router(
 
 
 @app.command()
-def motion(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+def motion(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = False,
+    credentials: CredentialsOption = None,
+) -> None:
     """Publish the truth: the trajectory of the target."""
     from rpod_motion import daemon
     from rpod_schemas.config.emulator import MotionServiceConfig
 
-    _serve("motion", MotionServiceConfig, daemon.run, config=config, connect=connect, wait=wait)
+    _serve(
+        "motion",
+        MotionServiceConfig,
+        daemon.run,
+        config=config,
+        connect=connect,
+        wait=wait,
+        credentials=credentials,
+    )
 
 
 @app.command()
-def emulator(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+def emulator(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = False,
+    credentials: CredentialsOption = None,
+) -> None:
     """Emulate the sensors: publish their messages from the truth."""
     from rpod_emulator import daemon
     from rpod_schemas.config.emulator import EmulatorConfig
 
-    _serve("emulator", EmulatorConfig, daemon.run, config=config, connect=connect, wait=wait)
+    _serve(
+        "emulator",
+        EmulatorConfig,
+        daemon.run,
+        config=config,
+        connect=connect,
+        wait=wait,
+        credentials=credentials,
+    )
 
 
 @app.command()
-def estimator(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+def estimator(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = False,
+    credentials: CredentialsOption = None,
+) -> None:
     """Estimate poses from sensor messages."""
     from rpod_estimator import daemon
     from rpod_schemas.config.estimator import EstimatorConfig
 
-    _serve("estimator", EstimatorConfig, daemon.run, config=config, connect=connect, wait=wait)
+    _serve(
+        "estimator",
+        EstimatorConfig,
+        daemon.run,
+        config=config,
+        connect=connect,
+        wait=wait,
+        credentials=credentials,
+    )
 
 
 @app.command()
-def logger(config: ConfigOption = None, connect: ConnectOption = None, wait: WaitOption = False) -> None:
+def logger(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = False,
+    credentials: CredentialsOption = None,
+) -> None:
     """Record everything on the bus into MCAP files."""
     from rpod_logger import daemon
     from rpod_schemas.config.logger import LoggerConfig
 
-    _serve("logger", LoggerConfig, daemon.run, config=config, connect=connect, wait=wait)
+    _serve(
+        "logger", LoggerConfig, daemon.run, config=config, connect=connect, wait=wait, credentials=credentials
+    )
 
 
 @app.command()
@@ -182,6 +239,7 @@ def view(
     config: ConfigOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = False,
+    credentials: CredentialsOption = None,
     target: Annotated[
         str | None, typer.Option("--target", help="Target whose mesh and wireframe are drawn.")
     ] = None,
@@ -214,7 +272,16 @@ def view(
     from rpod_view.scheduling import lower_priority
 
     lower_priority()
-    _serve("view", ViewConfig, daemon.run, config=config, changes=given, connect=connect, wait=wait)
+    _serve(
+        "view",
+        ViewConfig,
+        daemon.run,
+        config=config,
+        changes=given,
+        connect=connect,
+        wait=wait,
+        credentials=credentials,
+    )
 
 
 @app.command()
@@ -240,6 +307,15 @@ def run(
         "runs"
     ),
     with_view: Annotated[bool, typer.Option("--view", help="Open the live view.")] = False,
+    secure: Annotated[
+        bool,
+        typer.Option(
+            "--secure", help="Encrypt, and give each service the rights of its role; see 'rpod pki'."
+        ),
+    ] = False,
+    pki: Annotated[Path, typer.Option("--pki", help="Folder of the certificates, with --secure.")] = Path(
+        "pki"
+    ),
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the summary as one JSON object only.")
     ] = False,
@@ -248,7 +324,14 @@ def run(
     from rpod.command_run import run_command
 
     code = run_command(
-        scenario, duration_s=duration, speed=speed, seed=seed, out=out, view=with_view, as_json=as_json
+        scenario,
+        duration_s=duration,
+        speed=speed,
+        seed=seed,
+        out=out,
+        view=with_view,
+        pki=pki if secure else None,
+        as_json=as_json,
     )
     raise typer.Exit(code)
 

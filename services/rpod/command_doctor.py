@@ -14,12 +14,11 @@ from rpod.doctor import bus as over_bus
 from rpod.doctor import host
 from rpod.doctor.finding import Finding, Level
 from rpod.resolved import resolve_facility
-from rpod_runtime import NoRouterError
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import check
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
-from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.errors import ConfigurationError, RpodError
 
 _STYLES = {Level.OK: "green", Level.NOTE: "cyan", Level.FAIL: "bold red", Level.UNCHECKED: "yellow"}
 _TIMEOUT_S = 2.0
@@ -71,9 +70,11 @@ def _examine(bus: BusConfig, listen: str | None, logs: Path, other: str | None) 
     yield host.clock()
     yield from host.room()
     yield from host.disk(logs)
+    if bus.credentials is not None:
+        yield _certificate(bus.credentials)
     try:
         found = list(over_bus.link(bus))
-    except NoRouterError as error:
+    except RpodError as error:
         remedy = "start it: rpod up, or rpod router"
         found = [
             Finding(f"link {bus.connect}", Level.FAIL if listen is None else Level.NOTE, str(error), remedy)
@@ -87,8 +88,17 @@ def _examine(bus: BusConfig, listen: str | None, logs: Path, other: str | None) 
     if other and reachable:
         try:
             yield over_bus.routers(bus, other)
-        except NoRouterError as error:
+        except RpodError as error:
             yield Finding(f"router {other}", Level.FAIL, str(error), "start it, and look at the firewall")
+
+
+def _certificate(folder: Path) -> Finding:
+    from rpod_security.credentials import ExpiryWatch  # noqa: PLC0415 - of an extra
+
+    warning = ExpiryWatch(folder).warning()
+    if warning:
+        return Finding("certificate", Level.FAIL, warning, "rpod pki renew, and copy the folder to this host")
+    return Finding("certificate", Level.OK, f"{folder} can be used")
 
 
 def _print(findings: list[Finding]) -> None:

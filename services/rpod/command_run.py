@@ -20,6 +20,7 @@ from rpod_schemas.config.base import check
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.summary import Summary
+from rpod_security.errors import SecurityError
 from rpod_target import check_model, load_target
 
 if TYPE_CHECKING:
@@ -36,9 +37,13 @@ def run_command(
     seed: int | None,
     out: Path,
     view: bool,
+    pki: Path | None,
     as_json: bool,
 ) -> int:
-    """Play and score a scenario, and print the paths of log and report; return the exit code."""
+    """Play and score a scenario, and print the paths of log and report; return the exit code.
+
+    With ``pki``, a folder of certificates, the bus is secure.
+    """
     configure_logging("supervisor")
     if view and find_spec("rerun") is None:
         print("rpod run: no view, because it needs rerun-sdk: pip install 'rpod[view]'", file=sys.stderr)
@@ -54,14 +59,14 @@ def run_command(
         return _fail(error, EXIT_FAILURE)
     try:
         with Progress(quiet=as_json) as progress:
-            play(scenario, folder, speed=pace, progress=progress, view=view)
+            play(scenario, folder, speed=pace, progress=progress, view=view, pki=pki)
             progress.say("writing the report")
             from rpod_analysis.report import write_report  # noqa: PLC0415 - loaded in half a second
 
             paths = write_report(folder.logs)
     except (InterruptedRunError, KeyboardInterrupt):
         return _fail("interrupted", EXIT_INTERRUPTED, folder)
-    except (RunError, BusError, AnalysisError, OSError) as error:
+    except (RunError, BusError, SecurityError, AnalysisError, OSError) as error:
         return _fail(error, EXIT_FAILURE, folder)
     summary = Summary.model_validate_json(paths.summary.read_text("utf-8"))
     if as_json:

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel
-
 from rpod_runtime.session import free_endpoint
 from rpod_schemas.config.emulator import EmulatorConfig, LockstepConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings
@@ -25,7 +23,7 @@ class Facility:
     """Configurations of all services, and that of the supervisor's own client."""
 
     router: RouterConfig
-    services: dict[str, BaseModel]
+    services: dict[str, ServiceConfig]
     """Configurations by verb, in the order in which services stop: publishers before their receivers."""
     supervisor: ServiceConfig
     view: ViewConfig

@@ -26,7 +26,13 @@ from rpod_schemas.topics import DIAGNOSTICS, STATUS, TARGET, TARGET_ESTIMATE, TF
 from rpod_schemas.types import Diagnostic, Health, Mode
 from rpod_target import NO_SYMMETRY, load_equivalence
 
-_STYLES = {Mode.TRACKING: "green", Mode.VERIFYING: "yellow", Mode.ACQUIRING: "yellow", Mode.LOST: "red"}
+_STYLES = {
+    Mode.TRACKING: "green",
+    Mode.VERIFYING: "yellow",
+    Mode.ACQUIRING: "yellow",
+    Mode.LOST: "red",
+    Mode.COASTING: "magenta",
+}
 _LEVELS = {Health.WARN: "yellow", Health.ERROR: "red"}
 _PLAIN_PERIOD_S = 5.0
 _VIEW = ViewConfig.model_fields["instance"].default

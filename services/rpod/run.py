@@ -67,16 +67,29 @@ def _new_directory(out: Path, name: str) -> Path:
 
 
 def play(
-    scenario: Scenario, folder: RunFolder, *, speed: Speed, progress: Progress, view: bool = False
+    scenario: Scenario,
+    folder: RunFolder,
+    *,
+    speed: Speed,
+    progress: Progress,
+    view: bool = False,
+    pki: Path | None = None,
 ) -> None:
-    """Play a scenario to its end and close the log; ``view`` adds a live view.
+    """Play a scenario to its end and close the log.
+
+    ``view`` adds a live view; ``pki``, a folder of certificates, makes the bus secure.
 
     Raises:
         ServiceDiedError: a service ended too early; the log is closed nevertheless.
         NotReadyError: a service did not start.
         InterruptedRunError: the operator ended the run; the log is closed nevertheless.
+        SecurityError: a certificate is missing or cannot be used.
     """
     facility = configure(scenario, directory=folder.directory, speed=speed)
+    if pki:
+        from rpod.secure_run import secured  # noqa: PLC0415 - of an extra
+
+        facility = secured(facility, pki.absolute(), rules=folder.directory / "config" / "rules.json")
     with _interruptible() as interrupted, Supervisor(folder.directory, progress.say) as services:
         services.start("router", facility.router)
         _start_listeners_first(services, facility)

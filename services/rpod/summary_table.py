@@ -3,7 +3,7 @@
 from rich.console import Console
 from rich.table import Table
 
-from rpod_schemas.summary import ErrorSummary, Summary
+from rpod_schemas.summary import ErrorSummary, Handover, Summary
 
 
 def print_summary(summary: Summary, console: Console) -> None:
@@ -26,7 +26,9 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
             "tracking",
             f"{_percent(modes.tracked_time_share)} of the time, longest without a track "
             f"{_seconds(modes.longest_untracked_s)}; {_percent(modes.tracking_share)} of the frames after "
-            f"{_seconds(modes.first_tracking_s)}",
+            f"{_seconds(modes.first_tracking_s)}"
+            + f", {_percent(modes.coasting_share)} coasting"
+            * bool(modes.coasting_share),
         ),
         *_error_rows(summary.error),
         *(
@@ -62,8 +64,19 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
         nees = summary.consistency
         within = f"{_percent(nees.nees_share_in_95)} within 95 %"
         rows.append(("NEES", f"{nees.nees_mean:.1f} mean of {nees.nees_dof} expected, {within}"))
+    if summary.handover:
+        rows.append(("handover", _handover(summary.handover)))
     rows.append(("messages", f"{published} published, {missed} missed by the log"))
     return rows
+
+
+def _handover(handover: Handover) -> str:
+    jump = (
+        "jump unknown"
+        if handover.jump_m is None or handover.jump_deg is None
+        else f"jump {1e3 * handover.jump_m:.1f} mm, {handover.jump_deg:.2f} deg"
+    )
+    return f"{handover.count} between sensors, gap {handover.gap_s:.2f} s, {jump}"
 
 
 def _target_rows(summary: Summary) -> list[tuple[str, str]]:

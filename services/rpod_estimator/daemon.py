@@ -1,6 +1,7 @@
 """The estimator daemon: connects the estimator to the bus and the clock."""
 
 import time
+from collections import defaultdict
 from threading import Event
 
 from rpod_estimator.backoff import Backoff
@@ -60,19 +61,24 @@ class _Service:
     ) -> None:
         self._estimator, self._subscriptions = estimator, subscriptions
         self._outputs, self._validity, self._beacon = outputs, validity, beacon
-        self._backoff = Backoff()
+        self._backoffs = defaultdict[str, Backoff](Backoff)
 
     def reset(self, request: ResetRequest) -> Accepted:
         """Start again, with the sensors as they are set up now."""
         self._subscriptions.request_reset(request)
-        self._backoff.end()
+        self._end_rests()
         return self._estimator.request_reset(request)
 
     def rests(self, arrived: Arrived) -> bool:
         """Return whether a frame is passed over, because searches have been in vain for long."""
-        rests = self._backoff.rests(arrived, time.monotonic())
-        self._subscriptions.health.rest(arrived.sensor if rests else "", self._backoff.pause_s)
+        rests = self._backoffs[arrived.sensor].rests(arrived, time.monotonic())
+        pause_s = max(each.pause_s for each in self._backoffs.values())
+        self._subscriptions.health.rest(arrived.sensor if rests else "", pause_s)
         return rests
+
+    def _end_rests(self) -> None:
+        for backoff in self._backoffs.values():
+            backoff.end()
 
     def process(self, arrived: Arrived) -> None:
         """Process a frame and publish the result."""
@@ -82,7 +88,9 @@ class _Service:
         now_s = time.monotonic()
         self._subscriptions.health.judge(arrived, output.status, now_s)
         if not self._beacon.is_silent:  # results must not depend on the machine's speed
-            self._backoff.take(arrived, output, began_s=began_s, now_s=now_s)
+            self._backoffs[arrived.sensor].take(arrived, output, began_s=began_s, now_s=now_s)
+            if output.status.accepted:
+                self._end_rests()
 
     def publish(self, output: Output | None, arrived: Arrived | None = None) -> None:
         """Publish a result, and with it whether it is valid."""

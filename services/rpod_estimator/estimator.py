@@ -19,7 +19,7 @@ from rpod_pose.surroundings.known import KnownParts, KnownSurroundingsError, kno
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.control import Accepted, ResetRequest
-from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.errors import ConfigurationError, Reason
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import EstimatorStatus, Mode
@@ -53,8 +53,8 @@ class Estimator:
         )
         self._state: NavigatorState = self._navigator.start(config.initial_pose)
         self._resets: SimpleQueue[ResetRequest] = SimpleQueue()
-        self._silence_ns = round(config.navigator.silence_timeout_s * NANOSECONDS) + 2 * _TICK_NS
         self._passed_ns: int | None = None
+        self._told_ns = 0
 
     @property
     def mode(self) -> Mode:
@@ -153,13 +153,15 @@ class Estimator:
         return output
 
     def tick(self, now_ns: int) -> Output | None:
-        """Advance the time without a frame; return a result if the mode changes."""
+        """Advance the time without a frame; return a result if the mode changes, or the track coasts."""
         self._take_resets()
         before = self._state.mode
+        if self._told_ns <= now_ns < self._told_ns + _TICK_NS:
+            return None  # a daemon's ticks are more frequent than the messages of a track that coasts
         self._state, output = self._navigator.step(self._state, Tick(now_ns))
-        if output is None or before == self._state.mode:
-            return None
-        self._log_change(before, output)
+        if output is not None:
+            self._told_ns = now_ns
+            self._log_change(before, output)
         return output
 
     def let_time_pass(self, until_ns: int) -> Iterator[Output]:
@@ -168,13 +170,19 @@ class Estimator:
         Lockstep and replay call this, so that their results do not depend on the machine's load.
         """
         if self._passed_ns is not None:
-            last_ns = min(until_ns, self._passed_ns + self._silence_ns)  # later ticks change nothing
-            for now_ns in range(self._passed_ns + _TICK_NS, last_ns, _TICK_NS):
+            for now_ns in range(self._passed_ns + _TICK_NS, until_ns, _TICK_NS):
+                if not self.mode.has_track:
+                    break  # later ticks change nothing
                 if output := self.tick(now_ns):
                     yield output
         self._passed_ns = max(until_ns, self._passed_ns or 0)
 
     def _rejected(self, arrived: Arrived, reason: str) -> Output:
+        if arrived.refused == Reason.FROZEN:
+            self._state, output = self._navigator.refuse(
+                self._state, arrived.sensor, arrived.stamp_ns, reason
+            )
+            return output
         status = EstimatorStatus(
             stamp_ns=arrived.stamp_ns,
             frame_id=CHASER,

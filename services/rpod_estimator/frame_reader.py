@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from rpod_estimator.setup_check import Setup, SetupCheck
 from rpod_pose.measurement import Measurement
 from rpod_pose.pmd.camera_check import CameraCheck
@@ -24,8 +26,11 @@ from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_transforms
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import TF_STATIC, Topic
-from rpod_schemas.types import Camera
+from rpod_schemas.types import Camera, SensorFrame
 
+FROZEN_REPEATS = 2
+"""Number of repetitions of a frame's content from which on its sensor is frozen: the third frame is refused.
+A driver may send one frame twice."""
 STAMP_END = 12
 """End of the encapsulation header and the stamp in a message's bytes."""
 
@@ -72,6 +77,7 @@ class FrameReader:
         self._frame_ids: dict[str, str] = {}
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
         self._cameras = CameraCheck()
+        self._contents: dict[str, tuple[memoryview, int]] = {}
         for sensor in sensors:
             self._expect(sensor)
 
@@ -177,8 +183,37 @@ class FrameReader:
             raise PartRejectedError(leading, rejection) from rejection
         return Measurement(sensor, data, self._sources[sensor].boresight_mount(mount))
 
+    def arrived(self, sensor: str, frame: Assembled[Received], arrival_s: float) -> Arrived:
+        """Return a frame with its measurement, or the reason for which it is refused.
+
+        Raises:
+            PartRejectedError: a part cannot be used.
+        """
+        measurement = self.measurement(sensor, frame)
+        repeats = self.repeats(sensor, frame)
+        if repeats < FROZEN_REPEATS or not _shows_something(measurement.data):
+            return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, repeats=repeats)
+        told = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
+        reason = f"{Reason.FROZEN}: {told}"
+        return Arrived(sensor, frame.stamp_ns, arrival_s, None, reason, Reason.FROZEN, repeats)
+
+    def repeats(self, sensor: str, frame: Assembled[Received]) -> int:
+        """Return how many frames in a row have had the same content: noise never repeats to the bit."""
+        content = frame.parts[self.leading[sensor]].payload[STAMP_END:]
+        before, repeats = self._contents.get(sensor, (memoryview(b""), 0))
+        repeats = repeats + 1 if np.array_equal(np.asarray(content), np.asarray(before)) else 0
+        self._contents[sensor] = content, repeats
+        return repeats
+
     def _check_camera(self, sensor: str, camera: Camera, received: Received) -> None:
         try:
             self._cameras.check(sensor, camera, pinned=self.pinned)
         except MessageRejectedError as rejection:
             raise PartRejectedError(received, rejection) from rejection
+
+
+def _shows_something(data: SensorFrame) -> bool:
+    """Return whether a frame has a measured pixel or a return; empty frames are alike by nature."""
+    if data.images:
+        return bool(np.isfinite(data.images[0].values).any())
+    return len(data.returns_m) > 0

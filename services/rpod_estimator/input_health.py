@@ -85,7 +85,7 @@ class InputHealth:
         if now_s >= self._next_s:
             self._next_s = now_s + _PERIOD_S
             self._state = self._update(now_s)
-        level = max(self._state.level, Health.WARN if mode == Mode.LOST else Health.OK)
+        level = max(self._state.level, Health.WARN if mode in (Mode.LOST, Mode.COASTING) else Health.OK)
         self._health.report(level, "; ".join(filter(None, (mode.name.lower(), self._state.text))))
 
     def _update(self, now_s: float) -> InputState:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rpod_estimator.frame_reader import STAMP_END, Arrived, FrameReader
+from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_estimator.input_health import InputHealth
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
@@ -49,7 +49,6 @@ class Subscriptions:
         self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic]]()
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()
-        self._contents: dict[str, tuple[memoryview, int]] = {}
         node.watch_publishers(lambda session, topic: self._gone.put((session, topic)))
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
@@ -208,7 +207,7 @@ class Subscriptions:
         try:
             for part in frame.parts.values():
                 self._holders.check(part.topic.name, part.peer, part.arrival_s)
-            measurement = self._reader.measurement(sensor, frame)
+            arrived = self._reader.arrived(sensor, frame, arrival_s)
             session = frame.parts[self._reader.leading[sensor]].session
             for part in frame.parts.values():
                 # A part that lasts is as new as the frames of its own session.
@@ -219,12 +218,4 @@ class Subscriptions:
         except PartRejectedError as error:
             self._node.reject(error.topic, error)
             return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
-        return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, repeats=self._repeats(sensor, frame))
-
-    def _repeats(self, sensor: str, frame: Assembled[Received]) -> int:
-        """Return how many frames in a row have had the same content: noise never repeats to the bit."""
-        content = frame.parts[self._reader.leading[sensor]].payload[STAMP_END:]
-        before, repeats = self._contents.get(sensor, (memoryview(b""), 0))
-        repeats = repeats + 1 if np.array_equal(np.asarray(content), np.asarray(before)) else 0
-        self._contents[sensor] = content, repeats
-        return repeats
+        return arrived

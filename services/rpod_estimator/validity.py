@@ -97,7 +97,7 @@ class Validity:
         return max((each.deadline_s(self._stale_after_s) for each in self._sensors.values()), default=0.0)
 
     def _reason(self, now_s: float) -> str:
-        if self._mode != Mode.TRACKING:
+        if not self._mode.has_track:
             return f"the target is not tracked: {self._mode.name}"
         for name, sensor in self._sensors.items():
             if sensor.contradiction:

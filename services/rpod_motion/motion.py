@@ -11,6 +11,7 @@ from rpod_motion.attitude import FixedAttitude, Spin, Sway, TargetAttitude, inte
 from rpod_motion.errors import MotionError
 from rpod_motion.relative_orbit import cross
 from rpod_motion.station_keeping import StationKeeping
+from rpod_motion.synchronised import Synchronised
 from rpod_motion.trajectory import Trajectory
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import (
@@ -99,13 +100,22 @@ def build_motion(
         duration_s: time from the epoch to the end.
 
     Raises:
-        MotionError: the duration is not positive, or the inertia is not that of a rigid body.
+        MotionError: the duration is not positive, the inertia is not that of a rigid body, or an approach is
+            synchronised with a target that does not turn.
     """
     if not (np.isfinite(duration_s) and duration_s > 0.0):
         raise MotionError(f"the duration is {duration_s:g} s; it must be positive")
+    attitude = _attitude(config.attitude, inertia_kg_m2, duration_s)
+    trajectory = _trajectory(config.trajectory, centre_of_mass_m, duration_s)
+    if isinstance(config.trajectory, ApproachConfig) and config.trajectory.synchronised:
+        if isinstance(config.attitude, FixedAttitudeConfig):
+            raise MotionError(
+                "synchronised has no effect where the attitude is fixed to the chaser; choose spin or tumble"
+            )
+        trajectory = Synchronised(trajectory, attitude)
     return Motion(
-        trajectory=_trajectory(config.trajectory, centre_of_mass_m, duration_s),
-        attitude=_attitude(config.attitude, inertia_kg_m2, duration_s),
+        trajectory=trajectory,
+        attitude=attitude,
         sun_E_W_m2=_sun(config.sun),
         duration_s=duration_s,
         joints=config.joints,

@@ -9,6 +9,7 @@ import zenoh
 from pydantic import BaseModel, ValidationError
 
 from rpod_runtime.errors import QueryFailedError
+from rpod_runtime.identity import Identity
 from rpod_runtime.replies import error_text
 from rpod_schemas.control import Empty
 from rpod_schemas.topics import Namespace
@@ -25,6 +26,7 @@ class Asker:
     stop: Event
     _session: zenoh.Session
     _keys: Namespace
+    _identity: Identity
 
     def ask(
         self,
@@ -40,7 +42,7 @@ class Asker:
         Raises:
             QueryFailedError: no answer in time, or an error reply.
         """
-        key = self._keys.control(instance, verb)
+        key = self._keys.control(instance, verb, self._identity.name)
         answer = self._first_answer(key, (request or Empty()).model_dump_json(), timeout_s)
         if answer.ok is None:
             raise QueryFailedError(
@@ -67,7 +69,7 @@ class Asker:
     def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:
         """Query every service that answers a verb; invalid and missing answers are left out."""
         answers = self._session.get(
-            self._keys.control("*", verb),
+            self._keys.control("*", verb, self._identity.name),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             payload=Empty().model_dump_json(),

@@ -1,5 +1,7 @@
 """Errors that this package raises."""
 
+from pathlib import Path
+
 from rpod_schemas.errors import RpodError
 
 
@@ -18,11 +20,28 @@ class NoRouterError(BusError):
         )
 
 
+class RefusedByRouterError(BusError):
+    """A router listens at the endpoint and refuses this client."""
+
+    def __init__(self, endpoint: str, reason: str) -> None:
+        super().__init__(f"the router at {endpoint} refuses this client: {reason}")
+
+
 class EndpointError(BusError):
     """The router cannot listen on its configured endpoint."""
 
     def __init__(self, endpoint: str, reason: str) -> None:
         super().__init__(f"cannot listen on {endpoint}: {reason}; is another router running there?")
+
+
+class NotThisServiceError(BusError):
+    """The credentials are of another name than the service's instance."""
+
+    def __init__(self, instance: str, name: str, folder: Path) -> None:
+        super().__init__(
+            f"instance is {instance!r}, but bus.credentials ({folder}) are those of {name!r}; the router "
+            "knows a service by its certificate: name it so, or issue another with 'rpod pki issue'"
+        )
 
 
 class QueryFailedError(BusError):

@@ -25,6 +25,7 @@ class HealthBook:
         self._measures: dict[str, float] = {}
         self._texts: dict[str, str] = {}
         self._warning = ""
+        self._alarms: dict[str, str] = {}
         self._told_s: dict[str, float] = {}
         self._level, self._message = Health.OK, "starting"
         self._check: Callable[[], tuple[Health, str]] | None = None
@@ -61,11 +62,16 @@ class HealthBook:
             self._changed |= told_s is None
         return due
 
-    def obey(self, verb: str, request: str) -> None:
-        """Count an accepted command and keep its text, so that a log shows which commands were given."""
+    def obey(self, verb: str, request: str, asker: str = "") -> None:
+        """Count an accepted command and keep its text, so that a log shows which commands were given.
+
+        ``asker`` is the name of who gave it, if certificates tell.
+        """
         with self._lock:
             self._counters[f"commands/{verb}"] += 1
             self._texts[f"command/{verb}"] = request
+            if asker:
+                self._texts[f"command_by/{verb}"] = asker
             self._changed = True
 
     def warn(self, name: str, text: str) -> None:
@@ -74,6 +80,15 @@ class HealthBook:
             self._texts[name] = text
             self._warning = f"look at {name}"
             self._changed = True
+
+    def alarm(self, name: str, text: str) -> None:
+        """Set a text that keeps the level at least at WARN while it stands; an empty one takes it away."""
+        with self._lock:
+            self._changed |= text != self._alarms.get(name, "")
+            if text:
+                self._alarms[name] = text
+            else:
+                self._alarms.pop(name, None)
 
     def tell(self, name: str, text: str) -> None:
         """Set a text for the operator in the diagnostics; an empty one is removed."""
@@ -110,7 +125,8 @@ class HealthBook:
         values = {name: str(value) for name, value in self.counters().items()}
         with self._lock:
             values |= {name: f"{value:.6g}" for name, value in self._measures.items()} | self._texts
-            warning = self._warning
+            values |= self._alarms
+            warning = "; ".join(filter(None, [self._warning, *(f"look at {name}" for name in self._alarms)]))
         if warning:
             level, message = max(level, Health.WARN), f"{message}; {warning}"
         return Diagnostic(stamp_ns=stamp_ns, name=self.name, level=level, message=message, values=values)

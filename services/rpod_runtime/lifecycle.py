@@ -14,6 +14,7 @@ from collections.abc import Callable
 from rpod_runtime.errors import BusError, NoRouterError
 from rpod_runtime.notify import manager
 from rpod_schemas.errors import ConfigurationError
+from rpod_security.errors import SecurityError
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +60,7 @@ def run(
     except NoRouterError as error:
         log.error("%s", error)
         return EXIT_OK if stop.is_set() else EXIT_FAILURE  # stopped while it waited
-    except BusError as error:
+    except (BusError, SecurityError) as error:
         log.error("%s", error)
         return EXIT_FAILURE
     except Exception:

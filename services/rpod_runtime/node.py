@@ -21,12 +21,13 @@ from pydantic import BaseModel
 from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.asker import Asker
 from rpod_runtime.clock import BusClock, Clock, WallClock
+from rpod_runtime.control import Served
 from rpod_runtime.delivery import Delivery
 from rpod_runtime.health import HealthBook
+from rpod_runtime.identity import open_identity
 from rpod_runtime.inbox import Received
 from rpod_runtime.notify import manager
 from rpod_runtime.publisher import Publisher
-from rpod_runtime.replies import error_reply
 from rpod_runtime.ros import Form, RosGraph, trigger
 from rpod_runtime.ros.offers import offer_watch
 from rpod_runtime.ros.parameters import Parameters
@@ -63,6 +64,7 @@ class Node(Asker):
         self.health = HealthBook(config.instance)
         self.account = SequenceAccount()
         self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
+        self._identity = open_identity(config)
         self._keys = config.bus.keys
         self._delivery = Delivery(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
@@ -254,27 +256,16 @@ class Node(Asker):
 
         With ``ros`` it is answered as a ROS 2 service too, unless the configuration leaves them out.
         """
-        key = self._keys.control(self.config.instance, verb)
-
-        def obey(asked: RequestT) -> BaseModel:
-            reply = handler(asked)
-            if verb != "status":  # status is queried often and changes nothing
-                self.obeyed(verb, asked.model_dump_json())
-            return reply
-
-        def answer(query: zenoh.Query) -> None:
-            with query:
-                payload = query.payload.to_bytes() if query.payload else b"{}"
-                try:
-                    reply = obey(request.model_validate_json(payload)).model_dump_json()
-                except Exception as error:  # noqa: BLE001 - the client gets any error as a reply
-                    query.reply_err(error_reply(error).model_dump_json())
-                else:
-                    query.reply(key, reply)
-
-        queryable = self._session.declare_queryable(key, answer)
+        served = Served(self._keys, self.config.instance, verb, request, handler, self._identity, self.health)
+        queryable = self._session.declare_queryable(served.key, served.answer)
         self._stack.callback(queryable.undeclare)
         if ros is not None and self.config.bus.ros_services:
+
+            def obey(asked: RequestT) -> BaseModel:
+                reply = handler(asked)
+                self.obeyed(verb, asked.model_dump_json())
+                return reply
+
             self._ros.serve(
                 verb, ros.type, answer=lambda call: ros.accepted(obey(ros.request(call))), refuse=ros.refused
             )
@@ -284,7 +275,8 @@ class Node(Asker):
         self._token(self._graph.endpoint_token("SS", self._entity(), service))
 
     def obeyed(self, verb: str, request: str) -> None:
-        """Keep a command that was accepted in the diagnostics, and so in the log."""
+        """Keep a command of a ROS 2 client in the diagnostics, the log and the audit record."""
+        self._identity.record(asker="a ROS 2 client", verb=verb, request=request, outcome="accepted")
         self.health.obey(verb, request)
 
     def status(self) -> StatusReply:
@@ -327,6 +319,7 @@ class Node(Asker):
         self._publish_health()
 
     def _publish_health(self) -> None:
+        self.health.alarm("certificate", self._identity.warning())
         self._update_counters()
         self._diagnostics.publish(write_diagnostics([self.health.diagnostic(time.time_ns())]))
 

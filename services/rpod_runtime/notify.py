@@ -9,6 +9,7 @@ import os
 import socket
 import time
 from contextlib import suppress
+from math import inf
 from threading import Event
 
 _BEATS = 4
@@ -49,9 +50,10 @@ class ServiceManager:
             self._next_s = now_s + self._period_s
             self._send("WATCHDOG=1")
 
-    def attend(self, stop: Event) -> None:
-        """Wait until a service without a main loop of its own is stopped, and tell that it lives."""
-        while not stop.wait(_TURN_S):
+    def attend(self, stop: Event, most_s: float = inf) -> None:
+        """Wait until a service is stopped, or for a time, in place of a main loop; tell that it lives."""
+        end_s = time.monotonic() + most_s
+        while not stop.wait(_TURN_S) and time.monotonic() < end_s:
             self.alive()
 
     def _send(self, text: str) -> None:

@@ -7,6 +7,7 @@ from pydantic import ValidationError
 from rpod_runtime.errors import RefusedError
 from rpod_schemas.control import ErrorReply
 from rpod_schemas.errors import SchemaError
+from rpod_security.errors import SecurityError
 
 log = logging.getLogger(__name__)
 
@@ -17,7 +18,7 @@ def error_reply(error: Exception) -> ErrorReply:
         problem = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in problem["loc"]) or "request"
         return ErrorReply(error="BadRequest", message=f"{field}: {problem['msg']}")
-    if not isinstance(error, SchemaError | RefusedError):
+    if not isinstance(error, SchemaError | RefusedError | SecurityError):
         log.error("a query failed with an unexpected error", exc_info=error)
     return ErrorReply(error=type(error).__name__, message=str(error))
 

@@ -7,14 +7,17 @@ import json
 import logging
 import socket
 import time
+from pathlib import Path
 from threading import Event
 from typing import Any
 
 import zenoh
 
-from rpod_runtime.errors import EndpointError, NoRouterError
+from rpod_runtime.errors import EndpointError, NoRouterError, RefusedByRouterError
+from rpod_runtime.refusal import why_refused
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.topics import TRUTH_TOPICS
+from rpod_security.rules import load_access_control
 
 log = logging.getLogger(__name__)
 
@@ -25,31 +28,56 @@ A batch is 64 KiB, and 16 is the most that Zenoh accepts. With its default of tw
 as the receiver is slow, and so is a burst of messages from a process that had to wait.
 """
 _RETRY_S = 0.25
+_RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+"""How often a client tries to reach a router that has gone: it is back within half a second of the router."""
+_HANDSHAKE_MS, _PENDING = 1000, 4000
+"""Longest time for a connection to say who it is, and number of connections that may be about to: so that
+idle ones keep nobody out."""
 _REMIND_S = 10.0
 
 
-def _zenoh_config(**settings: Any) -> zenoh.Config:
+def _zenoh_config(
+    *, tls: dict[str, Any] | None = None, unicast: dict[str, Any] | None = None, **settings: Any
+) -> zenoh.Config:
+    queue = {"size": dict.fromkeys(("data", "data_high"), _QUEUED_BATCHES)}
     common = {
         "timestamping": {"enabled": True},
         "transport": {
             "shared_memory": {"enabled": False},
-            "link": {"tx": {"queue": {"size": dict.fromkeys(("data", "data_high"), _QUEUED_BATCHES)}}},
+            "unicast": unicast or {},
+            "link": {"tx": {"queue": queue}, "tls": tls or {}},
         },
     }
     return zenoh.Config.from_json5(json.dumps(common | settings))
 
 
+def _tls(folder: Path | None, *, listens: bool) -> dict[str, Any] | None:
+    """Return Zenoh's settings for the credentials in a folder. Raises ``CredentialsError``."""
+    if folder is None:
+        return None
+    from rpod_security.credentials import Credentials  # noqa: PLC0415 - of an extra
+
+    return Credentials.read(folder).tls(listens=listens)
+
+
 def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None) -> zenoh.Session:
     """Open a client session to the router, with a given identity or a random one.
 
+    With credentials the certificate says who the client is. Its Zenoh identity is random then and gives no
+    right.
+
     Raises:
+        CredentialsError: the folder of credentials cannot be used.
         NoRouterError: no router answered in time, or ``stop`` was set while waiting. It is also raised if the
             router refuses the identity because another client holds it.
+        RefusedByRouterError: there is a router, and the reason for its refusal is known; with ``wait`` it is
+            logged instead, since credentials may be replaced meanwhile.
     """
-    identity = {"id": zenoh_id} if zenoh_id else {}
+    identity: dict[str, Any] = {"id": zenoh_id} if zenoh_id and bus.credentials is None else {}
     config = _zenoh_config(
         mode="client",
-        connect={"endpoints": [bus.connect], "timeout_ms": 0},
+        connect={"endpoints": [bus.connect], "timeout_ms": 0, "retry": _RETRY},
+        tls=_tls(bus.credentials, listens=False),
         scouting={"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         **identity,
     )
@@ -61,37 +89,65 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
             return zenoh.open(config)
         except zenoh.ZError as error:
             waited_s = time.monotonic() - started_s
+            if not (bus.wait or stop.is_set()) and (refused := why_refused(bus)):
+                raise RefusedByRouterError(bus.connect, refused) from error
             if stop.is_set() or (not bus.wait and waited_s >= bus.connect_timeout_s):
                 raise NoRouterError(bus.connect, waited_s, zenoh_id) from error
         if time.monotonic() - reminded_s > _REMIND_S:
             reminded_s = time.monotonic()
-            log.warning("still waiting for a router at %s; start one with 'rpod router'", bus.connect)
+            hint = why_refused(bus) or "start one with 'rpod router'"
+            log.warning("still waiting for a router at %s; %s", bus.connect, hint)
         stop.wait(_RETRY_S)
 
 
 def open_router(config: RouterConfig) -> zenoh.Session:
-    """Open a router session. Gossip stays on, so that peers of rmw_zenoh find each other.
+    """Open a router session.
+
+    On a plain bus gossip stays on, so that peers of rmw_zenoh find each other. On a secure one they would
+    talk past the access rules: every node is a client there.
 
     Raises:
         EndpointError: the endpoint is in use or cannot be opened.
+        CredentialsError: the folder of credentials cannot be used.
+        RulesError: the file of rules cannot be used.
     """
+    unicast = {
+        "accept_timeout": _HANDSHAKE_MS,
+        "accept_pending": _PENDING,
+        "max_sessions": config.max_clients,
+    }
+    zenoh_config = _zenoh_config(
+        mode="router",
+        listen={"endpoints": [_listening(config)], "exit_on_failure": True},
+        connect={
+            "endpoints": list(config.connect),
+            "timeout_ms": -1,  # without end, in the background
+            "exit_on_failure": False,
+            "retry": {"period_init_ms": 100, "period_max_ms": 500},
+        },
+        scouting={"multicast": {"enabled": False}, "gossip": {"enabled": config.credentials is None}},
+        adminspace={"enabled": False},
+        unicast=unicast,
+        tls=_tls(config.credentials, listens=True),
+        access_control=_access_control(config),
+    )
     try:
-        return zenoh.open(
-            _zenoh_config(
-                mode="router",
-                listen={"endpoints": [config.listen], "exit_on_failure": True},
-                connect={
-                    "endpoints": list(config.connect),
-                    "timeout_ms": -1,  # without end, in the background
-                    "exit_on_failure": False,
-                    "retry": {"period_init_ms": 100, "period_max_ms": 500},
-                },
-                scouting={"multicast": {"enabled": False}, "gossip": {"enabled": True}},
-                access_control=truth_rules(config),
-            )
-        )
+        return zenoh.open(zenoh_config)
     except zenoh.ZError as error:
         raise EndpointError(config.listen, str(error).split(" at /")[0]) from error
+
+
+def _listening(config: RouterConfig) -> str:
+    """Return the endpoint with the longest time of a TLS handshake, which is 10 s by default."""
+    if config.credentials is None or "#" in config.listen:
+        return config.listen
+    return f"{config.listen}#tls_handshake_timeout_ms={round(config.handshake_timeout_s * 1000)}"
+
+
+def _access_control(config: RouterConfig) -> dict[str, Any]:
+    if config.rules is None:
+        return truth_rules(config)
+    return load_access_control(config.rules)
 
 
 def truth_rules(config: RouterConfig) -> dict[str, Any]:

@@ -14,6 +14,7 @@ MODES = {
     Mode.VERIFYING: (156, 195, 251),
     Mode.TRACKING: (46, 160, 67),
     Mode.LOST: (217, 83, 79),
+    Mode.COASTING: (232, 176, 74),
 }
 SOURCES = {
     Source.NONE: QUIET,

@@ -26,6 +26,7 @@ _LEVELS = {
     Mode.VERIFYING: rr.TextLogLevel.INFO,
     Mode.TRACKING: rr.TextLogLevel.INFO,
     Mode.LOST: rr.TextLogLevel.ERROR,
+    Mode.COASTING: rr.TextLogLevel.WARN,
 }
 _Sample = tuple[int, float]
 
@@ -80,7 +81,7 @@ class Plots:
         """Add the estimator's processing times and the changes of its state."""
         processing: list[_Sample] = []
         for status in statuses:
-            if status.mode == Mode.TRACKING and np.isfinite(status.processing_s):
+            if status.mode.has_track and np.isfinite(status.processing_s):
                 processing.append((status.stamp_ns, 1e3 * status.processing_s))
             self._note(status)
         self._add(PROCESSING, processing)

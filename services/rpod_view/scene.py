@@ -22,7 +22,7 @@ from rpod_schemas.messages import read_diagnostics, read_odometry, read_status, 
 from rpod_schemas.poses import pose_error
 from rpod_schemas.sensors import SensorKind, sensor_kinds
 from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, STATUS, TARGET, TF, TF_STATIC, TRUTH, Topic
-from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Mode, Odometry, SensorFrame
+from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Odometry, SensorFrame
 from rpod_target import Equivalence
 from rpod_view.track import Track
 
@@ -203,6 +203,6 @@ class Scene:
 
     def estimate_at(self, stamp_ns: int) -> RigidTransform | None:
         """Return the estimated pose at a time, predicted beyond the last estimate; None if there is none."""
-        if self.status is not None and self.status.mode != Mode.TRACKING:
+        if self.status is not None and not self.status.mode.has_track:
             return None
         return self.estimates.at(stamp_ns)

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from rpod_schemas.types import Diagnostic, EstimatorStatus, Mode, Source
+from rpod_schemas.types import Diagnostic, EstimatorStatus, Source
 from rpod_view.scene import Scored
 from rpod_view.shading import MILLIMETRES, band
 
@@ -29,7 +29,7 @@ def summary(status: EstimatorStatus | None, scored: Scored | None, troubles: Ite
         ("measurement", "accepted" if status.accepted else f"rejected: {status.reason or '-'}"),
         ("processing", _value(1e3 * status.processing_s, "ms")),
     ]
-    if status.mode == Mode.TRACKING and scored is not None:
+    if status.mode.has_track and scored is not None:
         rows += _rows_of(scored)
     table = "\n".join(f"| {name} | {value} |" for name, value in rows)
     return f"# {status.mode.name}\n\n| | |\n|---|---|\n{table}{told}"

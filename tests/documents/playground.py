@@ -21,7 +21,7 @@ from facility_process import Lines
 from rpod_runtime.session import free_endpoint
 
 ROOT = Path(__file__).parents[2]
-SHOWN_ENDPOINT = "tcp/127.0.0.1:7447"
+SHOWN_ADDRESS = "127.0.0.1:7447"
 RUN_S, TRIALS = 3.0, 2
 """No run takes longer and no campaign has more trials here, whatever the document shows."""
 _TIMEOUT_S = 240.0  # kernels may have to be compiled first
@@ -33,7 +33,7 @@ class Playground:
 
     def __init__(self, folder: Path, log_of: Callable[[str], Path]) -> None:
         self._folder, self._log_of = folder, log_of
-        self._endpoint = free_endpoint()
+        self._address = free_endpoint().removeprefix("tcp/")
         self._names: dict[str, Any] = {"__name__": "__main__"}
         self._printed = ""
         self._background = ExitStack()
@@ -143,7 +143,7 @@ class Playground:
 
     def _here(self, text: str) -> str:
         """Return a text with a free endpoint in place of the usual one."""
-        return text.replace(SHOWN_ENDPOINT, self._endpoint)
+        return text.replace(SHOWN_ADDRESS, self._address)
 
 
 def commands(text: str) -> list[str]:

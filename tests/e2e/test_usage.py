@@ -10,7 +10,16 @@ import yaml
 from rpod.facility import configure
 from rpod.scenarios import find, shipped
 
-SCENARIOS = {"mockup-tumbling", "mockup-oblique", "mockup-approach", "envisat-station", "envisat-mesh"}
+SCENARIOS = {
+    "mockup-tumbling",
+    "mockup-oblique",
+    "mockup-approach",
+    "mockup-calibration",
+    "mockup-handover",
+    "envisat-station",
+    "envisat-mesh",
+    "envisat-capture",
+}
 VERBS = {"run", "router", "motion", "emulator", "estimator", "logger", "scenarios", "report", "calibrate"} | {
     "recover",
     "replay",

@@ -73,12 +73,15 @@ class Lab:
         self.parts = {topic: camera.publisher(topic.of("pmd")) for topic in (CAMERA_INFO, DEPTH, AMPLITUDE)}
         target = load_target("mockup")
         self.frame = depth_frame(target, MOUNT.inv() * T_CHASER_TARGET, noise_m=0.005, camera=CAMERA)
+        self.sent = 0
         self.amplitude = lit_from_the_camera(target, MOUNT.inv() * T_CHASER_TARGET)
 
     def messages(self, stamp_ns: int, frame_id: str = "pmd_optical") -> dict:
+        self.sent += 1
+        depth_m = self.frame.depth_m * np.float32(1.0 + 1e-6 * self.sent)  # noise never repeats
         return {
             CAMERA_INFO: write_camera(stamp_ns, frame_id, CAMERA),
-            DEPTH: write_image(stamp_ns, frame_id, self.frame.depth_m, "32FC1"),
+            DEPTH: write_image(stamp_ns, frame_id, depth_m, "32FC1"),
             AMPLITUDE: write_image(stamp_ns, frame_id, self.amplitude, "mono16"),
         }
 
@@ -124,7 +127,7 @@ def lab(endpoint):
         bus={"connect": endpoint},
         sensors=(PmdInput(),),
         initial_pose=T_CHASER_TARGET,
-        navigator=NavigatorConfig(rejection_timeout_s=600.0, silence_timeout_s=600.0),
+        navigator=NavigatorConfig(coasting_after_s=600.0, silence_timeout_s=600.0),
     )
     with ExitStack() as stack:
         lab = Lab(Bus(endpoint, stack))

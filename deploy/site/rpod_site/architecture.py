@@ -27,6 +27,7 @@ _COLOURS = {
     "rpod_target": "#f1f8e9",
     "rpod_schemas": "#f5f5f5",
     "rpod_runtime": "#f5f5f5",
+    "rpod_security": "#f5f5f5",
 }
 
 

@@ -13,9 +13,9 @@ from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
-from rpod_schemas.config.sensor import EmulatedSensor, MethodConfig, SensorInput
+from rpod_schemas.config.sensor import AlertLimit, EmulatedSensor, MethodConfig, SensorInput
 from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
-from rpod_schemas.config.tuning import BY_HAND, Provenance, Tuning
+from rpod_schemas.config.tuning import BUDGET, BY_HAND, Provenance, Tuning
 from rpod_schemas.poses import Pose
 from rpod_schemas.sensors.fields import HEARD, chosen
 from rpod_schemas.types import Camera
@@ -74,6 +74,8 @@ class PmdInput(SensorInput):
     """Selects a PMD camera's messages and methods."""
     name: Name = "pmd"
     """Name of the sensor, the first part of its topics. Set it if the driver publishes under another name."""
+    alert_limit: AlertLimit = AlertLimit(attitude_deg=1.0, position_m=0.03)
+    """Error beyond which an estimate by this camera is of no use: what a capture at 1 to 12 m tolerates."""
     camera: Camera | None = None
     """Size and intrinsics that the frames must have. Set it to refuse frames of another camera or lens. If
     left out, the intrinsics of every camera_info are accepted."""
@@ -122,6 +124,9 @@ class NavigatorTuning(Tuning):
     ] = 12
     """Largest number of rivals of an ambiguous first pose that are tracked in parallel; with more, the next
     frame is searched anew. A hexagonal prism looks alike from twelve attitudes, a box from four."""
+    search_pause_s: Annotated[NonNegative, BUDGET] = 1.0
+    """Time between two searches of one sensor that find nothing, s, where there are several sensors. The
+    frames of a sensor that is out of range would otherwise delay the others. One sensor is not affected."""
     rivals_s: Annotated[Positive, BY_HAND] = 15.0
     """Time after which rivals of which none is believed are given up for a new search, s. Errors of the model
     that favour one of them count no longer than this."""
@@ -133,15 +138,13 @@ class NavigatorConfig(Config):
     confirmations: Annotated[int, Field(ge=0)] = 1
     """Number of frames after that of the acquisition that must verify its pose before TRACKING. Raise it if a
     wrong first pose costs more than a later one; 0 tracks from the first accepted pose."""
-    rejection_timeout_s: Positive = 1.5
-    """Longest time of rejected measurements before the track is LOST, s. Raise it for targets that are
-    hidden, or sensors that are blinded, for seconds; the output is a prediction for that time."""
-    rejected_frames: Annotated[int, Field(ge=1)] = 3
-    """Number of successive rejections that LOST needs as well. Raise it for a sensor that delivers less than
-    one frame in ``rejection_timeout_s`` / 3, so that one bad frame does not end a track."""
+    coasting_after_s: Positive = 0.2
+    """Longest time without an accepted measurement in TRACKING, s; one and a half periods of a slower sensor.
+    After it the mode is COASTING: the prediction is published while it is within the alert limit of the
+    sensor that was accepted last. Set it to ``stale_after_s``."""
     silence_timeout_s: Positive = 2.5
-    """Longest time without a measurement before the track is LOST, s. Set it above the longest regular gap of
-    the slowest sensor."""
+    """Longest time in which no sensor sends anything before the mode is COASTING, s. Set it above the longest
+    regular gap of the slowest sensor."""
     near_search_s: NonNegative = 3.0
     """Time after a loss in which only attitudes near the prediction are searched, s; after it all are. Lower
     it for targets that tumble fast, whose prediction is soon useless."""

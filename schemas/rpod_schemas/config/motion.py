@@ -39,7 +39,7 @@ axis to the right."""
 
 
 class ApproachConfig(Config):
-    """The target's origin moves on a straight line in chaser axes; the chaser holds its inertial attitude."""
+    """The target's origin moves on a straight line in the chaser's axes."""
 
     kind: Literal["approach"] = "approach"
     """Selects this trajectory."""
@@ -50,6 +50,10 @@ class ApproachConfig(Config):
     ramp_share: Annotated[float, Field(ge=0, le=0.5)] = 0.1
     """Share of the duration in which the speed rises, and in which it falls at the end; 0 is constant
     velocity."""
+
+    synchronised: bool = False
+    """Whether the chaser turns with the target and flies around it, so that the line is fixed in target axes
+    as well. Otherwise the chaser holds its inertial attitude."""
 
     @model_validator(mode="after")
     def _is_a_line_in_front(self) -> Self:

@@ -2,13 +2,20 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, field_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    field_validator,
+)
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from rpod_schemas.config.base import Config, Name, Positive
+from rpod_schemas.config.base import Config, Name, NonNegative, Positive
 from rpod_schemas.config.mount_calibration import Mount
 from rpod_schemas.config.source import Source, SourceConfig
 from rpod_schemas.errors import SchemaError
@@ -50,6 +57,36 @@ class EmulatedSensor(Kinded):
         return (0.0,)
 
 
+def _rising(range_m: tuple[float, float]) -> tuple[float, float]:
+    if range_m[0] >= range_m[1]:
+        raise ValueError(f"is {range_m[0]:g} to {range_m[1]:g} m, needs to rise: least first")
+    return range_m
+
+
+Range = Annotated[tuple[NonNegative, Positive], AfterValidator(_rising)]
+"""Least and greatest distance, m."""
+
+
+class AlertLimit(Config):
+    """Error beyond which an estimate is of no use, as the mission has it.
+
+    A prediction without measurements is published while the standard deviation in its worst direction is
+    below it; beyond it the target is LOST.
+    """
+
+    attitude_deg: Positive = 3.0
+    """Attitude, deg. Set it to what guidance and capture tolerate."""
+    position_m: Positive | None = None
+    """Position, m. Set it where the tolerance does not depend on the range; then ``range_share`` does not
+    count."""
+    range_share: Positive = 0.01
+    """Position as a share of the range to the target's origin."""
+
+    def position_limit_m(self, range_m: float) -> float:
+        """Return the limit of the position at a range, m."""
+        return self.range_share * range_m if self.position_m is None else self.position_m
+
+
 class SensorInput(Kinded):
     """A sensor that the estimator uses; a kind adds what its methods need."""
 
@@ -57,6 +94,12 @@ class SensorInput(Kinded):
     """Name of the sensor: the first part of its topics."""
     T_chaser_sensor: Mount | None = None
     """Mount of the sensor, if tf_static does not give it, or the file of ``rpod calibrate mount``."""
+    range_m: Range | None = None
+    """Least and greatest distance to the target's origin at which the sensor is used, m. Set it where the
+    sensor's poses are worse than another sensor's beyond it: a camera's frames of a target that is a few
+    pixels wide may agree with a wrong attitude. If left out, what the method believes is used."""
+    alert_limit: AlertLimit = AlertLimit()
+    """Error beyond which an estimate by this sensor is of no use."""
     source: Source = SourceConfig()
     """How the driver publishes, if it does not keep to the ICD: a file of ``deploy/sensors`` or of your own,
     ``preset: FILE`` with changes to it, or all of it inline."""

@@ -1,8 +1,9 @@
 """Configuration that every service has: its name and the bus."""
 
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.topics import Namespace
@@ -13,6 +14,18 @@ ESTIMATOR_ID = "e57a7e"
 
 
 LogLevel = Literal["debug", "info", "warning", "error"]
+
+
+def _check_tls(field: str, endpoint: str, credentials: Path | None) -> None:
+    """Raise ``ValueError`` if an endpoint and the credentials do not fit each other."""
+    encrypted = endpoint.startswith(("tls/", "quic/"))
+    if credentials is not None and not encrypted:
+        address = endpoint.split("/", 1)[-1]
+        raise ValueError(f"{field} is {endpoint}, but credentials need an endpoint such as tls/{address}")
+    if credentials is None and encrypted:
+        raise ValueError(
+            f"{field} is {endpoint}, which needs credentials: the folder that 'rpod pki issue' made"
+        )
 
 
 class BusConfig(Config):
@@ -28,8 +41,16 @@ class BusConfig(Config):
     """Longest time to try to reach the router, s."""
     wait: bool = False
     """Whether to wait for the router without limit."""
+    credentials: Path | None = None
+    """Folder of this service's certificate and key, made by ``rpod pki issue``. With it the connection is
+    encrypted, and the router knows the service by its certificate."""
     ros_services: bool = True
     """Whether services can be controlled, and their parameters read, by calls of ROS 2 services."""
+
+    @model_validator(mode="after")
+    def _certificates_need_tls(self) -> Self:
+        _check_tls("connect", self.connect, self.credentials)
+        return self
 
     @property
     def keys(self) -> Namespace:
@@ -67,3 +88,23 @@ class RouterConfig(Config):
     router judges its own clients; one of the two names the other."""
     estimators: tuple[str, ...] = (ESTIMATOR_ID,)
     """Zenoh identities that may not read the truth, in any domain and namespace."""
+    credentials: Path | None = None
+    """Folder of the router's certificate and key, made by ``rpod pki init``. With it every client needs a
+    certificate of the same authority, and may do what ``rules`` allow it."""
+    rules: Path | None = None
+    """File of the access rules, made by ``rpod pki rules``."""
+    handshake_timeout_s: float = Field(default=1.0, ge=0.01, le=10.0)
+    """Longest TLS handshake, s; it takes two round trips on the network."""
+    max_clients: int = Field(default=1000, ge=1, le=5000)
+    """Largest number of clients that are connected at a time."""
+
+    @model_validator(mode="after")
+    def _certificates_need_rules(self) -> Self:
+        _check_tls("listen", self.listen, self.credentials)
+        if self.connect and self.credentials is not None:
+            raise ValueError("connect: routers of the profile secure cannot be joined yet; leave it out")
+        if (self.credentials is None) != (self.rules is None):
+            raise ValueError(
+                "credentials and rules make the profile secure together: give both (rpod pki rules) or none"
+            )
+        return self

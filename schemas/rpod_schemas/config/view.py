@@ -2,10 +2,10 @@
 
 from ipaddress import IPv4Address
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 from urllib.parse import quote
 
-from pydantic import Field, IPvAnyAddress
+from pydantic import Field, IPvAnyAddress, model_validator
 
 from rpod_schemas.config.base import Name
 from rpod_schemas.config.service import ServiceConfig
@@ -39,6 +39,15 @@ class ViewConfig(ServiceConfig):
     """Largest memory of the viewer, bytes; beyond it the oldest data are dropped."""
     save: Path | None = None
     """Path of a recording (.rrd) that is written instead of a view."""
+
+    @model_validator(mode="after")
+    def _a_secure_bus_is_shown_here_alone(self) -> Self:
+        if self.bus.credentials is not None and not self.bind.is_loopback:
+            raise ValueError(
+                f"bind is {self.bind}, but the viewer has no login, and a secure bus keeps its data "
+                "from strangers: leave bind out, and reach the viewer by an SSH tunnel"
+            )
+        return self
 
     @property
     def data_url(self) -> str:

@@ -11,8 +11,9 @@ import zenoh
 from rpod import __version__
 from rpod.doctor.finding import CAMERA_FRAME_BYTES, CAMERA_HZ, Finding, Level
 from rpod_runtime.asker import Asker
+from rpod_runtime.identity import open_identity
 from rpod_runtime.session import open_client
-from rpod_schemas.config.service import BusConfig
+from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.control import StatusReply
 
 _PINGS = 30
@@ -29,6 +30,7 @@ class Visitor(Asker):
     def __init__(self, session: zenoh.Session, bus: BusConfig) -> None:
         self.stop = Event()
         self._session, self._keys = session, bus.keys
+        self._identity = open_identity(ServiceConfig(instance="doctor", bus=bus))
 
     def versions(self) -> Iterator[Finding]:
         """Compare the versions of the services on the bus with this one."""

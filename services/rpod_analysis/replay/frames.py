@@ -78,7 +78,7 @@ class Frames:
 
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
         try:
-            return Arrived(sensor, frame.stamp_ns, 0.0, self.intake.measurement(sensor, frame))
+            return self.intake.arrived(sensor, frame, 0.0)
         except PartRejectedError as error:
             self.refused[error.topic] += 1
             return Arrived(sensor, frame.stamp_ns, 0.0, None, str(error))

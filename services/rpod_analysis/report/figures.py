@@ -27,6 +27,7 @@ _MODES = {
     Mode.VERIFYING: "#9cc3fb",
     Mode.ACQUIRING: "#b8bfc7",
     Mode.LOST: BAD,
+    Mode.COASTING: "#e8b04a",
 }
 _SOURCES = {
     Source.NONE: "rgba(139,148,158,0.30)",

@@ -71,7 +71,7 @@ class Run:
     """Time from stamp to publication of the estimates, shape (N,); NaN if the run does not use the wall
     clock."""
     tracked: BoolArray
-    """Whether an estimate's frame was in TRACKING, shape (N,)."""
+    """Whether an estimate's frame was in TRACKING or COASTING, shape (N,)."""
     sensor_of: NDArray[np.str_]
     """Sensor whose frame gave each estimate, shape (N,); empty if unknown."""
     R_chaser_sensor: Rotation
@@ -291,7 +291,7 @@ def _behind(estimates: Track, statuses: Statuses) -> tuple[BoolArray, NDArray[np
     if not len(statuses):
         return last < 0, np.full(len(estimates), "", np.str_)
     return (
-        (last < 0) | (statuses.mode[last] == Mode.TRACKING),
+        (last < 0) | np.isin(statuses.mode[last], (Mode.TRACKING, Mode.COASTING)),
         np.where(last >= 0, statuses.sensor[last], ""),
     )
 

@@ -88,7 +88,8 @@ def _estimation(summary: Summary) -> Iterator[Check]:
         "Tracking",
         "no frame tracked"
         if share is None
-        else f"{_percent(share)} of frames, {summary.estimates.lost_s:.1f} s lost",
+        else f"{_percent(share)} of frames, {_percent(modes.coasting_share or 0.0)} coasting, "
+        f"{summary.estimates.lost_s:.1f} s lost",
         f"at least {_percent(MIN_TRACKING_SHARE)} of frames after the first acquisition",
         None if share is None else share >= MIN_TRACKING_SHARE,
     )

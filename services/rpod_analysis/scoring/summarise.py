@@ -47,6 +47,7 @@ def summarise(
         processing_s=summarise_durations(totals.processing_s),
         consistency=totals.consistency(),
         innovation=totals.innovation(),
+        handover=totals.handovers.summary(),
         completeness=check_log_completeness(log).summary(),
         unreadable=log.unreadable.by_topic(),
     )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_analysis.scoring.frame_errors import NamedFrame, frame_errors
+from rpod_analysis.scoring.handover import Handovers
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.run import Run, Statuses
 from rpod_analysis.scoring.score import NEES_95, Errors, IntArray
@@ -100,13 +101,15 @@ class RunTotals:
         self.worst_deg: Worst | None = None
         self.worst_m: Worst | None = None
         self._first_tracking_s: float | None = None
-        self._since = self._tracking_since = 0
+        self._since = self._tracking_since = self._coasting_since = 0
         self._scored = self._off_target = 0
         self._angle_deg, self._distance_m = Column(), Column()
         self._axes = {name: Column() for name in _AXES}
         self._truth_deg, self._truth_m = Column(), Column()
         self._frames = {name: (frame, Column(), Column()) for name, frame in (frames or {}).items()}
         self._last: tuple[int, int] | None = None
+        self.handovers = Handovers()
+        """Handovers from one sensor to another."""
 
     @classmethod
     def of(cls, *runs: Run, frames: Mapping[str, NamedFrame] | None = None) -> "RunTotals":
@@ -137,6 +140,7 @@ class RunTotals:
         self._take_outcomes(run.statuses)
         self._take_modes(run)
         self._take_errors(run)
+        self.handovers.take(run)
 
     def _take_outcomes(self, statuses: Statuses) -> None:
         accepted = statuses.accepted
@@ -158,10 +162,13 @@ class RunTotals:
         if self._first_tracking_s is None and tracking.any():
             first = int(np.argmax(tracking))
             self._first_tracking_s = float(run.seconds(statuses.stamp_ns)[first])
-            tracking = tracking[first:]
+            since = statuses.mode[first:]
+        else:
+            since = statuses.mode
         if self._first_tracking_s is not None:
-            self._since += tracking.size
-            self._tracking_since += int(tracking.sum())
+            self._since += since.size
+            self._tracking_since += int((since == Mode.TRACKING).sum())
+            self._coasting_since += int((since == Mode.COASTING).sum())
         earlier = [self._last] if self._last else []
         stamp_ns = np.array([stamp for stamp, _ in earlier] + statuses.stamp_ns.tolist(), np.int64)
         mode = np.array([mode for _, mode in earlier] + statuses.mode.tolist(), np.int64)
@@ -225,6 +232,7 @@ class RunTotals:
             longest_untracked_s=self._longest_gap_ns / NANOSECONDS if self._time_ns else None,
             first_tracking_s=self._first_tracking_s,
             tracking_share=self._tracking_since / self._since if self._since else None,
+            coasting_share=self._coasting_since / self._since if self._since else None,
             worse_than_10deg_or_0_3m_share=self._off_target / self._scored if self._scored else None,
         )
 

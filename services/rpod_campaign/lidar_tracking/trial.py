@@ -124,7 +124,7 @@ def _sequence(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
     return {
         "frames": len(frames),
         "rejected_frames": sum(not accepted for _, accepted, _ in frames),
-        "lost_frames": sum(mode is not Mode.TRACKING or angle >= SUCCESS_DEG for angle, _, mode in frames),
+        "lost_frames": sum(not mode.has_track or angle >= SUCCESS_DEG for angle, _, mode in frames),
         "wrong_frames": sum(accepted and angle >= SUCCESS_DEG for angle, accepted, _ in frames),
         "worst_deg": max(angles_deg),
         "attitude_error_deg": float(np.median(angles_deg)),

@@ -193,6 +193,19 @@ def update(
     return Update(_unturned(corrected, config), nis, accepted=True)
 
 
+def is_consistent(state: FilterState, other: FilterState, config: FilterConfig) -> bool:
+    """Return whether another filter's pose at the same stamp lies within the gate of a state.
+
+    The other filter has used the same measurements and more, so that the covariance of the difference is at
+    most the state's own.
+    """
+    difference = _pose_difference(other.T_chaser_target, state.T_chaser_target, state.alike)
+    R = rotation_matrix(state.T_chaser_target)
+    covariance = state.alike.with_free_variance(state.covariance[POSE, POSE].copy(), R, 1.0)
+    nis = float(difference @ np.linalg.solve(covariance, difference))
+    return 0.0 <= nis <= _gate(config.tuning.gate_nis, state.alike.dof)
+
+
 def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Odometry:
     """Return the state as an odometry message: twist and its covariance in child axes.
 

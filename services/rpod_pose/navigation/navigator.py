@@ -2,8 +2,10 @@
 
 ACQUIRING  --a refined candidate is accepted-->             VERIFYING
 VERIFYING  --the next frames agree-->                       TRACKING
-TRACKING   --rejections or silence for too long, or
-             too many frames inconsistent with the pose-->  LOST
+TRACKING   --no accepted measurement for a while-->         COASTING
+COASTING   --accepted at the prediction-->                  TRACKING
+           --covariance beyond the alert limit-->           LOST
+TRACKING   --too many frames inconsistent with the pose-->  LOST
 LOST       --accepted near the prediction, or found-->      VERIFYING
 
 ``step(state, measurement) -> (state, output)`` knows neither bus nor clock: the daemon, a replay
@@ -12,7 +14,6 @@ of a log and a Monte-Carlo campaign run the same function.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import radians
 from typing import overload
 
 import numpy as np
@@ -20,26 +21,28 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import Record
 from rpod_pose.measurement import Measurement, Tick
-from rpod_pose.navigation.challenger import Outcome, challenge
-from rpod_pose.navigation.filter import ATTITUDE, FilterState, start
-from rpod_pose.navigation.frames import as_measured, as_of_stamp
-from rpod_pose.navigation.history import History, PoseMeasurement, apply
-from rpod_pose.navigation.joints import JointTrack, tracked_joints
+from rpod_pose.navigation.challenger import Outcome
+from rpod_pose.navigation.coasting import Coasting
+from rpod_pose.navigation.contest import challenged
+from rpod_pose.navigation.filter import FilterState, start
+from rpod_pose.navigation.frames import as_measured
+from rpod_pose.navigation.history import History, PoseMeasurement
+from rpod_pose.navigation.joints import tracked_joints
+from rpod_pose.navigation.newcomers import LATE, Newcomers, applied
 from rpod_pose.navigation.parallel import ParallelTracks
+from rpod_pose.navigation.ranges import Ranges
+from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
+from rpod_pose.navigation.streams import RESTS, begun, heard, rests, searched, silent_since_s, supported
 from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.poses import chained
-from rpod_schemas.topics import CHASER
-from rpod_schemas.types import EstimatorStatus, Mode
+from rpod_schemas.types import Mode
 from rpod_target import NO_SYMMETRY, Equivalence, Joint
 
-LATE = "late: older than the filter's history"
-"""Reason for which a measurement is not used."""
 BEGINNING = 0.5
 """Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.26
@@ -70,10 +73,15 @@ class Navigator:
         self._settings = settings
         self._alike = alike
         self._centre_of_mass_m = centre_of_mass_m
-        self._output = Results(settings.filter, alike).output
+        self._results = Results(settings.filter, alike)
+        self._output = self._results.output
+        self._coasting = Coasting(settings)
         self._parallel = ParallelTracks(self._start_filter, settings.filter, alike)
         self._limits = settings.navigator
+        self._registrar = Registrar(methods, vague_deg=self._limits.tuning.vague_deg)
         self._methods = methods
+        self._newcomers = Newcomers(settings, self._registrar, self._output, self._accepting)
+        self._ranges = Ranges(settings.sensors)
         self._joints = {joint.name: joint for joint in joints}
 
     def _start_filter(self, measured: PoseMeasurement) -> FilterState:
@@ -108,7 +116,12 @@ class Navigator:
         """Return the next state and the output to publish; no output for a tick that changes nothing."""
         if isinstance(event, Tick):
             return self._let_time_pass(state, event)
-        state, output = self._take(replace(state, heard_ns=max(state.heard_ns, event.stamp_ns)), event)
+        state, why = self._coasting.aged(state, event.stamp_ns)
+        why *= state.mode == Mode.LOST
+        state = replace(state, streams=heard(state.streams, event.sensor, event.stamp_ns))
+        state, output = self._take(state, event)
+        if why and state.mode == Mode.LOST:
+            output = output.because(why)
         if output.odometry is not None:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
         return state, output
@@ -123,21 +136,46 @@ class Navigator:
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:
             return state, self._output(state, event, reason=LATE)
+        return self._follow(state, state.history, predicted, event)
+
+    def _follow(
+        self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
+    ) -> tuple[NavigatorState, Output]:
+        """Take a measurement for which there is a prediction."""
         if state.mode == Mode.LOST:
             return self._recover(state, predicted, event)
-        return self._track(state, state.history, predicted, event)
+        if why := self._ranges.beyond(event.sensor, event.T_chaser_sensor.inv(), predicted.T_chaser_target):
+            return state, self._output(state, event, reason=why)
+        if state.established and event.sensor not in state.established:
+            return self._newcomers.offer(state, history, event)
+        return self._track(state, history, predicted, event)
+
+    def refuse(
+        self, state: NavigatorState, sensor: str, stamp_ns: int, reason: str
+    ) -> tuple[NavigatorState, Output]:
+        """Return the state and the output at the stamp of a frame without content of its own."""
+        aged, _ = self._coasting.aged(state, stamp_ns)
+        return self._results.silent(aged, stamp_ns, reason, sensor=sensor)
 
     # --- ACQUIRING ---
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Search without a guess; begin a track if one pose explains the measurement."""
-        found = self._methods_for(state, event).acquirer.acquire(event.data)
+        pause_s = self._limits.tuning.search_pause_s if len(self._methods) > 1 else 0.0
+        if rests(state.streams, event.sensor, event.stamp_ns, pause_s):
+            return state, self._output(state, event, reason=RESTS)
+        found = self._registrar.methods_for(state.joints, event).acquirer.acquire(event.data)
+        state = replace(state, streams=searched(state.streams, event.sensor, event.stamp_ns))
+        if why := self._ranges.not_of(event.sensor, found):
+            return state, self._output(state, event, reason=why)
         if found.begins_track:
             return self._begin(state, event, found.registration)
         if self._methods[event.sensor].likelihoods is not None:
             tracks = self._parallel.started(event, found)
             if 1 < len(tracks) <= self._limits.tuning.most_rivals:
-                rivals = Rivals(tracks, event.stamp_ns, event.stamp_ns, found.belief.needed_weight)
+                rivals = Rivals(
+                    tracks, event.sensor, event.stamp_ns, event.stamp_ns, found.belief.needed_weight
+                )
                 state = replace(state, rivals=rivals)
         return state, self._output(state, event, found.registration, reason=found.belief.refusal, found=found)
 
@@ -149,10 +187,11 @@ class Navigator:
             state,
             mode=Mode.VERIFYING if unverified else Mode.TRACKING,
             history=History(self._start_filter(as_measured(registration, event))),
-            accepted_ns=event.stamp_ns,
-            rejections=0,
+            streams=begun(state.streams, event.sensor, event.stamp_ns),
+            established=frozenset({event.sensor}),
+            separation=None,
             confirmations=0,
-            joints=self._tracked_joints(state, event, registration),
+            joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
         )
         return state, self._output(state, event, registration)
 
@@ -167,10 +206,17 @@ class Navigator:
         apart_s = (event.stamp_ns - rivals.since_ns) / NANOSECONDS
         methods = self._methods[event.sensor]
         tracked = self._parallel.continued(rivals, event, methods)
-        if tracked is None or apart_s > self._limits.tuning.rivals_s:
+        overdue = apart_s > self._limits.tuning.rivals_s
+        if tracked is None and event.sensor != rivals.sensor and not overdue:
+            return state, self._output(state, event, reason=rivals.reason(self._alike))
+        if tracked is None or overdue:
             return self._acquire(replace(state, rivals=None), event)
         rivals, registration = tracked
-        if rivals.decided and registration.begins_track and self._is_confident(rivals.tracks[0].state):
+        if (
+            rivals.decided
+            and registration.begins_track
+            and self._registrar.is_confident(rivals.tracks[0].state)
+        ):
             again = self._parallel.searched_again(rivals, event, methods)
             rivals = again or rivals
             if again and rivals.decided:
@@ -190,25 +236,12 @@ class Navigator:
             mode=Mode.TRACKING if verified else Mode.VERIFYING,
             rivals=None,
             history=rivals.tracks[0].history,
-            accepted_ns=event.stamp_ns,
-            rejections=0,
+            streams=begun(state.streams, event.sensor, event.stamp_ns),
+            established=frozenset({event.sensor}),
+            separation=None,
             confirmations=rivals.frames,
         )
         return state, self._output(state, event, registration)
-
-    def _methods_for(self, state: NavigatorState, event: Measurement) -> Methods:
-        """Return the sensor's methods, which expect the target's joints where their tracks predict them."""
-        methods = self._methods[event.sensor]
-        if methods.expecting is None or not state.joints:
-            return methods
-        return methods.expecting(
-            {name: track.at(event.stamp_ns).angle for name, track in state.joints.items()}
-        )
-
-    def _tracked_joints(
-        self, state: NavigatorState, event: Measurement, registration: Registration
-    ) -> Mapping[str, JointTrack]:
-        return tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns)
 
     def _start_at_given(self, state: NavigatorState, event: Measurement) -> NavigatorState:
         given = state.given
@@ -221,7 +254,9 @@ class Navigator:
             history=History(
                 self._start_filter(PoseMeasurement(stamp_ns, given.T_chaser_target, given.covariance))
             ),
-            accepted_ns=stamp_ns,
+            streams=begun(state.streams),
+            established=frozenset(),
+            separation=None,
             confirmations=self._limits.confirmations - 1,
         )
 
@@ -231,86 +266,46 @@ class Navigator:
         self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, accept or reject the pose, update the filter."""
-        registration, reason = self._register(state, event, predicted, tracked=state.mode == Mode.TRACKING)
+        tracked = state.mode.has_track
+        registration, reason = self._registrar.searched(state.joints, event, predicted, tracked=tracked)
         record = state.records.get(event.sensor, Record())
         if registration.T_sensor_target is not None:
             record = record.after(registration.belief)
         state = replace(state, records={**state.records, event.sensor: record})
-        if state.mode == Mode.TRACKING and record.share > self._limits.tuning.max_contradicted_share:
+        if tracked and record.share > self._limits.tuning.max_contradicted_share:
             share = f"{record.share:.0%} of the recent frames do not support the tracked pose"
             state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
             return self._reject(state, event, registration, reason=f"{share}: {reason}" if reason else share)
         if reason:
             return self._reject(state, event, registration, reason=reason)
         measured = as_measured(registration, event)
-        grown, nis, accepted = apply(history, measured, self._settings.filter, predicted)
+        state, nis, accepted = applied(state, history, measured, self._settings.filter)
         if not accepted:
-            # A measurement that comes later may make this one consistent.
-            state = replace(state, history=grown)
-            if state.mode == Mode.TRACKING and registration.begins_track:
-                state, outcome = self._challenged(state, predicted, measured)
+            if tracked and registration.begins_track:
+                started = self._start_filter(measured)
+                state, outcome = challenged(state, predicted, measured, started, self._settings.filter)
                 if outcome != Outcome.OPEN:
                     reason = outcome.value if outcome == Outcome.LOST else ""
                     return state, self._output(state, event, registration, reason=reason, nis=nis)
             return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
-        confirmations = state.confirmations + 1
-        verified = confirmations >= self._limits.confirmations and self._is_credible(state, event)
-        tracking = state.mode == Mode.TRACKING or verified
+        verified = state.confirmations >= self._limits.confirmations - 1 and self._is_credible(state, event)
         state = replace(
-            state,
-            mode=Mode.TRACKING if tracking else Mode.VERIFYING,
-            history=grown,
-            accepted_ns=max(state.accepted_ns, event.stamp_ns),
-            rejections=0,
-            confirmations=confirmations,
-            challenger=None,
-            joints=self._tracked_joints(state, event, registration),
+            self._accepting(state, event, registration),
+            mode=Mode.TRACKING if tracked or verified else Mode.VERIFYING,
+            established=state.established | {event.sensor},
         )
         return state, self._output(state, event, registration, nis=nis)
 
-    def _challenged(
-        self, state: NavigatorState, predicted: FilterState, measured: PoseMeasurement
-    ) -> tuple[NavigatorState, Outcome]:
-        """Return the state after a believed pose that the gate refused, and what becomes of the track."""
-        challenger, outcome = challenge(
-            state.challenger,
-            predicted=predicted,
-            measured=measured,
-            started=self._start_filter(measured),
-            config=self._settings.filter,
-        )
-        if outcome == Outcome.OPEN:
-            return replace(state, challenger=challenger), outcome
-        state = replace(state, challenger=None)
-        if outcome == Outcome.LOST:
-            return replace(state, mode=Mode.LOST, lost_ns=measured.stamp_ns), outcome
+    def _accepting(
+        self, state: NavigatorState, event: Measurement, registration: Registration
+    ) -> NavigatorState:
         return replace(
-            state, history=challenger.history, accepted_ns=measured.stamp_ns, rejections=0
-        ), outcome
-
-    def _register(
-        self, state: NavigatorState, event: Measurement, predicted: FilterState, *, tracked: bool
-    ) -> tuple[Registration, str]:
-        """Return the registration from the prediction, and the reason why it is not accepted.
-
-        If the registration fails, the surroundings of the prediction are searched, unless a track predicts
-        the attitude confidently: while no twist is known, or after a gap, the prediction may be far off.
-        """
-        methods = self._methods_for(state, event)
-        T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
-        data = as_of_stamp(event, predicted, methods.deskew)
-        registration = methods.tracker.track(data, T_sensor_target)
-        if registration.continues_track if tracked else registration.begins_track:
-            return registration, ""
-        if not (tracked and self._is_confident(predicted)):
-            found = methods.acquirer.near(data, T_sensor_target)
-            if found.begins_track:
-                return found.registration, ""
-        return registration, registration.belief.refusal
-
-    def _is_confident(self, predicted: FilterState) -> bool:
-        sigma_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[ATTITUDE, ATTITUDE])[-1]))
-        return sigma_rad <= radians(self._limits.tuning.vague_deg)
+            state,
+            streams=supported(state.streams, event.sensor, event.stamp_ns),
+            confirmations=state.confirmations + 1,
+            challenger=None,
+            joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
+        )
 
     def _reject(
         self,
@@ -321,24 +316,15 @@ class Navigator:
         reason: str,
         nis: float = float("nan"),
     ) -> tuple[NavigatorState, Output]:
-        """Continue with the prediction; drop a pose that fails verification; lose a track after a while."""
-        state = replace(state, rejections=state.rejections + 1)
+        """Continue with the prediction; drop a pose that fails verification."""
         if state.mode == Mode.VERIFYING:
             state = replace(state, mode=Mode.ACQUIRING, history=None)
-        elif state.mode == Mode.TRACKING and self._lost(state, event.stamp_ns):
-            state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
         return state, self._output(state, event, registration, reason=reason, nis=nis)
 
     def _is_credible(self, state: NavigatorState, event: Measurement) -> bool:
         """Return whether a track may begin: few recent frames of the sensor were inconsistent."""
         share = state.records.get(event.sensor, Record()).share
         return share <= BEGINNING * self._limits.tuning.max_contradicted_share
-
-    def _lost(self, state: NavigatorState, stamp_ns: int) -> bool:
-        silent_s = (stamp_ns - state.accepted_ns) / NANOSECONDS
-        return (
-            silent_s > self._limits.rejection_timeout_s and state.rejections >= self._limits.rejected_frames
-        )
 
     # --- LOST ---
 
@@ -347,20 +333,15 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Search near the prediction first, then everywhere."""
         if (event.stamp_ns - state.lost_ns) / NANOSECONDS <= self._limits.near_search_s:
-            registration, why = self._register(state, event, predicted, tracked=False)
+            registration, why = self._registrar.searched(state.joints, event, predicted, tracked=False)
             if not why:
                 return self._begin(state, event, registration)
         return self._acquire(state, event)
 
     def _let_time_pass(self, state: NavigatorState, tick: Tick) -> tuple[NavigatorState, Output | None]:
-        silent_s = (tick.stamp_ns - state.heard_ns) / NANOSECONDS
-        if state.mode != Mode.TRACKING or silent_s <= self._limits.silence_timeout_s:
+        """Publish the prediction of a track while no sensor sends anything, until it is lost."""
+        silent_s = silent_since_s(state.streams, tick.stamp_ns)
+        if not state.mode.has_track or silent_s <= self._limits.silence_timeout_s:
             return state, None
-        state = replace(state, mode=Mode.LOST, lost_ns=tick.stamp_ns)
-        status = EstimatorStatus(
-            stamp_ns=tick.stamp_ns,
-            frame_id=CHASER,
-            mode=Mode.LOST,
-            reason=f"no measurement for {silent_s:.1f} s",
-        )
-        return state, Output(status, None)
+        state, reason = self._coasting.aged(state, tick.stamp_ns)
+        return self._results.silent(state, tick.stamp_ns, reason or f"no frame for {silent_s:.1f} s")

@@ -1,6 +1,7 @@
 """What a step of the navigator publishes: status, odometry, hypotheses, angles of joints."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import degrees
 
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -14,7 +15,7 @@ from rpod_pose.ports import Acquisition, Angle, Registration
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
-from rpod_schemas.types import EstimatorStatus, Hypothesis, Joints, Mode, Odometry, Source
+from rpod_schemas.types import EstimatorStatus, Hypothesis, Joints, Odometry, Source
 from rpod_target import Equivalence
 
 
@@ -82,9 +83,22 @@ class Results:
         used = registration if odometry and not reason else None
         return Output(status, odometry, refused, joints, measured=used)
 
+    def silent(
+        self, state: NavigatorState, stamp_ns: int, reason: str, *, sensor: str = ""
+    ) -> tuple[NavigatorState, Output]:
+        """Return state and output at a time without a measurement: the prediction, if there is a track."""
+        odometry = self._odometry(state, stamp_ns)
+        joints = _joints_at(state.joints, odometry.stamp_ns) if odometry else None
+        status = EstimatorStatus(
+            stamp_ns=stamp_ns, frame_id=CHASER, mode=state.mode, sensor=sensor, reason=reason
+        )
+        if odometry is not None:
+            state = replace(state, shown_ns=odometry.stamp_ns)
+        return state, Output(status, odometry, joints=joints)
+
     def _odometry(self, state: NavigatorState, stamp_ns: int) -> Odometry | None:
         """Return the estimate at a frame's stamp, or later where a later one was published already."""
-        if state.mode != Mode.TRACKING or state.history is None:
+        if not state.mode.has_track or state.history is None:
             return None
         newest = state.history.state
         shown = predict(newest, max(stamp_ns, newest.stamp_ns, state.shown_ns), self._config)

@@ -48,6 +48,8 @@ class Rivals(NamedTuple):
     """The rivals that are left, best first; at least one."""
 
     tracks: tuple[Rival, ...]
+    sensor: str
+    """Sensor that saw the ambiguous first pose; another one may not see the target."""
     since_ns: int
     """Stamp of the ambiguous first pose."""
     newest_ns: int

@@ -1,15 +1,17 @@
 """State of the navigator between two steps, and the output of a step."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.challenger import Challenger
 from rpod_pose.navigation.history import History
+from rpod_pose.navigation.joining import Separation
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
+from rpod_pose.navigation.streams import Stream
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import EstimatorStatus, Joints, Mode, Odometry
@@ -34,16 +36,16 @@ class NavigatorState:
     given: GivenPose | None = None
     rivals: Rivals | None = None
     """Rivals of an ambiguous first pose while they are tracked in parallel."""
-    heard_ns: int = 0
-    """Newest stamp of a measurement, accepted or not."""
-    accepted_ns: int = 0
-    """Newest stamp of an accepted measurement."""
+    streams: Mapping[str, Stream] = field(default_factory=dict)
+    """Each sensor's frames, by its name."""
+    established: frozenset[str] = frozenset()
+    """Sensors that carry the track; empty while a given pose is not verified."""
+    separation: Separation | None = None
+    """The filters with and without sensors that are not established, where there are such."""
     lost_ns: int = 0
     """Stamp at which the target was lost."""
     shown_ns: int = 0
     """Newest stamp of a published odometry; the stamps of the output never go back."""
-    rejections: int = 0
-    """Number of consecutive rejections."""
     confirmations: int = 0
     """Number of consistent frames since the acquisition."""
     challenger: Challenger | None = None
@@ -76,3 +78,8 @@ class Output:
     measured: Registration | None = None
     """Pose that was measured in the frame, unfiltered, sensor axes; None outside TRACKING and if it was
     refused."""
+
+    def because(self, why: str) -> "Output":
+        """Return this output with a reason before its own."""
+        reason = f"{why}; {self.status.reason}"
+        return replace(self, status=self.status.model_copy(update={"reason": reason}))

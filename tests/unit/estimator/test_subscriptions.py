@@ -87,6 +87,7 @@ class Bench:
         sensors = config.pop(
             "sensors", [{"kind": "pmd", "T_chaser_sensor": {"translation_m": [0, -0.05, 0]}}]
         )
+        self._sent = 0
         self.node = FakeNode(config.get("time_source", "wall"))
         self.inputs = Subscriptions(self.node, EstimatorConfig(target="mockup", sensors=sensors, **config))
 
@@ -98,10 +99,17 @@ class Bench:
         received = Received(topic, "k", payload, attachment, arrival_ns, arrival_s, session=by.session)
         self.node.sinks[topic](received)
 
-    def send_frame(self, stamp_ns, *, amplitude=True, frame_id="pmd_optical", camera=CAMERA, **how):
+    def send_frame(
+        self, stamp_ns, *, amplitude=True, frame_id="pmd_optical", camera=CAMERA, frozen=False, **how
+    ):
         if camera is not None:
             self.send(CAMERA_INFO.of("pmd"), write_camera(stamp_ns, frame_id, camera), **how)
-        self.send(DEPTH.of("pmd"), write_image(stamp_ns, frame_id, DEPTH_M, "32FC1"), **how)
+        depth_m = DEPTH_M
+        if not frozen:  # noise never repeats
+            depth_m = DEPTH_M.copy()
+            depth_m[0, 0] += np.float32(1e-3 * self._sent)
+            self._sent += 1
+        self.send(DEPTH.of("pmd"), write_image(stamp_ns, frame_id, depth_m, "32FC1"), **how)
         if amplitude:
             image = np.ones((4, 6), np.uint16)
             self.send(AMPLITUDE.of("pmd"), write_image(stamp_ns, frame_id, image, "mono16"), **how)
@@ -154,6 +162,33 @@ def test_the_arrival_of_a_frame_is_that_of_its_last_part():
     )
     (arrived,) = bench.arrived()
     assert arrived.arrival_s == 3.0
+
+
+def test_the_third_frame_of_the_same_content_is_refused_as_frozen_until_another_content_comes():
+    bench, reasons = Bench(), []
+    for number in range(5):
+        bench.send_frame(NOW_NS + number, frozen=True)
+        (arrived,) = bench.arrived()
+        reasons.append((arrived.refused, arrived.measurement is None))
+    assert reasons == [("", False), ("", False), *[("frozen", True)] * 3]
+    assert arrived.reason.startswith("frozen: the last 5 frames are identical to the bit; restart")
+    other = DEPTH_M.copy()
+    other[0, 0] += 1e-4
+    bench.send(CAMERA_INFO.of("pmd"), write_camera(NOW_NS + 9, "pmd_optical", CAMERA))
+    bench.send(DEPTH.of("pmd"), write_image(NOW_NS + 9, "pmd_optical", other, "32FC1"))
+    bench.send(
+        AMPLITUDE.of("pmd"), write_image(NOW_NS + 9, "pmd_optical", np.ones((4, 6), np.uint16), "mono16")
+    )
+    (arrived,) = bench.arrived()
+    assert arrived.measurement is not None
+
+
+def test_scans_without_any_return_are_alike_and_not_frozen():
+    bench = lidar_bench()
+    nothing = {name: np.full((2, 3), np.nan, np.float32) for name in CLOUD}
+    for number in range(5):
+        bench.send_scan(NOW_NS + number, nothing)
+        assert all(arrived.refused != "frozen" for arrived in bench.arrived())
 
 
 def test_the_newest_wins_and_what_it_passes_over_is_counted():
@@ -337,7 +372,7 @@ def told(bench, now_s=3.0):
         (-5.0, 0, Health.ERROR, "late: 5.000 s old, max_age_s is 1; check the sensor's clock"),
         (0.0, 1_000, Health.OK, "tracking"),
         (0.0, None, Health.ERROR, "depth without camera_info, which does not come at all"),
-        (0.0, 0, Health.WARN, "frames are identical to the bit; is the sensor frozen?"),
+        (0.0, 0, Health.WARN, "frames are identical to the bit; restart the sensor's driver"),
     ],
     ids=["good", "TAI", "slow clock", "camera_info 1 us off", "no camera_info", "frozen"],
 )
@@ -352,7 +387,7 @@ def test_frames_that_are_not_used_are_told_with_figures_and_remedy(
         if camera_shift_ns is not None:
             camera = write_camera(stamp_ns + camera_shift_ns, "pmd_optical", CAMERA)
             bench.send(CAMERA_INFO.of("pmd"), camera, **how)
-        depth_m = DEPTH_M if level == Health.WARN else DEPTH_M + np.float32(1e-3 * number)
+        depth_m = DEPTH_M if "identical" in words else DEPTH_M + np.float32(1e-3 * number)
         bench.send(DEPTH.of("pmd"), write_image(stamp_ns, "pmd_optical", depth_m, "32FC1"), **how)
         found = told(bench, time_s)
     assert found[0] == level
@@ -780,7 +815,8 @@ def test_a_camera_info_once_a_second_or_from_before_is_enough():
     found = []
     for number in range(5):
         stamp_ns = NOW_NS - SECOND_NS // 2 + number * 10**7
-        bench.send(DEPTH.of("pmd"), write_image(stamp_ns, "pmd_optical", DEPTH_M, "32FC1"))
+        depth_m = DEPTH_M + np.float32(1e-3 * number)
+        bench.send(DEPTH.of("pmd"), write_image(stamp_ns, "pmd_optical", depth_m, "32FC1"))
         found += bench.arrived()
     assert len(found) == 4  # the last one waits for its amplitude
     assert all(arrived.measurement is not None for arrived in found)

@@ -6,8 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rpod_motion import Motion, build_motion
+from rpod_motion.errors import MotionError
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.motion import ApproachConfig, FixedAttitudeConfig, MotionConfig, SpinConfig
+from rpod_schemas.config.motion import (
+    ApproachConfig,
+    FixedAttitudeConfig,
+    MotionConfig,
+    SpinConfig,
+    TumbleConfig,
+)
 
 START_M, END_M = np.array([1.0, -0.5, 7.0]), np.array([0.0, 0.0, 2.0])
 DURATION_S = 20.0
@@ -74,3 +81,39 @@ def test_chaser_and_fixed_target_do_not_turn() -> None:
     state = motion.state(9.0)
     assert not state.angular_rad_s.any()
     assert not state.chaser_angular_rad_s.any()
+
+
+def synchronised(attitude) -> Motion:
+    config = MotionConfig(
+        trajectory=ApproachConfig(start_m=START_M, end_m=END_M, synchronised=True),
+        attitude=attitude,
+    )
+    inertia_kg_m2 = np.diag([1.0, 2.0, 2.5])
+    return build_motion(
+        config, centre_of_mass_m=np.zeros(3), inertia_kg_m2=inertia_kg_m2, duration_s=DURATION_S
+    )
+
+
+@pytest.mark.parametrize("attitude", [SpinConfig(rate_deg_s=3.5), TumbleConfig(rate_deg_s=[2.0, 2.5, 1.5])])
+@pytest.mark.parametrize("time_s", [0.0, 7.0, 20.0])
+def test_a_synchronised_chaser_sees_the_target_at_rest_but_for_the_way_and_the_sun_turn(
+    attitude, time_s: float
+) -> None:
+    motion = synchronised(attitude)
+    first, state = motion.state(0.0), motion.state(time_s)
+    R = state.T_chaser_target.rotation
+    np.testing.assert_allclose(R.as_matrix(), first.T_chaser_target.rotation.as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(state.angular_rad_s, 0.0, atol=1e-12)
+    rate_deg_s = np.rad2deg(np.linalg.norm(state.chaser_angular_rad_s))
+    assert 3.2 < rate_deg_s < 3.9, "the chaser turns with the target"
+    # the chaser's attitude is the integral of its rate
+    step_s = 1e-4
+    before, after = (motion.trajectory.state(time_s + step).R_epoch_chaser for step in (-step_s, step_s))
+    turn = (before.T @ after - np.eye(3)) / (2.0 * step_s)
+    rate = np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
+    np.testing.assert_allclose(rate, state.chaser_angular_rad_s, atol=1e-5)
+
+
+def test_an_approach_cannot_be_synchronised_with_a_target_that_is_fixed_to_the_chaser() -> None:
+    with pytest.raises(MotionError, match="choose spin or tumble"):
+        synchronised(FixedAttitudeConfig())

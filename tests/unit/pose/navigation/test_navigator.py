@@ -1,218 +1,40 @@
 """The navigator's transitions, one by one, with methods that say what the test tells them to."""
 
 import pickle
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from navigator_rig import (
+    BAD,
+    LIMITS,
+    MOUNT,
+    SECOND_NS,
+    START_S,
+    View,
+    blind,
+    failed,
+    good,
+    in_sensor,
+    lost,
+    registration,
+    rig,
+    tracking,
+    truth,
+    turned,
+    untracked,
+    wrong,
+)
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.acceptance import accepted_by_residuals
-from rpod_pose.belief import SYMMETRY, Belief, Rival, contradicted
-from rpod_pose.lidar.deskew import deskewed
-from rpod_pose.measurement import Measurement, Tick
-from rpod_pose.navigation.navigator import Navigator
-from rpod_pose.ports import Acquisition, Candidate, Candidates, Methods, Registration
-from rpod_pose.search.verified_search import VerifiedSearch
-from rpod_schemas.config.acceptance import AcceptanceConfig
-from rpod_schemas.config.estimator import EstimatorSettings, NavigatorConfig, PmdInput
+from rpod_pose.belief import SYMMETRY, Belief, Rival, contradicted, worst_sigma
+from rpod_pose.ports import Acquisition, Registration
 from rpod_schemas.config.filter import FilterConfig
-from rpod_schemas.poses import make_pose
+from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.types import BeliefLevel, LidarScan, Mode, Source
-from rpod_target import NO_SYMMETRY, Equivalence, Symmetry
-
-SECOND_NS = 1_000_000_000
-START_S = 100.0
-MOUNT = make_pose(rotation=Rotation.from_rotvec([0.0, np.pi / 2, 0.0]), translation_m=[0.1, 0.2, 0.3])
-LIMITS = AcceptanceConfig(max_cost_m2=0.01, min_explained_share=0.7)
-BAD = "12 pixels with depth, 60 needed"
-
-
-def truth(time_s: float) -> RigidTransform:
-    """Return T_chaser_target: an approach of a slowly turning target."""
-    since_s = time_s - START_S
-    return make_pose(
-        rotation=Rotation.from_rotvec([0.02 * since_s, 0.0, 0.0]),
-        translation_m=[0.0, 0.0, 7.0 - 0.1 * since_s],
-    )
-
-
-def registration(
-    T_sensor_target: RigidTransform, limits: AcceptanceConfig = LIMITS, **changes: object
-) -> Registration:
-    good = Registration(
-        Source.PMD_DEPTH,
-        T_sensor_target=T_sensor_target,
-        cost_m2=0.001,
-        inliers=500,
-        inlier_share=0.9,
-        explained_share=0.9,
-        covariance=np.diag([1e-4] * 3 + [1e-5] * 3),
-    )
-    return accepted_by_residuals(replace(good, **changes), limits)
-
-
-def failed() -> Registration:
-    return Registration.none(Source.PMD_DEPTH, BAD)
-
-
-@dataclass(frozen=True)
-class View:
-    """What a sensor sees at a time, as the methods are to take it."""
-
-    stamp_ns: int
-    tracked: Registration
-    acquired: tuple[Registration, ...] = ()
-    nearby: tuple[Registration, ...] = ()
-
-
-@dataclass
-class Method:
-    """Acquisition and tracker in one. A candidate stands for the registration that it is refined to."""
-
-    asked: list[str] = field(default_factory=list)
-    _refined: dict[int, Registration] = field(default_factory=dict)
-
-    def search(self, view: View) -> Candidates:
-        self.asked.append("acquire")
-        return self._candidates(view.acquired)
-
-    def near(self, view: View, _: RigidTransform) -> Candidates:
-        self.asked.append("near")
-        return self._candidates(view.nearby)
-
-    def track(self, view: View, T_sensor_target: RigidTransform) -> Registration:
-        refined = self._refined.pop(id(T_sensor_target), None)
-        self.asked.append("track" if refined is None else "refine")
-        return view.tracked if refined is None else refined
-
-    def _candidates(self, registrations: tuple[Registration, ...]) -> Candidates:
-        candidates = [Candidate(make_pose(), 0.0) for _ in registrations]
-        self._refined = {
-            id(candidate.T_sensor_target): refined
-            for candidate, refined in zip(candidates, registrations, strict=True)
-        }
-        self._kept = candidates  # so that no id is used twice
-        return Candidates(tuple(candidates))
-
-
-@dataclass
-class Judge:
-    """An acquirer that says what the test tells it to."""
-
-    found: Acquisition
-
-    def acquire(self, _: View) -> Acquisition:
-        return self.found
-
-    def near(self, *_: object) -> Acquisition:
-        return self.found
-
-
-@dataclass
-class Rig:
-    """A navigator, its state, and the method behind its one sensor."""
-
-    navigator: Navigator
-    method: Method
-    state: object
-
-    def see(self, view: View):
-        measurement = Measurement("pmd", view, MOUNT)
-        before = pickle.dumps(self.state)
-        self.method.asked.clear()
-        state, output = self.navigator.step(self.state, measurement)
-        assert pickle.dumps(self.state) == before, "a step leaves the state that it is given alone"
-        self.state = state
-        return output
-
-    def tick(self, time_s: float):
-        self.state, output = self.navigator.step(self.state, Tick(round(time_s * SECOND_NS)))
-        return output
-
-    @property
-    def mode(self) -> Mode:
-        return self.state.mode
-
-
-def scans_deskewed(data, T_sensor_target: RigidTransform, **twist):
-    return deskewed(data, T_sensor_target, **twist) if isinstance(data, LidarScan) else data
-
-
-def rig(
-    *,
-    pose=None,
-    filter_config: FilterConfig | None = None,
-    choice="first",
-    found=None,
-    alike=NO_SYMMETRY,
-    **limits,
-) -> Rig:
-    """Return a rig whose acquirer searches and refines, or finds what it is told."""
-    settings = EstimatorSettings(
-        sensors=(PmdInput(),),
-        navigator=NavigatorConfig(**limits),
-        filter=filter_config or FilterConfig(),
-    )
-    method = Method()
-    acquirer = VerifiedSearch(method, method, choice) if found is None else Judge(found)
-    methods = Methods(acquirer, method, scans_deskewed)
-    navigator = Navigator(settings, {"pmd": methods}, centre_of_mass_m=np.zeros(3), alike=alike)
-    return Rig(navigator, method, navigator.start(pose))
-
-
-def turned(time_s: float, angle_deg: float) -> View:
-    """Return a believed view of the target turned by an angle from its steady motion."""
-    pose = in_sensor(time_s)
-    turn = Rotation.from_rotvec([0.0, np.deg2rad(angle_deg), 0.0])
-    seen = registration(make_pose(rotation=turn * pose.rotation, translation_m=pose.translation))
-    return View(round(time_s * SECOND_NS), tracked=seen)
-
-
-def in_sensor(time_s: float) -> RigidTransform:
-    return MOUNT.inv() * truth(time_s)
-
-
-def good(time_s: float, **changes: object) -> View:
-    """Return a view in which every method finds the target."""
-    seen = registration(in_sensor(time_s), **changes)
-    return View(round(time_s * SECOND_NS), tracked=seen, acquired=(seen,), nearby=())
-
-
-def blind(time_s: float) -> View:
-    return View(round(time_s * SECOND_NS), tracked=failed())
-
-
-def untracked(time_s: float) -> View:
-    """Return a view in which only a search over everything finds the target."""
-    return replace(good(time_s), tracked=failed())
-
-
-def wrong(time_s: float, offset_m: float = 2.0) -> View:
-    """Return a view whose registration looks good and lies elsewhere."""
-    pose = in_sensor(time_s)
-    moved_m = pose.translation + np.array([0.0, offset_m, 0.0])
-    moved = make_pose(rotation=pose.rotation, translation_m=moved_m)
-    return View(round(time_s * SECOND_NS), tracked=registration(moved))
-
-
-def tracking(until_s: float = START_S + 1.0, rate_hz: float = 10.0, **limits: float) -> Rig:
-    """Return a rig that tracks since ``START_S``; its last frame is at ``until_s``."""
-    made = rig(**limits)
-    for number in range(round((until_s - START_S) * rate_hz) + 1):
-        made.see(good(START_S + number / rate_hz))
-    assert made.mode == Mode.TRACKING
-    return made
-
-
-def lost(**limits: float) -> Rig:
-    """Return a rig that has fallen silent at ``START_S + 1`` and is lost since 5 s later."""
-    made = tracking(**limits)
-    assert made.tick(START_S + 6.0) is not None
-    return made
-
+from rpod_target import Equivalence, Symmetry
 
 # --- ACQUIRING ---
 
@@ -385,51 +207,90 @@ def test_a_track_goes_on_with_less_explained_than_it_began_with():
     assert seen(0.5, 0.4) == "explained share 0.40 below 0.50"
 
 
-def test_a_fast_sensors_rejections_are_a_loss_after_the_time_out():
-    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
-    modes = [made.see(blind(START_S + 1.0 + 0.25 * number)).status.mode for number in range(1, 8)]
-    assert modes == [Mode.TRACKING] * 6 + [Mode.LOST]
+QUIET = FilterConfig(acceleration_density_m2_s3=1e-5, angular_acceleration_density_rad2_s3=1e-7)
+WIDE = AlertLimit(attitude_deg=30.0, position_m=5.0)
 
 
-def test_a_slow_sensors_rejections_are_a_loss_after_their_number():
-    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
-    modes = [made.see(blind(START_S + 1.0 + number)).status.mode for number in range(1, 4)]
-    assert modes == [Mode.TRACKING, Mode.TRACKING, Mode.LOST]
+@pytest.mark.parametrize(
+    ("rate_hz", "after_s"), [(10.0, 0.2), (1.0, 1.5)], ids=["fast sensor", "slow sensor: 1.5 periods"]
+)
+def test_without_accepted_frames_for_a_while_the_track_coasts_with_a_prediction(rate_hz, after_s):
+    made = tracking(START_S + 4.0, rate_hz, alert=WIDE)
+    for number in range(1, 6):
+        time_s = number / rate_hz
+        output = made.see(blind(START_S + 4.0 + time_s))
+        expected = Mode.TRACKING if time_s <= after_s else Mode.COASTING
+        assert output.status.mode == made.mode == expected
+        assert output.odometry.stamp_ns == round((START_S + 4.0 + time_s) * SECOND_NS)
+        assert output.status.reason == BAD
 
 
-def test_an_accepted_measurement_begins_the_count_anew():
-    made = tracking(rejection_timeout_s=1.5, rejected_frames=3)
-    for number in (1, 2, 3, 4):
-        view = good if number == 2 else blind
-        made.see(view(START_S + 1.0 + number))
-    assert made.mode == Mode.TRACKING
-    assert made.see(blind(START_S + 6.0)).status.mode == Mode.LOST
+def test_an_accepted_frame_ends_the_coasting():
+    made = tracking(alert=WIDE)
+    for number in range(1, 8):
+        made.see(blind(START_S + 1.0 + 0.1 * number))
+    assert made.mode == Mode.COASTING
+    assert made.see(good(START_S + 1.8)).status.mode == Mode.TRACKING
+    assert made.method.asked == ["track"]
 
 
-def test_the_frame_that_loses_the_target_has_no_odometry():
-    made = tracking(rejection_timeout_s=0.5, rejected_frames=1)
-    output = made.see(blind(START_S + 1.6))
-    assert output.status.mode == Mode.LOST
+@pytest.mark.parametrize("quiet", [QUIET, FilterConfig()])
+@pytest.mark.parametrize(
+    ("alert", "reason"),
+    [
+        (AlertLimit(attitude_deg=1.0, position_m=5.0), "sigma of the attitude 1.0 deg, alert limit 1 deg"),
+        (AlertLimit(attitude_deg=30.0, position_m=0.05), "sigma of the position 5"),
+        (AlertLimit(attitude_deg=30.0, range_share=0.01), "mm, alert limit 6"),
+    ],
+)
+def test_a_coasting_track_is_lost_when_its_covariance_reaches_the_alert_limit(alert, reason, quiet):
+    made = tracking(alert=alert, filter_config=quiet)
+    for number in range(1, 1000):
+        time_s = START_S + 1.0 + 0.02 * number
+        output = made.see(blind(time_s))
+        if made.mode == Mode.LOST:
+            break
+        assert made.mode == (Mode.TRACKING if number <= 10 else Mode.COASTING)
+        covariance = output.odometry.pose_covariance
+        assert worst_sigma(covariance[3:, 3:]) <= np.deg2rad(alert.attitude_deg)
+        assert worst_sigma(covariance[:3, :3]) <= alert.position_limit_m(7.0)
     assert output.odometry is None
+    assert reason in output.status.reason
+    assert output.status.reason.startswith(f"no measurement was accepted for {0.02 * number:.2f} s, sigma")
 
 
-def test_silence_is_a_loss_told_once():
-    made = tracking(silence_timeout_s=2.5)
+def test_a_quiet_target_is_predicted_for_longer_than_a_restless_one():
+    def coasted_s(filter_config):
+        made, number = tracking(filter_config=filter_config), 0
+        while made.mode != Mode.LOST and number < 1000:
+            number += 1
+            made.see(blind(START_S + 1.0 + 0.02 * number))
+        return 0.02 * number
+
+    assert 0.3 < coasted_s(FilterConfig()) < coasted_s(QUIET) < 19.0
+
+
+def test_silence_is_told_with_predictions_until_the_track_is_lost():
+    made = tracking(alert=AlertLimit(attitude_deg=3.0, position_m=0.5), silence_timeout_s=2.5)
     assert made.tick(START_S + 3.5) is None
     output = made.tick(START_S + 3.6)
+    assert made.mode == output.status.mode == Mode.COASTING
+    assert output.status.reason == "no measurement was accepted for 2.60 s"
+    assert output.odometry.stamp_ns == round((START_S + 3.6) * SECOND_NS)
+    assert made.tick(START_S + 3.7).odometry.stamp_ns == round((START_S + 3.7) * SECOND_NS)
+    output = made.tick(START_S + 30.0)
     assert made.mode == output.status.mode == Mode.LOST
-    assert output.status.reason == "no measurement for 2.6 s"
-    assert not output.status.accepted
     assert output.odometry is None
-    assert made.tick(START_S + 4.0) is None
+    assert "alert limit" in output.status.reason
+    assert made.tick(START_S + 31.0) is None
 
 
 def test_rejected_measurements_are_not_silence():
-    made = tracking(silence_timeout_s=2.5, rejected_frames=9)
+    made = tracking(silence_timeout_s=2.5, alert=WIDE)
     for number in range(1, 5):
         made.see(blind(START_S + 1.0 + number))
         assert made.tick(START_S + 1.0 + number + 0.5) is None
-    assert made.mode == Mode.TRACKING
+    assert made.mode == Mode.COASTING
 
 
 @pytest.mark.parametrize("make", [rig, lost])
@@ -474,10 +335,11 @@ def test_the_prediction_is_tried_for_a_while_after_the_loss_only():
 
 
 def test_a_slow_sensors_prediction_is_tried_after_a_loss_by_rejections():
-    made = tracking(rejection_timeout_s=1.5, rejected_frames=3, near_search_s=3.0)
-    for number in (1, 2, 3):
-        made.see(blind(START_S + 1.0 + number))
-    made.see(good(START_S + 5.0))
+    made = tracking(START_S + 4.0, 1.0, near_search_s=3.0)
+    made.see(blind(START_S + 5.0))
+    made.see(blind(START_S + 6.0))
+    assert made.mode == Mode.LOST
+    made.see(good(START_S + 7.0))
     assert made.method.asked == ["track"]
     assert made.mode == Mode.VERIFYING
 
@@ -600,7 +462,7 @@ def test_a_measurement_that_comes_too_late_is_rejected_and_changes_nothing():
 
 def test_a_late_measurement_may_speak_for_one_that_was_gated_before():
     """The target sets off between two frames: the second is believed once the first has arrived."""
-    made = tracking(START_S + 1.0)
+    made = tracking(START_S + 1.0, alert=WIDE)
     assert not made.see(wrong(START_S + 2.0, offset_m=0.2)).status.accepted
     assert made.see(wrong(START_S + 1.5, offset_m=0.1)).status.accepted
     moved_m = made.state.history.state.T_chaser_target.translation - truth(START_S + 2.0).translation
@@ -635,7 +497,8 @@ EVENTS = st.lists(
 NEXT = {
     Mode.ACQUIRING: {Mode.ACQUIRING, Mode.VERIFYING},
     Mode.VERIFYING: {Mode.VERIFYING, Mode.ACQUIRING, Mode.TRACKING},
-    Mode.TRACKING: {Mode.TRACKING, Mode.LOST},
+    Mode.TRACKING: {Mode.TRACKING, Mode.COASTING, Mode.LOST, Mode.VERIFYING},  # lost and found in one step
+    Mode.COASTING: {Mode.TRACKING, Mode.COASTING, Mode.LOST, Mode.VERIFYING},
     Mode.LOST: {Mode.LOST, Mode.VERIFYING},
 }
 VIEWS = {"good": good, "blind": blind, "wrong": wrong, "untracked": untracked}

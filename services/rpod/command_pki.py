@@ -1,0 +1,150 @@
+"""``rpod pki`` from its arguments to its exit code."""
+
+import json
+import socket
+import sys
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime, timedelta
+from functools import wraps
+from pathlib import Path
+from typing import ParamSpec
+
+from rich.console import Console
+from rich.table import Table
+
+from rpod.secure_run import ROLES as OF_A_RUN
+from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_schemas.config.rights import MemberConfig, RightsConfig
+from rpod_schemas.errors import ConfigurationError
+from rpod_security.audit import check
+from rpod_security.authority import FOLDER, Authority, Entry
+from rpod_security.credentials import WARN_BEFORE
+from rpod_security.errors import SecurityError
+from rpod_security.facility import named, read_rules, rules_of
+from rpod_security.roles import ROLES, ROUTER
+
+P = ParamSpec("P")
+_LOCAL = "localhost", "127.0.0.1", "::1"
+
+
+def _told(body: Callable[P, None]) -> Callable[P, int]:
+    """Turn the errors of a verb into one line and an exit code."""
+
+    @wraps(body)
+    def command(*args: P.args, **kwargs: P.kwargs) -> int:
+        try:
+            body(*args, **kwargs)
+        except ConfigurationError as error:
+            print(f"rpod pki: {error}", file=sys.stderr)
+            return EXIT_USAGE
+        except (SecurityError, OSError) as error:
+            print(f"rpod pki: {error}", file=sys.stderr)
+            return EXIT_FAILURE
+        return EXIT_OK
+
+    return command
+
+
+@_told
+def init_command(folder: Path, *, hosts: Sequence[str], days: float) -> None:
+    """Make an authority and the router's certificate."""
+    validity = timedelta(days=days)
+    authority = Authority.create(folder, validity=validity)
+    router = authority.issue(ROUTER, ROUTER, validity=validity, hosts=_hosts(hosts))
+    print(f"{folder / FOLDER}: the authority. Keep it off the router's host: who has it can be anybody")
+    print(f"{router}: the router's credentials, for {', '.join(_hosts(hosts))}")
+
+
+def _hosts(given: Sequence[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((*_LOCAL, socket.gethostname(), *given)))
+
+
+@_told
+def issue_command(folder: Path, role: str, name: str | None, *, hosts: Sequence[str], days: float) -> None:
+    """Issue the credentials of one name, or of all that ``rpod run`` needs and that have none yet."""
+    authority = Authority.open(folder)
+    wanted = {name or role: role}
+    if role == "all":
+        taken = {entry.name for entry in authority.valid}
+        wanted = {each: its for each, its in OF_A_RUN.items() if each not in taken}
+    for each, its in wanted.items():
+        named_hosts = _hosts(hosts) if its == ROUTER else tuple(hosts)
+        made = authority.issue(its, each, validity=timedelta(days=days), hosts=named_hosts)
+        print(f"{made}: credentials of {each}, a {its}; copy the folder to its host")
+
+
+@_told
+def renew_command(folder: Path, names: Sequence[str], *, days: float) -> None:
+    """Renew the certificates of some names, or all that end soon."""
+    authority = Authority.open(folder)
+    soon = datetime.now(UTC) + WARN_BEFORE
+    for name in names or [entry.name for entry in authority.valid if entry.ends < soon]:
+        made = authority.renew(name, validity=timedelta(days=days))
+        print(f"{made}: renewed; copy the folder to its host before the old certificate ends")
+
+
+@_told
+def revoke_command(folder: Path, names: Sequence[str]) -> None:
+    """Revoke names."""
+    authority = Authority.open(folder)
+    for name in names:
+        authority.revoke(name)
+        print(f"{name}: revoked; it has rights until the router restarts with new rules ('rpod pki rules')")
+
+
+@_told
+def rules_command(folder: Path, members: Path | None, *, out: Path | None) -> None:
+    """Write the access rules for the valid certificates."""
+    authority = Authority.open(folder)
+    if members:
+        rules = read_rules(members)
+    else:
+        roles = {name: MemberConfig(role=role) for name, role in OF_A_RUN.items()}
+        rules = rules_of(RightsConfig(members=roles), Path(), source="rpod run")
+    names = named(rules, [entry.identity for entry in authority.valid])
+    text = json.dumps(rules.access_control(names), indent=1) + "\n"
+    if out:
+        out.write_text(text, "utf-8")
+    else:
+        print(text, end="")
+    for member in rules.members:
+        if member.name not in names:
+            print(f"rpod pki: {member.name} has no valid certificate, and no rights", file=sys.stderr)
+
+
+@_told
+def show_command(folder: Path, *, as_json: bool) -> None:
+    """List what was issued."""
+    authority = Authority.open(folder)
+    if as_json:
+        document = {
+            "authority_ends": authority.ends.isoformat(),
+            "names": [entry.model_dump(mode="json") for entry in authority.entries],
+            "roles": {name: role.title for name, role in ROLES.items()},
+        }
+        print(json.dumps(document, indent=2))
+        return
+    table = Table("name", "role", "common name", "state", box=None)
+    for entry in authority.entries:
+        table.add_row(entry.name, entry.role, entry.identity.common_name, _state(entry))
+    console = Console()
+    console.print(table)
+    console.print(f"authority: ends {authority.ends:%Y-%m-%d}\nroles:", highlight=False)
+    for name, role in ROLES.items():
+        console.print(f"  {name:10} {role.title}", highlight=False, soft_wrap=True)
+
+
+def _state(entry: Entry) -> str:
+    if entry.revoked:
+        return f"revoked {entry.revoked:%Y-%m-%d}"
+    left = entry.ends - datetime.now(UTC)
+    when = f"{entry.ends:%Y-%m-%d}"
+    if left < timedelta(0):
+        return f"expired {when}"
+    return f"ends {when}" + (f", in {left.days} days" if left < WARN_BEFORE else "")
+
+
+@_told
+def audit_command(record: Path) -> None:
+    """Check an audit record."""
+    print(f"{record}: {check(record)} lines, each as it was written")

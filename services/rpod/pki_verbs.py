@@ -1,0 +1,113 @@
+"""The verbs about certificates: init, issue, renew, revoke, rules, show, audit."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+pki_verbs = typer.Typer(
+    name="pki",
+    help="Certificates and access rules for a secure bus.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+FolderOption = Annotated[Path, typer.Option("--pki", help="Folder of the authority and of all credentials.")]
+DaysOption = Annotated[float, typer.Option("--days", help="Validity, days.", min=1e-5, max=36500)]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object only.")]
+HostOption = Annotated[
+    list[str] | None,
+    typer.Option("--host", help="Name or address under which clients reach the router; may be repeated."),
+]
+_FOLDER = Path("pki")
+
+
+@pki_verbs.callback()
+def pki() -> None:
+    """Certificates and access rules for a secure bus."""
+
+
+@pki_verbs.command()
+def init(host: HostOption = None, days: DaysOption = 3650, folder: FolderOption = _FOLDER) -> None:
+    """Make an authority, and the router's certificate. Keep FOLDER/authority off the router's host."""
+    from rpod.command_pki import init_command
+
+    raise typer.Exit(init_command(folder, hosts=host or (), days=days))
+
+
+@pki_verbs.command()
+def issue(
+    role: Annotated[
+        str, typer.Argument(help="Role, as 'rpod pki show' lists them; all: those of 'rpod run'.")
+    ],
+    name: Annotated[str | None, typer.Argument(help="Name of the instance on the bus; unique.")] = None,
+    host: HostOption = None,
+    days: DaysOption = 365,
+    folder: FolderOption = _FOLDER,
+) -> None:
+    """Issue the certificate of a service; its folder of credentials goes to the service's host."""
+    from rpod.command_pki import issue_command
+
+    raise typer.Exit(issue_command(folder, role, name, hosts=host or (), days=days))
+
+
+@pki_verbs.command()
+def renew(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Names; those that end within 30 days by default.")
+    ] = None,
+    days: DaysOption = 365,
+    folder: FolderOption = _FOLDER,
+) -> None:
+    """Replace certificates before they end; services that run take the new ones by themselves."""
+    from rpod.command_pki import renew_command
+
+    raise typer.Exit(renew_command(folder, names or (), days=days))
+
+
+@pki_verbs.command()
+def revoke(
+    names: Annotated[list[str], typer.Argument(help="Names whose rights end.")],
+    folder: FolderOption = _FOLDER,
+) -> None:
+    """Take rights away: make the rules anew and restart the router after it."""
+    from rpod.command_pki import revoke_command
+
+    raise typer.Exit(revoke_command(folder, names))
+
+
+@pki_verbs.command()
+def rules(
+    members: Annotated[
+        Path | None,
+        typer.Argument(
+            help="File of the members with their configurations; without one, as 'rpod run' has them."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="File to write; standard output by default.")
+    ] = None,
+    folder: FolderOption = _FOLDER,
+) -> None:
+    """Make the router's access rules of the facility's configuration and of the valid certificates."""
+    from rpod.command_pki import rules_command
+
+    raise typer.Exit(rules_command(folder, members, out=out))
+
+
+@pki_verbs.command()
+def show(folder: FolderOption = _FOLDER, as_json: JsonOption = False) -> None:
+    """List certificates, with their roles and ends, and the roles that there are."""
+    from rpod.command_pki import show_command
+
+    raise typer.Exit(show_command(folder, as_json=as_json))
+
+
+@pki_verbs.command()
+def audit(
+    record: Annotated[Path, typer.Argument(help="Audit record: audit.jsonl of a folder of credentials.")],
+) -> None:
+    """Check that no line of an audit record was changed, removed or put in."""
+    from rpod.command_pki import audit_command
+
+    raise typer.Exit(audit_command(record))

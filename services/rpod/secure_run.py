@@ -1,0 +1,75 @@
+"""``rpod run --secure``: the same facility, with certificates, and with rules made of its configuration."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+from rpod.facility import Facility
+from rpod_schemas.config.service import ServiceConfig
+from rpod_security.certificates import Identity
+from rpod_security.credentials import Credentials
+from rpod_security.errors import CredentialsError
+from rpod_security.facility import member_of, named
+from rpod_security.rules import Rules
+
+ServiceT = TypeVar("ServiceT", bound=ServiceConfig)
+ROLES = {
+    "motion": "motion",
+    "emulator": "emulator",
+    "estimator": "estimator",
+    "logger": "logger",
+    "view": "view",
+    "supervisor": "operator",
+}
+"""Role of each client of a run, by its name: what ``rpod pki issue all`` issues."""
+
+
+def secured(facility: Facility, pki: Path, *, rules: Path) -> Facility:
+    """Return the facility of a secure bus, and write its access rules.
+
+    Args:
+        facility: configurations of a plain bus.
+        pki: folder that ``rpod pki init`` made.
+        rules: file to write.
+
+    Raises:
+        CredentialsError: a service has no usable credentials.
+        RulesError: a certificate is of another role.
+        OSError: the rules cannot be written.
+    """
+    endpoint = facility.router.listen.replace("tcp/", "tls/", 1)
+    services = {verb: _certified(config, endpoint, pki) for verb, config in facility.services.items()}
+    supervisor, view = _certified(facility.supervisor, endpoint, pki), facility.view
+    clients: list[ServiceConfig] = [*services.values(), supervisor]
+    if (pki / view.instance).exists():  # without a certificate a run has no view
+        view = _certified(view, endpoint, pki)
+        clients.append(view)
+    _write_rules(clients, pki, rules)
+    router = facility.router.model_copy(
+        update={"listen": endpoint, "credentials": pki / "router", "rules": rules, "estimators": ()}
+    )
+    Credentials.read(pki / "router")
+    return replace(facility, router=router, services=services, supervisor=supervisor, view=view)
+
+
+def _certified(config: ServiceT, endpoint: str, pki: Path) -> ServiceT:
+    bus = config.bus.model_copy(update={"connect": endpoint, "credentials": pki / config.instance})
+    return config.model_copy(update={"bus": bus})
+
+
+def _write_rules(clients: list[ServiceConfig], pki: Path, file: Path) -> None:
+    members = [member_of(client.instance, ROLES[client.instance], client) for client in clients]
+    rules = Rules(clients[0].bus.keys, members)
+    access_control = rules.access_control(named(rules, [_identity(pki / each.name) for each in members]))
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(json.dumps(access_control, indent=1), "utf-8")
+
+
+def _identity(folder: Path) -> Identity:
+    try:
+        return Credentials.read(folder).identity
+    except CredentialsError as error:
+        raise CredentialsError(
+            folder, str(error), "'rpod pki init' and 'rpod pki issue all' make all of a run"
+        ) from error

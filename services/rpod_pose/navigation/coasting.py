@@ -1,0 +1,62 @@
+"""A track without measurements: predicted as long as its covariance is below the alert limit, then lost.
+
+The limit is that of the sensor whose frame the track has accepted last. Below it, the prediction is as good
+as the mission asks of an estimate; no time-out says that.
+"""
+
+from dataclasses import replace
+from math import degrees
+
+import numpy as np
+
+from rpod_pose.belief import worst_sigma
+from rpod_pose.navigation.filter import POSE, FilterState, predict
+from rpod_pose.navigation.state import NavigatorState
+from rpod_pose.navigation.streams import is_supported, supporters, unsupported_s
+from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.sensor import AlertLimit
+from rpod_schemas.types import Mode
+
+
+class Coasting:
+    """Tells when a track coasts, and when it is lost.
+
+    Args:
+        settings: settings of the estimator.
+    """
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._config, self._limits = settings.filter, settings.navigator
+        self._alerts = {sensor.name: sensor.alert_limit for sensor in settings.sensors}
+
+    def aged(self, state: NavigatorState, stamp_ns: int) -> tuple[NavigatorState, str]:
+        """Return the state at a time without a new measurement, and the reason if it has changed."""
+        if not state.mode.has_track or state.history is None or self._is_supported(state, stamp_ns):
+            return state, ""
+        silent = f"no measurement was accepted for {unsupported_s(state.streams, stamp_ns):.2f} s"
+        newest = state.history.state
+        if beyond := self._beyond(state, predict(newest, max(stamp_ns, newest.stamp_ns), self._config)):
+            return replace(state, mode=Mode.LOST, lost_ns=stamp_ns), f"{silent}, {beyond}"
+        if state.mode == Mode.COASTING:
+            return state, ""
+        return replace(state, mode=Mode.COASTING), silent
+
+    def _is_supported(self, state: NavigatorState, stamp_ns: int) -> bool:
+        return is_supported(
+            state.streams,
+            stamp_ns,
+            at_least_s=self._limits.coasting_after_s,
+            unknown_s=self._limits.silence_timeout_s,
+        )
+
+    def _beyond(self, state: NavigatorState, predicted: FilterState) -> str:
+        """Return how the covariance exceeds the alert limit; empty if it does not."""
+        alert = next((self._alerts[name] for name in supporters(state.streams)), AlertLimit())
+        covariance = predicted.covariance[POSE, POSE]
+        sigma_m, sigma_deg = worst_sigma(covariance[:3, :3]), degrees(worst_sigma(covariance[3:, 3:]))
+        limit_m = alert.position_limit_m(float(np.linalg.norm(predicted.T_chaser_target.translation)))
+        if sigma_deg > alert.attitude_deg:
+            return f"sigma of the attitude {sigma_deg:.1f} deg, alert limit {alert.attitude_deg:g} deg"
+        if sigma_m > limit_m:
+            return f"sigma of the position {1e3 * sigma_m:.0f} mm, alert limit {1e3 * limit_m:.0f} mm"
+        return ""

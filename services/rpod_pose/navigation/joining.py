@@ -1,0 +1,83 @@
+"""A sensor joins the track of others: with and without it, two filters are kept (solution separation).
+
+The sensors that began the track, or that have carried it alone since, are established. The frames of another
+sensor, a newcomer, update a filter beside the published one. The newcomer joins when two successive frames of
+established sensors agree with both filters. If such a frame later agrees only with the filter without the
+newcomer, the newcomer is put out again. Where no established sensor delivers any more, the newcomer becomes
+established. Source of the idea: R. G. Brown and P. W. McBurney, Self-contained GPS integrity check using
+maximum solution separation, Navigation 35 (1988).
+"""
+
+from collections.abc import Set
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from rpod_pose.navigation.filter import is_consistent
+from rpod_pose.navigation.history import Applied, History, PoseMeasurement, apply
+from rpod_schemas.config.filter import FilterConfig
+
+AGREEMENTS = 2
+"""Number of frames of established sensors that must agree. By the first one, the newcomer may have delivered
+for a moment only; between two of them it has had the time to pull its filter away."""
+PROBATION = "offered: the sensor joins the track when the next frames of {} agree"
+"""Reason for which a newcomer's pose is not used yet."""
+
+
+@dataclass(frozen=True, eq=False)
+class Separation:
+    """The filters with and without the newcomers."""
+
+    without: History
+    """Filter of the established sensors alone."""
+    including: History
+    """Filter of all sensors."""
+    agreed: int = 0
+    """Number of frames of established sensors in succession that agree with both."""
+
+    @property
+    def joined(self) -> bool:
+        """Whether the newcomers have joined: then the filter of all sensors is the published one."""
+        return self.agreed >= AGREEMENTS
+
+    @property
+    def published(self) -> History:
+        """The filter whose estimates are published."""
+        return self.including if self.joined else self.without
+
+
+class Settled(NamedTuple):
+    """The filters after a frame of an established sensor."""
+
+    history: History
+    """The published filter."""
+    separation: Separation | None
+    nis: float
+    accepted: bool
+
+
+def settled(separation: Separation, measured: PoseMeasurement, config: FilterConfig) -> Settled:
+    """Return the filters after a frame of an established sensor."""
+    without = apply(separation.without, measured, config)
+    including = apply(separation.including, measured, config)
+    if not (without.accepted or including.accepted):
+        kept = replace(separation, without=without.history, including=including.history)
+        nis = (including if separation.joined else without).nis
+        return Settled(kept.published, kept, nis, accepted=False)
+    agree = including.accepted and _agree(without, including, measured.stamp_ns, config)
+    if without.accepted and not agree:
+        return Settled(without.history, None, without.nis, accepted=True)
+    alone = without if without.accepted else including
+    kept = Separation(alone.history, including.history, separation.agreed + 1)
+    nis = (including if kept.joined else alone).nis
+    return Settled(kept.published, kept, nis, accepted=True)
+
+
+def _agree(without: Applied, including: Applied, stamp_ns: int, config: FilterConfig) -> bool:
+    """Return whether the filters' poses agree after a frame that both have been given."""
+    one, other = (each.history.at(stamp_ns, config) for each in (without, including))
+    return one is None or other is None or is_consistent(one, other, config)
+
+
+def probation(established: Set[str]) -> str:
+    """Return the reason for which a newcomer's pose is not used yet."""
+    return PROBATION.format(" or ".join(sorted(established)))

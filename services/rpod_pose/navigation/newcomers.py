@@ -1,0 +1,108 @@
+"""Frames of sensors that do not carry the track yet: the tracked pose is offered to them."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from rpod_pose.measurement import Measurement
+from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.frames import as_measured
+from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.joining import Separation, probation, settled
+from rpod_pose.navigation.registering import Registrar
+from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.navigation.streams import is_supported
+from rpod_pose.ports import Registration
+from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.types import Mode
+
+LATE = "late: older than the filter's history"
+"""Reason for which a measurement is not used."""
+UNVERIFIED = "offered: another sensor verifies its first pose"
+"""Reason for which a frame of another sensor than that of the first pose is not used."""
+Accepting = Callable[[NavigatorState, Measurement, Registration], NavigatorState]
+"""Returns the state after a frame whose pose is accepted."""
+
+
+class Newcomers:
+    """Offers the tracked pose to sensors that are not established.
+
+    Such a sensor may not see the target at all: its frames end no track, and no search delays the others.
+
+    Args:
+        settings: settings of the estimator.
+        registrar: registers frames.
+        output: composes the output of a frame.
+        accepting: returns the state after a frame whose pose is accepted.
+    """
+
+    def __init__(
+        self,
+        settings: EstimatorSettings,
+        registrar: Registrar,
+        output: Callable[..., Output],
+        accepting: Accepting,
+    ) -> None:
+        self._config, self._limits = settings.filter, settings.navigator
+        self._registrar, self._output, self._accepting = registrar, output, accepting
+
+    def offer(
+        self, state: NavigatorState, history: History, event: Measurement
+    ) -> tuple[NavigatorState, Output]:
+        """Return the state after a newcomer's frame, and its output."""
+        if state.mode == Mode.VERIFYING:
+            return state, self._output(state, event, reason=UNVERIFIED)
+        separation = state.separation or Separation(history, history)
+        predicted = separation.including.at(event.stamp_ns, self._config)
+        if predicted is None:
+            return state, self._output(state, event, reason=LATE)
+        return self._compared(state, separation, predicted, event)
+
+    def _compared(
+        self, state: NavigatorState, separation: Separation, predicted: FilterState, event: Measurement
+    ) -> tuple[NavigatorState, Output]:
+        registration, reason = self._registrar.offered(
+            state.joints, event, predicted, tracked=separation.joined
+        )
+        if reason:
+            return state, self._output(state, event, registration, reason=reason)
+        measured = as_measured(registration, event)
+        grown, nis, accepted = apply(separation.including, measured, self._config, predicted)
+        if not accepted:
+            state = state if separation.joined else replace(state, separation=None)
+            return state, self._output(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
+        if self._are_silent(state, event):
+            alone = state.established | {event.sensor}
+            state = replace(state, established=alone, separation=None, history=grown)
+        else:
+            state = replace(state, separation=replace(separation, including=grown))
+            if not separation.joined:
+                reason = probation(state.established)
+                return state, self._output(state, event, registration, reason=reason, nis=nis)
+            state = replace(state, history=grown)
+        state = replace(self._accepting(state, event, registration), mode=Mode.TRACKING)
+        return state, self._output(state, event, registration, nis=nis)
+
+    def _are_silent(self, state: NavigatorState, event: Measurement) -> bool:
+        """Return whether no established sensor supports the track any more."""
+        streams = {name: state.streams[name] for name in state.established if name in state.streams}
+        return not is_supported(
+            streams,
+            event.stamp_ns,
+            at_least_s=self._limits.coasting_after_s,
+            unknown_s=self._limits.silence_timeout_s,
+        )
+
+
+def applied(
+    state: NavigatorState, history: History, measured: PoseMeasurement, config: FilterConfig
+) -> tuple[NavigatorState, float, bool]:
+    """Return the state after a pose of an established sensor, its NIS, and whether the gate accepts it.
+
+    A refused pose stays in the history: a measurement that comes later may make it consistent.
+    """
+    if state.separation is None:
+        grown, nis, accepted = apply(history, measured, config)
+        return replace(state, history=grown), nis, accepted
+    after = settled(state.separation, measured, config)
+    return replace(state, history=after.history, separation=after.separation), after.nis, after.accepted

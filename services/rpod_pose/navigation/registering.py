@@ -1,0 +1,70 @@
+"""Registers frames from predicted poses, by the methods of their sensors."""
+
+from collections.abc import Mapping
+from math import radians
+
+import numpy as np
+
+from rpod_pose.measurement import Measurement
+from rpod_pose.navigation.filter import ATTITUDE, FilterState
+from rpod_pose.navigation.frames import as_of_stamp
+from rpod_pose.navigation.joints import JointTrack
+from rpod_pose.ports import Methods, Registration
+from rpod_schemas.poses import chained
+
+
+class Registrar:
+    """Asks the methods of each sensor.
+
+    Args:
+        methods: methods of each sensor, by its name.
+        vague_deg: standard deviation of the predicted attitude above which its surroundings are searched.
+    """
+
+    def __init__(self, methods: Mapping[str, Methods], *, vague_deg: float) -> None:
+        self._methods, self._vague_deg = methods, vague_deg
+
+    def methods_for(self, joints: Mapping[str, JointTrack], event: Measurement) -> Methods:
+        """Return the sensor's methods, which expect the target's joints where their tracks predict them."""
+        methods = self._methods[event.sensor]
+        if methods.expecting is None or not joints:
+            return methods
+        return methods.expecting({name: track.at(event.stamp_ns).angle for name, track in joints.items()})
+
+    def offered(
+        self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState, *, tracked: bool
+    ) -> tuple[Registration, str]:
+        """Return the registration from the prediction, and the reason why it is not accepted.
+
+        Args:
+            joints: tracks of the target's joints.
+            event: the measurement.
+            predicted: the prediction to its stamp.
+            tracked: whether the sensor continues a track, which needs less than one that begins.
+        """
+        methods = self.methods_for(joints, event)
+        T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
+        registration = methods.tracker.track(as_of_stamp(event, predicted, methods.deskew), T_sensor_target)
+        enough = registration.continues_track if tracked else registration.begins_track
+        return registration, "" if enough else registration.belief.refusal
+
+    def searched(
+        self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState, *, tracked: bool
+    ) -> tuple[Registration, str]:
+        """Return the registration from the prediction, or from its surroundings where that fails.
+
+        They are not searched where a track predicts the attitude confidently: while no twist is known, or
+        after a gap, the prediction may be far off.
+        """
+        registration, reason = self.offered(joints, event, predicted, tracked=tracked)
+        if not reason or (tracked and self.is_confident(predicted)):
+            return registration, reason
+        methods = self.methods_for(joints, event)
+        T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
+        found = methods.acquirer.near(as_of_stamp(event, predicted, methods.deskew), T_sensor_target)
+        return (found.registration, "") if found.begins_track else (registration, reason)
+
+    def is_confident(self, predicted: FilterState) -> bool:
+        """Return whether the predicted attitude is known well enough not to be searched around."""
+        sigma_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[ATTITUDE, ATTITUDE])[-1]))
+        return sigma_rad <= radians(self._vague_deg)

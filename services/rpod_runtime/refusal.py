@@ -1,0 +1,131 @@
+"""Why a router refuses: found by a TLS handshake of Python's own, and read from the router's own log lines.
+
+Zenoh tells a client only that it cannot connect, and tells the router's operator of "corrupt messages".
+"""
+
+import logging
+import os
+import re
+import socket
+import ssl
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from threading import Thread
+
+import zenoh
+
+from rpod_schemas.config.service import BusConfig
+
+log = logging.getLogger(__name__)
+
+_TIMEOUT_S = 0.4
+"""Time for each step of the handshake, s; on a network it takes some milliseconds."""
+_REMIND_S = 60.0
+_RENEW = "'rpod pki renew' replaces it"
+_REASONS = (
+    ("wrong.version.number|record layer", "it speaks plain TCP, so bus.connect has to begin with tcp/"),
+    ("unknown ca|decrypt error|bad certificate", "it does not trust the authority of this certificate"),
+    ("certificate required", "it wants a certificate; give bus.credentials"),
+    ("alert certificate expired", f"the certificate of this client has expired; {_RENEW}"),
+    ("has expired", f"the router's certificate has expired; {_RENEW}"),
+    ("mismatch|not valid for", "its certificate is not for this address; 'rpod pki init --host' names it"),
+    ("verify failed", "its certificate is not of the authority in bus.credentials"),
+)
+"""Texts of OpenSSL, as patterns, and what they mean to a client."""
+_KINDS = (
+    ("InvalidContentType|corrupt message", "it speaks no TLS; clients need tls/... and credentials"),
+    ("certificate expired|Expired", f"its certificate has expired; {_RENEW}"),
+    ("UnknownIssuer|BadSignature|BadEncoding", "its certificate is of another authority"),
+    ("no certificates|NoCertificatesPresented|CertificateRequired", "it shows no certificate"),
+    ("InvalidPurpose", "its certificate is not that of a client"),
+    ("eof|timed? ?out|reset", "it did not finish the handshake"),
+)
+"""Log lines of Zenoh's TLS link, as patterns, and what they mean to the router's operator."""
+
+
+def why_refused(bus: BusConfig) -> str:
+    """Return why the router at an endpoint refuses this client; empty if there is none or nothing is known.
+
+    It takes at most 0.8 s.
+    """
+    protocol, _, address = bus.connect.partition("/")
+    host, _, port = address.partition("#")[0].partition("?")[0].rpartition(":")
+    if protocol not in ("tcp", "tls") or not port.isdigit():
+        return ""
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=_TIMEOUT_S) as link:
+            if protocol == "tls":
+                return _refusal(bus, link, host)
+            return _answers_tls(link)
+    except (OSError, ValueError):  # nobody listens, or it is not known why
+        return ""
+
+
+def _answers_tls(link: socket.socket) -> str:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    with context.wrap_socket(link):
+        return "it is a secure bus: bus.connect has to begin with tls/, and bus.credentials are needed"
+
+
+def _refusal(bus: BusConfig, link: socket.socket, host: str) -> str:
+    from rpod_security.credentials import AUTHORITY, IDENTITY  # noqa: PLC0415 - of an extra
+
+    if bus.credentials is None:
+        return ""
+    context = ssl.create_default_context(cafile=bus.credentials / AUTHORITY)
+    context.load_cert_chain(bus.credentials / IDENTITY)
+    try:
+        with context.wrap_socket(link, server_hostname=host) as secured, suppress(TimeoutError):
+            secured.recv(1)  # in TLS 1.3 the server judges the client's certificate after the handshake
+    except ssl.SSLError as error:
+        text = str(error).lower()
+        found = (meaning for pattern, meaning in _REASONS if re.search(pattern, text.replace("_", " ")))
+        return next(found, f"the handshake fails: {error.reason or error}")
+    return ""
+
+
+@contextmanager
+def telling_refusals() -> Iterator[None]:
+    """Log in plain words whom this process's router refuses, one line a minute for each kind.
+
+    Zenoh writes its own lines to standard output, so that this is a pipe meanwhile. Lines that are not
+    understood are logged as they are.
+    """
+    reader, writer = os.pipe()
+    before = os.dup(1)
+    os.dup2(writer, 1)
+    os.close(writer)
+    zenoh.init_log_from_env_or("zenoh_link_tls=warn")
+    thread = Thread(target=_tell, args=(reader,), name="refusals", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        os.dup2(before, 1)  # closes the pipe, which ends the thread
+        os.close(before)
+        thread.join(1.0)
+
+
+def _tell(reader: int) -> None:
+    counts: Counter[str] = Counter()
+    told_s: dict[str, float] = {}
+    with open(reader, encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            kind = refusal_in(line)
+            if not kind:
+                log.info("%s", line.rstrip())
+                continue
+            counts[kind] += 1
+            if time.monotonic() - told_s.get(kind, -_REMIND_S) >= _REMIND_S:
+                told_s[kind] = time.monotonic()
+                log.warning("refused a client: %s (%d so far)", kind, counts[kind])
+
+
+def refusal_in(line: str) -> str:
+    """Return what a line of Zenoh's log means to the operator; empty if it tells of no refused client."""
+    if "zenoh_link_tls" not in line:
+        return ""
+    return next((meaning for pattern, meaning in _KINDS if re.search(pattern, line)), "")

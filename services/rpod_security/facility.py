@@ -1,0 +1,113 @@
+"""From the configuration of a facility's services to its members and their access rules."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from rpod_schemas.config.base import load
+from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.rights import MemberConfig, RightsConfig
+from rpod_schemas.config.service import ServiceConfig
+from rpod_schemas.config.view import ViewConfig
+from rpod_schemas.errors import ConfigurationError
+from rpod_security.certificates import Identity
+from rpod_security.errors import RulesError
+from rpod_security.roles import ROLES, Member, Sensor, needs_sensors
+from rpod_security.rules import RosService, Rules
+
+MODELS: dict[str, type[ServiceConfig]] = {
+    "motion": MotionServiceConfig,
+    "emulator": EmulatorConfig,
+    "driver": DriverConfig,
+    "estimator": EstimatorConfig,
+    "logger": LoggerConfig,
+    "view": ViewConfig,
+}
+"""Models of the configurations of those roles that are services of rpod."""
+
+
+def member_of(name: str, role: str, config: ServiceConfig | None = None) -> Member:
+    """Return a member with the rights that follow from its service's configuration."""
+    extra: tuple[str, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+    if isinstance(config, EstimatorConfig):
+        sensors = tuple(Sensor(each.name, each.kind, each.source) for each in config.sensors)
+    elif isinstance(config, EmulatorConfig):
+        sensors = tuple(Sensor(each.name, each.kind) for each in config.sensors)
+    elif isinstance(config, DriverConfig):
+        sensors = (Sensor(config.name, config.kind),)
+    elif isinstance(config, LoggerConfig):
+        extra = config.record_extra
+    prefix = config.prefix if isinstance(config, EstimatorConfig) else "estimate"
+    return Member(name, role, sensors, prefix, extra)
+
+
+def read_rules(file: Path) -> Rules:
+    """Return the rules of a file of members; paths in it are relative to it.
+
+    Raises:
+        ConfigurationError: the file, or a configuration that it names, is wrong.
+        RulesError: two members would publish the same.
+    """
+    return rules_of(load(RightsConfig, file), file.parent, source=str(file))
+
+
+def rules_of(rights: RightsConfig, folder: Path, *, source: str) -> Rules:
+    """Return the rules of members; paths are relative to ``folder``. Raises as ``read_rules``."""
+    members = [
+        _member(name, member, rights, folder, source=f"{source}: members.{name}")
+        for name, member in rights.members.items()
+    ]
+    services = [RosService(name, each.server, each.client) for name, each in rights.ros_services.items()]
+    return Rules(rights.keys, members, services)
+
+
+def _member(name: str, member: MemberConfig, rights: RightsConfig, folder: Path, *, source: str) -> Member:
+    if member.role not in ROLES:
+        raise ConfigurationError(
+            source, "role", f"is {member.role!r}, must be one of {', '.join(sorted(ROLES))}"
+        )
+    if member.config is not None:
+        return _by_configuration(name, member, rights, folder / member.config, source=source)
+    if needs_sensors(member.role) and not member.sensors:
+        raise ConfigurationError(
+            source, "sensors", f"is empty, but a {member.role} publishes sensors; name them, or give config"
+        )
+    return Member(
+        name, member.role, tuple(Sensor(each.name, each.kind, each.source) for each in member.sensors)
+    )
+
+
+def _by_configuration(
+    name: str, member: MemberConfig, rights: RightsConfig, file: Path, *, source: str
+) -> Member:
+    if member.role not in MODELS:
+        raise ConfigurationError(source, "config", f"belongs to no {member.role}; leave it out")
+    config = load(MODELS[member.role], file)
+    if config.instance != name:
+        raise ConfigurationError(source, "config", f"is of the instance {config.instance!r}; name it so here")
+    if config.bus.keys != rights.keys:
+        raise ConfigurationError(
+            source, "config", f"has another bus.domain or bus.namespace than {rights.keys}"
+        )
+    return member_of(name, member.role, config)
+
+
+def named(rules: Rules, identities: Iterable[Identity]) -> Mapping[str, str]:
+    """Return the common name of each member that has a certificate of its role.
+
+    Raises:
+        RulesError: a certificate of a member's name is of another role.
+    """
+    roles = {member.name: member.role for member in rules.members}
+    found = {}
+    for identity in identities:
+        if roles.get(identity.name, identity.role) != identity.role:
+            raise RulesError(
+                identity.name, f"its certificate is of a {identity.role}, not of a {roles[identity.name]}"
+            )
+        if identity.name in roles:
+            found[identity.name] = identity.common_name
+    return found

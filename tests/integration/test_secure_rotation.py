@@ -1,0 +1,148 @@
+"""Certificates are replaced, and the router is restarted, while messages flow; sockets that say nothing."""
+
+import socket
+from contextlib import ExitStack
+from datetime import timedelta
+from itertools import pairwise
+from pathlib import Path
+from threading import Event, Thread
+from time import monotonic
+
+import pytest
+from live_bus import TIMEOUT_S
+from live_bus import router as plain_router
+from secure_bus import SecureBus
+
+from rpod_runtime import Inbox
+from rpod_runtime.session import open_client
+from rpod_schemas.config.service import BusConfig
+from rpod_schemas.topics import TRUTH
+
+PERIOD_S = 0.004
+"""Time between two messages of truth (ICD)."""
+
+
+class Stream:
+    """Messages of truth from motion to the logger, as fast as in a run, and when each arrived."""
+
+    def __init__(self, bus: SecureBus, stack: ExitStack) -> None:
+        motion = stack.enter_context(bus.node("motion"))
+        logger = stack.enter_context(bus.node("logger"))
+        self.inbox = Inbox(1 << 20)
+        logger.subscribe(TRUTH, self.inbox.put, recover=True, history=True)
+        self.publisher = motion.publisher(TRUTH)
+        self._stop = Event()
+        self._thread = Thread(target=self._publish)
+        self.arrivals_s: dict[int, float] = {}
+
+    def _publish(self) -> None:
+        while not self._stop.wait(PERIOD_S):
+            self.publisher.put(b"\0\1\0\0truth")
+
+    def __enter__(self) -> "Stream":
+        self._thread.start()
+        self.take_for(0.3)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def take_for(self, duration_s: float) -> None:
+        """Take what arrives."""
+        until_s = monotonic() + duration_s
+        while (left_s := until_s - monotonic()) > 0:
+            for received in self.inbox.wait(left_s):
+                self.arrivals_s.setdefault(received.attachment.sequence, monotonic())
+
+    def finish(self) -> tuple[int, float]:
+        """Return the number of messages that never came, and the longest time without any, s."""
+        self._stop.set()
+        self._thread.join()
+        deadline_s = monotonic() + TIMEOUT_S
+        while len(self.arrivals_s) < self.publisher.published and monotonic() < deadline_s:
+            self.take_for(0.1)
+        times = sorted(self.arrivals_s.values())
+        gap_s = max(after - before for before, after in pairwise(times))
+        return self.publisher.published - len(self.arrivals_s), gap_s
+
+
+@pytest.fixture
+def bus(tmp_path: Path) -> SecureBus:
+    return SecureBus(tmp_path)
+
+
+def test_a_certificate_that_was_replaced_before_its_end_costs_no_message(bus: SecureBus, record_property):
+    bus.authority.renew("motion", validity=timedelta(seconds=2))
+    with ExitStack() as stack:
+        stack.enter_context(bus.open_router())
+        stream = stack.enter_context(Stream(bus, stack))
+        bus.authority.renew("motion")
+        stream.take_for(2.2)  # the old certificate ends meanwhile
+        missed, gap_s = stream.finish()
+    record_property("measured", f"gap {gap_s * 1e3:.0f} ms, {missed} of {len(stream.arrivals_s)} missed")
+    assert missed == 0
+    assert gap_s < 0.5  # 0.1 s on a machine that does nothing else
+
+
+def test_a_certificate_that_ends_takes_the_client_off_the_bus(bus: SecureBus):
+    bus.authority.renew("motion", validity=timedelta(seconds=3))
+    with ExitStack() as stack:
+        stack.enter_context(bus.open_router())
+        stream = stack.enter_context(Stream(bus, stack))
+        stream.take_for(3.5)
+        before = len(stream.arrivals_s)
+        stream.take_for(0.5)
+        assert 0 < before == len(stream.arrivals_s) < stream.publisher.published
+
+
+def test_a_restart_of_the_router_costs_no_message_and_gives_new_rules(bus: SecureBus, record_property):
+    with ExitStack() as stack:
+        router = bus.open_router()
+        stream = stack.enter_context(Stream(bus, stack))
+        bus.authority.renew("router")
+        bus.authority.revoke("view")
+        bus.write_rules()
+        router.close()
+        stack.enter_context(bus.open_router())
+        stream.take_for(1.5)
+        missed, gap_s = stream.finish()
+    record_property("measured", f"gap {gap_s * 1e3:.0f} ms, {missed} of {len(stream.arrivals_s)} missed")
+    assert missed == 0
+    assert gap_s < 3.0  # 1 s on a machine that does nothing else
+
+
+# --- connections that say nothing ---
+
+
+def connections(endpoint: str, count: int, stack: ExitStack, first: bytes) -> None:
+    host, _, port = endpoint.split("/")[1].partition(":")
+    for _ in range(count):
+        link = stack.enter_context(socket.create_connection((host, int(port)), timeout=5.0))
+        if first:
+            link.send(first)
+
+
+@pytest.mark.parametrize("first", [b"", b"\x40\x00\x01\x02"], ids=["idle", "half a message"])
+def test_a_thousand_silent_connections_keep_no_client_of_a_plain_bus_out(first: bytes):
+    with plain_router() as endpoint, ExitStack() as stack:
+        connections(endpoint, 1000, stack, first)
+        begin_s = monotonic()
+        open_client(BusConfig(connect=endpoint, connect_timeout_s=TIMEOUT_S)).close()
+        assert monotonic() - begin_s < 5.0
+
+
+@pytest.mark.parametrize("first", [b"", b"\x16\x03\x01\x02\x00\x01"], ids=["idle", "half a handshake"])
+def test_clients_that_are_in_stay_while_others_never_finish_their_handshake(bus: SecureBus, first: bytes):
+    """Zenoh waits 0.1 s after each failed handshake: newcomers wait, who is in does not notice."""
+    with ExitStack() as stack:
+        stack.enter_context(bus.open_router())
+        stream = stack.enter_context(Stream(bus, stack))
+        connections(bus.endpoint, 30, stack, first)
+        stream.take_for(0.5)
+        begin_s = monotonic()
+        open_client(bus.bus("view", connect_timeout_s=TIMEOUT_S)).close()
+        assert monotonic() - begin_s < 10.0
+        missed, gap_s = stream.finish()
+    assert missed == 0
+    assert gap_s < 0.5

@@ -1,0 +1,48 @@
+from pathlib import Path
+
+import pytest
+
+from rpod_security.audit import AuditRecord, check
+from rpod_security.errors import AuditError
+
+
+def test_a_second_writer_that_comes_later_continues_the_record(tmp_path: Path):
+    file = tmp_path / "audit.jsonl"
+    for _ in range(3):
+        AuditRecord(file, "logger").add(role="operator", verb="stop", request="{}", outcome="accepted")
+    assert check(file) == 3
+    assert file.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize("change", ["edit", "remove", "insert", "swap"])
+def test_a_changed_record_is_found_out(tmp_path: Path, change: str):
+    file = tmp_path / "audit.jsonl"
+    record = AuditRecord(file, "logger")
+    for number in range(5):
+        record.add(role="operator", verb="stop", request=str(number), outcome="accepted")
+    lines = file.read_text().splitlines()
+    if change == "edit":
+        lines[2] = lines[2].replace("operator", "guidance")
+    elif change == "remove":
+        del lines[2]
+    elif change == "insert":
+        lines.insert(2, lines[2])
+    else:
+        lines[2], lines[3] = lines[3], lines[2]
+    file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(AuditError, match=r"line [34]"):
+        check(file)
+
+
+def test_a_damaged_line_is_named(tmp_path: Path):
+    file = tmp_path / "audit.jsonl"
+    file.write_text("no json\n")
+    with pytest.raises(AuditError, match="line 1 is damaged"):
+        check(file)
+
+
+def test_a_record_that_cannot_be_written_is_an_error(tmp_path: Path):
+    record = AuditRecord(tmp_path / "audit.jsonl", "logger")
+    (tmp_path / "audit.jsonl").mkdir()
+    with pytest.raises(AuditError, match="cannot be written"):
+        record.add(role="operator", verb="stop", request="", outcome="")
