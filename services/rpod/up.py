@@ -108,6 +108,8 @@ class Keeper:
             log.error("the state cannot be written: %s", error)
         if changed:
             tell(status)
+        if changed and status.healthy:
+            log.info("ready: all services of %s are at work", status.name)
         self._shown, self._next_s = shown, time.monotonic() + _STATUS_S
 
 
