@@ -8,8 +8,9 @@ PEERS := .venv-peers
 
 SCENARIO ?= mockup-tumbling
 ARGS ?=
+MINUTES ?= 60
 
-.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster hand-eye peers check-viewers lock audit setup clean
+.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster hand-eye peers fuzz check-viewers lock audit setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -57,6 +58,9 @@ bench: $(READY) ## Measured speed of this machine
 
 reading: $(READY) ## A log of 10 GB: time to open and slice it, memory to summarise it
 	@PYTHONPATH=benchmarks $(BIN)/python -m long_log $(ARGS)
+
+fuzz: $(READY) ## Hostile input of every kind, for MINUTES: readers in one process, then the facility over the bus
+	@PYTHONPATH=tests $(BIN)/python -m fuzz $(MINUTES) $(ARGS)
 
 recording: $(READY) ## The logger at a camera's full rate: loss, processor time, memory
 	@PYTHONPATH=benchmarks $(BIN)/python -m recording $(ARGS)

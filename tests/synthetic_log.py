@@ -285,7 +285,7 @@ class _LogWriter:
         if self.run.render:
             depth_m, amplitude = self.run.render(self.run.pose(time_s), number)
         else:
-            depth_m = np.full((camera.height, camera.width), 4.0, np.float32)
+            depth_m = np.full((camera.height, camera.width), 4.0 + 0.001 * number, np.float32)
             amplitude = np.full(depth_m.shape, 700, np.uint16)
         name = self.run.name
         self.put(CAMERA_INFO.of(name), stamp_ns, write_camera(stamp_ns, self.frame_id, camera))

@@ -15,7 +15,7 @@ def _checked(shape: tuple[int | None, ...], *, finite: bool) -> Callable[[Any], 
     def check(value: Any) -> FloatArray:
         try:
             array = np.asarray(value, dtype=np.float64)
-        except TypeError as error:  # as of a mapping; a validator must raise ValueError
+        except (TypeError, OverflowError) as error:  # as of a mapping; a validator must raise ValueError
             raise ValueError("needs numbers") from error
         fits = array.ndim == len(shape) and all(
             want is None or want == have for want, have in zip(shape, array.shape, strict=True)

@@ -50,7 +50,9 @@ class StatusReply(Config):
     configuration: dict[str, Any]
     """Resolved configuration of the service."""
     target_digest: str | None = None
-    """Digest of the target that the service uses, if it has one."""
+    """Digest of the parameters of the target that the service uses, if it has one."""
+    target_content: str | None = None
+    """Digest of this target's arrays, which are built once and then read from a cache."""
 
 
 class StartRequest(Config):

@@ -21,7 +21,8 @@ OPAQUE_ENCODING = "application/octet-stream"
 """Encoding of such messages."""
 
 SOFTWARE = "software"
-"""Record of plain text: ``name``, ``version``, and ``target_digest`` if a service reported it."""
+"""Record of plain text: ``name``, ``version``, and, if a service reported them, ``target_digest`` (of the
+parameters) and ``target_content`` (of the arrays)."""
 CONFIGURATION = "configuration"
 """Record of each service's resolved configuration, by instance."""
 STATUS = "status"
@@ -36,6 +37,9 @@ RECOVERY = "recovery"
 """Record of a ``Recovery`` under ``recovery``; only in a file that was recovered from a damaged one."""
 COMPLETENESS = "completeness"
 """Record of the fields of ``Completeness``, the file's own statement; only in a file that was closed."""
+
+BUS = "bus"
+"""Record of the fields of ``BusRecord``: outages, and ends of publishers; only in a file that was closed."""
 
 QOS_METADATA = "offered_qos_profiles"
 """Channel metadata: quality of service in rosbag2's YAML."""
@@ -165,6 +169,39 @@ class Completeness(Config):
         more = tuple(reason for reason in reasons if reason not in self.reasons)
         return self.model_copy(
             update={"complete": self.complete and not more, "reasons": self.reasons + more}
+        )
+
+
+class OutageTime(Config):
+    """A time in which the logger had no link to the router, ns of UTC."""
+
+    begin_ns: int
+    end_ns: int | None = None
+    """None if it lasted at the close of the file."""
+
+
+class BusRecord(Config):
+    """What the logger saw of the bus while a file was open, beside the messages."""
+
+    outages: tuple[OutageTime, ...] = ()
+    """Times without a link to the router; each is also a reason why the file is not complete."""
+    unconfirmed: tuple[str, ...] = ()
+    """Publishers of other software that ended: they do not say their last number, so that nobody knows
+    whether it arrived. They are no reason against the file."""
+
+    def record(self) -> dict[str, str]:
+        """Return the metadata record."""
+        return {name: json.dumps(value) for name, value in self.model_dump(mode="json").items()}
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, str]) -> Self:
+        """Return what a file's metadata record says; fields of later versions are left out.
+
+        Raises:
+            ValueError: the record holds something else.
+        """
+        return cls.model_validate(
+            {name: json.loads(record[name]) for name in cls.model_fields if name in record}
         )
 
 

@@ -88,7 +88,7 @@ def _numbers(value: Any) -> FloatArray:
     """Return an array of finite numbers; an empty one if the value is not such an array."""
     try:
         array = np.asarray(value, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return np.empty(0)
     return array if np.isfinite(array).all() else np.empty(0)
 

@@ -158,6 +158,18 @@ class Innovation(Config):
     """Share at or below the 95 % quantile of chi-squared."""
 
 
+class IntegrityCount(Config):
+    """What the estimator said of the integrity of its estimates, held against the truth."""
+
+    misleading: Count | None
+    """Number of estimates with an error above its protection level while the state was nominal or caution;
+    null without truth."""
+    alerts: Count
+    """Number of times that the state became alert."""
+    availability: KnownShare
+    """Share of the results, from the first estimate on, with both levels below the alert limits."""
+
+
 class LogCompleteness(Config):
     """Completeness of the log, checked against its contents."""
 
@@ -166,6 +178,9 @@ class LogCompleteness(Config):
     this."""
     reasons: tuple[str, ...]
     """Reasons why the log is not complete, a sentence each."""
+    unconfirmed: tuple[str, ...] = ()
+    """Publishers of other software that ended without saying their last number, a sentence each; they are no
+    reason against the log."""
 
 
 class Tracking(Config):
@@ -249,6 +264,8 @@ class Summary(Config):
     ones."""
     handover: Handover | None = None
     """Handovers from one sensor to another; null if there was none."""
+    integrity: IntegrityCount | None = None
+    """Integrity of the estimates; null for a log without it."""
     completeness: LogCompleteness | None = None
     """Completeness of the log."""
     unreadable: dict[str, dict[str, Count]] = Field(default_factory=dict)

@@ -163,6 +163,7 @@ ESTIMATE_FRAME = Topic("estimate/frames/<frame>", "geometry_msgs/msg/PoseWithCov
 ESTIMATE_JOINTS = Topic("estimate/joints", "sensor_msgs/msg/JointState")
 CONTRADICTION = Topic("estimate/contradiction", _IMAGE)
 VALIDITY = Topic("estimate/validity", "rpod_msgs/msg/EstimateValidity")
+INTEGRITY = Topic("estimate/integrity", "rpod_msgs/msg/Integrity")
 STATUS = Topic("estimate/status", "rpod_msgs/msg/EstimatorStatus")
 COMMAND = Topic("guidance/command", "geometry_msgs/msg/TwistStamped")
 IMU = Topic("chaser/imu", "sensor_msgs/msg/Imu")
@@ -175,7 +176,8 @@ PARAMETER_EVENTS = Topic(
 TOPICS: tuple[Topic, ...] = (
     TRUTH, TRUTH_JOINTS, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, DEPTH_SIGMA,
     CAMERA_INFO, PHASE, PMD_INFO, POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME,
-    ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, STATUS, COMMAND, IMU, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS,
+    ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, INTEGRITY, STATUS, COMMAND, IMU, DIAGNOSTICS, ROSOUT,
+    PARAMETER_EVENTS,
 )  # fmt: skip
 """All topics, in the order of the ICD's table."""
 
@@ -259,7 +261,7 @@ class Namespace:
                 return topic
         relative = key.removeprefix(f"{self.root}/")
         *name, wire_type, _ = relative.rsplit("/", 2) if relative.count("/") > 1 else ("", "")
-        if name and "::msg::dds_::" in wire_type and is_known(type_of_wire(wire_type)):
+        if name and is_wire_type(wire_type) and is_known(type_of_wire(wire_type)):
             return Topic(name[0], type_of_wire(wire_type))
         return Topic(relative, "")
 
@@ -271,6 +273,12 @@ def is_latched(name: str) -> bool:
         topic.latched and (topic.name == name or topic.name in (f"<camera>/{kind}", f"<lidar>/{kind}"))
         for topic in TOPICS
     )
+
+
+def is_wire_type(text: str) -> bool:
+    """Return whether a text is a message's type as DDS names it; anybody may write a key or a token."""
+    package, *rest = text.split("::")
+    return bool(package) and rest[:-1] == ["msg", "dds_"] and rest[-1].endswith("_")
 
 
 def wire_type(type_name: str) -> str:

@@ -363,6 +363,47 @@ class EstimateValidity(Stamped):
     """Reason why the estimate is not valid; empty if it is."""
 
 
+class IntegrityState(IntEnum):
+    """Whether the estimate may be used within its protection levels (Integrity.msg)."""
+
+    UNAVAILABLE = 0
+    """There is no estimate, or a protection level is above its alert limit."""
+    NOMINAL = 1
+    """No test speaks against the estimate, and both levels are below their alert limits."""
+    CAUTION = 2
+    """The same, but the newest measurement was not accepted, or a test is close to its limit."""
+    ALERT = 3
+    """A test failed: do not use the estimate, whatever its levels are."""
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the estimate may be used within its levels."""
+        return self in (IntegrityState.NOMINAL, IntegrityState.CAUTION)
+
+
+class Integrity(Stamped):
+    """Bounds of the errors that the estimate may have without an alert (Integrity.msg).
+
+    The level is the length of error that is exceeded without an alert with at most the probability ``risk``.
+    """
+
+    state: IntegrityState
+    reason: Text = ""
+    """Reason for any state but nominal, with figures."""
+    risk: Annotated[float, Field(gt=0, lt=1)]
+    """Probability for each estimate that one of the errors is above its level without an alert."""
+    attitude_level_deg: float = float("nan")
+    """Protection level of the attitude, deg; NaN without an estimate."""
+    position_level_m: float = float("nan")
+    """Protection level of the position, m; NaN without an estimate."""
+    attitude_limit_deg: float = float("nan")
+    """Alert limit of the attitude, deg."""
+    position_limit_m: float = float("nan")
+    """Alert limit of the position at this range, m; NaN without an estimate."""
+    evidence: dict[str, float] = Field(default_factory=dict)
+    """Numbers from which state and levels follow, by name; each name carries its unit or is a share."""
+
+
 class SensorSync(Model):
     """How a sensor keeps time, as its driver knows it; None for what is not known."""
 
@@ -406,6 +447,12 @@ class Health(IntEnum):
     WARN = 1
     ERROR = 2
     STALE = 3
+
+
+PUBLISHED = "published/"
+"""Beginning of the names of counters in a diagnostic: messages that the service published, by topic."""
+CLOSING = "closing"
+"""Name of the value that is ``true`` in the last diagnostic of a service: it publishes nothing after it."""
 
 
 class Diagnostic(Model):

@@ -9,7 +9,7 @@ from typing import Literal
 
 from rpod_schemas.cdr import type_hash
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.topics import ABSOLUTE_TOPICS, Endpoint, Namespace, Topic, type_of_wire
+from rpod_schemas.topics import ABSOLUTE_TOPICS, Endpoint, Namespace, Topic, is_wire_type, type_of_wire
 
 _ATTACHMENT = struct.Struct("<qqB16s")
 GID_BYTES = 16
@@ -128,6 +128,6 @@ def topic_of_token(token: str, namespace: Namespace) -> Topic | None:
         if (name, wire_type) == (_mangled(namespace.ros_name(topic)), topic.wire_type):
             return topic
     prefix = _mangled(f"/{namespace.prefix}/" if namespace.prefix else "/")
-    if not name.startswith(prefix) or "::msg::dds_::" not in wire_type:
+    if not name.startswith(prefix) or not is_wire_type(wire_type):
         return None
     return Topic(name.removeprefix(prefix).replace("%", "/"), type_of_wire(wire_type))

@@ -66,6 +66,11 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
         rows.append(("NEES", f"{nees.nees_mean:.1f} mean of {nees.nees_dof} expected, {within}"))
     if summary.handover:
         rows.append(("handover", _handover(summary.handover)))
+    if summary.integrity:
+        told = summary.integrity
+        misleading = "-" if told.misleading is None else str(told.misleading)
+        within = f"available {_percent(told.availability)}"
+        rows.append(("integrity", f"{misleading} misleading, {told.alerts} alerts, {within}"))
     rows.append(("messages", f"{published} published, {missed} missed by the log"))
     return rows
 

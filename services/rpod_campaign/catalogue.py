@@ -31,6 +31,7 @@ BUILT_IN = (
     "population",
     "model-matrix",
     "limits",
+    "integrity",
 )
 """Names of this package's campaigns; the folder of each has the same name, with underscores."""
 

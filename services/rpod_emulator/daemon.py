@@ -42,7 +42,7 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
     """Emulate until stopped."""
     target = load_target(config.target)
     with Node(config, version=version, stop=stop) as node:
-        node.target_digest = target.digest
+        node.target_digest, node.target_content = target.digest, target.content_digest
         joints = MovingJoints(config, target)
         faults = Faults.of(config)
         outlets = [FaultyNode(node, sensor, faults, seed=config.seed) for sensor in config.sensors]

@@ -16,6 +16,7 @@ from rpod_runtime.notify import manager
 from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest
+from rpod_schemas.errors import Reason
 from rpod_target import load_target
 
 
@@ -24,7 +25,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     target = load_target(config.target)
     estimator = Estimator(config, target)
     with Node(config, version=version, stop=stop) as node:
-        node.target_digest = target.digest
+        node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
         validity = Validity(config.stale_after_s)
         with Beacon(validity, outputs.tell, node.clock) as beacon:
@@ -97,4 +98,6 @@ class _Service:
         if output is not None:
             self._validity.take(output, arrived, now_s=self._beacon.arrival_s(arrived))
             since_s = arrived.arrival_s if arrived is not None else None
-            self._outputs.publish(output, self._beacon.current(), since_s=since_s)
+            frozen = arrived is not None and arrived.refused == Reason.FROZEN
+            integrity = self._estimator.integrity(output, frozen=frozen)
+            self._outputs.publish(output, self._beacon.current(), integrity, since_s=since_s)

@@ -12,6 +12,7 @@ from typing import Any
 from rpod_estimator.frame_reader import Arrived
 from rpod_pose.measurement import Tick
 from rpod_pose.methods import kind_methods, ready_methods
+from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
@@ -22,7 +23,7 @@ from rpod_schemas.control import Accepted, ResetRequest
 from rpod_schemas.errors import ConfigurationError, Reason
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import CHASER
-from rpod_schemas.types import EstimatorStatus, Mode
+from rpod_schemas.types import EstimatorStatus, Integrity, Mode
 from rpod_target import Target
 from rpod_target.topology import areas_m2
 
@@ -52,6 +53,7 @@ class Estimator:
             joints=target.joints,
         )
         self._state: NavigatorState = self._navigator.start(config.initial_pose)
+        self._monitor, self._memory = Monitor(config), Memory()
         self._resets: SimpleQueue[ResetRequest] = SimpleQueue()
         self._passed_ns: int | None = None
         self._told_ns = 0
@@ -134,6 +136,7 @@ class Estimator:
                 request.pose, covariance=request.covariance, stamp_ns=request.stamp_ns
             )
             self._state = replace(started, shown_ns=self._state.shown_ns)
+            self._memory = Memory()
 
     def process(self, arrived: Arrived) -> Output:
         """Process a frame and return the result."""
@@ -151,6 +154,16 @@ class Estimator:
         self._state, output = self._navigator.step(self._state, measurement)
         self._log_change(before, output)
         return output
+
+    def integrity(self, output: Output, *, frozen: bool = False) -> Integrity:
+        """Return the integrity of the newest result; call it once for each.
+
+        Args:
+            output: the result.
+            frozen: whether its frame was refused as one of a frozen stream.
+        """
+        self._memory, found = self._monitor.assess(self._memory, self._state, output, frozen=frozen)
+        return found
 
     def tick(self, now_ns: int) -> Output | None:
         """Advance the time without a frame; return a result if the mode changes, or the track coasts."""

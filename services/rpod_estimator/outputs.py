@@ -10,6 +10,7 @@ from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import (
     NANOSECONDS,
     write_image,
+    write_integrity,
     write_joints,
     write_odometry,
     write_pose_stamped,
@@ -24,12 +25,13 @@ from rpod_schemas.topics import (
     ESTIMATE_FRAME,
     ESTIMATE_JOINTS,
     ESTIMATE_POSE,
+    INTEGRITY,
     STATUS,
     TARGET_ESTIMATE,
     TF,
     VALIDITY,
 )
-from rpod_schemas.types import EstimateValidity, EstimatorStatus
+from rpod_schemas.types import EstimateValidity, EstimatorStatus, Integrity
 from rpod_target import Target
 
 _TF_PERIOD_NS = NANOSECONDS // 25
@@ -48,6 +50,7 @@ class Outputs:
         ]
         self._contradiction = node.publisher(CONTRADICTION.under(prefix))
         self._validity = node.publisher(VALIDITY.under(prefix))
+        self._integrity = node.publisher(INTEGRITY.under(prefix))
         self._joints = node.publisher(ESTIMATE_JOINTS.under(prefix)) if target.joints else None
         self._status = node.publisher(STATUS.under(prefix))
         self._tf = node.publisher(TF)
@@ -57,7 +60,14 @@ class Outputs:
         """Publish the validity of the newest estimate."""
         self._validity.publish(write_validity(validity))
 
-    def publish(self, output: Output, validity: EstimateValidity, *, since_s: float | None = None) -> None:
+    def publish(
+        self,
+        output: Output,
+        validity: EstimateValidity,
+        integrity: Integrity,
+        *,
+        since_s: float | None = None,
+    ) -> None:
         """Publish a result; the status comes last, because lockstep waits for it.
 
         ``since_s`` is the arrival of the frame's last part on the monotonic clock.
@@ -79,6 +89,7 @@ class Outputs:
             message = write_image(output.status.stamp_ns, output.refused.frame_id, image, "mono8")
             self._contradiction.publish(message)
         self.tell(validity)
+        self._integrity.publish(write_integrity(integrity))
         status = output.status
         if since_s is not None:
             status = status.model_copy(update={"processing_s": time.monotonic() - since_s})

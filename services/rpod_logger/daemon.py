@@ -1,21 +1,30 @@
 """The logger daemon: subscribes to the bus and passes all messages and commands to the recorder."""
 
 import os
+import time
+from contextlib import ExitStack
 from functools import partial
 from threading import Event
 
 from rpod_logger.errors import CannotWriteError
+from rpod_logger.farewells import Farewells
 from rpod_logger.memory import keep_freed_memory
 from rpod_logger.recorder import Recorder
 from rpod_logger.selection import Extras, patterns
 from rpod_runtime import Node, Received
+from rpod_runtime.lifecycle import Stop
 from rpod_runtime.notify import manager
 from rpod_runtime.ros import trigger
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import LogReply, LogRequest, StatusReply
-from rpod_schemas.topics import DIAGNOSTICS
+from rpod_schemas.topics import DIAGNOSTICS, Topic
 
 _TICK_S = 0.25
+_LAST_WORD_S = 3.0
+"""Longest time that the close of a file waits for answers, and for the messages that these tell of."""
+_POLL_S = 0.02
+_MOST_HEARTS = 1000
+"""Largest number of publishers of heartbeats that are remembered; one that was forgotten is asked again."""
 _ZENOH_THREADS = ("ZENOH_RUNTIME", "(rx:(worker_threads:1))")
 """Environment variable of Zenoh: one thread receives. By default two threads wake each other for every
 message."""
@@ -26,11 +35,14 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
     keep_freed_memory()
     os.environ.setdefault(*_ZENOH_THREADS)
     extras = Extras(config.bus.keys, config.record_extra)
-    with (
-        Node(config, version=version, stop=stop) as node,
-        Recorder(config, version=version, health=node.health, account=node.account) as recorder,
-    ):
-        services = Services(node, recorder)
+    with Node(config, version=version, stop=stop) as node, ExitStack() as stack:
+        farewells = _follow_publishers(node)
+        recorder = stack.enter_context(
+            Recorder(
+                config, version=version, health=node.health, account=node.account, endings=farewells.take
+            )
+        )
+        services = Services(node, recorder, farewells)
         recorder.know([node.status()])
         doing = _begin(recorder)
         node.health.watch(recorder.check)
@@ -41,7 +53,23 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
             manager.alive()
             recorder.tell_losses()
             services.ask_new()
-        services.ask()
+            farewells.judge(time.monotonic())
+        services.conclude()
+        if isinstance(stop, Stop) and stop.orphaned:
+            farewells.doubt("the run was ended by a kill: its supervisor ended without stopping the logger")
+
+
+def _follow_publishers(node: Node) -> Farewells:
+    wanted = patterns()
+    farewells = Farewells(
+        lambda topic: any(pattern.covers(topic) for pattern in wanted), node.link, own=node.session_id
+    )
+
+    def gone(session: str, topic: Topic) -> None:
+        farewells.gone(session, topic, now_s=time.monotonic(), now_ns=time.time_ns())
+
+    node.watch_publishers(gone, farewells.came)
+    return farewells
 
 
 def _begin(recorder: Recorder) -> str:
@@ -55,18 +83,22 @@ def _begin(recorder: Recorder) -> str:
 class Services:
     """Asks the services for their configuration, after their first heartbeat and before a log is closed.
 
-    So the log also has the configuration of a service that dies before the log is closed.
+    So the log also has the configuration of a service that dies before the log is closed, and the logger
+    knows how many messages were published until the close.
     """
 
-    def __init__(self, node: Node, recorder: Recorder) -> None:
-        self._node, self._recorder = node, recorder
-        self._hearts: set[bytes] = set()
+    def __init__(self, node: Node, recorder: Recorder, farewells: Farewells) -> None:
+        self._node, self._recorder, self._farewells = node, recorder, farewells
+        self._hearts: dict[bytes, None] = {}
         self._new = Event()
 
     def notice(self, received: Received) -> None:
-        """Look at a message for the first heartbeat of a service."""
+        """Look at a message: for the first heartbeat of a service, and for the last numbers of publishers."""
+        self._farewells.hear(received)
         if received.topic.name == DIAGNOSTICS.name and received.attachment.gid not in self._hearts:
-            self._hearts.add(received.attachment.gid)
+            self._hearts[received.attachment.gid] = None
+            if len(self._hearts) > _MOST_HEARTS:
+                del self._hearts[next(iter(self._hearts))]
             self._new.set()
 
     def ask_new(self) -> None:
@@ -75,9 +107,21 @@ class Services:
             self._new.clear()
             self.ask()
 
-    def ask(self) -> None:
+    def ask(self, timeout_s: float = 1.0) -> None:
         """Ask all services."""
-        self._recorder.know(self._node.ask_all("status", StatusReply))
+        statuses = self._node.ask_all("status", StatusReply, timeout_s=timeout_s)
+        self._recorder.know(statuses)
+        self._farewells.confirm(statuses, now_s=time.monotonic())
+
+    def conclude(self) -> None:
+        """Ask all services before a file is closed, and wait until what they published has arrived."""
+        begin_s = time.monotonic()
+        self.ask(_LAST_WORD_S)
+        self._farewells.judge(time.monotonic())
+        while self._farewells.is_open(begin_s) and time.monotonic() - begin_s < _LAST_WORD_S:
+            time.sleep(_POLL_S)
+            self._farewells.judge(time.monotonic())
+        self._farewells.conclude(begin_s)
 
 
 def _subscribe(node: Node, recorder: Recorder, services: Services, extras: Extras) -> None:
@@ -92,11 +136,11 @@ def _subscribe(node: Node, recorder: Recorder, services: Services, extras: Extra
 
 def _serve(node: Node, recorder: Recorder, services: Services) -> None:
     def stop(_: LogRequest) -> LogReply:
-        services.ask()
+        services.conclude()
         return recorder.stop()
 
     def split(request: LogRequest) -> LogReply:
-        services.ask()
+        services.conclude()
         return recorder.split(request.name)
 
     call = trigger(LogRequest)

@@ -3,7 +3,7 @@
 import errno
 import logging
 import time
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -15,6 +15,7 @@ from typing import Self
 
 from rpod_logger.backlog import Backlog, Command
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, LoggerError, NotRecordingError
+from rpod_logger.farewells import Endings
 from rpod_logger.recording import Recording, Totals
 from rpod_logger.writer import WriterSettings, create_log
 from rpod_runtime import Received
@@ -31,6 +32,8 @@ _COMMAND_TIMEOUT_S = 30.0
 _IDLE_S = 0.05
 """Time for which the writer waits while few messages are queued."""
 _LOSSES_PERIOD_S = 5.0
+_MOST_LATCHED = 1000
+"""Largest number of latched messages that are kept for the beginning of the next file."""
 _CLOCK_JUMP_S = 0.5
 """Smallest change between the two clocks that counts as a jump. A delay of the process between the readings
 of both clocks, or a slow correction of the clock, changes them by less."""
@@ -40,15 +43,22 @@ class Recorder:
     """Records the messages put into it. ``with`` runs its thread; at the end it writes what is queued."""
 
     def __init__(
-        self, config: LoggerConfig, *, version: str, health: HealthBook, account: SequenceAccount
+        self,
+        config: LoggerConfig,
+        *,
+        version: str,
+        health: HealthBook,
+        account: SequenceAccount,
+        endings: Callable[[int], Endings] = lambda _: Endings(),
     ) -> None:
-        self._config, self._version = config, version
+        """Prepare; ``endings`` returns what is to be said of a file opened at a stamp, and is called once."""
+        self._config, self._version, self._endings = config, version, endings
         self._health, self._account = health, account
         self._backlog = Backlog(config.queue_bytes)
         self._recording: Recording | None = None
         self._stem = config.name or f"rpod-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
         self._failure: CannotWriteError | None = None
-        self._latched: dict[tuple[str, bytes], Received] = {}
+        self._latched: OrderedDict[tuple[str, bytes], Received] = OrderedDict()
         self._written: Counter[str] = Counter()
         """Number of messages of the current batch, by topic."""
         self._services: dict[str, StatusReply] = {}
@@ -152,13 +162,26 @@ class Recorder:
 
     def _write(self, received: Received) -> None:
         if received.topic.latched:
-            self._latched[received.key, received.attachment.gid] = received
+            self._keep(received)
         self._watch_clock(received)
         if self._attempt(lambda recording: recording.write(received)):
             self._written[received.topic.name] += 1
             self._tend()
         elif self._failure:
             self._health.count(f"lost/{received.topic.name}")
+
+    def _keep(self, received: Received) -> None:
+        """Keep a latched message for the next files, of a bounded number of publishers."""
+        publication = received.key, received.attachment.gid
+        self._latched[publication] = received
+        self._latched.move_to_end(publication)
+        if len(self._latched) > _MOST_LATCHED:
+            self._latched.popitem(last=False)
+            if not self._health.counters().get("latched/forgotten"):
+                log.warning(
+                    "more than %d latched messages: the next file begins without the rest", _MOST_LATCHED
+                )
+            self._health.count("latched/forgotten")
 
     def _count_written(self) -> None:
         """Add the batch to the counters: once for the whole batch, because each addition takes a lock."""
@@ -218,6 +241,8 @@ class Recorder:
         except OSError as error:
             raise self._fail(CannotWriteError(config.directory / f"{stem}.mcap", error)) from error
         self._stem, self._failure = stem, None
+        if continues is None:
+            self._endings(time.time_ns())  # what ended before is no matter of this file
         recording = self._recording = Recording(file, self._totals(received), continues=continues)
         self._attempt(lambda recording: recording.describe(self._services, self._version))
         self._attempt(lambda recording: recording.repeat(self._latched.values()))
@@ -231,7 +256,8 @@ class Recorder:
         if recording is None:
             raise NotRecordingError
         closed_at = self._totals(received)
-        self._attempt(lambda recording: recording.close(closed_at, self._config.bus.keys))
+        endings = self._endings(recording.opened_ns)
+        self._attempt(lambda recording: recording.close(closed_at, self._config.bus.keys, endings=endings))
         if self._failure:
             raise self._failure
         self._recording = None
@@ -261,7 +287,12 @@ class Recorder:
         """Close the log if the disk still allows it; otherwise abandon it."""
         closed_at = self._totals(self._backlog.received())
         try:
-            recording.close(closed_at, self._config.bus.keys, reasons=(str(error.strerror),))
+            recording.close(
+                closed_at,
+                self._config.bus.keys,
+                reasons=(str(error.strerror),),
+                endings=self._endings(recording.opened_ns),
+            )
         except OSError:
             self._abandon(recording, error)
         else:

@@ -8,24 +8,32 @@ from dataclasses import dataclass, field, fields
 from itertools import chain
 from typing import Self
 
+from rpod_logger.farewells import Endings
 from rpod_logger.writer import LogFile, channel_topic
 from rpod_runtime import Received
 from rpod_runtime.accounting import FARTHEST, Publication
 from rpod_schemas.control import StatusReply
 from rpod_schemas.logs import (
+    BUS,
     COMPLETENESS,
     CONFIGURATION,
     COUNTS,
     PUBLISHERS,
     SOFTWARE,
     STATUS,
+    BusRecord,
     Completeness,
     Numbers,
+    OutageTime,
     TopicCount,
     shortfalls,
 )
 from rpod_schemas.topics import Namespace
 from rpod_schemas.wire import UNNUMBERED
+
+_NOTHING = Endings()
+_MOST_PUBLISHERS = 10_000
+"""Largest number of publishers that a file lists."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +84,13 @@ class Recording:
         self.file = file
         self._opened_at = opened_at
         self._opened_s = time.monotonic()
+        self.opened_ns = time.time_ns()
+        """Time at which the file was opened, ns of UTC."""
         self._continues = continues
         self._runs: dict[Publication, list[_Run]] = {}
         self._repeated: Counter[str] = Counter()
+        self._unlisted: Counter[str] = Counter()
+        """Number of messages of publishers that are not listed, because there are too many, by topic."""
         self._clock_jumps_s: list[float] = []
 
     @property
@@ -90,6 +102,9 @@ class Recording:
         """Append a message."""
         self.file.write(received)
         publication, sequence = (received.key, received.attachment.gid), received.attachment.sequence
+        if publication not in self._runs and len(self._runs) >= _MOST_PUBLISHERS:
+            self._unlisted[received.topic.name] += 1
+            return
         runs = self._runs.setdefault(publication, [])
         if not runs or not runs[-1].continues_with(sequence):
             numbered = received.attachment is not UNNUMBERED
@@ -107,7 +122,13 @@ class Recording:
     def describe(self, services: Mapping[str, StatusReply], version: str) -> None:
         """Add software version, configuration and status of the services; later records replace earlier."""
         digests = {status.target_digest for status in services.values() if status.target_digest}
-        software = {"name": "rpod", "version": version, "target_digest": " ".join(sorted(digests))}
+        contents = {status.target_content for status in services.values() if status.target_content}
+        software = {
+            "name": "rpod",
+            "version": version,
+            "target_digest": " ".join(sorted(digests)),
+            "target_content": " ".join(sorted(contents)),
+        }
         self.file.add_metadata(SOFTWARE, software)
         self.file.add_metadata(
             CONFIGURATION, {name: json.dumps(status.configuration) for name, status in services.items()}
@@ -123,7 +144,7 @@ class Recording:
 
     def counts(self, closed_at: Totals) -> dict[str, TopicCount]:
         """Return the numbers of messages of each topic since the log was opened."""
-        totals, written = closed_at.since(self._opened_at), Counter[str]()
+        totals, written = closed_at.since(self._opened_at), self._unlisted.copy()
         for run in chain.from_iterable(self._runs.values()):
             written[run.topic] += run.messages
         return {
@@ -140,17 +161,27 @@ class Recording:
                 numbers[channel_topic(keys, run.topic)].append(each.model_dump())
         return {topic: json.dumps(each) for topic, each in numbers.items()}
 
-    def close(self, closed_at: Totals, keys: Namespace, *, reasons: tuple[str, ...] = ()) -> None:
+    def close(
+        self,
+        closed_at: Totals,
+        keys: Namespace,
+        *,
+        reasons: tuple[str, ...] = (),
+        endings: Endings = _NOTHING,
+    ) -> None:
         """Add the counts and the statement of completeness, and finish the file.
 
         Args:
             closed_at: the totals at this moment.
             keys: the facility's part of the key space.
             reasons: reasons why the file is not complete, beside those that follow from the counts.
+            endings: what is to be said of publishers that ended, and of the link.
         """
         counts = {channel_topic(keys, name): count for name, count in self.counts(closed_at).items()}
         written = {topic: count.written + count.repeated for topic, count in counts.items()}
-        reasons += shortfalls(counts, written)
+        if self._unlisted:
+            reasons += (f"more than {_MOST_PUBLISHERS:,} publishers: not all of them are listed",)
+        reasons += endings.reasons + shortfalls(counts, written)
         statement = Completeness(
             complete=not reasons,
             reasons=reasons,
@@ -159,5 +190,8 @@ class Recording:
         )
         self.file.add_metadata(PUBLISHERS, self._publishers(keys))
         self.file.add_metadata(COUNTS, {topic: count.model_dump_json() for topic, count in counts.items()})
+        outages = tuple(OutageTime(begin_ns=each.begin_ns, end_ns=each.end_ns) for each in endings.outages)
+        bus = BusRecord(outages=outages, unconfirmed=endings.unconfirmed)
+        self.file.add_metadata(BUS, bus.record())
         self.file.add_metadata(COMPLETENESS, statement.record())
         self.file.close()

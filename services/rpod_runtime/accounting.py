@@ -6,7 +6,7 @@ is refused and reported, and the old sequence continues. If the old sequence doe
 publisher itself jumped, the new numbers are accepted after a few messages.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter, OrderedDict, defaultdict
 from dataclasses import dataclass
 from threading import Lock
 
@@ -27,6 +27,22 @@ missed.
 CONFIRMED = 3
 """Number of messages with rising numbers that confirm a jump, without a message of the old sequence
 between."""
+
+
+MOST_KEYS = 1000
+"""Largest number of keys that are counted; messages of more keys are refused."""
+MOST_PUBLICATIONS = 4096
+"""Largest number of sequences that are remembered; of more the one that was silent longest is forgotten."""
+
+
+class TooManyKeysError(MessageRejectedError):
+    """A message of one more key than are counted."""
+
+    def __init__(self, key: str) -> None:
+        super().__init__(
+            Reason.TOO_MANY,
+            f"{key}: messages of {MOST_KEYS} keys at most are received; who publishes so many?",
+        )
 
 
 class DuplicateError(MessageRejectedError):
@@ -88,13 +104,15 @@ class SequenceAccount:
     """Counts per (key, gid), from the first number seen; an equal or lower number is a duplicate."""
 
     def __init__(self) -> None:
-        self._last: dict[Publication, int] = {}
+        self._last: OrderedDict[Publication, int] = OrderedDict()
         self._elsewhere: dict[Publication, _Elsewhere] = {}
         self._live: set[Publication] = set()
         self._gaps: Counter[Publication] = Counter()
         self._given_up: Counter[Publication] = Counter()
         self._lock = Lock()
         self.counts: dict[str, Count] = defaultdict(Count)
+        self.forgotten = 0
+        """Number of sequences that were forgotten because there were too many."""
 
     def take(self, key: str, attachment: Attachment, *, fetched: bool = False) -> None:
         """Account for one received message.
@@ -105,7 +123,10 @@ class SequenceAccount:
         Raises:
             DuplicateError: the number, or a later one, was already received.
             JumpError: the number is more than ``FARTHEST`` away from the last one.
+            TooManyKeysError: there are too many keys.
         """
+        if key not in self.counts and len(self.counts) >= MOST_KEYS:
+            raise TooManyKeysError(key)
         publication = key, attachment.gid
         self._judge(publication, attachment.sequence, fetched=fetched)
         count = self.counts[key]
@@ -115,7 +136,20 @@ class SequenceAccount:
         elif publication in self._live:
             count.recovered += 1
         self._last[publication] = attachment.sequence
+        self._last.move_to_end(publication)
         self._elsewhere.pop(publication, None)
+        if len(self._last) > MOST_PUBLICATIONS:
+            self._forget()
+
+    def _forget(self) -> None:
+        """Forget the sequence that was silent longest; what was counted of it stays counted."""
+        with self._lock:
+            publication, _ = self._last.popitem(last=False)
+            self._elsewhere.pop(publication, None)
+            self._live.discard(publication)
+            self._gaps.pop(publication, None)
+            self._given_up.pop(publication, None)
+            self.forgotten += 1
 
     def _judge(self, publication: Publication, sequence: int, *, fetched: bool) -> None:
         """Count a gap; raise if the number is not accepted."""

@@ -8,7 +8,14 @@ from dataclasses import replace
 import zenoh
 import zenoh.ext
 
-from rpod_runtime.accounting import JumpError, Publication, SequenceAccount
+from rpod_runtime.accounting import (
+    MOST_KEYS,
+    MOST_PUBLICATIONS,
+    JumpError,
+    Publication,
+    SequenceAccount,
+    TooManyKeysError,
+)
 from rpod_runtime.health import HealthBook
 from rpod_runtime.inbox import Received
 from rpod_schemas.errors import MessageRejectedError
@@ -20,8 +27,8 @@ log = logging.getLogger(__name__)
 _REPLAYED = zenoh.CongestionControl.BLOCK
 """Congestion control of replies from a cache. Publishers of this package use DROP for live messages."""
 
-_MOST_PUBLISHERS = 4096
-"""Largest number of publishers that are remembered; the oldest is forgotten first."""
+_OTHERS = "others"
+"""Topic under which messages of too many keys are counted."""
 
 Sink = Callable[[Received], None]
 
@@ -36,6 +43,7 @@ class Delivery:
         self._publications: dict[str, Publication] = {}
         self._sessions: dict[bytes, str] = {}
         """Zenoh identity of the session of each publisher, by gid."""
+        self._forgets = False
 
     def take(self, topic: Topic, sample: zenoh.Sample, sink: Sink) -> None:
         """Deliver a message of a topic or of a pattern, unless it is a duplicate or unusable."""
@@ -49,6 +57,8 @@ class Delivery:
         except JumpError as error:
             self._health.warn(f"sequence_jump/{topic.name}", str(error.jump))
             self.reject(topic.name, error)
+        except TooManyKeysError as error:
+            self.reject(_OTHERS, error)
         except MessageRejectedError as error:
             self.reject(topic.name, error)
         except Exception:  # otherwise the bus's thread prints it and it is not counted
@@ -81,19 +91,33 @@ class Delivery:
 
     def _name(self, pattern: Topic, key: str) -> Topic:
         """Return the topic of a key that matched a pattern, and remember it."""
-        topic = self._topics[key] = replace(pattern, name=self._keys.topic_of(key))
+        topic = replace(pattern, name=self._keys.topic_of(key))
+        if len(self._topics) < MOST_KEYS:
+            self._topics[key] = topic
         return topic
 
     def _account_for(self, key: str, sample: zenoh.Sample, attachment: Attachment) -> None:
         if attachment.gid not in self._sessions and sample.source_info:
             source = sample.source_info.source_id
-            if len(self._sessions) >= _MOST_PUBLISHERS:
+            if len(self._sessions) >= MOST_PUBLICATIONS:
                 del self._sessions[next(iter(self._sessions))]
                 del self._publications[next(iter(self._publications))]
             self._sessions[attachment.gid] = str(source.zid)
             self._publications[str(source)] = key, attachment.gid
         fetched = sample.congestion_control == _REPLAYED
         self._account.take(key, attachment, fetched=fetched)
+        if self._account.forgotten:
+            self._tell_forgotten()
+
+    def _tell_forgotten(self) -> None:
+        if not self._forgets:
+            self._forgets = True
+            log.warning(
+                "more than %d publishers were heard; those silent longest are forgotten, so that the next "
+                "message of one of them counts as its first",
+                MOST_PUBLICATIONS,
+            )
+        self._health.put("publishers/forgotten", self._account.forgotten)
 
 
 def _attachment(sample: zenoh.Sample) -> Attachment:

@@ -2,12 +2,14 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from threading import Lock
 
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.types import Diagnostic, Health
 
+MOST_NAMES = 3000
+"""Largest number of counters, and of texts; names that come later are counted together, by their group."""
 _REMIND_S = 60.0
 """Time between two lines about rejected messages of one kind."""
 
@@ -31,15 +33,20 @@ class HealthBook:
         self._check: Callable[[], tuple[Health, str]] | None = None
         self._changed = True
 
+    @staticmethod
+    def _known(name: str, book: Mapping[str, object]) -> str:
+        """Return a name under which something can be kept: who invents names does not fill the memory."""
+        return name if name in book or len(book) < MOST_NAMES else f"{name.split('/', 1)[0]}/others"
+
     def count(self, name: str, amount: int = 1) -> None:
         """Add an amount to a counter."""
         with self._lock:
-            self._counters[name] += amount
+            self._counters[self._known(name, self._counters)] += amount
 
     def put(self, name: str, value: int) -> None:
         """Set a counter whose value is kept elsewhere."""
         with self._lock:
-            self._counters[name] = value
+            self._counters[self._known(name, self._counters)] = value
 
     def measure(self, name: str, value: float) -> None:
         """Set a measured value; its name ends with the unit."""
@@ -52,8 +59,8 @@ class HealthBook:
         A line is due for the first one of its kind, and then once a minute.
         """
         reason = rejection if isinstance(rejection, Reason) else rejection.reason
-        name = f"rejected/{topic}/{reason}"
         with self._lock:
+            name = self._known(f"rejected/{topic}/{reason}", self._counters)
             self._counters[name] += 1
             told_s, now_s = self._told_s.get(name), time.monotonic()
             due = told_s is None or now_s - told_s >= _REMIND_S
@@ -77,6 +84,7 @@ class HealthBook:
     def warn(self, name: str, text: str) -> None:
         """Add a text for the operator to the diagnostics; the level stays at least WARN from now on."""
         with self._lock:
+            name = self._known(name, self._texts)
             self._texts[name] = text
             self._warning = f"look at {name}"
             self._changed = True

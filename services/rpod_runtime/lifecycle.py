@@ -24,6 +24,13 @@ SUPERVISED = "RPOD_SUPERVISED"
 """Environment variable that a supervisor sets; the supervisor holds the other end of standard input."""
 
 
+class Stop(threading.Event):
+    """The event that asks a service to stop."""
+
+    orphaned = False
+    """Whether it was set because the supervisor had ended without stopping the service."""
+
+
 def configure_logging(instance: str, level: int = logging.INFO) -> None:
     """Send log lines to standard error, each with time, level, instance and message."""
     logging.basicConfig(
@@ -48,7 +55,7 @@ def run(
     lines; without it SIGHUP changes nothing.
     """
     configure_logging(instance, logging.getLevelNamesMapping()[log_level.upper()])
-    stop = threading.Event()
+    stop = Stop()
     _heed_signals(stop, reload)
     if os.environ.get(SUPERVISED):
         threading.Thread(target=_stop_with_supervisor, args=(stop,), daemon=True).start()
@@ -111,7 +118,10 @@ def _reload(reload: Callable[[], str] | None) -> None:
     log.warning("SIGHUP: the configuration was read again; log_level is %s", level)
 
 
-def _stop_with_supervisor(stop: threading.Event) -> None:
+def _stop_with_supervisor(stop: Stop) -> None:
     while os.read(sys.stdin.fileno(), 4096):  # unbuffered: a lock held at the interpreter's exit is fatal
         pass
+    if not stop.is_set():
+        log.error("the supervisor has ended without stopping this service; was it killed?")
+        stop.orphaned = True
     stop.set()

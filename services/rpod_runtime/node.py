@@ -26,6 +26,7 @@ from rpod_runtime.delivery import Delivery
 from rpod_runtime.health import HealthBook
 from rpod_runtime.identity import open_identity
 from rpod_runtime.inbox import Received
+from rpod_runtime.link import Link
 from rpod_runtime.notify import manager
 from rpod_runtime.publisher import Publisher
 from rpod_runtime.ros import Form, RosGraph, trigger
@@ -38,7 +39,7 @@ from rpod_schemas.control import Accepted, Empty, StatusReply
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_diagnostics
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Service, Topic
-from rpod_schemas.types import Health
+from rpod_schemas.types import CLOSING, PUBLISHED, Health
 from rpod_schemas.wire import GraphNode, publisher_tokens, qos_of_token, session_of_token, topic_of_token
 
 log = logging.getLogger(__name__)
@@ -61,9 +62,11 @@ class Node(Asker):
         self.stop = stop or Event()
         self.state: State = "starting"
         self.target_digest: str | None = None
+        self.target_content: str | None = None
         self.health = HealthBook(config.instance)
         self.account = SequenceAccount()
         self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
+        self.link = Link(self.health, config.bus.connect)
         self._identity = open_identity(config)
         self._keys = config.bus.keys
         self._delivery = Delivery(self._keys, self.health, self.account)
@@ -85,6 +88,7 @@ class Node(Asker):
         self._session = self._stack.enter_context(
             open_client(self.config.bus, zenoh_id=self.config.zenoh_id, stop=self.stop)
         )
+        self._stack.callback(self.link.watch(self._session))
         self._graph = GraphNode(self._keys, str(self._session.zid()), self.config.instance)
         self._token(self._graph.node_token())
         self._diagnostics = self.publisher(DIAGNOSTICS)
@@ -112,6 +116,11 @@ class Node(Asker):
         if serves and (linger_s := last_s + _LINGER_S - time.monotonic()) > 0:
             time.sleep(linger_s)
         self._stack.close()
+
+    @property
+    def session_id(self) -> str:
+        """Zenoh identity of the session."""
+        return self._graph.session_id
 
     # --- endpoints ---
 
@@ -164,16 +173,21 @@ class Node(Asker):
         )
         self._stack.callback(watcher.undeclare)
 
-    def watch_publishers(self, gone: Callable[[str, Topic], None]) -> None:
-        """Call ``gone`` with session and topic, in the bus's thread, when a publisher's token vanishes."""
+    def watch_publishers(
+        self, gone: Callable[[str, Topic], None], came: Callable[[str, Topic], None] | None = None
+    ) -> None:
+        """Call ``gone`` with session and topic when a publisher's token vanishes, ``came`` when one comes."""
 
         def take(token: zenoh.Sample) -> None:
             key = str(token.key_expr)
             topic = topic_of_token(key, self._keys)
-            if token.kind == zenoh.SampleKind.DELETE and topic is not None:
-                gone(session_of_token(key), topic)
+            tell = gone if token.kind == zenoh.SampleKind.DELETE else came
+            if tell is not None and topic is not None:
+                tell(session_of_token(key), topic)
 
-        watcher = self._session.liveliness().declare_subscriber(publisher_tokens(self._keys), take)
+        watcher = self._session.liveliness().declare_subscriber(
+            publisher_tokens(self._keys), take, history=came is not None
+        )
         self._stack.callback(watcher.undeclare)
 
     def publisher_qos(self) -> list[tuple[str, str]]:
@@ -290,6 +304,7 @@ class Node(Asker):
             counters=self.health.counters(),
             configuration=logged(self.config),
             target_digest=self.target_digest,
+            target_content=self.target_content,
         )
 
     def _shut_down(self, _: Empty) -> Accepted:
@@ -316,6 +331,7 @@ class Node(Asker):
     def _last_beat(self) -> None:
         self.stop.set()
         self._heart.join(timeout=2.0)
+        self.health.tell(CLOSING, "true")
         self._publish_health()
 
     def _publish_health(self) -> None:
@@ -326,7 +342,7 @@ class Node(Asker):
     def _update_counters(self) -> None:
         totals: Counter[str] = Counter()  # several publishers, or type hashes, may share a topic
         for publisher in self._publishers:
-            totals[f"published/{publisher.topic.name}"] += publisher.published
+            totals[f"{PUBLISHED}{publisher.topic.name}"] += publisher.published
         for key, count in list(self.account.counts.items()):
             topic = self._keys.topic_at(key).name
             totals[f"received/{topic}"] += count.received

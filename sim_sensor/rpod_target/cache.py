@@ -1,7 +1,13 @@
-"""Cache of built targets: one file per digest, written atomically, so that several daemons may build."""
+"""Cache of built targets: one file per digest, written atomically, so that several daemons may build.
 
+A file also holds the digest of its arrays. One whose arrays are others, because it was changed after it was
+built, is not used.
+"""
+
+import hashlib
 import os
 import tempfile
+import warnings
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -10,6 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from rpod_schemas.arrays import Array
+
+DIGEST = "content_digest"
+"""Name in a file of the digest of its arrays."""
 
 
 def default_directory() -> Path:
@@ -21,17 +30,41 @@ def default_directory() -> Path:
     return Path.home() / ".cache" / "rpod"
 
 
+def sealed(arrays: Mapping[str, Array]) -> dict[str, Array]:
+    """Return arrays together with their digest, which is named ``DIGEST``."""
+    return {**arrays, DIGEST: np.array(_digest(arrays))}
+
+
+def _digest(arrays: Mapping[str, Array]) -> str:
+    """Return the SHA-256 of arrays: of their names, types, shapes and bytes."""
+    content = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        content.update(f"{name} {array.dtype.str} {array.shape} ".encode())
+        content.update(array.data.cast("B") if array.size else b"")
+    return content.hexdigest()
+
+
 def read(file: Path) -> dict[str, Array] | None:
-    """Return the arrays of a file; None if it is missing, or damaged by its checksums."""
+    """Return the sealed arrays of a file; None if it is missing, damaged, or not as it was built.
+
+    Of one that is not as it was built a ``UserWarning`` tells.
+    """
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            return dict(stored.items())
+            arrays = dict(stored.items())
+        built = arrays.pop(DIGEST)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
+    if str(built) != _digest(arrays):
+        text = f"{file} was changed after it was built; the target is built anew"
+        warnings.warn(text, stacklevel=2)  # a package without a log
+        return None
+    return {**arrays, DIGEST: built}
 
 
 def write(file: Path, arrays: Mapping[str, Array]) -> None:
-    """Write arrays as one file, which gets its name only when it is complete. Raises ``OSError``."""
+    """Write sealed arrays as one file, which gets its name only when it is complete. Raises ``OSError``."""
     file.parent.mkdir(parents=True, exist_ok=True)
     descriptor, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem}-", suffix=".tmp")
     temporary = Path(name)

@@ -66,10 +66,10 @@ def load_target(
         chosen = _without(parameters, without, source=source)
         digest = _digest(chosen, meshes, variation)
         bare = _bare(chosen)
-        file = (cache or store.default_directory()) / f"target-{_digest(bare, meshes, variation)}.npz"
+        file = (cache or store.default_directory()) / f"sealed-{_digest(bare, meshes, variation)}.npz"
         arrays = store.read(file)
         if arrays is None:
-            arrays = _build(chosen, meshes, source, read or {}, variation)
+            arrays = store.sealed(_build(chosen, meshes, source, read or {}, variation))
             with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
                 store.write(file, arrays)
         target = _assemble(chosen, arrays, source=source, digest=digest)
@@ -271,6 +271,7 @@ def _build(
 
 
 def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source: Path, digest: str) -> Target:
+    content = str(arrays.pop(store.DIGEST))
     spacing_m = parameters.distance_field.spacing_m or float(arrays["field_spacing_m"])
     field = DistanceField(arrays.pop("field_origin_m"), spacing_m, arrays.pop("field_values"))
     arrays.pop("field_spacing_m", None)  # a cache of the past may be without it
@@ -282,6 +283,7 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         name=parameters.name,
         source=str(source),
         digest=digest,
+        content=content,
         materials=tuple(
             Material(name=name, **material.model_dump()) for name, material in parameters.materials.items()
         ),

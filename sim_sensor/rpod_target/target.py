@@ -1,5 +1,6 @@
 """The target for sensors and estimators. All coordinates are in target axes, metres."""
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
@@ -150,6 +151,8 @@ class Target:
     """Joints that its file declares; ``posed`` returns the target at given angles of them."""
     fixed: "Target | None" = None
     """The target without the parts of its joints; None if there are none."""
+    content: str = ""
+    """SHA-256 of the arrays that were built or read from the cache; ``digest`` tells what they should be."""
 
     def require_field(self) -> DistanceField:
         """Return the distance field.
@@ -160,6 +163,15 @@ class Target:
         if self.field is None:
             raise TargetError(self.source, "distance_field", "is missing: load the target from its file")
         return self.field
+
+    @property
+    def content_digest(self) -> str:
+        """Digest of the arrays of this target and of all targets that it holds."""
+        held = (self.reliable, self.fixed, *(joint.moving for joint in self.joints))
+        inner = [target.content_digest for target in held if target is not None]
+        return (
+            hashlib.sha256(" ".join([self.content, *inner]).encode()).hexdigest() if inner else self.content
+        )
 
     @cached_property
     def equivalence(self) -> Equivalence:

@@ -3,6 +3,7 @@
 import signal
 
 import pytest
+from logger_desk import completeness
 from logs import messages_of, read_closed
 
 from rpod_schemas.topics import TRUTH
@@ -20,6 +21,7 @@ def test_an_interrupted_run_closes_its_log_and_says_where_it_is(start):
     assert "interrupted" in run.stderr.text()
     assert str(run.log) in run.stderr.text()
     assert read_closed(run.log)[TRUTH_CHANNEL] > 0
+    assert completeness(run.log).reasons == (), "an interruption is an end in order"
     assert (run.directory / "scenario.json").exists()
 
 
@@ -63,8 +65,16 @@ def test_a_second_interrupt_ends_the_run_at_once_and_the_services_follow(start):
     assert read_closed(run.log)[TRUTH_CHANNEL] > 0
 
 
-@pytest.mark.parametrize(("verb", "speed"), [("emulator", "1"), ("estimator", "max"), ("router", "1")])
-def test_a_run_whose_service_is_killed_names_it_and_closes_the_log(start, verb, speed):
+@pytest.mark.parametrize(
+    ("verb", "speed", "reason"),
+    [
+        ("emulator", "1", "emulator (session "),
+        ("estimator", "max", "estimator (session "),
+        ("motion", "1", "motion (session "),
+        ("router", "1", "the bus was lost: since "),
+    ],
+)
+def test_a_run_whose_service_is_killed_names_it_as_its_log_does(start, verb, speed, reason):
     run = start(*PLAY, "--speed", speed)
     run.await_playing()
     run.services[verb].kill()
@@ -76,6 +86,7 @@ def test_a_run_whose_service_is_killed_names_it_and_closes_the_log(start, verb, 
     assert str(run.log) in said
     assert "Traceback" not in said
     assert read_closed(run.log)[TRUTH_CHANNEL] > 0
+    assert [each for each in completeness(run.log).reasons if each.startswith(reason)]
 
 
 def test_the_log_of_a_killed_logger_holds_what_was_synced(start):
@@ -107,3 +118,5 @@ def test_the_services_of_a_killed_supervisor_end_and_close_the_log(start):
     assert run.wait() == -signal.SIGKILL
     assert not run.left()
     assert read_closed(run.log)[TRUTH_CHANNEL] > 0
+    reasons = completeness(run.log).reasons
+    assert [each for each in reasons if each.startswith("the run was ended by a kill: its supervisor")]

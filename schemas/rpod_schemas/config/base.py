@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Sequence
 from copy import deepcopy
+from itertools import chain, islice
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -26,6 +27,8 @@ class Config(BaseModel):
     )
 
 
+_MOST_BYTES, _MOST_VALUES, _MOST_LEVELS = 8 << 20, 1_000_000, 50
+_TOO_DEEP = f"is nested more than {_MOST_LEVELS} levels deep; no field of a configuration is"
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -36,7 +39,13 @@ def read_document(path: Path) -> dict[str, Any]:
         ConfigurationError: the file is missing, unreadable, or no mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as stream:
+            data = stream.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
+            raise ConfigurationError(
+                path, "", f"is larger than {_MOST_BYTES >> 20} MiB; is it the right file?"
+            )
+        text = data.decode("utf-8")
     except OSError as error:
         raise ConfigurationError(path, "", f"cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
@@ -45,9 +54,30 @@ def read_document(path: Path) -> dict[str, Any]:
         document = tomllib.loads(text) if path.suffix == ".toml" else yaml.safe_load(text)
     except (tomllib.TOMLDecodeError, yaml.YAMLError) as error:
         raise ConfigurationError(path, "", " ".join(str(error).split())) from error
+    except RecursionError as error:
+        raise ConfigurationError(path, "", _TOO_DEEP) from error
+    _check_size(document, path)
     if not isinstance(document, dict):
         raise ConfigurationError(path, "", "needs named fields at its top level")
     return document
+
+
+def _check_size(document: Any, path: Path) -> None:
+    """Raise ``ConfigurationError`` for a document nested too deeply, or too large by YAML's aliases."""
+    level, values = [document], 0
+    for _ in range(_MOST_LEVELS):
+        values += len(level)
+        if values > _MOST_VALUES:
+            raise ConfigurationError(path, "", f"has more than {_MOST_VALUES:,} values; write fewer aliases")
+        inner = (
+            node.values() if isinstance(node, dict) else node
+            for node in level
+            if isinstance(node, dict | list)
+        )
+        level = list(islice(chain.from_iterable(inner), _MOST_VALUES))
+        if not level:
+            return
+    raise ConfigurationError(path, "", _TOO_DEEP)
 
 
 def check(model: type[Model], document: Any, *, source: Path | str) -> Model:

@@ -9,6 +9,7 @@ from rpod_schemas.arrays import VectorN
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.config.depth_calibration import CalibrationSource
 from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.integrity import IntegrityConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.config.pmd_joint import JointConfig
@@ -168,6 +169,8 @@ class EstimatorSettings(Config):
     """Configuration of the navigator's state machine."""
     filter: FilterConfig = Field(default_factory=FilterConfig)
     """The error-state Kalman filter."""
+    integrity: IntegrityConfig = IntegrityConfig()
+    """Protection levels and alerts."""
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:

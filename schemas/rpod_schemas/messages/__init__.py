@@ -20,9 +20,11 @@ from rpod_schemas.messages.geometry import (
 from rpod_schemas.messages.header import build, read_stamp, write_header, write_stamp
 from rpod_schemas.messages.health import (
     read_diagnostics,
+    read_integrity,
     read_status,
     read_validity,
     write_diagnostics,
+    write_integrity,
     write_status,
     write_validity,
 )
@@ -51,6 +53,7 @@ __all__ = [
     "read_depth",
     "read_diagnostics",
     "read_image",
+    "read_integrity",
     "read_joints",
     "read_lidar_info",
     "read_odometry",
@@ -68,6 +71,7 @@ __all__ = [
     "write_diagnostics",
     "write_header",
     "write_image",
+    "write_integrity",
     "write_joints",
     "write_lidar_info",
     "write_odometry",

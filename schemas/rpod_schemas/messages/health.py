@@ -10,7 +10,7 @@ from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.geometry import read_pose, write_pose
 from rpod_schemas.messages.header import build, read_stamp, within, write_header
-from rpod_schemas.types import Diagnostic, EstimateValidity, EstimatorStatus, Hypothesis
+from rpod_schemas.types import Diagnostic, EstimateValidity, EstimatorStatus, Hypothesis, Integrity
 
 
 def read_status(message: Any) -> EstimatorStatus:
@@ -134,6 +134,41 @@ def write_validity(validity: EstimateValidity) -> Any:
         valid=validity.valid,
         age_s=validity.age_s,
         reason=validity.reason,
+    )
+
+
+def read_integrity(message: Any) -> Integrity:
+    """Read an rpod_msgs/Integrity."""
+    names, values = message.evidence_names, message.evidence_values
+    if len(names) != len(values):
+        raise MessageRejectedError(Reason.WRONG_SIZE, f"{len(values)} values of evidence, {len(names)} names")
+    fields = ("attitude_level_deg", "position_level_m", "attitude_limit_deg", "position_limit_m")
+    _not_negative(message, *fields)
+    return build(
+        Integrity,
+        stamp_ns=read_stamp(message.header),
+        frame_id=message.header.frame_id,
+        state=message.state,
+        reason=message.reason,
+        risk=message.risk,
+        **{name: getattr(message, name) for name in fields},
+        evidence=dict(zip(names, np.asarray(values).tolist(), strict=True)),
+    )
+
+
+def write_integrity(integrity: Integrity) -> Any:
+    """Return an rpod_msgs/Integrity."""
+    return message_class("rpod_msgs/msg/Integrity")(
+        header=write_header(integrity.stamp_ns, integrity.frame_id),
+        state=int(integrity.state),
+        reason=integrity.reason,
+        risk=integrity.risk,
+        attitude_level_deg=integrity.attitude_level_deg,
+        position_level_m=integrity.position_level_m,
+        attitude_limit_deg=integrity.attitude_limit_deg,
+        position_limit_m=integrity.position_limit_m,
+        evidence_names=list(integrity.evidence),
+        evidence_values=np.array(list(integrity.evidence.values()), np.float64),
     )
 
 

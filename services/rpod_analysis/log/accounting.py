@@ -7,9 +7,8 @@ from rpod_analysis.log.log import Logged
 from rpod_schemas.summary import FrameCount, InputAccount, LostFrames
 from rpod_schemas.texts import without_figures
 from rpod_schemas.topics import SENSOR_CACHE
-from rpod_schemas.types import Diagnostic, Health
+from rpod_schemas.types import PUBLISHED, Diagnostic, Health
 
-_PUBLISHED = "published/"
 _DROPPED = "dropped"
 _INCOMPLETE = "incomplete"
 _PASSED_OVER = (f"{_DROPPED}/", f"{_INCOMPLETE}/")
@@ -120,7 +119,7 @@ class Account:
         """
         counts: dict[str, FrameCount] = {}
         for topic, logged in sorted(self.logged.items()):
-            counted = sum(counters[_PUBLISHED + topic] for counters in self.counters.values())
+            counted = sum(counters[PUBLISHED + topic] for counters in self.counters.values())
             before = self.first[topic] - 1 if self.first[topic] > SENSOR_CACHE else 0
             numbered = self.last[topic] + (self.first[topic] == 0)  # numbers may start at 0
             published = max((counted or numbered) - before, logged)
@@ -131,7 +130,7 @@ class Account:
         """Return the number of frames that the estimator that publishes this status dropped."""
         total = 0
         for counters in self.counters.values():
-            if _PUBLISHED + status_topic in counters:
+            if PUBLISHED + status_topic in counters:
                 by_sensor = [value for name, value in counters.items() if name.startswith(_PASSED_OVER)]
                 total += sum(by_sensor) if by_sensor else counters[_DROPPED]
         return total
@@ -140,7 +139,7 @@ class Account:
         """Return what became of the frames of each sensor at the estimator that publishes this status."""
         found: dict[str, InputAccount] = {}
         for service, counters in self.counters.items():
-            if _PUBLISHED + status_topic not in counters:
+            if PUBLISHED + status_topic not in counters:
                 continue
             for name, count in counters.items():
                 if not name.startswith(_INPUTS):
@@ -156,7 +155,7 @@ class Account:
 
     def passed_over(self, status_topic: str, sensor: str) -> tuple[int, int]:
         """Return the numbers of a sensor's dropped and incomplete frames at the estimator of this status."""
-        mine = [counters for counters in self.counters.values() if _PUBLISHED + status_topic in counters]
+        mine = [counters for counters in self.counters.values() if PUBLISHED + status_topic in counters]
         dropped, incomplete = (
             sum(counters[f"{kind}/{sensor}"] for counters in mine) for kind in (_DROPPED, _INCOMPLETE)
         )

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 from pydantic import TypeAdapter
@@ -10,10 +10,12 @@ from pydantic import TypeAdapter
 from rpod_analysis.log.log import Log
 from rpod_analysis.log.log_file import LogFile
 from rpod_schemas.logs import (
+    BUS,
     COMPLETENESS,
     COUNTS,
     PUBLISHERS,
     RECOVERY,
+    BusRecord,
     Numbers,
     Recovery,
     TopicCount,
@@ -22,6 +24,7 @@ from rpod_schemas.logs import (
 from rpod_schemas.summary import LogCompleteness
 
 _NUMBERS = TypeAdapter(list[Numbers])
+_OUTAGE = "the logger had no link to the router for some of the time"
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,8 @@ class FileCompleteness:
     continues: str | None = None
     """Name of the file after whose last message this one begins."""
     clock_jumps_s: tuple[float, ...] = ()
+    bus: BusRecord = field(default_factory=BusRecord)
+    """Outages of the link, and publishers whose last number is not known."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +69,14 @@ class CheckedCompleteness:
         )
         return (*within, *self.between)
 
+    @property
+    def unconfirmed(self) -> tuple[str, ...]:
+        """Publishers of other software that ended, of which nobody knows the last number, a sentence each."""
+        return tuple(text for file in self.files for text in file.bus.unconfirmed)
+
     def summary(self) -> LogCompleteness:
         """Return the completeness in the form of ``summary.json``."""
-        return LogCompleteness(complete=self.complete, reasons=self.reasons)
+        return LogCompleteness(complete=self.complete, reasons=self.reasons, unconfirmed=self.unconfirmed)
 
 
 def check_log_completeness(log: Log) -> CheckedCompleteness:
@@ -94,6 +104,8 @@ def _of_file(file: LogFile) -> FileCompleteness:
         counts = file.metadata(COUNTS)
         checked = check_completeness(statement, counts, _counted(file))
         checked = checked.with_reasons(tuple(_count_again(file.metadata(PUBLISHERS), counts)))
+        bus = BusRecord.of_record(file.metadata(BUS))
+        checked = checked.with_reasons(() if checked.reasons or not bus.outages else (_OUTAGE,))
     except ValueError:
         return FileCompleteness(name, messages, False, ("its record of completeness cannot be read",))
     return FileCompleteness(
@@ -103,6 +115,7 @@ def _of_file(file: LogFile) -> FileCompleteness:
         checked.reasons,
         checked.continues,
         clock_jumps_s=checked.clock_jumps_s,
+        bus=bus,
     )
 
 

@@ -33,6 +33,19 @@ _MOST_LATCHED = 64
 beginning."""
 
 
+_FIELDS: dict[str, type] = {
+    "name": str, "target": str, "prefix": str, "instance": str, "sensors": list, "bus": dict,
+}  # fmt: skip
+"""Types of the fields of a service's configuration that an analysis reads by their names."""
+
+
+def _is_read(field: str, value: Any) -> bool:
+    """Return whether a field of a configuration has the form in which an analysis reads it."""
+    if field == "sensors" and isinstance(value, list):
+        return all(isinstance(entry, dict) for entry in value)
+    return value is None or isinstance(value, _FIELDS.get(field, object))
+
+
 @dataclass(frozen=True, slots=True)
 class Logged:
     """One message of a log."""
@@ -151,10 +164,14 @@ class Log:
                 model = json.loads(text)
             except ValueError:
                 model = None
-            if isinstance(model, dict):
-                found[name] = model
-            else:
+            except RecursionError:
+                model = None
+            if not isinstance(model, dict):
                 self.unreadable.note(CONFIGURATION, Reason.MALFORMED, f"{name}: is not a JSON object")
+                continue
+            found[name] = {field: value for field, value in model.items() if _is_read(field, value)}
+            for field in model.keys() - found[name].keys():
+                self.unreadable.note(CONFIGURATION, Reason.MALFORMED, f"{name}: {field} has another form")
         return found
 
     def metadata(self, record: str) -> dict[str, str]:
@@ -170,7 +187,12 @@ class Log:
         totals: dict[str, Counter[str]] = defaultdict(Counter)
         for part in self._parts:
             for topic, text in part.metadata(COUNTS).items():
-                totals[self._name(topic)].update(json.loads(text))
+                try:
+                    count = TopicCount.model_validate_json(text)
+                except ValueError:
+                    self.unreadable.note(COUNTS, Reason.MALFORMED, f"{topic}: is no count")
+                    continue
+                totals[self._name(topic)].update(count.model_dump())
         return {topic: TopicCount(**counter) for topic, counter in totals.items()}
 
     @cached_property
@@ -258,6 +280,6 @@ class Log:
             return f"{self._given_namespace}/"
         for service in self.configuration.values():
             bus = service.get("bus")
-            if isinstance(bus, dict) and (namespace := bus.get("namespace")):
+            if bus and isinstance(namespace := bus.get("namespace"), str) and namespace:
                 return f"{namespace}/"
         return ""

@@ -80,13 +80,19 @@ class _Guarded:
         index = self._chunks.get(offset) if whence == 0 else None
         if index is None:
             self.read = self._stream.read
-            return self._stream.seek(offset, whence)
+            return self._go_to(offset, whence)
         self.read = self._plain_chunk(index).read
         return offset
 
+    def _go_to(self, offset: int, whence: int = 0) -> int:
+        try:
+            return self._stream.seek(offset, whence)
+        except (OSError, ValueError, OverflowError) as error:  # before the beginning, or beyond any file
+            raise DamagedLogError(self._path, f"it refers to byte {offset}") from error
+
     def _plain_chunk(self, index: ChunkIndex) -> BytesIO:
         """Return the content of a chunk's record, as if it had been written without compression."""
-        self._stream.seek(index.chunk_start_offset)
+        self._go_to(index.chunk_start_offset)
         compression = index.compression.encode()
         head = _CHUNK.pack(
             Opcode.CHUNK,

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, cast
 
-from scipy.spatial.transform import RigidTransform, Rotation
+from pydantic import ConfigDict, TypeAdapter
+from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.log.log import Log, Logged
 from rpod_runtime import Received
@@ -16,6 +17,7 @@ from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_pmd_info
+from rpod_schemas.poses import Pose
 from rpod_schemas.sensors import SensorKind, sensor_kind, sensor_kinds
 from rpod_schemas.topics import CHASER, PMD_INFO, Topic
 from rpod_schemas.types import LidarScan, PmdFrame, PmdInfo, SensorFrame
@@ -71,11 +73,12 @@ def _sensor(log: Log, name: str, kind: str) -> Sensor:
 
 
 def _configured_kinds(configuration: dict[str, dict[str, Any]]) -> dict[str, str]:
+    known = [kind.name for kind in sensor_kinds()]
     return {
-        str(entry["name"]): str(entry["kind"])
+        entry["name"]: entry["kind"]
         for service in configuration.values()
-        for entry in service.get("sensors") or ()
-        if {"name", "kind"} <= entry.keys()
+        for entry in configured_sensors(service)
+        if isinstance(entry.get("name"), str) and entry.get("kind") in known
     }
 
 
@@ -109,14 +112,16 @@ def _configured_source(configuration: dict[str, dict[str, Any]], sensor: str) ->
     return ICD
 
 
+_POSE: TypeAdapter[RigidTransform] = TypeAdapter(Pose, config=ConfigDict(arbitrary_types_allowed=True))
+
+
 def _configured_mount(configuration: dict[str, dict[str, Any]], sensor: str) -> RigidTransform | None:
     for service in configuration.values():
         for entry in configured_sensors(service):
             mount = entry.get("T_chaser_sensor")
             if entry.get("name") == sensor and mount is not None:
-                return RigidTransform.from_components(
-                    mount["translation_m"], Rotation.from_quat(mount["quaternion_xyzw"])
-                )
+                with suppress(ValueError):
+                    return _POSE.validate_python(mount)
     return None
 
 

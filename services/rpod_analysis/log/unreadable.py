@@ -23,6 +23,8 @@ _SAMPLED = 25
 _LEAST_OF_A_CLOCK = 3
 """Least number of sampled stamps that agree on a clock of the log."""
 _DAY_NS = 86_400 * NANOSECONDS
+_FARTHEST_NS = 2**61
+"""Difference of two stamps, ns, beyond which it is not told how large it is: 73 years."""
 _FASTEST = 1_000
 """Largest speed of a log in lockstep, in multiples of the wall clock's."""
 
@@ -134,7 +136,8 @@ def _offsets_ns(log: "Log") -> list[int]:
             continue
         for logged in islice(log.messages(name), _SAMPLED):
             try:
-                sampled.append(peek_stamp(logged.payload) - logged.log_ns)
+                ahead_ns = peek_stamp(logged.payload) - logged.log_ns
+                sampled.append(max(-_FARTHEST_NS, min(ahead_ns, _FARTHEST_NS)))
             except MessageRejectedError:
                 continue
     ordered = np.sort(np.array(sampled, np.int64))

@@ -26,7 +26,7 @@ from rpod_analysis.scoring.summarise import summarise
 from rpod_analysis.scoring.totals import RunTotals
 from rpod_schemas.logs import SOFTWARE, TopicCount
 from rpod_schemas.summary import Summary
-from rpod_target import TargetError, load_target
+from rpod_target import Target, TargetError, load_target
 
 _PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 _MOST_REASONS = 8
@@ -134,7 +134,7 @@ def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None
         unreadable=log.unreadable.kinds,
         target=wireframes.truth.name if wireframes.truth else "",
         target_note=target_note,
-        software=" ".join(software[key] for key in ("name", "version") if key in software),
+        software=_software(software),
         configuration={name: json.dumps(model, indent=2) for name, model in log.configuration.items()},
     )
 
@@ -175,6 +175,27 @@ def _targets(log: Log, prefix: str) -> tuple[Wireframes, str]:
         model = load_target(names.model or names.shown)
     except TargetError as error:
         return Wireframes(None, None), f"{_UNKNOWN}: {error}"
-    digests = log.metadata(SOFTWARE).get("target_digest", "").split()
-    changed = bool(digests) and not {truth.digest, model.digest} <= set(digests)
-    return Wireframes(model, truth), "The target's parameters have changed since the run." * changed
+    return Wireframes(model, truth), _changes(log, truth, model)
+
+
+def _software(record: dict[str, str]) -> str:
+    """Return name and version, and the first digits of the digests of the target's parameters and arrays."""
+    text = " ".join(record[key] for key in ("name", "version") if key in record)
+    digests = (("target_digest", "target"), ("target_content", "arrays"))
+    short = {what: [digest[:12] for digest in record.get(key, "").split()] for key, what in digests}
+    return ", ".join([text, *(f"{what} {' '.join(found)}" for what, found in short.items() if found)])
+
+
+def _changes(log: Log, truth: Target, model: Target) -> str:
+    """Return how the targets of this machine differ from those of the run, or which they were."""
+    software = log.metadata(SOFTWARE)
+    digests = software.get("target_digest", "").split()
+    contents = software.get("target_content", "").split()
+    if digests and not {truth.digest, model.digest} <= set(digests):
+        return "The target's parameters have changed since the run."
+    if contents and not {truth.content_digest, model.content_digest} <= set(contents):
+        return (
+            "The target of the run had the same parameters, but other arrays: it was built on another "
+            "machine or with other libraries, or its cached file was changed."
+        )
+    return ""

@@ -16,6 +16,7 @@ from rpod_analysis.log import Log
 from rpod_analysis.log.accounting import Account
 from rpod_analysis.log.sensors import Sensor, find_sensors
 from rpod_analysis.log.targets import logged_targets
+from rpod_analysis.scoring.integrity import Integrities
 from rpod_analysis.scoring.row_store import BLOCK_NS, Row
 from rpod_analysis.scoring.run_reader import Found, Reader
 from rpod_analysis.scoring.score import MAX_TRUTH_GAP_NS, BoolArray, Errors, IntArray, Track, find_errors
@@ -80,6 +81,7 @@ class Run:
     """Truth at the estimates' stamps, N poses; not valid for estimates that are not scored."""
     errors: Errors
     statuses: Statuses
+    integrity: Integrities
     sensors: dict[str, Sensor]
     frames: dict[str, SensorFrames]
     """Frames by sensor."""
@@ -183,6 +185,7 @@ class StreamedRun:
             T_truth=T_truth,
             errors=errors,
             statuses=statuses,
+            integrity=Integrities.of([row for minute in minutes for row in found.integrity.rows(minute)]),
             sensors=self.sensors,
             frames={name: _sensor_frames(name, frame_rows) for name in self.sensors},
             account=self.account,

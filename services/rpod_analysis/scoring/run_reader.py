@@ -13,8 +13,8 @@ from rpod_analysis.log.sensors import Sensor
 from rpod_analysis.log.unreadable import StampCheck
 from rpod_analysis.scoring.row_store import RowStore
 from rpod_schemas.cdr import peek_stamp
-from rpod_schemas.messages import read_diagnostics, read_odometry, read_stamp, read_status
-from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, STATUS, TRUTH
+from rpod_schemas.messages import read_diagnostics, read_integrity, read_odometry, read_stamp, read_status
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, INTEGRITY, STATUS, TRUTH
 
 
 @dataclass(eq=False)
@@ -29,6 +29,8 @@ class Found:
     """Rows of stamp, pose, covariance as bytes, and time of publication."""
     statuses: RowStore = field(default_factory=RowStore)
     """Rows of stamp, mode, source, accepted, nis, processing_s, sensor and reason."""
+    integrity: RowStore = field(default_factory=RowStore)
+    """Rows of stamp, state, levels of attitude and position, and their alert limits."""
     frames: RowStore = field(default_factory=RowStore)
     """Rows of stamp, sensor and time of arrival."""
     parents: set[str] = field(default_factory=set)
@@ -49,6 +51,7 @@ class Reader:
             TRUTH.name: self._take_truth,
             ESTIMATE.under(prefix).name: self._take_estimate,
             status_topic: self._take_status,
+            INTEGRITY.under(prefix).name: self._take_integrity,
             DIAGNOSTICS.name: self._take_diagnostics,
             CLOCK.name: self._take_clock,
         }
@@ -84,6 +87,15 @@ class Reader:
             (
                 read_stamp(status.header), status.mode, status.source, status.accepted, status.nis,
                 status.processing_s, status.sensor, status.reason,
+            )
+        )  # fmt: skip
+
+    def _take_integrity(self, logged: Logged) -> None:
+        told = read_integrity(logged.decode())
+        self.found.integrity.add(
+            (
+                told.stamp_ns, int(told.state), told.attitude_level_deg, told.position_level_m,
+                told.attitude_limit_deg, told.position_limit_m,
             )
         )  # fmt: skip
 

@@ -48,6 +48,7 @@ def summarise(
         consistency=totals.consistency(),
         innovation=totals.innovation(),
         handover=totals.handovers.summary(),
+        integrity=totals.integrity.summary(),
         completeness=check_log_completeness(log).summary(),
         unreadable=log.unreadable.by_topic(),
     )
@@ -61,5 +62,5 @@ def _scenario(log: Log) -> str | None:
 
 def _seed(log: Log) -> int | None:
     """Return the first seed in the services' configurations."""
-    seeds = [service["seed"] for service in log.configuration.values() if service.get("seed") is not None]
-    return int(seeds[0]) if seeds else None
+    seeds = (service.get("seed") for service in log.configuration.values())
+    return next((seed for seed in seeds if isinstance(seed, int) and seed >= 0), None)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rpod_analysis.scoring.frame_errors import NamedFrame, frame_errors
 from rpod_analysis.scoring.handover import Handovers
+from rpod_analysis.scoring.integrity import IntegrityTotals
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.run import Run, Statuses
 from rpod_analysis.scoring.score import NEES_95, Errors, IntArray
@@ -107,6 +108,7 @@ class RunTotals:
         self._axes = {name: Column() for name in _AXES}
         self._truth_deg, self._truth_m = Column(), Column()
         self._frames = {name: (frame, Column(), Column()) for name, frame in (frames or {}).items()}
+        self.integrity = IntegrityTotals()
         self._last: tuple[int, int] | None = None
         self.handovers = Handovers()
         """Handovers from one sensor to another."""
@@ -137,6 +139,7 @@ class RunTotals:
         self.latency_s.extend(run.latency_s)
         self.processing_s.extend(run.statuses.processing_s)
         self.nis.extend(run.statuses.nis)
+        self.integrity.take(run.integrity, run.estimates.stamp_ns, run.errors)
         self._take_outcomes(run.statuses)
         self._take_modes(run)
         self._take_errors(run)

@@ -81,9 +81,14 @@ def _all_sources(trial_module: str) -> list[tuple[str, Traversable]]:
 
 
 def _trials(trial_module: str) -> list[str]:
-    """Return the module of a trial, and those of other campaigns' trials from which it imports."""
+    """Return the modules of a trial: its own, those of its folder that it uses, and other trials."""
+    folder = trial_module.rpartition(".")[0]
     made_in = {str(getattr(value, "__module__", "")) for value in vars(import_module(trial_module)).values()}
-    others = {name for name in made_in if name.startswith(f"{_OURS}.") and name.endswith(".trial")}
+    others = {
+        name
+        for name in made_in
+        if name.startswith(f"{_OURS}.") and (name.endswith(".trial") or name.rpartition(".")[0] == folder)
+    }
     return sorted({trial_module, *others})
 
 

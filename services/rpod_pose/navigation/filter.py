@@ -155,6 +155,24 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     return _unturned(predicted, config)
 
 
+def innovation_of(
+    state: FilterState, T_chaser_target: RigidTransform, covariance: FloatArray, *, config: FilterConfig
+) -> tuple[FloatArray, FloatArray]:
+    """Return (dp, dtheta) from a prediction to a measured pose, shape (6,), and its noise, shape (6, 6).
+
+    The covariance of the innovation is that of the state's pose and this noise together.
+    """
+    noise = _measurement_noise(covariance, config)
+    # no innovation is left about a free axis; any variance keeps the matrix regular and leaves the gain at 0
+    noise = state.alike.with_free_variance(noise, rotation_matrix(T_chaser_target), 1.0)
+    return _pose_difference(T_chaser_target, state.T_chaser_target, state.alike), noise
+
+
+def separation_of(state: FilterState, other: FilterState) -> FloatArray:
+    """Return (dp, dtheta) from another filter's pose to a state's, at the same stamp, shape (6,)."""
+    return _pose_difference(state.T_chaser_target, other.T_chaser_target, state.alike)
+
+
 def update(
     state: FilterState, T_chaser_target: RigidTransform, covariance: FloatArray, *, config: FilterConfig
 ) -> Update:
@@ -169,10 +187,7 @@ def update(
         covariance: covariance of its (dp, dtheta), ICD section 1, shape (6, 6); rejected if not finite.
         config: noise floor, inflation and gate.
     """
-    innovation = _pose_difference(T_chaser_target, state.T_chaser_target, state.alike)
-    noise = _measurement_noise(covariance, config)
-    # no innovation is left about a free axis; any variance keeps the matrix regular and leaves the gain at 0
-    noise = state.alike.with_free_variance(noise, rotation_matrix(T_chaser_target), 1.0)
+    innovation, noise = innovation_of(state, T_chaser_target, covariance, config=config)
     if not (np.isfinite(innovation).all() and np.isfinite(noise).all()):
         return Update(state, float("nan"), accepted=False)
 

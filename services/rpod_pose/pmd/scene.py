@@ -125,16 +125,35 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     if frame.amplitude is not None and shown.any():
         dim = config.lit_share * float(np.percentile(frame.amplitude[shown], DARKEST_PERCENT))
     bright = shown if frame.amplitude is None else shown | (frame.amplitude > dim)
-    stride = round(np.sqrt(np.count_nonzero(bright) / config.pixels))
+    stride = int(np.clip(round(np.sqrt(np.count_nonzero(bright) / config.pixels)), 1, config.most_stride_px))
     try:
-        view = DepthView.of(frame.camera, int(np.clip(stride, 1, config.most_stride_px)))
+        # A faint target has depth on few of the pixels that are bright.
+        for finer in range(stride, 0, -1):
+            found = _strided(frame, shown, dim, DepthView.of(frame.camera, finer), REACH * radius_m)
+            if len(found.points_m) >= config.min_points:
+                return found
     except DistortionError as error:
         return str(error)
+    return f"{len(found.points_m)} pixels with depth on the target, {config.min_points} needed"
+
+
+def _strided(
+    frame: PmdFrame, shown: NDArray[np.bool_], dim: float, view: DepthView, reach_m: float
+) -> PmdScene:
+    """Return the scene on the pixels of a view.
+
+    Args:
+        frame: the frame.
+        shown: pixels whose depth is used, shape (H, W).
+        dim: amplitude above which a pixel is lit in any case; infinite if unknown.
+        view: the coarse pixels.
+        reach_m: distance along a ray within which a surface belongs to the target, m.
+    """
     shown_m = np.where(shown, frame.depth_m, np.float32(np.nan))
     depth_m = downsampled(shown_m, view.stride, view.offset)
     rays = view.coarse.components
     range_m = np.nan_to_num(depth_m / rays[2], nan=0.0).astype(np.float32)
-    nearby = _around(rays, range_m, REACH * radius_m)
+    nearby = _around(rays, range_m, reach_m)
     amplitude, lit, blind, least = _amplitudes(frame.amplitude, view, range_m == 0.0, dim)
     if frame.saturated is not None:  # lit, by an amplitude that is unknown
         saturated = frame.saturated[view.offset :: view.stride, view.offset :: view.stride]
@@ -142,8 +161,6 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
         lit |= saturated & (range_m == 0.0)
     range_m = np.where(nearby, range_m, np.float32(0.0))
     points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
-    if len(points_m) < config.min_points:
-        return f"{len(points_m)} points on {view.stride} px strides, {config.min_points} needed"
     sigma_m = noise_sigma(shown_m, view.stride, view.offset, depth_m.shape)
     return PmdScene(view, range_m, sigma_m, amplitude, lit | nearby, blind & ~nearby, least, points_m)
 

@@ -10,7 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from rpod_geometry.kernels import kernel
-from rpod_pose.registration.distance_field import FieldArrays, distance_and_gradient
+from rpod_pose.registration.distance_field import (
+    FieldArrays,
+    FieldSample,
+    distance_and_gradient,
+    field_at,
+)
 from rpod_pose.registration.gauss_newton import Fit, Linear, State, linearises, minimised
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_target
 from rpod_pose.registration.normal_equations import (
@@ -24,6 +29,8 @@ from rpod_schemas.arrays import FloatArray
 
 AWAY = 0.5
 """Greatest cosine between a ray and the normal of a face that can have reflected it."""
+TRACED = 8
+"""Greatest number of places on the way to the face in front of a point."""
 REACH_M, REACH_RAD = 0.5, 0.1
 """Prior standard deviations of a step, m and rad, so that it is small in directions that no point
 determines."""
@@ -75,7 +82,7 @@ def add_field_points(  # noqa: PLR0917
 
     If ranges are too long by the bias b, a point lies at q - b d, d its ray in target axes: the residual's
     derivative by b is minus the gradient along the ray. A point whose nearest face is turned away from the
-    sensor has no residual.
+    sensor belongs to the face in front of it, as far as twice the scale; without one it has no residual.
 
     Args:
         sums: information and gradient, input and output.
@@ -102,7 +109,12 @@ def add_field_points(  # noqa: PLR0917
         g, place = Vector(slope.x * per_m, slope.y * per_m, slope.z * per_m), Vector(x, y, z)
         along = g.x * ray.x + g.y * ray.y + g.z * ray.z
         if along > AWAY * range_m:
-            continue
+            towards = Vector(-ray.x / range_m, -ray.y / range_m, -ray.z / range_m)
+            front = _face_in_front(field, place, towards, abs(distance), 2.0 * scale)
+            g, distance = front.gradient, front.distance
+            along = g.x * ray.x + g.y * ray.y + g.z * ray.z
+            if along == 0.0:
+                continue
         d2 = distance * distance
         weight = trust[n] * geman_mcclure(d2, c2)
         weights += weight
@@ -116,6 +128,37 @@ def add_field_points(  # noqa: PLR0917
         squares += inlier * trust[n] * d2
         trusted += inlier * trust[n]
     return FieldEvidence(weights, squares, inliers, trusted)
+
+
+@kernel
+def _face_in_front(
+    field: FieldArrays, place: Vector, towards: Vector, beyond: float, reach: float
+) -> FieldSample:
+    """Return the distance of a place from the face in front of it, and that face's normal.
+
+    The range of a thin part may be too long by more than its thickness. Then the nearest face is its back,
+    which the sensor does not see. The way towards the sensor is traced through the field until a face is
+    turned to the sensor; the distance is that from its plane. The gradient is 0 if there is none.
+
+    Args:
+        field: the target's distance field.
+        place: a place whose nearest face is turned away from the sensor, target axes, m.
+        towards: unit vector towards the sensor, target axes.
+        beyond: distance of the nearest face, m.
+        reach: longest way, m.
+    """
+    least, way = 0.5 * field.spacing_m, beyond
+    for _ in range(TRACED):
+        way = max(way, least)
+        if way > reach:
+            break
+        x, y, z = place.x + way * towards.x, place.y + way * towards.y, place.z + way * towards.z
+        distance, g = field_at(field, Vector(x, y, z))
+        facing = g.x * towards.x + g.y * towards.y + g.z * towards.z
+        if facing > 0.0:
+            return FieldSample(distance - way * facing, g)
+        way += max(abs(distance), least)
+    return FieldSample(0.0, Vector(0.0, 0.0, 0.0))
 
 
 @linearises(FieldProblem)

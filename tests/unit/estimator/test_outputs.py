@@ -10,12 +10,20 @@ from rpod_estimator.outputs import Outputs
 from rpod_pose.belief import PixelMarks
 from rpod_pose.navigation.state import Output, RefusedPixels
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.messages import read_image, read_pose, write_status
+from rpod_schemas.messages import read_image, read_integrity, read_pose, write_status
 from rpod_schemas.poses import covariance_at, make_pose
-from rpod_schemas.types import EstimateValidity, EstimatorStatus, Mode, Odometry
+from rpod_schemas.types import EstimateValidity, EstimatorStatus, Integrity, IntegrityState, Mode, Odometry
 
 POSE = make_pose(rotation=Rotation.from_rotvec([0.3, -0.4, 1.0]), translation_m=(0.0, 0.5, 8.0))
 VALID = EstimateValidity(stamp_ns=1, frame_id="chaser", valid=True, age_s=0.05, reason="")
+ALERT = Integrity(
+    stamp_ns=1,
+    frame_id="chaser",
+    state=IntegrityState.ALERT,
+    reason="pmd: frozen",
+    risk=1e-6,
+    evidence={"a_s": 0.5},
+)
 GRAPPLE = make_pose(rotation=Rotation.from_rotvec([0.0, 1.0, 0.0]), translation_m=(1.5, 0.0, -0.5))
 
 
@@ -55,7 +63,7 @@ def test_a_frame_of_the_target_is_published_with_the_covariance_at_its_place_bef
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.TRACKING, sensor="pmd")
     target = SimpleNamespace(frames={"grapple": GRAPPLE}, joints=())
     refused = RefusedPixels("pmd_optical", PixelMarks(np.eye(3, dtype=np.bool_), 4))
-    Outputs(node, "second", target).publish(Output(status, odometry, refused), VALID)
+    Outputs(node, "second", target).publish(Output(status, odometry, refused), VALID, ALERT)
     marks = node.messages["second/contradiction"]
     assert (marks.header.frame_id, marks.header.stamp.nanosec) == ("pmd_optical", 1)
     np.testing.assert_array_equal(read_image(marks), 255 * np.eye(3))
@@ -66,7 +74,10 @@ def test_a_frame_of_the_target_is_published_with_the_covariance_at_its_place_bef
     expected = covariance_at(covariance, arm_m)
     np.testing.assert_allclose(message.pose.covariance.reshape(6, 6), expected)
     assert expected[0, 0] > covariance[0, 0]
-    assert list(node.messages)[-2:] == ["second/validity", "second/status"]
+    assert list(node.messages)[-3:] == ["second/validity", "second/integrity", "second/status"]
+    told = read_integrity(node.messages["second/integrity"])
+    assert (told.state, told.reason, told.evidence) == (IntegrityState.ALERT, "pmd: frozen", {"a_s": 0.5})
+    assert np.isnan(told.position_level_m)
     validity = node.messages["second/validity"]
     assert (validity.valid, validity.age_s) == (True, 0.05)
 
@@ -76,7 +87,9 @@ def test_a_status_beyond_the_bounds_is_not_sent_and_told_with_the_fields_name():
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.ACQUIRING, sensor="pmd", cost_m2=-1.0)
     with pytest.raises(MessageRejectedError, match="cost_m2 is -1, needs 0 or more"):
         write_status(status)
-    Outputs(node, "estimate", SimpleNamespace(frames={}, joints=())).publish(Output(status, None), VALID)
+    Outputs(node, "estimate", SimpleNamespace(frames={}, joints=())).publish(
+        Output(status, None), VALID, ALERT
+    )
     sent = node.messages["estimate/status"]
     assert (sent.sensor, sent.accepted) == ("pmd", False)
     assert "cost_m2 is -1" in sent.reason

@@ -12,6 +12,7 @@ import pytest
 from facility_process import until
 from logger_desk import Desk, completeness, counts, metadata, read
 
+from rpod_logger import recorder, recording
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, NotRecordingError
 from rpod_logger.writer import LogFile
 from rpod_runtime.accounting import DuplicateError, JumpError
@@ -66,6 +67,31 @@ def test_what_was_recovered_and_what_was_rejected_is_told(desk, arrive):
         "/pmd/info": TopicCount(rejected=1),
     }
     assert completeness(log.path).reasons == ("/pmd/info: 1 rejected",)
+
+
+def test_latched_messages_of_publishers_without_end_are_bounded(desk, arrive, monkeypatch, caplog):
+    monkeypatch.setattr(recorder, "_MOST_LATCHED", 3)
+    one = desk()
+    one.recorder.start()
+    for number in range(5):
+        one.put(arrive(TF_STATIC, 1, gid=bytes([number] * 16)))
+    second = one.recorder.split()
+    one.recorder.stop()
+    assert len(read(second.path)) == 3
+    assert one.counter("latched/forgotten") == 2
+    assert caplog.text.count("more than 3 latched messages") == 1
+
+
+def test_publishers_without_end_are_written_but_not_all_listed(desk, arrive, monkeypatch):
+    monkeypatch.setattr(recording, "_MOST_PUBLISHERS", 3)
+    one = desk()
+    log = one.recorder.start()
+    for number in range(5):
+        one.put(arrive(CLOCK, 1, gid=bytes([number] * 16)))
+    one.recorder.stop()
+    assert len(read(log.path)) == 5
+    assert counts(log.path)["/clock"] == TopicCount(received=5, written=5)
+    assert completeness(log.path).reasons == ("more than 3 publishers: not all of them are listed",)
 
 
 def test_sequence_numbers_can_be_counted_again_by_publisher(desk, arrive):
@@ -311,7 +337,12 @@ def test_configuration_software_and_target_of_the_services_are_in_the_log(desk):
     configuration = metadata(log.path, "configuration")
     assert json.loads(configuration["emulator"]) == {"seed": 2}
     assert json.loads(configuration["motion"]) == {"rate_hz": 250.0}
-    assert metadata(log.path, "software") == {"name": "rpod", "version": "1.2.3", "target_digest": "abc"}
+    assert metadata(log.path, "software") == {
+        "name": "rpod",
+        "version": "1.2.3",
+        "target_digest": "abc",
+        "target_content": "def",
+    }
     assert json.loads(metadata(log.path, "status")["emulator"])["counters"] == {"frames": 3}
 
 
@@ -324,4 +355,5 @@ def status(name: str, **configuration: object) -> StatusReply:
         counters={"frames": 3},
         configuration=configuration,
         target_digest="abc" if name == "emulator" else None,
+        target_content="def" if name == "emulator" else None,
     )

@@ -2,8 +2,16 @@ from contextlib import suppress
 
 import pytest
 
-from rpod_runtime.accounting import FARTHEST, DuplicateError, JumpError, SequenceAccount
-from rpod_schemas.wire import Attachment
+from rpod_runtime.accounting import (
+    FARTHEST,
+    MOST_KEYS,
+    MOST_PUBLICATIONS,
+    DuplicateError,
+    JumpError,
+    SequenceAccount,
+    TooManyKeysError,
+)
+from rpod_schemas.wire import GID_BYTES, Attachment
 
 A, B = b"a" * 16, b"b" * 16
 
@@ -148,3 +156,24 @@ def test_history_that_is_fetched_late_is_no_jump_backwards():
     for number in range(1, 10):
         with pytest.raises(DuplicateError):
             account.take("k", Attachment(number, 0, A), fetched=True)
+
+
+def test_publishers_that_change_their_gid_each_time_push_out_the_silent_ones_only():
+    account = SequenceAccount()
+    for number in range(1, MOST_PUBLICATIONS + 100):
+        account.take("k", Attachment(1, 0, number.to_bytes(GID_BYTES, "big")))
+        account.take("k", Attachment(number, 0, b"g" * GID_BYTES))
+    assert account.forgotten == 100
+    with pytest.raises(DuplicateError):
+        account.take("k", Attachment(MOST_PUBLICATIONS, 0, b"g" * GID_BYTES))
+    account.take("k", Attachment(1, 0, (1).to_bytes(GID_BYTES, "big")))  # it was forgotten
+
+
+def test_keys_without_end_are_refused():
+    account = SequenceAccount()
+    for number in range(MOST_KEYS):
+        account.take(f"k{number}", Attachment(1, 0, bytes(GID_BYTES)))
+    with pytest.raises(TooManyKeysError, match=f"of {MOST_KEYS} keys at most"):
+        account.take("one more", Attachment(1, 0, bytes(GID_BYTES)))
+    account.take("k0", Attachment(2, 0, bytes(GID_BYTES)))
+    assert len(account.counts) == MOST_KEYS

@@ -1,6 +1,6 @@
 import time
 
-from rpod_runtime.health import HealthBook
+from rpod_runtime.health import MOST_NAMES, HealthBook
 from rpod_runtime.inbox import Inbox, Received
 from rpod_schemas.errors import Reason
 from rpod_schemas.topics import TRUTH
@@ -88,3 +88,15 @@ def test_a_diagnostic_carries_level_message_and_counters():
     diagnostic = health.diagnostic(5)
     assert (diagnostic.name, diagnostic.level, diagnostic.message) == ("logger", Health.WARN, "slow disk")
     assert diagnostic.values == {"frames/pmd": "3"}
+
+
+def test_names_without_end_are_counted_together():
+    health = HealthBook("logger")
+    health.count("received/clock")
+    for number in range(2 * MOST_NAMES):
+        health.count(f"received/made-up-{number}")
+    health.count("received/clock")
+    counters = health.counters()
+    assert len(counters) == MOST_NAMES + 1
+    assert counters["received/clock"] == 2
+    assert counters["received/others"] == MOST_NAMES + 1

@@ -13,6 +13,7 @@ import yaml
 
 import rpod_target
 from rpod_target import Target, TargetError, load_target, shipped_targets
+from rpod_target import cache as store
 
 Build = Callable[..., Target]
 Write = Callable[[dict[str, Any]], Path]
@@ -107,6 +108,35 @@ def test_many_may_build_at_once(document: dict[str, Any], write: Write, tmp_path
     assert len(list(cache.iterdir())) == 1
 
 
+def test_a_cache_file_that_was_changed_by_hand_is_built_again_and_told(
+    document: dict[str, Any], write: Write, tmp_path: Path
+) -> None:
+    file, cache = write(document), tmp_path / "cache"
+    built = load_target(file, cache=cache)
+    (stored,) = cache.iterdir()
+    with np.load(stored) as opened:
+        arrays = dict(opened.items())
+    np.savez(stored, **(arrays | {"triangles_m": 1.1 * arrays["triangles_m"]}))
+    with pytest.warns(UserWarning, match="was changed after it was built"):
+        assert_same(load_target(file, cache=cache), built)
+    assert load_target(file, cache=cache).content_digest == built.content_digest, "the file is right again"
+
+
+def test_a_cache_file_that_was_changed_with_its_digest_has_another_content(
+    document: dict[str, Any], write: Write, tmp_path: Path
+) -> None:
+    file, cache = write(document), tmp_path / "cache"
+    built = load_target(file, cache=cache)
+    (stored,) = cache.iterdir()
+    arrays = store.read(stored)
+    assert arrays is not None
+    del arrays[store.DIGEST]
+    store.write(stored, store.sealed(arrays | {"triangles_m": 1.1 * arrays["triangles_m"]}))
+    forged = load_target(file, cache=cache)
+    assert forged.digest == built.digest
+    assert forged.content_digest != built.content_digest
+
+
 def test_a_cache_that_cannot_be_written_is_done_without(
     document: dict[str, Any], write: Write, tmp_path: Path
 ) -> None:
@@ -136,7 +166,7 @@ def test_the_environment_names_the_cache(
     for name, value in {"HOME": ".", **variables}.items():
         monkeypatch.setenv(name, str(tmp_path / value))
     load_target(write(document))
-    assert len(list((tmp_path / folder).glob("target-*.npz"))) == 1
+    assert len(list((tmp_path / folder).glob("sealed-*.npz"))) == 1
 
 
 def test_a_cold_start_without_open3d_says_what_to_install(

@@ -75,6 +75,8 @@ class JointFrame:
     """Rays of the patch's pixels, shape (per_px * rows, per_px * columns)."""
     per_px: int
     """Number of these rays for each pixel, along rows and columns."""
+    frequencies_hz: FloatArray
+    """Modulation frequencies, shape (F,), Hz; none if the camera does not state them."""
 
     @classmethod
     def of(cls, frame: PmdFrame, t: FloatArray, *, radius_m: float, tuning: JointTuning) -> Self | str:
@@ -131,8 +133,20 @@ class JointFrame:
         lines = around if patch.typical else (slice(0, 1), slice(0, 1))
         window = (slice(per_px * one.start, per_px * one.stop) for one in lines)
         pixels_around = view.rays(per_px).block(*window)
+        frequencies_hz = np.empty(0) if frame.info is None else frame.info.modulation_frequency_hz
         return cls(
-            view, range_m, sigma_m, shade, typical, points_m, noise_m, trust, patch, pixels_around, per_px
+            view,
+            range_m,
+            sigma_m,
+            shade,
+            typical,
+            points_m,
+            noise_m,
+            trust,
+            patch,
+            pixels_around,
+            per_px,
+            frequencies_hz,
         )
 
     @property

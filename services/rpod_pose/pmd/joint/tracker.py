@@ -42,6 +42,7 @@ from rpod_pose.pmd.joint.fit import (
     joint_shares,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.joint.wiggling import wiggling
 from rpod_pose.pmd.reflections import reflected_m
 from rpod_pose.pmd.rendering import FineRanges, Rendering
 from rpod_pose.ports import Registration
@@ -62,6 +63,8 @@ STILL_PX = 0.5
 """Motion in the image up to which a rendering still shows which edges to expect: half a pixel."""
 LAST_STEPS = 2
 """Number of the last steps, before which the target is rendered again if it has moved."""
+MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
+"""Largest bias at which edges are searched in standard deviations, and number of the places on each side."""
 MOST_WIDER = 3.0
 """Greatest factor on the last search's reach for close targets, whose edges are farther off in pixels."""
 
@@ -111,6 +114,7 @@ class JointTracker:
         self._model_error = ModelError.of(target)
         self._reflected_m = reflected_m(target)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}
+        self._nothing = Registration.none(Source.PMD_JOINT, "nothing to see")
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the frame gives none."""
@@ -118,28 +122,53 @@ class JointTracker:
         seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
         if isinstance(seen, str):
             return Registration.none(Source.PMD_JOINT, seen)
-        registration = Registration.none(Source.PMD_JOINT, "nothing to see")
+        found = []
         sight = self._sight(seen, pose)
         for start, schedule in self._starts(seen, sight):
-            registration = self._registered(seen, self._aligned(seen, sight, start, schedule), len(schedule))
-            if registration.continues_track:
-                break
-        return registration
+            fit = self._aligned(seen, sight, start, schedule)
+            found.append(self._registered(seen, fit, len(schedule)))
+            moved = None if found[-1].begins_track else self._moved_along_sight(seen, fit.state.pose)
+            if moved is not None:
+                fit = self._aligned(seen, self._sight(seen, moved.pose), moved, self._near)
+                found.append(self._registered(seen, fit, len(schedule) + len(self._near)))
+            if believed := [each for each in found if each.continues_track]:
+                return max(believed, key=lambda each: each.begins_track)
+        return max(found, key=lambda each: each.explained_share, default=self._nothing)
 
-    def _starts(self, seen: JointFrame, sight: EdgeSight) -> Iterator[tuple[PoseArrays, FloatArray]]:
+    def _starts(self, seen: JointFrame, sight: EdgeSight) -> Iterator[tuple[State, FloatArray]]:
         """Yield starting poses with their schedules of steps, those with the fewest steps first."""
         tuning = self._tuning
         pose = sight.expected.pose
         share, in_place = self._explained(seen, pose), self._in_place(seen, sight)
         if in_place >= tuning.near_share:
-            yield pose, self._narrow if in_place >= tuning.sharp_share else self._near
+            yield State(pose, 0.0), self._narrow if in_place >= tuning.sharp_share else self._near
         if share >= tuning.fair_share or len(seen.points_m) < tuning.verdict.min_points:
-            yield pose, self._full
+            yield State(pose, 0.0), self._full
         if len(seen.points_m) >= tuning.verdict.min_points:
             every = max(1, round(len(seen.points_m) / tuning.far_points))
             few = Points.equal(np.ascontiguousarray(seen.points_m[::every]))
             far_m = np.maximum(self._far_m, self._least_scale_m(seen))
-            yield field_aligned(few, pose, self._coarse, far_m), self._full
+            yield State(field_aligned(few, pose, self._coarse, far_m), 0.0), self._full
+
+    def _moved_along_sight(self, seen: JointFrame, pose: PoseArrays) -> State | None:
+        """Return the pose, nearer or farther by the camera's bias, at which most edges are in their place.
+
+        A pose that was found by depth has the bias of the ranges. If it is a large part of the range, the
+        target's outline in the image is off by more than the reach of the search for edges. None if the bias
+        moves the outline less, or if too few edges are in their place at any of the poses.
+        """
+        reach_px, sigma_m = self._tuning.edges.final_search_px, self._ranges.bias_m
+        range_m = float(np.linalg.norm(pose.t))
+        px_per_m = seen.view.camera.fx * self._target.radius_m / max(float(pose.t[2]), NEAREST_M) / range_m
+        number = min(int(MOST_BIAS_SIGMAS * sigma_m * px_per_m / reach_px), MOST_MOVES)
+        best, most = None, self._tuning.near_share
+        for move in (move for move in range(-number, number + 1) if move):
+            bias_m = move * reach_px / px_per_m
+            moved = PoseArrays(pose.R, pose.t * max(1.0 - bias_m / range_m, NEAREST_M / range_m))
+            in_place = self._in_place(seen, self._sight(seen, moved))
+            if in_place > most:
+                best, most = State(moved, bias_m), in_place
+        return best
 
     def _sight(self, seen: JointFrame, pose: PoseArrays) -> EdgeSight:
         """Return the edges that the image should show at a pose."""
@@ -147,11 +176,9 @@ class JointTracker:
         expected = expect_edges(self._edges, seen.lens, seen.patch, shown)
         return EdgeSight(self._edges, seen.lens, seen.patch, expected)
 
-    def _aligned(
-        self, seen: JointFrame, sight: EdgeSight, start: PoseArrays, schedule: FloatArray
-    ) -> JointFit:
+    def _aligned(self, seen: JointFrame, sight: EdgeSight, state: State, schedule: FloatArray) -> JointFit:
         """Return the pose after one step for each row of a schedule, shape (S, 2) as in ``JointProblem``."""
-        points, state = Points(seen.points_m, seen.trust), State(start, 0.0)
+        points = Points(seen.points_m, seen.trust)
         schedule = np.maximum(schedule, (self._least_scale_m(seen), 0.0))
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
         if len(first):
@@ -249,7 +276,11 @@ class JointTracker:
     def _contradictions(
         self, seen: JointFrame, R: FloatArray, t: FloatArray, bias_m: float
     ) -> Contradictions:
-        """Return the pixels inconsistent with a pose; with more rays where too many are."""
+        """Return the pixels inconsistent with a pose.
+
+        Where too many are, the pose is rendered with more rays, and then the ranges are corrected by the
+        wiggling that explains them best.
+        """
         view, buffers, limits = seen.view, self._buffers_of(seen.view), self._tuning.check
         cast_pose(view.coarse.arrays, self._triangles_m, R, t, True, *buffers)
         images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
@@ -263,9 +294,28 @@ class JointTracker:
             reflected_m=self._reflected_m,
         )
         found = check(images, coarse, limits)
-        if not found.reason(limits) or not seen.patch.typical:
-            return found
-        return check(images, coarse, limits, fine=self._fine_ranges(seen, PoseArrays(R, t)))
+        if found.reason(limits) and seen.patch.typical:
+            check = partial(check, fine=self._fine_ranges(seen, PoseArrays(R, t)))
+            found = check(images, coarse, limits)
+        if found.reason(limits) and len(seen.frequencies_hz):
+            range_m = seen.range_m - self._wiggling(seen, buffers, bias_m)
+            found = check(images._replace(range_m=range_m), coarse, limits)
+        return found
+
+    def _wiggling(self, seen: JointFrame, shown: RenderBuffers, bias_m: float) -> FloatArray:
+        """Return the wiggling of the coarse pixels, shape (rows, columns), m; 0 where it is not known."""
+        range_m, owner = shown
+        both = np.isfinite(seen.range_m) & (owner >= 0)
+        measured_m = seen.range_m[both]
+        found_m = np.zeros(seen.range_m.shape)
+        found_m[both] = wiggling(
+            measured_m - bias_m - range_m[both],
+            measured_m,
+            seen.frequencies_hz,
+            sigma_m=self._ranges.bias_m,
+            scale_m=max(self._ranges.uneven_m, seen.noise_m),
+        )
+        return found_m
 
     def _fine_ranges(self, seen: JointFrame, pose: PoseArrays) -> FineRanges:
         """Return the ranges of the patch's rays at a pose."""

@@ -1,0 +1,87 @@
+"""Integrity of a run: misleading estimates, alerts, and the share of estimates with levels below the limits.
+
+Misleading: an error is above its protection level while the state is nominal or caution (RTCA DO-229 calls it
+misleading information).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_analysis.scoring.row_store import Row
+from rpod_analysis.scoring.score import Errors, IntArray
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.summary import IntegrityCount
+from rpod_schemas.types import IntegrityState
+
+_USABLE = [state.value for state in IntegrityState if state.is_usable]
+
+
+@dataclass(frozen=True, eq=False)
+class Integrities:
+    """What the estimator said of the integrity of N results, in the order of their stamps."""
+
+    stamp_ns: IntArray
+    state: IntArray
+    levels: FloatArray
+    """Protection levels of attitude, deg, and position, m, shape (N, 2); NaN without an estimate."""
+    limits: FloatArray
+    """Alert limits of the same, shape (N, 2)."""
+
+    @classmethod
+    def of(cls, rows: list[Row]) -> "Integrities":
+        """Return rows of stamp, state, both levels and both limits."""
+        numbers = np.array([row[2:6] for row in rows], np.float64).reshape(-1, 4)
+        return cls(
+            np.array([row[0] for row in rows], np.int64),
+            np.array([row[1] for row in rows], np.int64),
+            numbers[:, :2],
+            numbers[:, 2:],
+        )
+
+
+class IntegrityTotals:
+    """Counts of a run, added up minute by minute."""
+
+    def __init__(self) -> None:
+        self._misleading = self._scored = self._alerts = self._available = self._count = 0
+        self._last = -1
+
+    def take(self, told: Integrities, estimate_ns: IntArray, errors: Errors) -> None:
+        """Add a minute: what was told, and the stamps and errors of its estimates."""
+        if not told.stamp_ns.size:
+            return
+        states = np.concatenate(([self._last], told.state))
+        self._alerts += int(((states[1:] == IntegrityState.ALERT) & (states[:-1] != states[1:])).sum())
+        self._last = int(states[-1])
+        started = self._count > 0 or np.isfinite(told.levels).all(axis=1).cumsum() > 0
+        self._count += int(np.broadcast_to(started, told.state.shape).sum())
+        self._available += int((told.levels <= told.limits).all(axis=1).sum())
+        misleading, scored = _misleading(told, estimate_ns, errors)
+        self._misleading += misleading
+        self._scored += scored
+
+    def summary(self) -> IntegrityCount | None:
+        """Return the counts; None for a log without integrity."""
+        if self._last < 0:
+            return None
+        return IntegrityCount(
+            misleading=self._misleading if self._scored else None,
+            alerts=self._alerts,
+            availability=self._available / self._count if self._count else None,
+        )
+
+
+def _misleading(told: Integrities, estimate_ns: IntArray, errors: Errors) -> tuple[int, int]:
+    """Return how many estimates mislead, and how many have both truth and integrity."""
+    known_ns, known = estimate_ns[errors.scored], np.flatnonzero(errors.scored)
+    if not known_ns.size:
+        return 0, 0
+    place = np.searchsorted(known_ns, told.stamp_ns).clip(0, known_ns.size - 1)
+    matched = known_ns[place] == told.stamp_ns
+    index = known[place[matched]]
+    sizes = np.column_stack([np.rad2deg(errors.angle_rad[index]), errors.distance_m[index]])
+    above: NDArray[np.bool_] = (sizes > told.levels[matched]).any(axis=1)
+    usable = np.isin(told.state[matched], _USABLE)
+    return int((above & usable).sum()), int(matched.sum())

@@ -1,0 +1,58 @@
+"""``integrity``: its cells, and the campaign as one object."""
+
+from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.integrity import trial
+from rpod_campaign.integrity.course import IntegrityCell
+from rpod_campaign.integrity.faults import BY_NAME, FAULT_NAMES
+from rpod_campaign.integrity.options import Options
+from rpod_campaign.integrity.report import sections, summarise, totals
+from rpod_campaign.integrity.trial import FRAME
+from rpod_campaign.lidar.cells import targets
+from rpod_campaign.pmd.cells import calibrated, scenarios
+from rpod_campaign.pmd.options import PmdOptions
+from rpod_schemas.errors import ConfigurationError
+
+SCENARIO = "tumbling"
+"""Scenario of the camera's sequences."""
+
+
+def cells(options: Options) -> list[IntegrityCell]:
+    """Return the cells: faults with their sizes, targets, sensors, worlds. Raises ConfigurationError."""
+    for name in options.fault:
+        if name not in BY_NAME:
+            raise ConfigurationError("--fault", "", f"needs {', '.join(FAULT_NAMES)}, not {name!r}")
+    return [
+        IntegrityCell(
+            fault=name,
+            size=size,
+            target=target,
+            sensor=sensor,
+            world=world,
+            document="" if sensor == "lidar" else _document(options, target, world),
+        )
+        for target in targets(options.target)
+        for sensor in options.sensor
+        for world in options.world
+        for name in options.fault
+        for size in BY_NAME[name].sizes
+    ]
+
+
+def _document(options: Options, target: str, world: str) -> str:
+    """Return the camera's scenario, calibrated, with a target in a world, as JSON."""
+    own = PmdOptions(scenario=(SCENARIO,), target=(target,), world=(world,), scenarios=options.scenarios)
+    ((_, scenario),) = scenarios(own)
+    return calibrated(scenario).model_dump_json()
+
+
+CAMPAIGN: Campaign[IntegrityCell] = Campaign(
+    name="integrity",
+    options=Options,
+    cells=cells,
+    trial=trial.run,
+    schema=trial.SCHEMA,
+    summarise=summarise,
+    sections=sections,
+    totals=totals,
+    keys=(FRAME,),
+)

@@ -1,0 +1,129 @@
+"""Kinds of faults, each with a sweep of sizes, and what a fault does to a measurement.
+
+Where the catalogue of sensor faults knows a kind (``frozen``, ``clock_behind``, ``mount_off``), it has the
+same name here. These faults act on a frame in the process, between the emulated sensor and the navigator.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_pose.measurement import Measurement
+from rpod_pose.ports import Registration, Tracker
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import LidarScan, PmdFrame, SensorFrame
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A kind of fault."""
+
+    name: str
+    sizes: tuple[float, ...]
+    unit: str
+    lasting: bool = False
+    """Whether it is there from the first frame on."""
+    seen_by_one: bool = True
+    """Whether one sensor can see it without another; if not, the levels have a declared sigma for it."""
+
+
+FAULTS = (
+    Fault("none", (0.0,), "", lasting=True),
+    Fault("half_turn", (10.0, 45.0, 180.0), "deg"),
+    Fault("wrong_target", (1.0,), "", lasting=True),
+    Fault("wrong_scale", (1.0, 3.0, 10.0), "%", lasting=True),
+    Fault("mount_off", (0.1, 0.3, 1.0, 3.0), "deg", seen_by_one=False),
+    Fault("clock_behind", (0.01, 0.05, 0.2), "s", seen_by_one=False),
+    Fault("frozen", (0.5, 2.0), "s"),
+    Fault("range_drift", (2.0, 10.0, 50.0), "mm/s", seen_by_one=False),
+)
+"""All kinds, with their sizes."""
+BY_NAME = {fault.name: fault for fault in FAULTS}
+FAULT_NAMES = tuple(BY_NAME)
+OTHERS = {"hexagonal-body": "mockup"}
+"""Model that is looked for in ``wrong_target``, by the target; ``hexagonal-body`` for all others."""
+
+
+def model_of(target: str, fault: str, size: float) -> str:
+    """Return the name of the model that the methods look for."""
+    if fault == "wrong_target":
+        return OTHERS.get(target, "hexagonal-body")
+    return f"{target}@scale={size:g}%" if fault == "wrong_scale" else target
+
+
+class Injector:
+    """Gives the measurements of one sensor a fault from a time on.
+
+    Args:
+        fault: name of the fault.
+        size: its size, in its unit.
+        start_s: time of the sequence at which it begins; one that freezes ends after ``size``.
+    """
+
+    def __init__(self, fault: str, size: float, *, start_s: float) -> None:
+        self._fault, self._size, self._start_s = fault, size, start_s
+        self._last: SensorFrame | None = None
+        self.repeats = 0
+        """Number of frames in a row, up to the newest, that equal the frame before."""
+
+    def is_active(self, time_s: float) -> bool:
+        """Return whether the fault is there at a time."""
+        if self._fault == "none" or time_s < self._start_s:
+            return False
+        return self._fault != "frozen" or time_s < self._start_s + self._size
+
+    def measured(self, time_s: float, measurement: Measurement) -> Measurement:
+        """Return the measurement with the fault, if it is there at a time."""
+        self.repeats = self.repeats + 1 if self.is_active(time_s) and self._fault == "frozen" else 0
+        if not self.is_active(time_s):
+            self._last = measurement.data
+            return measurement
+        data, mount = measurement.data, measurement.T_chaser_sensor
+        if self._fault == "mount_off":
+            turn = make_pose(rotation=Rotation.from_rotvec([0.0, np.deg2rad(self._size), 0.0]))
+            return replace(measurement, T_chaser_sensor=mount * turn)
+        if self._fault == "clock_behind":
+            stamp_ns = data.stamp_ns - round(self._size * NANOSECONDS)
+            return replace(measurement, data=data.model_copy(update={"stamp_ns": stamp_ns}))
+        if self._fault == "frozen" and self._last is not None:
+            return replace(measurement, data=self._last.model_copy(update={"stamp_ns": data.stamp_ns}))
+        if self._fault == "range_drift":
+            longer_m = 1e-3 * self._size * (time_s - self._start_s)
+            return replace(measurement, data=_longer(data, longer_m))
+        return measurement
+
+
+class LyingTracker:
+    """A tracker that believes the true pose turned by an angle, as a flip would be believed.
+
+    Args:
+        tracker: the tracker that measures.
+        turn: turn of the target in its own axes.
+    """
+
+    def __init__(self, tracker: Tracker[SensorFrame], turn: Rotation) -> None:
+        self._tracker, self._turn = tracker, make_pose(rotation=turn)
+        self.truth: RigidTransform | None = None
+        """True pose, from which it measures; None while it tells what it is asked."""
+
+    def track(self, measurement: SensorFrame, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration, turned while it lies."""
+        if self.truth is None:
+            return self._tracker.track(measurement, T_sensor_target)
+        found = self._tracker.track(measurement, self.truth)
+        if found.T_sensor_target is None:
+            return found
+        return replace(found, T_sensor_target=found.T_sensor_target * self._turn)
+
+
+def _longer(data: SensorFrame, longer_m: float) -> SensorFrame:
+    """Return a frame whose ranges, of a camera its z-depths, are longer."""
+    if isinstance(data, PmdFrame):
+        return data.model_copy(update={"depth_m": data.depth_m + np.float32(longer_m)})
+    assert isinstance(data, LidarScan)  # noqa: S101 - the campaign's sensors are these two
+    range_m = np.linalg.norm(data.points_m, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = np.where(range_m > 0.0, 1.0 + longer_m / range_m, 1.0).astype(data.points_m.dtype)
+    return data.model_copy(update={"points_m": data.points_m * scale})

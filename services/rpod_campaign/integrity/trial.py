@@ -1,0 +1,189 @@
+"""A sequence through the navigator and the integrity monitor, in this process, with a fault.
+
+The target tumbles and comes nearer. The navigator starts at the true pose. Each frame gives a row: errors,
+protection levels, alert limits and state, so that misleading frames can be found and made again from seed,
+trial and frame.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import polars as pl
+from scipy.spatial.transform import Rotation
+
+from rpod_campaign.engine.trial.poses import errors, nees_of
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.integrity.course import EPOCH_S, Course, IntegrityCell, lidar_of
+from rpod_campaign.integrity.faults import Injector, LyingTracker, model_of
+from rpod_campaign.lidar.methods import pattern_of, tracking_input
+from rpod_campaign.pmd.scene import camera_of, scenario_of
+from rpod_estimator.frame_reader import FROZEN_REPEATS
+from rpod_pose.measurement import Measurement
+from rpod_pose.methods import ready_methods
+from rpod_pose.navigation.integrity.monitor import Memory, Monitor
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.ports import Methods
+from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
+from rpod_schemas.config.sensor import SensorInput
+from rpod_schemas.errors import Reason
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.topics import CHASER
+from rpod_schemas.types import EstimatorStatus, Integrity
+from rpod_target import Target
+
+FRAME = "frame"
+"""Column that distinguishes the rows of a sequence."""
+_TURN = 22
+"""Stream of random numbers."""
+
+SCHEMA: dict[str, Any] = {
+    FRAME: pl.Int64,
+    "time_s": pl.Float64,
+    "by": pl.String,
+    "faulty": pl.Boolean,
+    "mode": pl.String,
+    "state": pl.String,
+    "usable": pl.Boolean,
+    "reason": pl.String,
+    "range_m": pl.Float64,
+    "attitude_error_deg": pl.Float64,
+    "position_error_m": pl.Float64,
+    "attitude_level_deg": pl.Float64,
+    "position_level_m": pl.Float64,
+    "attitude_limit_deg": pl.Float64,
+    "position_limit_m": pl.Float64,
+    "harmful": pl.Boolean,  # an error is above its alert limit
+    "misleading": pl.Boolean,  # an error is above its level, and the state is nominal or caution
+    "nees": pl.Float64,
+    "nees_dof": pl.Int64,
+    "seed": pl.Int64,
+}
+
+
+def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
+    """Return a row for each frame of the sequence."""
+    course = Course(cell, seed, trial)
+    faulty = "lidar" if cell.sensor == "lidar" else "pmd"
+    turn = Rotation.from_rotvec(cell.size * np.eye(3)[stream(seed, trial, _TURN).integers(3)], degrees=True)
+    methods, liars = _liable(_methods(cell), turn)
+    settings = _settings(cell)
+    model = cached_target(model_of(cell.target, cell.fault, cell.size))
+    navigator = Navigator(settings, methods, centre_of_mass_m=model.centre_of_mass_m, alike=model.equivalence)
+    monitor, memory = Monitor(settings), Memory()
+    injector = Injector(cell.fault, cell.size, start_s=cell.start_s)
+    state = navigator.start(course.truth(0.0))
+    rows = []
+    for number, (time_s, clean) in enumerate(course.frames()):
+        mine = clean.sensor == faulty
+        measurement = injector.measured(time_s, clean) if mine else clean
+        lies = mine and cell.fault == "half_turn" and injector.is_active(time_s)
+        liars[clean.sensor].truth = clean.T_chaser_sensor.inv() * course.truth(time_s) if lies else None
+        frozen = mine and injector.repeats >= FROZEN_REPEATS
+        if frozen:  # as the estimator refuses it, before the navigator
+            output = _refused(measurement, state)
+        else:
+            state, output = navigator.step(state, measurement)
+        memory, integrity = monitor.assess(memory, state, output, frozen=frozen)
+        rows.append(
+            {
+                FRAME: number,
+                "time_s": time_s,
+                "by": clean.sensor,
+                "faulty": injector.is_active(time_s),
+                "mode": state.mode.name,
+                "seed": seed,
+                **_scored(course, output, integrity, cached_target(cell.target)),
+            }
+        )
+    return rows
+
+
+def _refused(measurement: Measurement, state: NavigatorState) -> Output:
+    status = EstimatorStatus(
+        stamp_ns=measurement.stamp_ns,
+        frame_id=CHASER,
+        mode=state.mode,
+        sensor=measurement.sensor,
+        reason=Reason.FROZEN,
+    )
+    return Output(status, None)
+
+
+def _scored(course: Course, output: Output, integrity: Integrity, target: Target) -> dict[str, Any]:
+    """Return errors, levels and state of an output; errors are those at the stamp that it states."""
+    found = None if output.odometry is None else output.odometry.pose
+    row: dict[str, Any] = {
+        "state": integrity.state.name.lower(),
+        "usable": integrity.state.is_usable,
+        "reason": integrity.reason,
+        "attitude_level_deg": integrity.attitude_level_deg,
+        "position_level_m": integrity.position_level_m,
+        "attitude_limit_deg": integrity.attitude_limit_deg,
+        "position_limit_m": integrity.position_limit_m,
+    }
+    time_s = integrity.stamp_ns / NANOSECONDS - EPOCH_S
+    truth = course.truth(time_s)
+    angle_deg, distance_m = errors(truth, found, target)
+    row |= {
+        "range_m": float(sum(truth.translation**2) ** 0.5),
+        "attitude_error_deg": angle_deg,
+        "position_error_m": distance_m,
+        "harmful": False,
+        "misleading": False,
+        "nees": None,
+        "nees_dof": target.equivalence.dof,
+    }
+    if output.odometry is None or angle_deg is None or distance_m is None:
+        return row
+    above_level = angle_deg > integrity.attitude_level_deg or distance_m > integrity.position_level_m
+    above_limit = angle_deg > integrity.attitude_limit_deg or distance_m > integrity.position_limit_m
+    return row | {
+        "harmful": above_limit,
+        "misleading": integrity.state.is_usable and above_level,
+        "nees": nees_of(truth, found, output.odometry.pose_covariance, target),
+    }
+
+
+@lru_cache(maxsize=8)
+def _inputs(cell: IntegrityCell) -> tuple[SensorInput, ...]:
+    lidar = tracking_input("projective")
+    inputs: tuple[SensorInput, ...] = ()
+    if cell.document:
+        scenario = scenario_of(cell.document)
+        camera = camera_of(scenario).name
+        inputs = tuple(
+            each.model_copy(update={"name": "pmd"})
+            for each in scenario.estimator.sensors
+            if isinstance(each, PmdInput) and each.name == camera
+        )
+    return inputs if cell.sensor == "pmd" else (*inputs, lidar)
+
+
+def _settings(cell: IntegrityCell) -> EstimatorSettings:
+    """Return the scenario's settings with the cell's sensors; the defaults for the LIDAR alone."""
+    if not cell.document:
+        return EstimatorSettings(sensors=_inputs(cell))
+    return scenario_of(cell.document).estimator.model_copy(update={"sensors": _inputs(cell)})
+
+
+@lru_cache(maxsize=4)
+def _methods(cell: IntegrityCell) -> dict[str, Methods]:
+    model = cached_target(model_of(cell.target, cell.fault, cell.size))
+    return {
+        each.name: ready_methods(each, model)
+        if isinstance(each, PmdInput)
+        else ready_methods(each, model, pattern_of(lidar_of(cell.target)))
+        for each in _inputs(cell)
+    }
+
+
+def _liable(
+    methods: dict[str, Methods], turn: Rotation
+) -> tuple[dict[str, Methods], dict[str, LyingTracker]]:
+    """Return the methods with trackers that can lie, and these trackers, by the sensor's name."""
+    liars = {name: LyingTracker(each.tracker, turn) for name, each in methods.items()}
+    return {name: replace(each, tracker=liars[name]) for name, each in methods.items()}, liars

@@ -1,0 +1,305 @@
+"""The integrity monitor: a pure function from what the navigator knows to levels, state and reason.
+
+``assess(memory, state, output) -> (memory, integrity)`` is called once after each step of the navigator. It
+reads the navigator's state and output, and changes neither. The memory holds what the navigator does not
+keep: filters without one of several sensors, residuals of each sensor, and where the estimate was before.
+
+An alert means that measurements contradict each other, or the estimate its own past; it does not say which
+of them is wrong. What is common to all measurements of the only sensor contradicts nothing: a wrong mount, a
+clock's offset at constant speed, a slow drift of ranges. The levels have a declared standard deviation of it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from rpod_pose.belief import SYMMETRY
+from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of, start, update
+from rpod_pose.navigation.history import PoseMeasurement
+from rpod_pose.navigation.integrity.levels import Levels, Solution, protection_levels, solution
+from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent, residual_of, residual_tests
+from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.sensor import AlertLimit
+from rpod_schemas.poses import rotation_matrix
+from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What the monitor remembers between two frames."""
+
+    residuals: Mapping[str, tuple[Residual, ...]] = field(default_factory=dict)
+    """Residuals of each sensor in the window."""
+    without: Mapping[str, FilterState] = field(default_factory=dict)
+    """Filters without one of several sensors, by that sensor's name."""
+    anchors: tuple[FilterState, ...] = ()
+    """The estimate as it was up to a window before, oldest first."""
+    contradicted_ns: int | None = None
+    """Newest stamp at which the estimate contradicted its past."""
+    contradiction: str = ""
+    sensor: str = ""
+    """Sensor whose measurement was accepted last."""
+    frozen: frozenset[str] = frozenset()
+    """Sensors whose newest frames are identical."""
+
+
+class Monitor:
+    """Judges each output of the navigator.
+
+    Args:
+        settings: settings of the estimator.
+    """
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._filter, self._config = settings.filter, settings.integrity
+        self._tuning = settings.integrity.tuning
+        self._limits = {sensor.name: sensor.alert_limit for sensor in settings.sensors}
+
+    def assess(
+        self, memory: Memory, state: NavigatorState, output: Output, *, frozen: bool = False
+    ) -> tuple[Memory, Integrity]:
+        """Return the memory after a step of the navigator, and the integrity of its output.
+
+        Args:
+            memory: the memory before.
+            state: the navigator's state after the step.
+            output: what the step publishes.
+            frozen: whether the step's frame was refused, as its content is that of the frames before.
+        """
+        memory = self._heard(memory, state, output, frozen)
+        if not state.mode.has_track or state.history is None:
+            reason = f"the target is not tracked: {state.mode.name}"
+            stamp_ns = output.status.stamp_ns
+            return memory, self._integrity(output, stamp_ns, IntegrityState.UNAVAILABLE, reason)
+        newest = state.history.state
+        shown_ns = state.shown_ns if output.odometry is None else output.odometry.stamp_ns
+        estimate = predict(newest, max(newest.stamp_ns, shown_ns), self._filter)
+        tests, evidence = self._tests(memory, estimate)
+        memory = self._remembered(memory, estimate)
+        levels = self._levels(memory, state, output, estimate)
+        return memory, self._judged(memory, output, estimate, tests=tests, levels=levels, evidence=evidence)
+
+    # --- memory ---
+
+    def _heard(self, memory: Memory, state: NavigatorState, output: Output, frozen: bool) -> Memory:
+        """Return the memory with the frame of a step."""
+        status = output.status
+        if status.sensor:
+            mine = {status.sensor}
+            memory = replace(memory, frozen=memory.frozen | mine if frozen else memory.frozen - mine)
+        if status.accepted:
+            memory = replace(memory, sensor=status.sensor)
+        compared = None
+        if state.history is not None and np.isfinite(status.nis):
+            compared = state.history.applied_at(status.stamp_ns, self._filter)
+        if compared is None:
+            return memory
+        predicted, measured = compared
+        residual = residual_of(predicted, measured, self._filter)
+        if residual is not None:
+            found = (*memory.residuals.get(status.sensor, ()), residual)
+            residuals = {**memory.residuals, status.sensor: found}
+            newest_ns = max(each[-1].stamp_ns for each in residuals.values())
+            kept = {name: recent(each, newest_ns, self._tuning.window_s) for name, each in residuals.items()}
+            memory = replace(memory, residuals={name: each for name, each in kept.items() if each})
+        return replace(memory, without=self._without(memory, status.sensor, predicted, measured))
+
+    def _without(
+        self, memory: Memory, sensor: str, predicted: FilterState, measured: PoseMeasurement
+    ) -> Mapping[str, FilterState]:
+        """Return the filters without one sensor after a measurement of ``sensor``; none for one sensor."""
+        if len(memory.residuals) < 2:
+            return {}
+        found = {name: each for name, each in memory.without.items() if name in memory.residuals}
+        for name in memory.residuals:
+            if name == sensor:
+                found.setdefault(name, predicted)
+            elif name not in found:
+                found[name] = start(
+                    measured.T_chaser_target, measured.covariance, measured.stamp_ns, config=self._filter,
+                    centre_of_mass_m=predicted.centre_of_mass_m, alike=predicted.alike,
+                )  # fmt: skip
+            elif measured.stamp_ns >= found[name].stamp_ns:
+                there = predict(found[name], measured.stamp_ns, self._filter)
+                found[name] = update(
+                    there, measured.T_chaser_target, measured.covariance, config=self._filter
+                ).state
+        return found
+
+    def _remembered(self, memory: Memory, estimate: FilterState) -> Memory:
+        """Return the memory with the estimate compared with its past, and added to it.
+
+        While they contradict each other, the past stays as it is.
+        """
+        anchors = tuple(each for each in memory.anchors if each.stamp_ns <= estimate.stamp_ns)
+        for anchor in anchors:
+            past = predict(anchor, estimate.stamp_ns, self._filter)
+            test = _separation_test("the estimate and its prediction from before", estimate, past)
+            if test.fails(self._config.risk):
+                since_s = (estimate.stamp_ns - anchor.stamp_ns) * 1e-9
+                text = f"{test.told(self._config.risk)}, {since_s:.1f} s before"
+                return replace(memory, contradicted_ns=estimate.stamp_ns, contradiction=text)
+        gap_ns = round(0.5 * self._tuning.window_s * 1e9)
+        if not anchors or estimate.stamp_ns - anchors[-1].stamp_ns >= gap_ns:
+            anchors = (*anchors, estimate)[-3:]
+        return replace(memory, anchors=anchors)
+
+    # --- tests and levels ---
+
+    def _tests(self, memory: Memory, estimate: FilterState) -> tuple[list[Statistic], dict[str, float]]:
+        tests: list[Statistic] = []
+        evidence: dict[str, float] = {}
+        for name, residuals in memory.residuals.items():
+            found, numbers = residual_tests(
+                name, residuals, dof=estimate.alike.dof, correlated_s=self._tuning.correlated_s
+            )
+            tests += found
+            evidence |= numbers
+        for one, other in combinations(sorted(memory.without), 2):
+            there = [
+                predict(memory.without[name], estimate.stamp_ns, self._filter)
+                for name in (one, other)
+                if memory.without[name].stamp_ns <= estimate.stamp_ns
+            ]
+            if len(there) == 2:
+                tests.append(_separation_test(f"the solutions without {one} and without {other}", *there))
+        return tests, evidence
+
+    def _levels(self, memory: Memory, state: NavigatorState, output: Output, estimate: FilterState) -> Levels:
+        """Return the protection levels over all fault hypotheses."""
+        share = self._tuning.fault_share
+        solutions = [solution("", estimate, estimate, 1.0)]
+        assert state.history is not None  # noqa: S101 - guaranteed by the caller
+        group_ns = round(self._tuning.group_s * 1e9)
+        before = state.history.before(state.history.state.stamp_ns - group_ns, self._filter)
+        if before is not None:
+            older = predict(before, estimate.stamp_ns, self._filter)
+            solutions.append(solution("without the newest frames", estimate, older, self._tuning.group_share))
+        for name, other in memory.without.items():
+            if other.stamp_ns <= estimate.stamp_ns:
+                there = predict(other, estimate.stamp_ns, self._filter)
+                solutions.append(solution(f"without {name}", estimate, there, share))
+        solutions += self._rivals(output, estimate)
+        return protection_levels(
+            solutions,
+            self._config,
+            range_m=float(np.linalg.norm(estimate.T_chaser_target.translation)),
+            speed_m_s=float(np.linalg.norm(estimate.velocity_m_s)),
+            rate_rad_s=float(np.linalg.norm(estimate.rate_rad_s)),
+        )
+
+    def _rivals(self, output: Output, estimate: FilterState) -> list[Solution]:
+        """Return the hypotheses that explain the measurements as well and are likelier than the risk."""
+        return [
+            Solution(
+                each.name,
+                separation_of(estimate, replace(estimate, T_chaser_target=each.pose)),
+                estimate.covariance[POSE, POSE],
+                each.weight,
+            )
+            for each in output.status.hypotheses
+            if each.name not in ("", SYMMETRY) and each.weight > self._config.risk
+        ]
+
+    # --- the result ---
+
+    def _judged(
+        self,
+        memory: Memory,
+        output: Output,
+        estimate: FilterState,
+        *,
+        tests: list[Statistic],
+        levels: Levels,
+        evidence: dict[str, float],
+    ) -> Integrity:
+        limit = self._limits.get(memory.sensor, AlertLimit())
+        limit_m = limit.position_limit_m(float(np.linalg.norm(estimate.T_chaser_target.translation)))
+        state, reason = IntegrityState.NOMINAL, ""
+        if alert := self._alert(memory, estimate, tests):
+            state, reason = IntegrityState.ALERT, alert
+        elif over := _above(levels, limit.attitude_deg, limit_m):
+            state, reason = IntegrityState.UNAVAILABLE, over
+        elif caution := self._caution(output, tests):
+            state, reason = IntegrityState.CAUTION, caution
+        return self._integrity(
+            output,
+            estimate.stamp_ns,
+            state,
+            reason,
+            attitude_level_deg=levels.attitude_deg,
+            position_level_m=levels.position_m,
+            attitude_limit_deg=limit.attitude_deg,
+            position_limit_m=limit_m,
+            evidence=evidence,
+        )
+
+    def _alert(self, memory: Memory, estimate: FilterState, tests: list[Statistic]) -> str:
+        """Return why the estimate must not be used; empty if nothing contradicts it."""
+        if memory.frozen:
+            return f"{', '.join(sorted(memory.frozen))}: frozen, its last frames are identical"
+        failed = [test.told(self._config.risk) for test in tests if test.fails(self._config.risk)]
+        if failed:
+            return failed[0]
+        if memory.contradicted_ns is None:
+            return ""
+        since_s = (estimate.stamp_ns - memory.contradicted_ns) * 1e-9
+        held = since_s <= self._tuning.memory_s
+        return f"{since_s:.1f} s ago: {memory.contradiction}" if held else ""
+
+    def _caution(self, output: Output, tests: list[Statistic]) -> str:
+        """Return why the estimate needs care; empty if it does not."""
+        status = output.status
+        if not status.accepted:
+            return f"the newest measurement is not used: {status.reason}"
+        if status.belief is not BeliefLevel.ACCEPTED:
+            return "the newest measurement supports the pose weakly"
+        risk = self._tuning.caution_risk
+        return next((test.told(risk) for test in tests if test.fails(risk)), "")
+
+    def _integrity(
+        self,
+        output: Output,
+        stamp_ns: int,
+        state: IntegrityState,
+        reason: str,
+        **levels: float | dict[str, float],
+    ) -> Integrity:
+        return Integrity.model_validate(
+            {
+                "stamp_ns": stamp_ns,
+                "frame_id": output.status.frame_id,
+                "state": state,
+                "reason": reason,
+                "risk": self._config.risk,
+                **levels,
+            }
+        )
+
+
+def _separation_test(name: str, one: FilterState, other: FilterState) -> Statistic:
+    """Return the test whether two solutions differ by more than their covariances together allow.
+
+    Solutions that share measurements differ by less than that, so the test alerts too seldom.
+    """
+    apart = separation_of(one, other)
+    covariance = one.covariance[POSE, POSE] + other.covariance[POSE, POSE]
+    covariance = one.alike.with_free_variance(covariance, rotation_matrix(one.T_chaser_target), 1.0)
+    return Statistic(name, float(apart @ np.linalg.solve(covariance, apart)), one.alike.dof)
+
+
+def _above(levels: Levels, limit_deg: float, limit_m: float) -> str:
+    """Return which level is above its alert limit; empty if none is."""
+    for what, level, limit, unit, by in (
+        ("attitude", levels.attitude_deg, limit_deg, "deg", levels.attitude_by),
+        ("position", levels.position_m, limit_m, "m", levels.position_by),
+    ):
+        if not level <= limit:
+            left_out = f" ({by})" if by else ""
+            return (
+                f"protection level of the {what} {level:.3g} {unit}{left_out}, alert limit {limit:.3g} {unit}"
+            )
+    return ""

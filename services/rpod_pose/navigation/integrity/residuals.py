@@ -1,0 +1,110 @@
+"""Tests of a sensor's residuals: are they as large as the filter says, and is their mean zero?
+
+A residual is the innovation of a frame, whitened by its covariance S = L L^T: z = L^-1 y, which is normal
+with unit covariance if sensor and filter are right. Errors of successive frames are correlated, so n frames
+count as the number m of periods of ``correlated_s`` that they span. Then m times the mean of |z|^2 has at
+most the tail of chi-squared with 6 m degrees of freedom, and m |mean of z|^2 that with 6, whatever the
+correlation within a period is: the tests alert too seldom rather than too often.
+
+A stamp that is late by tau moves the measured pose by -tau (v, w), so that the mean of z is -tau L^-1 (v, w).
+Its least-squares estimate names a clock as the cause (Parkinson and Axelrad 1988 treat a bias likewise).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from rpod_pose.navigation.filter import POSE, FilterState, innovation_of
+from rpod_pose.navigation.history import PoseMeasurement
+from rpod_pose.navigation.integrity.levels import chi2_limit
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.filter import FilterConfig
+
+_EXPLAINED = 0.5
+"""Share of a bias from which on a clock is named as its cause: more than all other causes together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """A whitened innovation."""
+
+    stamp_ns: int
+    z: FloatArray
+    """Shape (6,)."""
+    late: FloatArray
+    """Change of z for each second by which the stamp is late, shape (6,)."""
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A statistic under a hypothesis that all is well."""
+
+    name: str
+    value: float
+    dof: float
+    cause: str = ""
+    """Likely cause, for the operator."""
+
+    def fails(self, risk: float) -> bool:
+        """Return whether the statistic is larger than by chance with a probability."""
+        return not self.value <= chi2_limit(risk, self.dof)
+
+    def told(self, risk: float) -> str:
+        """Return the test with its figures."""
+        limit = chi2_limit(risk, self.dof)
+        return f"{self.name}: chi squared {self.value:.1f}, limit {limit:.1f}{self.cause}"
+
+
+def residual_of(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Residual | None:
+    """Return the residual of a measurement against the prediction to its stamp; None if it is not finite."""
+    y, noise = innovation_of(predicted, measured.T_chaser_target, measured.covariance, config=config)
+    S = predicted.covariance[POSE, POSE] + noise
+    if not (np.isfinite(y).all() and np.isfinite(S).all()):
+        return None
+    try:
+        L = np.linalg.cholesky(S)
+    except np.linalg.LinAlgError:
+        return None
+    twist = np.concatenate([predicted.velocity_m_s, predicted.rate_rad_s])
+    z, late = solve_triangular(L, np.column_stack([y, -twist]), lower=True).T
+    return Residual(measured.stamp_ns, z, late)
+
+
+def recent(residuals: Sequence[Residual], newest_ns: int, window_s: float) -> tuple[Residual, ...]:
+    """Return the residuals of the last ``window_s`` seconds, in the order of their stamps."""
+    kept = (each for each in residuals if newest_ns - each.stamp_ns <= window_s * 1e9)
+    return tuple(sorted(kept, key=lambda each: each.stamp_ns))
+
+
+def residual_tests(
+    sensor: str, residuals: Sequence[Residual], *, dof: int, correlated_s: float
+) -> tuple[tuple[Statistic, ...], dict[str, float]]:
+    """Return the tests of a sensor's residuals, and the estimate of its clock's offset as evidence.
+
+    Args:
+        sensor: name of the sensor.
+        residuals: its residuals in the window, at least one.
+        dof: degrees of freedom of a pose: 6, less with a free axis.
+        correlated_s: time within which residuals count as one.
+    """
+    z = np.array([each.z for each in residuals])
+    late = np.array([each.late for each in residuals])
+    span_s = (residuals[-1].stamp_ns - residuals[0].stamp_ns) * 1e-9
+    periods = min(float(len(z)), 1.0 + (span_s / correlated_s if correlated_s else np.inf))
+    mean = z.mean(axis=0)
+    bias = periods * float(mean @ mean)
+    information = periods * float((late**2).sum(axis=1).mean())
+    evidence, cause = {}, ""
+    if information > 0.0:
+        offset_s = periods * float((late * z).sum(axis=1).mean()) / information
+        sigma_s = information**-0.5
+        evidence = {f"{sensor}_stamps_late_s": offset_s, f"{sensor}_stamps_late_sigma_s": sigma_s}
+        share = offset_s**2 * information / bias if bias else 0.0
+        if share > _EXPLAINED:
+            cause = f"; stamps that are {offset_s:.3f} s late (sigma {sigma_s:.3f} s) explain {share:.0%}"
+    size = Statistic(
+        f"{sensor}: size of its residuals", periods * float((z**2).sum(axis=1).mean()), dof * periods, cause
+    )
+    return (size, Statistic(f"{sensor}: mean of its residuals", bias, dof, cause)), evidence

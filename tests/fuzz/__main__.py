@@ -1,0 +1,100 @@
+"""Fuzzes readers in this process, and the facility over the bus: ``make fuzz``.
+
+    PYTHONPATH=tests python -m fuzz [MINUTES] [SEED]
+
+Of more than 5 minutes a fifth goes to the bus. What fails is written to ``tests/fuzz/found``, where a test
+reads it from then on.
+"""
+
+import resource
+import sys
+import time
+import traceback
+import warnings
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+
+from fuzz.cases import Case
+from fuzz.over_bus import fuzz_facility
+from fuzz.subjects import Subject, subjects
+
+SLOW_S = 5.0
+"""Processor time of one input above which it is a failure."""
+_SLICE_S = 1.0
+_BUS_SHARE, _LEAST_FOR_BUS_MIN = 0.2, 5.0
+
+
+@dataclass
+class Tally:
+    """What came of the inputs of one subject."""
+
+    inputs: int = 0
+    accepted: int = 0
+    cpu_s: float = 0.0
+    failures: Counter[str] = field(default_factory=Counter)
+
+
+def main(minutes: float, seed: int) -> int:
+    """Fuzz for so long; return how many kinds of failures there are."""
+    warnings.simplefilter("ignore")
+    on_bus = _BUS_SHARE if minutes > _LEAST_FOR_BUS_MIN else 0.0
+    tallies = {name: Tally() for name in subjects()}
+    until_s, memory_mib = time.monotonic() + 60.0 * minutes * (1.0 - on_bus), _memory_mib()
+    round_number = 0
+    while time.monotonic() < until_s:
+        for name, subject in subjects().items():
+            _fuzz(subject, tallies[name], Random(f"{seed}/{name}/{round_number}"), until_s)
+        round_number += 1
+        if round_number == 1:
+            memory_mib = _memory_mib()
+    for name, tally in tallies.items():
+        counts = f"{tally.inputs:9} inputs, {tally.accepted:9} accepted, {tally.cpu_s:7.1f} s"
+        print(f"{name:45} {counts}, {len(tally.failures)} kinds of failures")
+    failures = sum((tally.failures for tally in tallies.values()), Counter[str]())
+    inputs = sum(tally.inputs for tally in tallies.values())
+    memory = f"{memory_mib:.0f} MiB after the first round, {_memory_mib():.0f} at the end"
+    print(f"{inputs} inputs with seed {seed}; most memory {memory}", flush=True)
+    if on_bus:
+        failures += fuzz_facility(60.0 * minutes * on_bus, seed)
+    for text, count in failures.most_common():
+        print(f"{count:6} x {text}")
+    return min(len(failures), 1)
+
+
+def _fuzz(subject: Subject, tally: Tally, rnd: Random, until_s: float) -> None:
+    begin_s = time.process_time()
+    while (now_s := time.process_time()) - begin_s < _SLICE_S and time.monotonic() < until_s:
+        data = subject.make(rnd)
+        read_s = time.process_time()
+        try:
+            tally.accepted += subject.read(data)
+            failure = (
+                f"{subject.name}: took more than {SLOW_S:g} s"
+                if time.process_time() - read_s > SLOW_S
+                else ""
+            )
+        except Exception as error:  # noqa: BLE001 - every kind is a finding
+            failure = f"{subject.name}: {_kind(error)}"
+        tally.inputs += 1
+        if failure:
+            if failure not in tally.failures:
+                Case(subject.name, data).write()
+            tally.failures[failure] += 1
+    tally.cpu_s += now_s - begin_s
+
+
+def _kind(error: Exception) -> str:
+    """Return class, text and place of an error, without what differs from one to the next of its kind."""
+    ours = [frame for frame in traceback.extract_tb(error.__traceback__) if "rpod_" in frame.filename]
+    last = ours[-1] if ours else traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__} at {Path(last.filename).name}:{last.lineno}"
+
+
+def _memory_mib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+if __name__ == "__main__":
+    sys.exit(main(float((sys.argv[1:] or ["10"])[0]), int((sys.argv[2:] or ["0"])[0])))

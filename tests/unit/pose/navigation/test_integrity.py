@@ -1,0 +1,226 @@
+"""The integrity monitor: levels, tests and states, on tracks whose errors are known."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rpod_pose.navigation.filter import POSE, start
+from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.integrity.levels import Solution, protection_levels
+from rpod_pose.navigation.integrity.monitor import Memory, Monitor
+from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
+from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import EstimatorStatus, IntegrityState, Mode, Odometry
+
+SECOND_NS = 1_000_000_000
+CONFIG = FilterConfig(acceleration_density_m2_s3=1e-5, angular_acceleration_density_rad2_s3=1e-6)
+SIGMA_M, SIGMA_RAD = 0.002, 0.002
+COVARIANCE = np.diag([SIGMA_M**2] * 3 + [SIGMA_RAD**2] * 3)
+NOTHING_UNSEEN = IntegrityConfig(
+    mount_sigma_deg=0.0, mount_sigma_m=0.0, clock_sigma_s=0.0, tuning={"range_share": 0.0}
+)
+START_NS = 100 * SECOND_NS
+
+
+def truth(time_s):
+    """Return T_chaser_target: 0.2 m/s nearer, and 2 deg/s about x."""
+    return make_pose(
+        rotation=Rotation.from_rotvec([np.deg2rad(2.0) * time_s, 0.0, 0.0]),
+        translation_m=(0.0, 0.0, 6.0 - 0.2 * time_s),
+    )
+
+
+@dataclass
+class Track:
+    """A navigator's state, measurement by measurement, and the monitor that reads it."""
+
+    monitor: Monitor
+    noise: np.random.Generator
+    memory: Memory = field(default_factory=Memory)
+    state: NavigatorState = field(default_factory=NavigatorState)
+
+    def measure(self, time_s, *, sensor="pmd", off=None, frozen=False, accepted=True):
+        """Apply a pose of a sensor with noise, ``off`` by a pose; return the integrity."""
+        pose = truth(time_s) * (make_pose() if off is None else off)
+        error = self.noise.standard_normal(6) * ([SIGMA_M] * 3 + [SIGMA_RAD] * 3)
+        pose = make_pose(
+            rotation=Rotation.from_rotvec(error[3:]) * pose.rotation,
+            translation_m=pose.translation + error[:3],
+        )
+        stamp_ns = START_NS + round(time_s * SECOND_NS)
+        measured, nis = PoseMeasurement(stamp_ns, pose, COVARIANCE), float("nan")
+        if self.state.history is None:
+            filtered = start(pose, COVARIANCE, stamp_ns, config=CONFIG)
+            self.state = NavigatorState(mode=Mode.TRACKING, history=History(filtered))
+        elif accepted:
+            grown, nis, accepted = apply(self.state.history, measured, CONFIG)
+            self.state = replace(self.state, history=grown)
+        return self.judge(stamp_ns, sensor=sensor, nis=nis, accepted=accepted, frozen=frozen)
+
+    def judge(self, stamp_ns, *, sensor, nis=float("nan"), accepted=True, frozen=False):
+        newest = self.state.history.state
+        odometry = Odometry(
+            stamp_ns=max(stamp_ns, newest.stamp_ns), frame_id="chaser", child_frame_id="target_estimate",
+            pose=newest.T_chaser_target, linear_m_s=np.zeros(3), angular_rad_s=np.zeros(3),
+            pose_covariance=newest.covariance[POSE, POSE],
+        )  # fmt: skip
+        status = EstimatorStatus(
+            stamp_ns=stamp_ns, frame_id="chaser", mode=self.state.mode, sensor=sensor, nis=nis,
+            accepted=accepted, reason="" if accepted else "too few pixels",
+        )  # fmt: skip
+        output = Output(status, odometry if self.state.mode is Mode.TRACKING else None)
+        self.memory, integrity = self.monitor.assess(self.memory, self.state, output, frozen=frozen)
+        return integrity
+
+
+@pytest.fixture
+def track():
+    settings = EstimatorSettings(sensors=(PmdInput(), LidarInput()), filter=CONFIG)
+    return Track(Monitor(settings), np.random.default_rng(7))
+
+
+def follow(track, times_s, **how):
+    return [track.measure(time_s, **how) for time_s in times_s]
+
+
+PMD_S = np.arange(0.0, 6.0, 0.1)
+
+
+def test_a_good_track_becomes_nominal_with_levels_that_hold_its_errors(track):
+    told = follow(track, PMD_S)[20:]
+    assert {each.state for each in told} == {IntegrityState.NOMINAL}
+    newest = track.state.history.state.T_chaser_target
+    error_m = np.linalg.norm(newest.translation - truth(PMD_S[-1]).translation)
+    assert error_m < told[-1].position_level_m < 0.03 == told[-1].position_limit_m
+    assert told[-1].attitude_level_deg < 1.0
+    assert told[-1].reason == ""
+
+
+def test_without_a_track_integrity_is_unavailable_and_levels_are_unknown(track):
+    follow(track, PMD_S)
+    track.state = replace(track.state, mode=Mode.LOST)
+    told = track.judge(START_NS + 7 * SECOND_NS, sensor="pmd")
+    assert (told.state, told.reason) == (IntegrityState.UNAVAILABLE, "the target is not tracked: LOST")
+    assert np.isnan(told.attitude_level_deg)
+
+
+def test_a_level_above_the_alert_limit_makes_the_estimate_unavailable_and_says_which(track):
+    follow(track, PMD_S)
+    refused = track.measure(6.0, accepted=False)
+    assert (refused.state, refused.reason) == (
+        IntegrityState.CAUTION,
+        "the newest measurement is not used: too few pixels",
+    )
+    newest = track.state.history.state
+    track.state = replace(
+        track.state, history=History(replace(newest, covariance=newest.covariance + 1e-4 * np.eye(12)))
+    )
+    told = track.judge(newest.stamp_ns, sensor="pmd")
+    assert told.state is IntegrityState.UNAVAILABLE
+    assert told.attitude_level_deg > told.attitude_limit_deg == 1.0
+    assert "protection level of the attitude" in told.reason
+
+
+def test_a_track_that_jumps_to_a_half_turn_is_an_alert_for_as_long_as_both_may_be_right(track):
+    follow(track, PMD_S)
+    flip = make_pose(rotation=Rotation.from_rotvec([0.0, np.pi, 0.0]))
+    there = truth(6.0) * flip
+    track.state = replace(
+        track.state, history=History(start(there, COVARIANCE, START_NS + 6 * SECOND_NS, config=CONFIG))
+    )
+    told = follow(track, np.arange(6.1, 40.0, 0.5), off=flip)
+    assert {each.state for each in told} == {IntegrityState.ALERT}
+    assert "its prediction from before" in told[0].reason
+
+
+def test_a_frozen_stream_is_an_alert_until_it_moves_again(track):
+    follow(track, PMD_S)
+    told = track.judge(START_NS + 6 * SECOND_NS, sensor="pmd", accepted=False, frozen=True)
+    assert (told.state, told.reason) == (
+        IntegrityState.ALERT,
+        "pmd: frozen, its last frames are identical",
+    )
+    assert track.measure(6.1).state is IntegrityState.NOMINAL
+
+
+def test_two_sensors_that_differ_by_more_than_their_covariances_are_an_alert(track):
+    follow(track, PMD_S)
+    wrong = make_pose(rotation=Rotation.from_rotvec([0.0, np.deg2rad(1.0), 0.0]))
+    told = []
+    for k in range(60):
+        told.append(track.measure(6.0 + 0.1 * k))
+        told.append(track.measure(6.05 + 0.1 * k, sensor="lidar", off=wrong))
+    assert told[-1].state is IntegrityState.ALERT
+    good = Track(track.monitor, np.random.default_rng(8))
+    fine = [good.measure(0.05 * k, sensor="pmd" if k % 2 else "lidar").state for k in range(120)][60:]
+    assert IntegrityState.ALERT not in fine
+
+
+def test_residuals_of_late_stamps_name_the_clock_and_its_offset():
+    state = start(truth(0.0), 1e-2 * COVARIANCE, START_NS, config=CONFIG)
+    state = replace(
+        state,
+        velocity_m_s=np.array([0.0, 0.0, -0.2]),
+        rate_rad_s=np.array([np.deg2rad(2.0), 0.0, 0.0]),
+        covariance=1e-8 * np.eye(12),
+    )
+    noise = np.random.default_rng(1)
+    found = []
+    for k in range(40):
+        pose = truth(-0.5)  # half a second late
+        shift_m = SIGMA_M * noise.standard_normal(3)
+        pose = make_pose(rotation=pose.rotation, translation_m=pose.translation + shift_m)
+        found.append(residual_of(state, PoseMeasurement(START_NS + k * SECOND_NS, pose, COVARIANCE), CONFIG))
+    (size, mean), evidence = residual_tests("pmd", found, dof=6, correlated_s=1.0)
+    assert mean.fails(1e-6)
+    assert evidence["pmd_stamps_late_s"] == pytest.approx(0.5, abs=0.05)
+    assert "stamps that are" in mean.told(1e-6)
+    assert size.dof == pytest.approx(6 * 40)
+
+
+def test_frames_of_one_second_count_as_one_in_the_tests():
+    state = start(truth(0.0), COVARIANCE, START_NS, config=CONFIG)
+    frames = [
+        residual_of(state, PoseMeasurement(START_NS + k, truth(0.0), COVARIANCE), CONFIG) for k in range(45)
+    ]
+    (size, _), _ = residual_tests("pmd", frames, dof=6, correlated_s=1.0)
+    assert size.dof == pytest.approx(6.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("sigma", [1e-3, 1e-2])
+def test_errors_exceed_their_level_as_rarely_as_the_risk_says(sigma):
+    config = NOTHING_UNSEEN.model_copy(update={"risk": 0.02})
+    alone = Solution("", np.zeros(6), sigma**2 * np.eye(6))
+    levels = protection_levels([alone], config, range_m=10.0, speed_m_s=0.0, rate_rad_s=0.0)
+    lengths = sigma * np.linalg.norm(np.random.default_rng(3).standard_normal((200_000, 3)), axis=1)
+    assert np.mean(lengths > levels.position_m) == pytest.approx(0.02 / 4, rel=0.1)
+
+
+def test_the_level_covers_what_a_solution_without_a_sensor_says():
+    alone = Solution("", np.zeros(6), 1e-6 * np.eye(6))
+    apart = np.array([0.5, 0.0, 0.0, 0.0, 0.0, np.pi / 2])
+    other = Solution("without pmd", apart, 1e-6 * np.eye(6), 1e-4)
+    levels = protection_levels([alone, other], NOTHING_UNSEEN, range_m=10.0, speed_m_s=0.0, rate_rad_s=0.0)
+    assert levels.position_m > 0.5
+    assert levels.attitude_deg > 90.0
+    assert levels.position_by == levels.attitude_by == "without pmd"
+
+
+def test_declared_errors_of_mount_clock_and_ranges_widen_the_levels():
+    alone = [Solution("", np.zeros(6), 1e-8 * np.eye(6))]
+    how = {"range_m": 10.0, "speed_m_s": 0.5, "rate_rad_s": 0.1}
+    without = protection_levels(alone, NOTHING_UNSEEN, **how)
+    for declared in (
+        {"mount_sigma_deg": 0.1},
+        {"mount_sigma_m": 0.005},
+        {"clock_sigma_s": 0.05},
+        {"tuning": NOTHING_UNSEEN.tuning.model_copy(update={"range_share": 1e-3})},
+    ):
+        wider = protection_levels(alone, NOTHING_UNSEEN.model_copy(update=declared), **how)
+        assert wider.position_m > without.position_m
