@@ -76,8 +76,12 @@ def resolve_facility(path: Path) -> ResolvedFacility:
 
 
 def _resolve(path: Path, file: FacilityFile, name: str, service: FacilityService) -> ResolvedService:
-    place = path.parent / service.config if isinstance(service.config, Path) else None
-    document = read_document(place) if place else dict(service.config)  # type: ignore[arg-type]
+    place: Path | None = None
+    if isinstance(service.config, Path):
+        place = path.parent / service.config
+        document = read_document(place)
+    else:
+        document = dict(service.config)
     model = _model(path, name, service)
     if "instance" in model.model_fields:
         document.setdefault("instance", name)
