@@ -10,7 +10,7 @@ SCENARIO ?= mockup-tumbling
 ARGS ?=
 MINUTES ?= 60
 
-.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster hand-eye peers fuzz check-viewers setup clean
+.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster hand-eye peers fuzz check-viewers lock audit setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -80,6 +80,16 @@ peers: $(PEERS)/.ready ## Registration packages beside our methods, on the same 
 $(PEERS)/.ready: pyproject.toml constraints.txt deploy/setup.sh deploy/peers.sh
 	bash deploy/peers.sh $(PEERS)
 	@touch $@
+
+lock: $(READY) ## The lock with hashes, the bill of materials and the licences, made anew; needs a network
+	$(BIN)/python -m pip install --quiet --group release
+	$(BIN)/uv pip compile pyproject.toml --extra all --universal --python-version 3.11 --constraint constraints.txt --generate-hashes \
+	  --no-emit-index-url --no-header --annotation-style line --quiet -o deploy/supply/requirements.lock
+	$(BIN)/python deploy/supply/make_sbom.py
+
+audit: $(READY) ## Known weaknesses of the locked packages; needs a network
+	$(BIN)/python -m pip install --quiet --group release
+	$(BIN)/pip-audit --require-hashes --disable-pip -r deploy/supply/requirements.lock
 
 clean: ## Remove the virtual environments and caches
 	rm -rf $(VENV) $(PEERS) tests/viewers/node_modules .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

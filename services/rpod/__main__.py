@@ -13,12 +13,13 @@ from rpod import __version__
 from rpod.calibrate_verbs import calibrate_verbs
 from rpod.campaign_verbs import campaign_verbs
 from rpod.driver_verbs import driver_verbs
+from rpod.host_verbs import host_verbs
 from rpod.log_options import NoLimits
 from rpod.log_verbs import log_verbs
 from rpod.pki_verbs import pki_verbs
+from rpod.reloading import run_reloading
 from rpod.target_verbs import target_verbs
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
-from rpod_runtime.lifecycle import run as run_service
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 
@@ -71,6 +72,7 @@ app.add_typer(campaign_verbs)
 app.add_typer(target_verbs)
 app.add_typer(pki_verbs)
 app.add_typer(driver_verbs)
+app.add_typer(host_verbs)
 
 
 @app.callback()
@@ -95,12 +97,16 @@ def _serve(
     from rpod_target import TargetError
 
     source = config or f"rpod {verb}"
-    try:
+
+    def read() -> ConfigT:
         document = (read_document(config) if config else {}) | (changes or {})
         configured = document.get("bus") or {}
         if isinstance(configured, dict):  # otherwise the check below reports the error
             document["bus"] = configured | {key: value for key, value in bus.items() if value}
-        checked = check(model, document, source=source)
+        return check(model, document, source=source)
+
+    try:
+        checked = read()
     except ConfigurationError as error:
         _refuse(error)
 
@@ -110,7 +116,7 @@ def _serve(
         except TargetError as error:
             raise ConfigurationError(source, "target", str(error)) from error
 
-    raise typer.Exit(run_service(verb, serve))
+    raise typer.Exit(run_reloading(verb, serve, checked, read if config else None))
 
 
 @app.command()
@@ -126,14 +132,21 @@ def router(
     from rpod_runtime import router as daemon
     from rpod_schemas.config.service import RouterConfig
 
-    try:
+    def read() -> RouterConfig:
         document = read_document(config) if config else {}
         given = {"listen": listen, "credentials": credentials, "rules": rules}
         document |= {field: value for field, value in given.items() if value}
-        checked = check(RouterConfig, document, source=config or "rpod router")
+        return check(RouterConfig, document, source=config or "rpod router")
+
+    try:
+        checked = read()
     except ConfigurationError as error:
         _refuse(error)
-    raise typer.Exit(run_service("router", lambda stop: daemon.run(checked, stop=stop)))
+
+    def body(stop: Event) -> None:
+        daemon.run(checked, stop=stop)
+
+    raise typer.Exit(run_reloading("router", body, checked, read if config else None))
 
 
 @app.command()

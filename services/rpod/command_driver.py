@@ -7,9 +7,9 @@ from threading import Event
 from typing import Any
 
 from rpod import __version__
+from rpod.reloading import run_reloading
 from rpod_driver import DriverError, host
 from rpod_driver.registered import Adapter, adapter, adapters
-from rpod_runtime import lifecycle
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.config.driver import DriverConfig
@@ -52,7 +52,10 @@ def run_command(name: str, file: Path, *, connect: str | None, wait: bool) -> in
     def body(stop: Event) -> None:
         host.run(driver, config, version=__version__, stop=stop)
 
-    return lifecycle.run(config.instance, body)
+    def read() -> DriverConfig:
+        return _checked(found, file, {"connect": connect, "wait": wait})
+
+    return run_reloading(config.instance, body, config, read)
 
 
 def _checked(found: Adapter, file: Path, options: dict[str, Any]) -> DriverConfig:

@@ -28,3 +28,13 @@ class NotReadyError(RunError):
 
 class InterruptedRunError(RunError):
     """The operator ended the run."""
+
+
+class AlreadyUpError(RunError):
+    """Another process keeps this facility up."""
+
+    def __init__(self, folder: Path, pid: int | None) -> None:
+        super().__init__(
+            f"the facility is up already: process {pid} holds {folder}; "
+            "'rpod ps' shows it, 'rpod down' ends it"
+        )

@@ -13,6 +13,7 @@ from rpod_driver.commands import Commands
 from rpod_driver.errors import DriverError, SilentSensorError, WrongKindError
 from rpod_driver.ports import Counted, Driver, Synchronised
 from rpod_runtime import Node, lifecycle
+from rpod_runtime.notify import manager
 from rpod_runtime.sensors import open_publisher
 from rpod_schemas.config.base import load
 from rpod_schemas.config.driver import DriverConfig
@@ -49,6 +50,7 @@ def run(driver: Driver, config: DriverConfig, *, version: str, stop: Event) -> N
         host = Host(node, driver, config)
         node.health.watch(host.check)
         while not (host.finished or stop.is_set()):
+            manager.alive()
             host.serve_connection()
         node.state = "finished"
 
@@ -89,6 +91,7 @@ class Host:
 
     def _publish_all(self, frames: Iterator[SensorFrame | None]) -> None:
         for frame in frames:
+            manager.alive()
             if self._node.stop.is_set():
                 return
             self._commands.serve(got_frame=frame is not None)

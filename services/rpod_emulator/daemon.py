@@ -17,6 +17,7 @@ from rpod_emulator.joints import MovingJoints
 from rpod_emulator.truth_buffer import TruthBuffer
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.errors import RefusedError
+from rpod_runtime.notify import manager
 from rpod_runtime.ros import trigger
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
@@ -53,6 +54,7 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
         emulator = Emulator(node, config, channels, joints, faults)
         node.ready(f"emulating {', '.join(channel.sensor.name for channel in channels)} of {target.name}")
         while not stop.is_set():
+            manager.alive()
             emulator.take_messages()
             for channel, frame in emulator.due():
                 emulator.make(channel, frame)

@@ -12,6 +12,7 @@ from rpod_estimator.subscriptions import Subscriptions
 from rpod_estimator.validity import Beacon, Validity
 from rpod_pose.navigation.state import Output
 from rpod_runtime import Node
+from rpod_runtime.notify import manager
 from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest
@@ -32,6 +33,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
             node.serve("reset", ResetRequest, service.reset, ros=RESET_SERVICE)
             node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
             while not stop.is_set():
+                manager.alive()
                 subscriptions.pin(estimator.pins_setups)
                 arrived = subscriptions.newest(TICK_S)
                 estimator.learn(subscriptions.infos)

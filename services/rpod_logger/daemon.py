@@ -13,6 +13,7 @@ from rpod_logger.recorder import Recorder
 from rpod_logger.selection import Extras, patterns
 from rpod_runtime import Node, Received
 from rpod_runtime.lifecycle import Stop
+from rpod_runtime.notify import manager
 from rpod_runtime.ros import trigger
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import LogReply, LogRequest, StatusReply
@@ -49,6 +50,7 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
         _serve(node, recorder, services)
         node.ready(doing)
         while not stop.wait(_TICK_S):
+            manager.alive()
             recorder.tell_losses()
             services.ask_new()
             farewells.judge(time.monotonic())

@@ -12,6 +12,7 @@ from rpod_motion.truth import TruthPublisher
 from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
 from rpod_runtime.errors import RefusedError
+from rpod_runtime.notify import manager
 from rpod_runtime.ros import trigger
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import Accepted, StartRequest
@@ -28,6 +29,8 @@ _TAIL_S = 0.1
 """Duration of truth after the end, so that exposures at the end are covered."""
 _LONGEST_TAIL_S = 0.9
 """Longest duration of truth after the end in lockstep; the motion is defined a little longer than that."""
+
+_LONGEST_WAIT_S = 1.0
 
 
 def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
@@ -63,7 +66,7 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         node.health.report(Health.OK, "finished")
         log.info("finished after %g s of scenario time", config.duration_s)
         if config.await_start:
-            node.stop.wait()  # the process that started it asks for its state, then stops it
+            manager.attend(node.stop)  # the process that started it asks for its state, then stops it
 
 
 def _truth(node: Node, motion: Motion, config: MotionServiceConfig, epoch_ns: int) -> TruthPublisher:
@@ -101,6 +104,7 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
     node.serve("start", StartRequest, start, ros=trigger(StartRequest))
     node.ready("waiting for the start query")
     while not started.wait(0.05):
+        manager.alive()
         if node.stop.is_set():
             return None
     return requests[0].epoch_ns or _soon_ns(config)
@@ -120,9 +124,11 @@ def _play_by_the_wall(node: Node, truth: TruthPublisher, ticks: range, *, lead_s
 
 def _paced(stop: Event, truth: TruthPublisher, ticks: range, *, lead_s: float) -> Iterator[int]:
     for tick in ticks:
-        wait_s = (truth.stamp_ns(tick) - time.time_ns()) / NANOSECONDS - lead_s
-        if wait_s > 0 and stop.wait(wait_s):
-            return
+        manager.alive()
+        while (wait_s := (truth.stamp_ns(tick) - time.time_ns()) / NANOSECONDS - lead_s) > 0:
+            if stop.wait(min(wait_s, _LONGEST_WAIT_S)):
+                return
+            manager.alive()
         if stop.is_set():
             return
         yield tick

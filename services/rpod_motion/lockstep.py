@@ -10,6 +10,7 @@ from queue import Empty, SimpleQueue
 from rpod_motion.truth import TruthPublisher
 from rpod_runtime import Node, Received
 from rpod_runtime.errors import LockstepError, QueryFailedError
+from rpod_runtime.notify import manager
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.messages import NANOSECONDS, read_status, write_clock
@@ -53,6 +54,7 @@ class Lockstep:
         """
         next_tick, epoch_ns = first_tick, self._truth.stamp_ns(0)
         for step in self._steps(epoch_ns, last_tick):
+            manager.alive()
             self._clock.publish(write_clock(step.time_ns))
             until = min(last_tick, self._truth.tick((step.time_ns - epoch_ns) / NANOSECONDS) + 1)
             self._publish(range(next_tick, until + 1))

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable
 
 from rpod_runtime.errors import BusError, NoRouterError
+from rpod_runtime.notify import manager
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.errors import SecurityError
 
@@ -40,14 +41,22 @@ def configure_logging(instance: str, level: int = logging.INFO) -> None:
     )
 
 
-def run(instance: str, body: Callable[[threading.Event], None]) -> int:
+def run(
+    instance: str,
+    body: Callable[[threading.Event], None],
+    *,
+    log_level: str = "info",
+    reload: Callable[[], str] | None = None,
+) -> int:
     """Run a service's body until it returns or is stopped; return the exit code.
 
     The body receives the event that asks it to stop. An exception that it raises is logged here, once.
+    ``reload`` is called at each SIGHUP, in another thread than the body, and returns the new level of log
+    lines; without it SIGHUP changes nothing.
     """
-    configure_logging(instance)
+    configure_logging(instance, logging.getLevelNamesMapping()[log_level.upper()])
     stop = Stop()
-    _stop_on_signals(stop)
+    _heed_signals(stop, reload)
     if os.environ.get(SUPERVISED):
         threading.Thread(target=_stop_with_supervisor, args=(stop,), daemon=True).start()
     try:
@@ -68,8 +77,8 @@ def run(instance: str, body: Callable[[threading.Event], None]) -> int:
     return EXIT_OK
 
 
-def _stop_on_signals(stop: threading.Event) -> None:
-    """Set the event from a thread when a signal arrives.
+def _heed_signals(stop: threading.Event, reload: Callable[[], str] | None) -> None:
+    """Heed signals in a thread of their own.
 
     A signal handler that set the event itself would hang if the main thread held the event's lock. The thread
     also lets the second signal end a process whose main thread runs compiled code.
@@ -77,16 +86,36 @@ def _stop_on_signals(stop: threading.Event) -> None:
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     signal.set_wakeup_fd(writer)
-    for each in _SIGNALS:
+    for each in (*_SIGNALS, signal.SIGHUP):
         signal.signal(each, lambda *_: None)  # the signal's number is written into the pipe
-    threading.Thread(target=_heed_signals, args=(reader, stop), name="signals", daemon=True).start()
+    threading.Thread(target=_read_signals, args=(reader, stop, reload), name="signals", daemon=True).start()
 
 
-def _heed_signals(reader: int, stop: threading.Event) -> None:
-    os.read(reader, 1)
-    stop.set()
-    (number,) = os.read(reader, 1)
-    os._exit(128 + number)
+def _read_signals(reader: int, stop: threading.Event, reload: Callable[[], str] | None) -> None:
+    asked = False  # not by the event: a supervisor that ends sets it too
+    while True:
+        (number,) = os.read(reader, 1)
+        if number == signal.SIGHUP:
+            _reload(reload)
+        elif asked:
+            os._exit(128 + number)
+        else:
+            asked = True
+            manager.stopping()
+            stop.set()
+
+
+def _reload(reload: Callable[[], str] | None) -> None:
+    if reload is None:
+        log.warning("SIGHUP: started without a configuration file, nothing is read again")
+        return
+    try:
+        level = reload()
+    except Exception as error:  # noqa: BLE001 - a wrong file must not end a service that works
+        log.error("SIGHUP: the configuration stays as it is: %s", error)
+        return
+    logging.getLogger().setLevel(level.upper())
+    log.warning("SIGHUP: the configuration was read again; log_level is %s", level)
 
 
 def _stop_with_supervisor(stop: Stop) -> None:

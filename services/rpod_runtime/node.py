@@ -27,6 +27,7 @@ from rpod_runtime.health import HealthBook
 from rpod_runtime.identity import open_identity
 from rpod_runtime.inbox import Received
 from rpod_runtime.link import Link
+from rpod_runtime.notify import manager
 from rpod_runtime.publisher import Publisher
 from rpod_runtime.ros import Form, RosGraph, trigger
 from rpod_runtime.ros.offers import offer_watch
@@ -317,6 +318,7 @@ class Node(Asker):
         self.state = "ready"
         self.health.report(Health.OK, message)
         log.info("ready: %s", message)
+        manager.ready(message)
 
     def _beat(self) -> None:
         next_s = time.monotonic()

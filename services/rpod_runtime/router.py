@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
 
+from rpod_runtime.notify import manager
 from rpod_runtime.refusal import telling_refusals
 from rpod_runtime.session import open_router
 from rpod_schemas.config.service import RouterConfig
@@ -23,11 +24,11 @@ def run(config: RouterConfig, *, stop: Event) -> None:
             stack.enter_context(telling_refusals())
         stack.enter_context(open_router(config))
         log.info("ready: listening on %s", config.listen)
-        while True:
+        manager.ready(f"listening on {config.listen}")
+        while not stop.is_set():
             if config.credentials:
                 _tell_end(config.credentials)
-            if stop.wait(_DAY_S):
-                return
+            manager.attend(stop, _DAY_S)
 
 
 def _raise_descriptor_limit() -> None:

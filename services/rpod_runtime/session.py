@@ -119,6 +119,12 @@ def open_router(config: RouterConfig) -> zenoh.Session:
     zenoh_config = _zenoh_config(
         mode="router",
         listen={"endpoints": [_listening(config)], "exit_on_failure": True},
+        connect={
+            "endpoints": list(config.connect),
+            "timeout_ms": -1,  # without end, in the background
+            "exit_on_failure": False,
+            "retry": {"period_init_ms": 100, "period_max_ms": 500},
+        },
         scouting={"multicast": {"enabled": False}, "gossip": {"enabled": config.credentials is None}},
         adminspace={"enabled": False},
         unicast=unicast,

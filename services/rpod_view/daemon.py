@@ -9,6 +9,7 @@ import time
 from threading import Event
 
 from rpod_runtime import Inbox, Node
+from rpod_runtime.notify import manager
 from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.topics import TF, TRUTH
@@ -35,6 +36,7 @@ def run(config: ViewConfig, *, version: str, stop: Event) -> None:
         node.ready(f"shown in {viewer.where}")
         next_s = time.monotonic()
         while not stop.wait(max(next_s - time.monotonic(), 0.0)):
+            manager.alive()
             next_s = max(next_s, time.monotonic()) + 1.0 / config.rate_hz
             if viewer.closed:
                 log.info("the viewer was closed")

@@ -22,6 +22,7 @@ FACTS = {
     "Path | str": Path("a/b.yaml"),
     "str": "said",
     "str | None": None,
+    "int | None": 7,
     "int": 7,
     "float": 1.5,
     "bool": True,

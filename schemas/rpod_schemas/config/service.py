@@ -1,15 +1,19 @@
 """Configuration that every service has: its name and the bus."""
 
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.topics import Namespace
 
+_ENDPOINT = r"^(tcp|tls|quic|unixsock-stream)/.+"
 ESTIMATOR_ID = "e57a7e"
 """Default Zenoh identity of an estimator, from which the router withholds the truth."""
+
+
+LogLevel = Literal["debug", "info", "warning", "error"]
 
 
 def _check_tls(field: str, endpoint: str, credentials: Path | None) -> None:
@@ -27,7 +31,7 @@ def _check_tls(field: str, endpoint: str, credentials: Path | None) -> None:
 class BusConfig(Config):
     """Connection of a service to the bus."""
 
-    connect: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|tls|quic|unixsock-stream)/.+")
+    connect: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT)
     """Zenoh endpoint of the router."""
     domain: int = Field(default=0, ge=0, le=232)
     """ROS domain."""
@@ -63,6 +67,8 @@ class ServiceConfig(Config):
     """Connection to the bus."""
     zenoh_id: str = Field(default="", pattern=r"^[0-9a-f]{0,32}$")
     """Zenoh identity by which the router's access rules know this client; random if empty."""
+    log_level: LogLevel = "info"
+    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP."""
     time_source: Literal["wall", "clock"] = "wall"
     """Clock that decides which messages are late or in the future: that of this machine, or the topic
     ``clock``."""
@@ -73,8 +79,13 @@ class RouterConfig(Config):
 
     instance: Name = "router"
     """Name of this process in its log lines."""
-    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=r"^(tcp|tls|quic|unixsock-stream)/.+")
+    log_level: LogLevel = "info"
+    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP."""
+    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT)
     """Zenoh endpoint to listen on."""
+    connect: tuple[Annotated[str, Field(pattern=_ENDPOINT)], ...] = ()
+    """Zenoh endpoints of the routers of other hosts, to which this one connects and connects again. Each
+    router judges its own clients; one of the two names the other."""
     estimators: tuple[str, ...] = (ESTIMATOR_ID,)
     """Zenoh identities that may not read the truth, in any domain and namespace."""
     credentials: Path | None = None
@@ -90,6 +101,8 @@ class RouterConfig(Config):
     @model_validator(mode="after")
     def _certificates_need_rules(self) -> Self:
         _check_tls("listen", self.listen, self.credentials)
+        if self.connect and self.credentials is not None:
+            raise ValueError("connect: routers of the profile secure cannot be joined yet; leave it out")
         if (self.credentials is None) != (self.rules is None):
             raise ValueError(
                 "credentials and rules make the profile secure together: give both (rpod pki rules) or none"

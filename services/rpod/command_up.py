@@ -1,0 +1,108 @@
+"""``rpod up``, ``rpod ps`` and ``rpod down`` from their arguments to their exit codes."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from rpod.errors import RunError
+from rpod.host_state import FacilityStatus, holder, read_status
+from rpod.resolved import read_facility, resolve_facility
+from rpod.up import STOP_TIMEOUT_S, Asked, keep_up
+from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
+from rpod_schemas.errors import ConfigurationError
+
+_POLL_S = 0.1
+
+
+def up_command(path: Path, *, as_json: bool) -> int:
+    """Keep a facility up until a signal; return the exit code."""
+    configure_logging("up")
+    asked = Asked()
+    before = {
+        number: signal.signal(number, lambda number, _: _take(number, asked))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    try:
+        facility = resolve_facility(path)
+        keep_up(facility, asked=asked, tell=lambda status: _tell(status, as_json=as_json))
+    except ConfigurationError as error:
+        return _fail("up", error, EXIT_USAGE)
+    except (RunError, OSError) as error:
+        return _fail("up", error, EXIT_FAILURE)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return EXIT_OK
+
+
+def _take(number: int, asked: Asked) -> None:
+    """Stop at the first signal, end at once at the second: the services end when their pipes close."""
+    if number == signal.SIGHUP:
+        asked.reload = True
+    elif asked.stop:
+        os._exit(128 + number)
+    asked.stop |= number != signal.SIGHUP
+
+
+def ps_command(path: Path, *, as_json: bool) -> int:
+    """Show the services of a facility; exit 0 if all are at work, 1 if not."""
+    try:
+        file, state = read_facility(path)
+    except ConfigurationError as error:
+        return _fail("ps", error, EXIT_USAGE)
+    status = read_status(state, file.name)
+    if as_json:
+        print(status.model_dump_json(indent=2))
+    else:
+        _print(status)
+    return EXIT_OK if status.healthy else EXIT_FAILURE
+
+
+def down_command(path: Path, *, as_json: bool) -> int:
+    """End ``rpod up`` and its services, and wait for it; return the exit code."""
+    try:
+        file, state = read_facility(path)
+    except ConfigurationError as error:
+        return _fail("down", error, EXIT_USAGE)
+    pid = holder(state)
+    if pid is not None:
+        os.kill(pid, signal.SIGTERM)
+        deadline_s = time.monotonic() + STOP_TIMEOUT_S * (len(file.services) + 1)
+        while holder(state) == pid:
+            if time.monotonic() > deadline_s:
+                return _fail("down", f"process {pid} does not end; its log lines say why", EXIT_FAILURE)
+            time.sleep(_POLL_S)
+    if as_json:
+        print(read_status(state, file.name).model_dump_json(indent=2))
+    else:
+        print(f"{file.name} is down" if pid is not None else f"{file.name} was not up")
+    return EXIT_OK
+
+
+def _tell(status: FacilityStatus, *, as_json: bool) -> None:
+    if as_json:
+        print(status.model_dump_json(), flush=True)
+
+
+def _print(status: FacilityStatus) -> None:
+    if not status.up:
+        print(f"{status.name} is not up; start it with 'rpod up'")
+        return
+    table = Table(title=f"{status.name}, process {status.pid}", title_justify="left")
+    for heading in ("service", "state", "process", "age", "memory", "restarts", "last end", "says"):
+        table.add_column(heading)
+    for each in status.services:
+        memory = f"{each.memory_bytes / 2**20:.0f} MiB" if each.memory_bytes else ""
+        table.add_row(each.name, each.state, str(each.pid or ""), f"{each.up_s:.0f} s", memory,
+                      str(each.restarts), each.last_end, each.message)  # fmt: skip
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+def _fail(verb: str, reason: Exception | str, code: int) -> int:
+    print(f"rpod {verb}: {reason}", file=sys.stderr)
+    return code

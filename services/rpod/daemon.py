@@ -1,0 +1,233 @@
+"""One service that is kept alive: its process, what it tells of itself, and when it is started again."""
+
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from rpod.resolved import ResolvedService
+from rpod_runtime.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
+from rpod_schemas.config.facility import BackoffConfig
+
+log = logging.getLogger(__name__)
+
+_STARTING_S = 1.0
+"""Time that a service that is not ready yet has for its end; nothing interrupts a compilation."""
+_LOG_BYTES = 16 << 20
+"""Size of a file of log lines at which a restart begins a new one; the one before is kept."""
+
+DaemonState = Literal["starting", "ready", "waiting", "ended", "refused", "stopping", "stopped"]
+"""``waiting`` is the wait before a restart, ``ended`` is over for good, ``refused`` has a wrong
+configuration."""
+
+
+@dataclass
+class Backoff:
+    """Wait before the next restart: doubled each time, the first one again after a steady while."""
+
+    config: BackoffConfig
+    _next_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._next_s = self.config.first_s
+
+    def next_s(self, worked_s: float) -> float:
+        """Return the wait after a process that was at work for a time, s."""
+        if worked_s >= self.config.steady_s:
+            self._next_s = self.config.first_s
+        wait_s, self._next_s = self._next_s, min(2.0 * self._next_s, self.config.max_s)
+        return wait_s
+
+
+class Daemon:
+    """A service and its present process. Everything runs in the keeper's one thread."""
+
+    def __init__(
+        self, service: ResolvedService, *, state: Path, sockets: Path, backoff: BackoffConfig
+    ) -> None:
+        self.name, self.service = service.name, service
+        self.state: DaemonState = "stopped"
+        self.message = ""
+        self.restarts = 0
+        self.last_end = ""
+        """How the last process ended."""
+        self.log = state / "logs" / f"{service.name}.log"
+        self._config = state / "config" / f"{service.name}.json"
+        self._backoff = Backoff(backoff)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._started_s = self._ready_s = self._heard_s = 0.0
+        self._due_s = 0.0
+        self._reason = ""
+        self._address = sockets / service.name
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._socket.bind(str(self._address))
+
+    @property
+    def pid(self) -> int | None:
+        """Process identifier, while there is a process."""
+        return self._process.pid if self._process else None
+
+    @property
+    def up_s(self) -> float:
+        """Time since the present process was started, s."""
+        return time.monotonic() - self._started_s if self._process else 0.0
+
+    def start(self) -> None:
+        """Start a process; where the machine has no room for one, try again later."""
+        try:
+            self._process = self._spawn()
+        except OSError as error:
+            self.last_end = f"could not be started: {error}"
+            self._wait(0.0)
+            return
+        self._started_s = self._heard_s = time.monotonic()
+        self._ready_s = 0.0
+        self.state, self.message, self._reason = "starting", "", ""
+        log.info("%s: started, process %d", self.name, self._process.pid)
+
+    def _spawn(self) -> subprocess.Popen[bytes]:
+        self._write_config()
+        self.log.parent.mkdir(parents=True, exist_ok=True)
+        if self.log.exists() and self.log.stat().st_size > _LOG_BYTES:
+            self.log.replace(self.log.with_suffix(".log.1"))
+        environment = os.environ | {
+            SUPERVISED: "1",
+            "NOTIFY_SOCKET": str(self._address),
+            "WATCHDOG_USEC": str(round(1e6 * self.service.settings.hang_s)),
+        }
+        environment.pop("WATCHDOG_PID", None)
+        with self.log.open("ab") as stream:
+            return subprocess.Popen(
+                [sys.executable, "-m", "rpod", *self.service.arguments(self._config)],
+                stdin=subprocess.PIPE,
+                stdout=stream,
+                stderr=stream,
+                start_new_session=True,
+                env=environment,
+            )
+
+    def turn(self) -> None:
+        """Take what the process has told, notice its end or that it hangs, and start it again when due."""
+        self._listen()
+        if self._process is not None:
+            code = self._process.poll()
+            if code is not None:
+                self._bury(code)
+            elif self.state in ("starting", "ready"):
+                self._judge()
+        elif self.state == "waiting" and time.monotonic() >= self._due_s:
+            self.restarts += 1
+            self.start()
+
+    def reload(self, service: ResolvedService) -> None:
+        """Take another configuration: at once what may change, and all of it at the next start."""
+        self.service = service
+        try:
+            self._write_config()
+        except OSError as error:
+            log.error("%s: its configuration cannot be written: %s", self.name, error)
+        if self.state == "ready":  # before that, a process does not heed the signal yet
+            self.send(signal.SIGHUP)
+
+    def _write_config(self) -> None:
+        self._config.parent.mkdir(parents=True, exist_ok=True)
+        self._config.write_text(self.service.config.model_dump_json(indent=2), "utf-8")
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal to the process, if there is one."""
+        if self._process is not None:
+            self._process.send_signal(number)
+
+    def stop(self, timeout_s: float) -> None:
+        """Ask the process to finish, wait, and kill it if it does not; one that still starts has no work."""
+        if self._process is not None:
+            timeout_s = min(timeout_s, _STARTING_S) if self.state == "starting" else timeout_s
+            self.state = "stopping"
+            self._process.terminate()
+            try:
+                self._process.wait(timeout_s)
+            except subprocess.TimeoutExpired:
+                log.error("%s did not stop within %g s; it was killed", self.name, timeout_s)
+                self._process.kill()
+                self._process.wait()
+            self._release()
+        self.state = "stopped"
+
+    def close(self) -> None:
+        """Release the socket."""
+        self._socket.close()
+        self._address.unlink(missing_ok=True)
+
+    def _listen(self) -> None:
+        with suppress(BlockingIOError):
+            while True:
+                told = self._socket.recv(4096).decode(errors="replace").splitlines()
+                if self._process is not None:
+                    self._take(dict(line.split("=", 1) for line in told if "=" in line))
+
+    def _take(self, told: dict[str, str]) -> None:
+        self._heard_s = time.monotonic()
+        self.message = told.get("STATUS", self.message)
+        if "READY" in told and self.state == "starting":
+            self.state, self._ready_s = "ready", self._heard_s
+            log.info("%s: ready after %.1f s", self.name, self._heard_s - self._started_s)
+
+    def _judge(self) -> None:
+        """Kill a process that does not become ready in time, or whose main loop hangs."""
+        settings, now_s = self.service.settings, time.monotonic()
+        late = now_s - self._started_s > settings.start_timeout_s and settings.verb != "driver"
+        if self.state == "starting" and late:
+            self._reason = f"was not ready after {settings.start_timeout_s:g} s"
+        elif self.state == "ready" and now_s - self._heard_s > settings.hang_s:
+            self._reason = f"hung for {settings.hang_s:g} s"
+        if self._reason:
+            self.send(signal.SIGKILL)  # its end is noticed in one of the next turns
+
+    def _bury(self, code: int) -> None:
+        worked_s = time.monotonic() - self._ready_s if self._ready_s else 0.0
+        how = f"was killed by {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
+        self.last_end = f"{self._reason}, {how}" if self._reason else how
+        self._release()
+        policy = self.service.settings.restarts
+        if code == EXIT_USAGE:
+            self.state = "refused"
+            log.error("%s: its configuration is refused; correct it: %s", self.name, self._last_line())
+        elif policy == "never" or (policy == "on_failure" and code == EXIT_OK):
+            self.state = "ended"
+            log.info("%s: %s", self.name, self.last_end)
+        else:
+            self._wait(worked_s)
+
+    def _wait(self, worked_s: float) -> None:
+        wait_s = self._backoff.next_s(worked_s)
+        self.state, self._due_s = "waiting", time.monotonic() + wait_s
+        last = self._last_line()
+        log.error(
+            "%s: %s; to be started again in %g s; last line: %s", self.name, self.last_end, wait_s, last
+        )
+
+    def _release(self) -> None:
+        if self._process is not None and self._process.stdin:
+            self._process.stdin.close()
+        self._process = None
+
+    def _last_line(self) -> str:
+        if not self.log.exists():
+            return "none"
+        lines = self.log.read_bytes()[-4096:].decode(errors="replace").splitlines()
+        return lines[-1] if lines else "none"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

@@ -1,0 +1,102 @@
+"""The state of a facility that ``rpod up`` keeps: one folder, held by one process, read by ``rpod ps``."""
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rpod.errors import AlreadyUpError
+from rpod_schemas.config.base import Config
+
+_LOCK, _STATUS = "keeper.pid", "status.json"
+
+
+class DaemonStatus(Config):
+    """One service in ``rpod ps``."""
+
+    name: str
+    """Name in the facility's file."""
+    state: str
+    """starting, ready, waiting (for its restart), ended, refused (its configuration), stopping, stopped."""
+    pid: int | None
+    """Process identifier, while there is a process."""
+    up_s: float
+    """Age of the process, s."""
+    restarts: int
+    """Number of restarts since ``rpod up``."""
+    last_end: str
+    """How the process before ended; empty if none has."""
+    message: str
+    """What the service says of itself."""
+    memory_bytes: int | None = None
+    """Resident memory of the process."""
+    log: str
+    """File of its log lines."""
+
+
+class FacilityStatus(Config):
+    """What ``rpod ps`` shows."""
+
+    name: str
+    """Name of the facility."""
+    up: bool
+    """Whether ``rpod up`` runs."""
+    pid: int | None
+    """Process identifier of ``rpod up``, while it runs."""
+    services: tuple[DaemonStatus, ...] = ()
+    """The services in the order of the file."""
+
+    @property
+    def healthy(self) -> bool:
+        """Whether every service is at work, or has come to its end."""
+        return self.up and all(service.state in ("ready", "ended") for service in self.services)
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Hold the folder for this process. Raises ``AlreadyUpError``, ``OSError``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise AlreadyUpError(folder, holder(folder)) from None
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, str(os.getpid()).encode())
+        yield
+    finally:
+        os.close(descriptor)  # which releases it, as the end of the process does
+
+
+def holder(folder: Path) -> int | None:
+    """Return the process that holds a folder; None if none does."""
+    try:
+        descriptor = os.open(folder / _LOCK, os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        text = os.read(descriptor, 32)
+        return int(text) if text.isdigit() else None
+    finally:
+        os.close(descriptor)
+    return None
+
+
+def write_status(folder: Path, status: FacilityStatus) -> None:
+    """Replace the state in one step, so that a reader never sees half of it. Raises ``OSError``."""
+    new = folder / f"{_STATUS}.new"
+    new.write_text(status.model_dump_json(indent=2) + "\n", "utf-8")
+    new.replace(folder / _STATUS)
+
+
+def read_status(folder: Path, name: str) -> FacilityStatus:
+    """Return the present state; that of a facility that is not up has no services."""
+    pid = holder(folder)
+    if pid is not None:
+        with suppress(OSError, ValueError):
+            return FacilityStatus.model_validate_json((folder / _STATUS).read_text("utf-8"))
+    return FacilityStatus(name=name, up=pid is not None, pid=pid)

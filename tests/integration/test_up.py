@@ -1,0 +1,161 @@
+"""``rpod up`` with real processes: what dies or hangs comes back, and the end leaves nothing."""
+
+import json
+import signal
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import psutil
+import pytest
+import yaml
+from facility_process import DEADLINE_S, Lines, until
+from live_bus import Bus, first
+
+from rpod_runtime import Inbox
+from rpod_runtime.session import free_endpoint
+from rpod_schemas.messages import read_status
+from rpod_schemas.topics import STATUS
+from rpod_schemas.types import Mode
+
+TARGET = {"target": "mockup"}
+APPROACH = {"trajectory": {"kind": "approach", "start_m": [0, 0, 4.0], "end_m": [0, 0, 3.9]}}
+
+
+class Facility:
+    """A facility that ``rpod up`` keeps, with what its verbs say."""
+
+    def __init__(self, folder, services, **fields):
+        self.endpoint = free_endpoint()
+        self.path = folder / "hall.yaml"
+        document = {"name": "hall", "bus": {"connect": self.endpoint}, "services": services} | fields
+        self.path.write_text(yaml.safe_dump(document, sort_keys=False), "utf-8")
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "rpod", "up", str(self.path)], stderr=subprocess.PIPE, text=True
+        )
+        self.said = Lines(self.process.stderr)
+        self._status = folder / "hall.state" / "status.json"
+        self.seen: set[psutil.Process] = set()
+
+    def ask(self, verb):
+        """Return exit code and answer of ``rpod ps`` or ``rpod down``."""
+        done = subprocess.run(
+            [sys.executable, "-m", "rpod", verb, str(self.path), "--json"],
+            capture_output=True, text=True, timeout=DEADLINE_S, check=False,
+        )  # fmt: skip
+        return done.returncode, json.loads(done.stdout)
+
+    def service(self, name, state="ready", restarts=0):
+        """Wait until a service has a state after so many restarts; return what is told of it."""
+
+        def found():
+            if not self._status.exists():
+                return None
+            told = json.loads(self._status.read_text("utf-8"))["services"]
+            (service,) = (each for each in told if each["name"] == name)
+            return service if (service["state"], service["restarts"]) == (state, restarts) else None
+
+        service = until(found)
+        if service["pid"]:
+            self.seen.add(psutil.Process(service["pid"]))
+        return service
+
+    def close(self):
+        self.process.kill()
+        self.process.wait()
+        _, alive = psutil.wait_procs(self.seen, timeout=DEADLINE_S / 4)
+        for process in alive:
+            process.kill()
+        assert not alive
+
+
+@pytest.fixture
+def up(tmp_path):
+    with ExitStack() as stack:
+
+        def start(services, **fields):
+            facility = Facility(tmp_path, services, **fields)
+            stack.callback(facility.close)
+            return facility
+
+        yield start
+
+
+def test_a_killed_estimator_comes_back_tracks_again_and_ps_says_so(up):
+    facility = up(
+        {
+            "router": {"verb": "router"},
+            "estimator": {"verb": "estimator", "config": TARGET | {"sensors": [{"kind": "pmd"}]}},
+            "emulator": {"verb": "emulator", "config": TARGET | {"sensors": [{"kind": "pmd", "rate_hz": 5}]}},
+            "motion": {"verb": "motion", "config": TARGET | {"duration_s": 3600, "motion": APPROACH}},
+        }
+    )
+    before = facility.service("estimator")
+    with ExitStack() as stack:
+        statuses = Inbox()
+        Bus(facility.endpoint, stack).node("listener").subscribe(STATUS, statuses.put)
+        tracks = lambda one: read_status(one.decode()).mode is Mode.TRACKING and one.attachment.gid  # noqa: E731
+        first_gid = first(statuses, tracks, DEADLINE_S)
+        psutil.Process(before["pid"]).kill()
+        again = lambda one: tracks(one) not in (False, first_gid)  # noqa: E731 - of another process
+        assert first(statuses, again, DEADLINE_S)
+    after = facility.service("estimator", restarts=1)
+    assert after["pid"] != before["pid"]
+    assert after["last_end"] == "was killed by SIGKILL"
+    code, told = facility.ask("ps")
+    assert code == 0
+    assert [each["restarts"] for each in told["services"]] == [0, 1, 0, 0]
+    facility.process.send_signal(signal.SIGTERM)
+    assert facility.process.wait(DEADLINE_S) == 0
+
+
+def test_a_router_that_hangs_is_killed_and_started_again(up):
+    facility = up({"router": {"verb": "router", "hang_s": 1.0}})
+    router = psutil.Process(facility.service("router")["pid"])
+    router.suspend()
+    assert facility.service("router", restarts=1)["last_end"] == "hung for 1 s, was killed by SIGKILL"
+    assert not router.is_running()
+
+
+def test_at_a_sighup_the_log_level_changes_and_what_needs_a_restart_is_named(up):
+    facility = up({"router": {"verb": "router"}})
+    before = facility.service("router")
+    document = yaml.safe_load(facility.path.read_text("utf-8"))
+    document["services"]["router"]["config"] = {"log_level": "warning", "estimators": ["abc"]}
+    facility.path.write_text(yaml.safe_dump(document, sort_keys=False), "utf-8")
+    facility.process.send_signal(signal.SIGHUP)
+    log = Path(before["log"])
+    until(lambda: "log_level is warning" in log.read_text("utf-8"))
+    assert "a restart is needed for the changes of estimators" in log.read_text("utf-8")
+    assert facility.service("router")["pid"] == before["pid"]
+
+
+def test_down_stops_the_services_and_a_second_up_is_refused_while_one_runs(up):
+    facility = up({"router": {"verb": "router"}})
+    facility.service("router")
+    with pytest.raises(subprocess.CalledProcessError) as refused:
+        subprocess.run(
+            [sys.executable, "-m", "rpod", "up", str(facility.path)], capture_output=True, check=True
+        )
+    assert refused.value.returncode == 1
+    assert b"the facility is up already" in refused.value.stderr
+    assert facility.ask("down") == (0, {"name": "hall", "up": False, "pid": None, "services": []})
+    assert facility.process.wait(DEADLINE_S) == 0
+    assert facility.ask("ps")[0] == 1
+
+
+def test_a_service_that_cannot_work_waits_longer_each_time_and_a_refused_one_is_left(up):
+    elsewhere = {"listen": "tcp/192.0.2.1:7447"}  # RFC 5737: no machine has it
+    facility = up(
+        {
+            "router": {"verb": "router", "config": elsewhere},
+            "estimator": {"verb": "estimator", "config": {"target": "none", "sensors": [{"kind": "pmd"}]}},
+        },
+        backoff={"first_s": 0.05, "max_s": 0.1},
+    )
+    facility.said.wait_for(r"router: ended with exit code 1; to be started again in 0.05 s")
+    facility.said.wait_for(r"router: ended with exit code 1; to be started again in 0.1 s")
+    facility.said.wait_for(r"estimator: its configuration is refused; correct it: .*none")
+    assert facility.service("estimator", "refused")["restarts"] == 0
+    assert facility.ask("ps")[0] == 1

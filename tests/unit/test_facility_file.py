@@ -1,0 +1,86 @@
+"""A facility's file: what its services get, and what is refused before anything is started."""
+
+import pytest
+import yaml
+
+from rpod.daemon import Backoff
+from rpod.errors import AlreadyUpError
+from rpod.host_state import FacilityStatus, held, holder, read_status, write_status
+from rpod.resolved import resolve_facility
+from rpod_schemas.config.facility import BackoffConfig
+from rpod_schemas.errors import ConfigurationError
+
+ESTIMATOR = {"target": "mockup", "sensors": [{"kind": "pmd"}]}
+
+
+def facility(folder, services, **fields):
+    path = folder / "hall.yaml"
+    path.write_text(yaml.safe_dump({"name": "hall", "services": services} | fields, sort_keys=False), "utf-8")
+    return path
+
+
+def test_services_share_the_bus_and_have_their_names_unless_they_say_otherwise(tmp_path):
+    path = facility(
+        tmp_path,
+        {
+            "router": {"verb": "router"},
+            "front": {"verb": "estimator", "config": ESTIMATOR},
+            "tape": {"verb": "logger", "config": {"instance": "log", "bus": {"namespace": "b"}}},
+        },
+        bus={"connect": "tcp/127.0.0.1:7999", "namespace": "a"},
+    )
+    router, front, tape = (service.config for service in resolve_facility(path).services)
+    assert router.listen == "tcp/127.0.0.1:7999"
+    assert (front.instance, front.bus.namespace, front.bus.wait) == ("front", "a", True)
+    assert (tape.instance, tape.bus.namespace, tape.bus.connect) == ("log", "b", "tcp/127.0.0.1:7999")
+    assert resolve_facility(path).state == (tmp_path / "hall.state").resolve()
+
+
+def test_a_configuration_may_be_a_file_beside_the_facility_s(tmp_path):
+    (tmp_path / "front.yaml").write_text(yaml.safe_dump(ESTIMATOR), "utf-8")
+    path = facility(tmp_path, {"front": {"verb": "estimator", "config": "front.yaml"}})
+    (front,) = resolve_facility(path).services
+    assert front.config.sensors[0].kind == "pmd"
+
+
+def test_a_driver_is_checked_by_its_own_model(tmp_path):
+    device = {"kind": "pmd", "name": "pmd", "device": {"bag": "run.mcap"}}
+    path = facility(tmp_path, {"camera": {"verb": "driver", "driver": "replay", "config": device}})
+    (camera,) = resolve_facility(path).services
+    assert camera.arguments(tmp_path)[:3] == ["driver", "run", "replay"]
+    assert camera.settings.restarts == "on_failure"
+
+
+@pytest.mark.parametrize(
+    ("services", "problem"),
+    [
+        ({}, "services"),
+        ({"front": {"verb": "estimater"}}, "services.front.verb"),
+        ({"front": {"verb": "estimator", "config": {"targets": "mockup"}}}, "services.front.config"),
+        ({"front": {"verb": "estimator", "config": "none.yaml"}}, "none.yaml"),
+        ({"camera": {"verb": "driver"}}, "driver: verb driver needs the name"),
+        ({"camera": {"verb": "driver", "driver": "none"}}, "services.camera.driver"),
+        ({"a": {"verb": "logger"}, "b": {"verb": "logger", "config": {"instance": "a"}}}, "another service"),
+    ],
+)
+def test_what_cannot_be_started_is_refused_with_its_place(tmp_path, services, problem):
+    with pytest.raises(ConfigurationError, match=problem):
+        resolve_facility(facility(tmp_path, services))
+
+
+def test_waits_double_to_the_longest_and_begin_anew_after_a_steady_while():
+    backoff = Backoff(BackoffConfig(first_s=0.1, max_s=0.4, steady_s=60.0))
+    assert [backoff.next_s(1.0) for _ in range(4)] == [0.1, 0.2, 0.4, 0.4]
+    assert [backoff.next_s(worked_s) for worked_s in (60.0, 0.0)] == [0.1, 0.2]
+
+
+def test_one_process_holds_a_facility_and_its_end_sets_it_free(tmp_path):
+    assert holder(tmp_path) is None
+    with held(tmp_path):
+        pid = holder(tmp_path)
+        assert pid is not None
+        write_status(tmp_path, FacilityStatus(name="hall", up=True, pid=pid))
+        assert read_status(tmp_path, "hall").healthy
+        with pytest.raises(AlreadyUpError, match=f"process {pid} holds"), held(tmp_path):
+            pass
+    assert not read_status(tmp_path, "hall").up
