@@ -10,11 +10,12 @@ from pydantic import BaseModel, ValidationError
 
 from rpod_schemas.config.base import check
 
-CONFIG_VERSION = 3
+CONFIG_VERSION = 4
 """Version of the configuration models.
 
 1: all fields beside each other, and no version in the log. 2: fields outside the public interface are in
-``tuning`` models. 3: the fields in ``RENAMED`` have their present names.
+``tuning`` models. 3: the fields in ``RENAMED`` have their present names. 4: a track is lost by its covariance;
+``rejection_timeout_s`` and ``rejected_frames`` of the navigator are gone.
 """
 _FIRST_WITH_TUNING = 2
 """First version whose logs have ``tuning`` models."""
