@@ -1,9 +1,9 @@
-"""Whether each publisher that ended had said its last numbers, and whether these messages arrived.
+"""Checks whether publishers that ended had sent their last numbers, and whether these messages arrived.
 
 A gap in sequence numbers shows a loss only when a later message comes. After the last message of a publisher
 none comes. So services say in their diagnostics how many messages they have published, and which of their
-diagnostics is the last one. A service whose liveliness token vanishes without it was killed, or lost its
-link: nobody knows its last number.
+diagnostics is the last one. A service whose liveliness token vanishes without this last message was killed,
+or lost its link: nobody knows its last number.
 
 The module knows no bus and no clock. Times are seconds of one monotonic clock, stamps ns of UTC. Its memory
 is bounded.
@@ -34,7 +34,7 @@ _NS = 1e-9
 
 @dataclass(frozen=True)
 class Endings:
-    """What a file says of publishers and of the link, beside its counts."""
+    """Statements of a file about publishers and the link, beside its counts."""
 
     reasons: tuple[str, ...] = ()
     """Reasons why the file is not complete, a sentence each."""

@@ -1,4 +1,4 @@
-"""Who a service is on the bus, and who asks it: certificates tell in the profile ``secure``."""
+"""Identity of a service on the bus, and of its clients; in the profile ``secure`` certificates state both."""
 
 import time
 from typing import TYPE_CHECKING, Protocol
@@ -21,7 +21,7 @@ _LONGEST_REQUEST = 1 << 16
 
 
 class Identity(Protocol):
-    """Names at the ends of the control plane's keys, and what is kept of requests."""
+    """Names at the ends of the control plane's keys, and the record of requests."""
 
     name: str
     """Name of this service's certificate; empty in the profile ``plain``."""
@@ -32,15 +32,15 @@ class Identity(Protocol):
         ...
 
     def asker(self, key: str, verb: str, size: int) -> str:
-        """Return who asks by a key. Raises ``RefusedError`` for a key without a name, and for a flood."""
+        """Return the client that asks by a key. Raises ``RefusedError``: no name in the key, or a flood."""
         ...
 
     def record(self, *, asker: str, verb: str, request: str, outcome: str) -> None:
-        """Keep a request that is no ``status``, with what came of it."""
+        """Record a request other than ``status``, with its outcome."""
         ...
 
     def warning(self) -> str:
-        """Return a warning about the own certificate, empty if there is none."""
+        """Return a warning about the service's certificate; empty if there is none."""
         ...
 
 
@@ -65,7 +65,7 @@ def open_identity(config: ServiceConfig) -> Identity:
 
 
 class Anonymous:
-    """Nobody in particular: the profile ``plain``."""
+    """An identity without a name, for the profile ``plain``."""
 
     name = ""
     served = ""
@@ -75,7 +75,7 @@ class Anonymous:
         return ""
 
     def record(self, *, asker: str, verb: str, request: str, outcome: str) -> None:
-        """Keep nothing: the diagnostics tell the commands."""
+        """Record nothing: the diagnostics tell the commands."""
 
     def warning(self) -> str:
         """Return nothing."""
@@ -83,7 +83,7 @@ class Anonymous:
 
 
 class Certified:
-    """A service with a certificate: the profile ``secure``."""
+    """Identity of a service with a certificate, for the profile ``secure``."""
 
     served = "*"
 

@@ -1,4 +1,4 @@
-"""The link of a process to the router: when it was lost, and when it was there again.
+"""Watches the link of a process to the router: when it was lost, and when it was regained.
 
 Zenoh connects again by itself and says nothing, so each process tells it: in a log line, and in its
 diagnostics afterwards. A closed link (a router that was ended or killed) is known at once. One that is silent

@@ -1,4 +1,4 @@
-"""Why a router refuses: found by a TLS handshake of Python's own, and read from the router's own log lines.
+"""Reasons why a router refuses a client: from a TLS handshake by Python, and from the router's log lines.
 
 Zenoh tells a client only that it cannot connect, and tells the router's operator of "corrupt messages".
 """
@@ -89,9 +89,9 @@ def _refusal(bus: BusConfig, link: socket.socket, host: str) -> str:
 
 @contextmanager
 def telling_refusals() -> Iterator[None]:
-    """Log in plain words whom this process's router refuses, one line a minute for each kind.
+    """Log in plain words which clients this process's router refuses, one line a minute for each reason.
 
-    Zenoh writes its own lines to standard output, so that this is a pipe meanwhile. Lines that are not
+    Zenoh writes its own lines to standard output, so standard output is a pipe meanwhile. Lines that are not
     understood are logged as they are.
     """
     reader, writer = os.pipe()

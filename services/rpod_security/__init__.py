@@ -1,4 +1,4 @@
-"""Identity and rights on the bus: certificates, access rules made of the configuration, audit records.
+"""Identity and rights on the bus: certificates, access rules made from the configuration, audit records.
 
 Nothing is imported here: only what reads or makes certificates needs the package ``cryptography``.
 """

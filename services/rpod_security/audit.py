@@ -1,4 +1,4 @@
-"""The audit record of a service: who asked what, and what came of it.
+"""The audit record of a service: who gave which command, when, and with what outcome.
 
 Lines are appended and never changed. Each is a JSON object with the digest of the line before, so that
 ``check`` finds a line that was changed, removed or put in. Nobody notices if the last lines are cut off:

@@ -30,7 +30,7 @@ _LONGEST_NAME = 56
 
 
 class Entry(Config):
-    """What the ledger holds of a name."""
+    """Entry of the ledger for one name."""
 
     name: Name
     """Name on the bus; it is unique."""
@@ -49,7 +49,7 @@ class Entry(Config):
 
     @property
     def identity(self) -> Identity:
-        """Identity that its certificate names."""
+        """Identity in the certificate."""
         return Identity(self.name, self.role, self.generation)
 
 

@@ -1,4 +1,4 @@
-"""Certificates (X.509, ECDSA on P-256): of an authority, of the router, of a role.
+"""Certificates (X.509, ECDSA on P-256) of the authority, of the router and of the services.
 
 The common name is ``<name>.<generation>``. Access rules name it, so a name that was revoked can be issued
 again: the new certificate has the next generation, and the rules no longer name the old one. The
@@ -26,7 +26,7 @@ _USAGES = (
 
 @dataclass(frozen=True)
 class Identity:
-    """Whom a certificate names."""
+    """Name, generation and role in a certificate."""
 
     name: str
     """Name on the bus."""

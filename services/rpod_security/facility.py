@@ -1,4 +1,4 @@
-"""From the configuration of a facility's services to its members and their access rules."""
+"""Derives the members of a facility, and their access rules, from the configurations of its services."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path

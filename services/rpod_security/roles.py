@@ -1,4 +1,4 @@
-"""What each role may publish, read, serve and ask: the interface control document, as rights.
+"""Rights of each role, from the interface control document: what it may publish, read, serve and ask.
 
 Who publishes a topic is the column "from" of the ICD's table (``rpod_schemas.topics.SENT_BY``). Who reads it,
 and who asks what of whom, is here.

@@ -1,4 +1,4 @@
-"""Access rules for the router, made of the members of a facility: what is not allowed here is denied.
+"""Access rules for the router, made from the members of a facility: what no rule allows is denied.
 
 What a client sends (``ingress``) decides what it can do. What the router hands to it (``egress``) is limited
 too, so that a mistake in one rule does not open a way. Zenoh allows a message if one rule's key expression

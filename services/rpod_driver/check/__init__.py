@@ -1,7 +1,7 @@
-"""Whether a live sensor keeps to the interface control document, judged from what came of it.
+"""The check of a live sensor against the interface control document, from the messages that it sent.
 
 ``Observer`` takes messages and keeps little of each; ``judge`` is a pure function of what it kept. So the
-same judgement holds for a sensor on the bus, a recording, and a driver in a test.
+same check holds for a sensor on the bus, a recording, and a driver in a test.
 """
 
 from rpod_driver.check.judge import judge

@@ -1,4 +1,4 @@
-"""Lines about content: what images and points hold."""
+"""Lines about the content of images and points."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -47,7 +47,7 @@ def content(seen: Observations) -> Verdict:
 
 
 def frozen(seen: Observations) -> Verdict:
-    """Judge whether content comes again under another stamp: noise never repeats to the bit."""
+    """Judge whether content repeats under another stamp: noise never repeats to the bit."""
     line = "frozen"
     blank = not any(each.frame.returns_m.size or _has_depth(each) for each in seen.kept)
     if len(seen.leads) < 2 or blank:

@@ -1,9 +1,9 @@
 """Lines that compare points with the target where truth has it: instant of the stamp, range, mount, mirror.
 
 One fit of all kept frames gives the time by which stamps are off, a range error that all points share, and
-how far the mount is off. Points move to the nearest samples of the target's surface; the truth gives their
-velocity, and so the derivative by time. What the motion does not separate has a large standard deviation, and
-is not judged.
+how far the mount is off. Each point is paired with the nearest sample of the target's surface. The truth
+gives its velocity, and so the derivative by time. Values that the motion does not separate have large
+standard deviations and are not judged.
 """
 
 from dataclasses import dataclass, replace
@@ -281,7 +281,7 @@ def _instant(seen: Observations, dt_s: float, sigma_s: float) -> Verdict:
 
 
 def _range(range_m: float, along_m: float, sigmas: FloatArray) -> Verdict:
-    """Judge what all ranges share; a mount that is off along the boresight looks the same."""
+    """Judge the error that all ranges share; a mount that is off along the boresight looks the same."""
     total_m = range_m - along_m
     sigma_m = float(min(sigmas[1], sigmas[4]))
     text = f"{1e3 * total_m:+.1f} mm along the boresight, mount and range together"

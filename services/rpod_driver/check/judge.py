@@ -1,4 +1,4 @@
-"""The whole check: a pure function from what came of a sensor to one verdict a line."""
+"""The whole check: a pure function from the observations of a sensor to one verdict a line."""
 
 from rpod_driver.check import content, delivery, geometry, plane, setup, stamps
 from rpod_driver.check.observations import Observations

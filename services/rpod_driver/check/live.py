@@ -15,7 +15,7 @@ _POLL_S = 0.1
 
 
 def watch(node: Node, observer: Observer, *, duration_s: float, stop: Event) -> Observations:
-    """Return what comes of a sensor in a time. Messages that the bus loses are not asked for again."""
+    """Return the observations of a sensor in a time. Messages that the bus loses are not asked for again."""
     inbox = Inbox(capacity=20_000)
     for topic in (*observer.latched, *observer.streams, *observer.others):
         node.subscribe(topic, inbox.put)

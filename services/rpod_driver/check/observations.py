@@ -1,7 +1,7 @@
-"""What came of a sensor: little of each message, and some frames as a whole.
+"""The messages of a sensor: a little of each, and some frames in full.
 
-A camera sends a gigabyte in half a minute. Of each message its stamp, arrival, number and digest are kept,
-and of the frames one pair of successive ones in 0.7 s.
+A camera sends a gigabyte in half a minute. So only stamp, arrival, number and digest of each message are
+kept, and one pair of successive frames in 0.7 s.
 """
 
 from collections.abc import Iterable
@@ -75,7 +75,7 @@ class Kept(NamedTuple):
 
 @dataclass(frozen=True)
 class Options:
-    """What is known of a sensor beside its messages."""
+    """Facts about a sensor that its messages do not tell."""
 
     rate_hz: float | None = None
     """Nominal rate."""
@@ -87,7 +87,7 @@ class Options:
 
 @dataclass
 class Observations:
-    """All that is judged."""
+    """Everything that the check judges."""
 
     kind: str
     name: str
@@ -134,7 +134,7 @@ class Observations:
 
     @property
     def period_s(self) -> float:
-        """Median time between two stamps, s; NaN of fewer than three frames."""
+        """Median time between two stamps, s; NaN for fewer than three frames."""
         steps = np.diff([heard.stamp_ns for heard in self.leads])
         steps = steps[steps > 0]
         return float(np.median(steps)) / NANOSECONDS if steps.size >= 2 else float("nan")
@@ -253,7 +253,7 @@ class Observer:
         self.seen.kept.append(Kept(number, read, raw, encoding))
 
     def end(self, now_ns: int) -> Observations:
-        """Return what came until now."""
+        """Return the observations up to now."""
         for frame in self._assembler.release():
             self._take_frame(frame)
         self.seen.ended_ns = max(self.seen.ended_ns, now_ns)

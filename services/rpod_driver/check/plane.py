@@ -1,7 +1,7 @@
-"""Whether depth is along the boresight or along each ray, from a plane in view.
+"""Tells z-depth (along the boresight) from radial depth (along each ray), by a plane in view.
 
 A plane is flat under the right meaning and curved under the other one. The test compares how flat the largest
-plane is under both; where it is too small, or the lens too narrow, for the noise, it says nothing.
+plane is under both. If the plane is too small or the lens too narrow for the noise, there is no result.
 """
 
 import numpy as np
@@ -110,7 +110,7 @@ def _fit(points_m: Points) -> tuple[Points, Points]:
 
 
 def _rms(points_m: Points) -> float:
-    """Return the deviation of points from their plane, robust against a few that are of none, m."""
+    """Return the deviation of points from their plane, robust against a few outliers, m."""
     centre, normal = _fit(points_m)
     off_m = np.abs((points_m - centre) @ normal)
     centre, normal = _fit(points_m[off_m <= 3.0 * np.median(off_m) + 1e-12])

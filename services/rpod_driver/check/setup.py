@@ -27,7 +27,7 @@ def _scans(seen: Observations) -> list[LidarScan]:
 
 
 def axes(seen: Observations) -> Verdict:
-    """Judge whether points have z along the boresight: where they lie, or how a turning head lies."""
+    """Judge whether points have z along the boresight, by where they lie or by the axis of a turning head."""
     line = "axes"
     scans = [scan for scan in _scans(seen) if len(scan.returns_m)]
     if not scans:
@@ -123,7 +123,7 @@ def point_times(seen: Observations) -> Verdict:
 
 
 def instant(seen: Observations) -> Verdict:
-    """Judge of which instant a scan's stamp is, by the times of its points."""
+    """Judge to which instant of a scan its stamp refers, by the times of its points."""
     line = "instant"
     scans, info = _scans(seen), seen.info
     timed = [scan.time_s for scan in scans if scan.time_s is not None]

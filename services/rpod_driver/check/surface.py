@@ -1,4 +1,4 @@
-"""The surface of a target as points with normals: all that comparing a sensor with truth needs."""
+"""The surface of a target as points with normals, for comparing a sensor with truth."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,7 +22,7 @@ class Surface:
 
     @classmethod
     def of(cls, target: Any) -> "Surface":
-        """Return that of an ``rpod_target.Target``, whose joints are at 0."""
+        """Return the surface of an ``rpod_target.Target`` whose joints are at 0."""
         return cls(target.model_points_m, target.model_normals, float(target.radius_m))
 
     @cached_property

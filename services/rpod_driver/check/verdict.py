@@ -52,7 +52,7 @@ def note(line: str, text: str, **figures: float) -> Verdict:
 
 
 def unchecked(line: str, reason: str, **figures: float) -> Verdict:
-    """Return a verdict of a line that could not be looked at."""
+    """Return a verdict of a line that could not be checked."""
     return Verdict(line=line, level=Level.UNCHECKED, text=reason, figures=figures)
 
 

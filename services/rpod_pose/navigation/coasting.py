@@ -1,7 +1,7 @@
-"""A track without measurements: predicted as long as its covariance is below the alert limit, then lost.
+"""A track without measurements is predicted until its covariance exceeds the alert limit; then it is lost.
 
 The limit is that of the sensor whose frame the track has accepted last. Below it, the prediction is as good
-as the mission asks of an estimate; no time-out says that.
+as the mission asks of an estimate. A time-out would not tell that.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What becomes of a track after a believed pose that the filter's gate refused."""
+"""Decides about a track after a believed pose that the filter's gate refused."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ def challenged(
     started: FilterState,
     config: FilterConfig,
 ) -> tuple[NavigatorState, Outcome]:
-    """Return the state after a believed pose that the gate refused, and what becomes of the track.
+    """Return the state after a believed pose that the gate refused, and the outcome for the track.
 
     Args:
         state: state before it.

@@ -2,10 +2,10 @@
 
 X S_i = B(stamp_i - offset_i) Y, where S_i = T_sensor_target is measured, B = T_chaser_holder is the truth
 over time, X = T_chaser_sensor is the mount and Y = T_holder_target the holder. Sensor and truth have
-covariances; a residual is weighted by their sum. Pairs far beyond it count less (Tukey's biweight of the
-Mahalanobis distance). Successive errors are correlated, so the covariance of the result is a jackknife over
-blocks of time (Kuensch, Annals of Statistics 17(3), 1989), which needs no model of them; it is never below
-that of independent errors.
+covariances; a residual is weighted by their sum. Pairs with large residuals count less (Tukey's biweight of
+the Mahalanobis distance). Successive errors are correlated, so the covariance of the result is a jackknife
+over blocks of time (Kuensch, Annals of Statistics 17(3), 1989), which needs no model of them. It is never
+below that of independent errors.
 """
 
 from dataclasses import dataclass, replace
@@ -92,7 +92,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class HandEye:
-    """What a fit found."""
+    """Result of a fit."""
 
     state: State
     """Values of the parameters."""
@@ -236,7 +236,7 @@ def fit_hand_eye(measured: StampedPoses, truth: StampedPoses, known: Assumptions
     Args:
         measured: poses T_sensor_target with the sensor's stamps.
         truth: poses T_chaser_holder with those of the truth.
-        known: what is known before.
+        known: prior knowledge.
 
     Raises:
         CalibrationError: the poses are too few, or the motion does not tell the mount; the text says which
@@ -314,7 +314,7 @@ def _solve(problem: _Problem, state: State) -> HandEye:
 
 
 def _step(problem: _Problem, state: State, whitening: FloatArray) -> FloatArray:
-    """Return the step to the least squares for the weights as they are."""
+    """Return the step to the least-squares solution with the present weights."""
     free = problem.free
     root = np.sqrt(problem.prior_information)
 

@@ -1,8 +1,8 @@
 """Poses of a sensor and of the truth, from a log.
 
 The sensor's poses are measured again, frame by frame, by the estimator's own method: the logged estimates are
-filtered, so that their errors last and a filter's delay would count as the clock's. A log without frames, or
-without an estimator's configuration, gives its estimates, and says so.
+filtered, so that their errors are correlated and a filter's delay would count as the clock's. For a log
+without frames, or without an estimator's configuration, the estimates serve, and the result says so.
 """
 
 from collections.abc import Iterable
@@ -30,7 +30,7 @@ _LIDAR_DEPTH_SIGMA_M = 0.03
 
 @dataclass(frozen=True, eq=False)
 class LoggedPoses:
-    """What a log tells of a sensor and the truth."""
+    """Poses of a sensor and of the truth, from one log."""
 
     measured: StampedPoses
     """Poses T_sensor_target, in axes with z along the boresight."""

@@ -97,7 +97,7 @@ def clock_findings(found: HandEye) -> Iterator[str]:
 
 
 def warnings_of(found: HandEye, poses: LoggedPoses) -> Iterator[str]:
-    """Yield how well sensor and truth agree, what is not well known, and which motion would tell it."""
+    """Yield how well sensor and truth agree, which values are uncertain, and which motion would tell them."""
     yield (
         f"residuals     {1e3 * found.residual_m:.2f} mm, {np.degrees(found.residual_rad):.3f} deg (RMS of "
         f"{found.pairs - found.outliers} pairs; {found.outliers} outliers, {found.unused} poses without "

@@ -32,7 +32,7 @@ drops motions by the same test."""
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How the target turned relative to the chaser, in chaser axes."""
+    """Rotation of the target relative to the chaser, in chaser axes."""
 
     axes: FloatArray
     """Directions of the most, the second and the least turning, rows, shape (3, 3)."""

@@ -1,1 +1,1 @@
-"""Integrity: a bound of the error that an estimate may have without an alert, and the tests for alerts."""
+"""Integrity: a bound of the error that an estimate may have without an alert, and the tests for an alert."""

@@ -87,7 +87,7 @@ def protection_levels(
 
 
 def _greatest(solutions: Sequence[Solution], part: slice, unseen: float, risk: float) -> tuple[float, str]:
-    """Return the greatest level of the solutions, and what that one leaves out.
+    """Return the greatest level of the solutions, and the name of its solution.
 
     Half of the risk is that of the solution with all measurements, the others share the rest.
     """

@@ -5,8 +5,9 @@ reads the navigator's state and output, and changes neither. The memory holds wh
 keep: filters without one of several sensors, residuals of each sensor, and where the estimate was before.
 
 An alert means that measurements contradict each other, or the estimate its own past; it does not say which
-of them is wrong. What is common to all measurements of the only sensor contradicts nothing: a wrong mount, a
-clock's offset at constant speed, a slow drift of ranges. The levels have a declared standard deviation of it.
+of them is wrong. An error that all measurements of the only sensor share contradicts nothing: a wrong mount,
+a clock's offset at constant speed, a slow drift of ranges. The levels include the
+standard deviation that is declared for it.
 """
 
 from collections.abc import Mapping
@@ -132,7 +133,7 @@ class Monitor:
     def _remembered(self, memory: Memory, estimate: FilterState) -> Memory:
         """Return the memory with the estimate compared with its past, and added to it.
 
-        While they contradict each other, the past stays as it is.
+        While estimate and past contradict each other, the remembered past stays as it is.
         """
         anchors = tuple(each for each in memory.anchors if each.stamp_ns <= estimate.stamp_ns)
         for anchor in anchors:

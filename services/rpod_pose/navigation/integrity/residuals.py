@@ -39,7 +39,7 @@ class Residual:
 
 @dataclass(frozen=True)
 class Statistic:
-    """A statistic under a hypothesis that all is well."""
+    """A test statistic, with its distribution if sensor and filter are right."""
 
     name: str
     value: float
@@ -48,11 +48,11 @@ class Statistic:
     """Likely cause, for the operator."""
 
     def fails(self, risk: float) -> bool:
-        """Return whether the statistic is larger than by chance with a probability."""
+        """Return whether the statistic is above what it exceeds by chance with probability ``risk``."""
         return not self.value <= chi2_limit(risk, self.dof)
 
     def told(self, risk: float) -> str:
-        """Return the test with its figures."""
+        """Return the test in words, with its figures."""
         limit = chi2_limit(risk, self.dof)
         return f"{self.name}: chi squared {self.value:.1f}, limit {limit:.1f}{self.cause}"
 

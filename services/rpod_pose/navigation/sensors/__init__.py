@@ -1,1 +1,1 @@
-"""Several sensors on one track: what each has seen, where each is used, and how one joins the others."""
+"""Several sensors on one track: frames and distances of each, and how one joins the others."""

@@ -17,13 +17,13 @@ class Ranges:
         self._range_m = {each.name: each.range_m for each in sensors if each.range_m is not None}
 
     def beyond(self, sensor: str, T_sensor_chaser: RigidTransform, T_chaser_target: RigidTransform) -> str:
-        """Return why a sensor is not used for a target at a predicted pose; empty if it is."""
+        """Return why a sensor is not used for a target at a predicted pose; empty if it is used."""
         if sensor not in self._range_m:
             return ""
         return self._reason(sensor, T_sensor_chaser.apply(T_chaser_target.translation), "predicted")
 
     def not_of(self, sensor: str, found: Acquisition) -> str:
-        """Return why a pose that a search has found is not used; empty if it is, or if none was found."""
+        """Return why a pose that a search found is not used; empty if it is used, or if none was found."""
         pose = found.registration.T_sensor_target
         if sensor not in self._range_m or pose is None:
             return ""

@@ -1,4 +1,4 @@
-"""What the navigator remembers of each sensor's frames: whether they support the track."""
+"""The navigator's memory of each sensor's frames: whether they support the track."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -56,7 +56,7 @@ def searched(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
 
 
 def rests(streams: Streams, sensor: str, stamp_ns: int, pause_s: float) -> bool:
-    """Return whether a frame is not searched, so that searches in vain do not delay another sensor."""
+    """Return whether a frame is left unsearched, so that searches in vain do not delay another sensor."""
     since_s = (stamp_ns - streams.get(sensor, Stream()).searched_ns) / NANOSECONDS
     return 0.0 <= since_s < pause_s
 

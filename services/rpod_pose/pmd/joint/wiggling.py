@@ -23,7 +23,7 @@ def wiggling(
 ) -> FloatArray:
     """Return the wiggling that explains errors of ranges best, beyond an error that all of them share, m.
 
-    The waves' amplitudes have a prior, so that an error is explained only as far as a camera's may be.
+    The waves' amplitudes have a prior, so that wiggling explains no more error than a camera may have.
 
     Args:
         error_m: measured ranges less those expected, shape (N,), m.
