@@ -102,7 +102,7 @@ class Rules:
         return [*self._publishing(member), *self._reading(member), *self._control(member)]
 
     def _publishing(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
-        """What it publishes, with the caches for what others missed, and its tokens."""
+        """Return the rules for what it publishes: topics, caches for missed messages, and tokens."""
         own = [self._keys.selector(topic) for topic in member.publishes]
         caches = _under(own, _PUBLISHERS)
         asked = self._asked(own)
@@ -127,7 +127,7 @@ class Rules:
         ]
 
     def _control(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
-        """Control plane and ROS services: keys end with who asks, and nobody may write another name."""
+        """Return the rules of control plane and ROS services; keys end with the name of who asks."""
         served = [self._keys.control(member.name, verb, ANY) for verb in member.serves]
         asked = [
             self._keys.control(other.name, verb, member.name)
