@@ -25,7 +25,7 @@ STOP_TIMEOUT_S = 20.0
 
 @dataclass
 class Asked:
-    """What signals have asked for. Plain flags: a handler that set an event could wait for its own lock."""
+    """Requests by signals. They are plain flags: a handler that sets an event could wait for its own lock."""
 
     stop: bool = False
     reload: bool = False

@@ -1,4 +1,4 @@
-"""What every driver must keep to, as tests for pytest: derive a class, and say which driver.
+"""Tests for pytest that every driver must pass: derive a class, and say which driver.
 
     from rpod_driver.contract import DriverContract
 

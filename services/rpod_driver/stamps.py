@@ -54,7 +54,7 @@ class StampMapper:
 
     @property
     def sync(self) -> SensorSync:
-        """What is known of the device's clock."""
+        """Facts about the device's clock."""
         return SensorSync(stamp_source=self.source)
 
     def utc_ns(self, device_ns: int | None) -> int:
