@@ -4,8 +4,9 @@ The steps depend on the prediction. If the edges are near their predicted places
 are made: a wider search may confuse neighbouring edges, which shifts the pose if there is little depth. If
 many edges are near, a few wider steps come first; if the pose explains the depth moderately, all steps are
 made. Any other prediction is first aligned by depth alone, which needs no edge near its place. If the result
-is inconsistent with the frame, the next wider start is tried, since the depth may agree before the attitude
-does.
+is inconsistent with the frame, it is moved along the line of sight, as far as the camera's bias may reach, to
+where most edges are in their place, and aligned again. After that the next wider start is tried, since the
+depth may agree before the attitude does.
 
 The self-check uses both images: with a wrong camera matrix, another target or a mirrored image the depth may
 agree, but the edges do not. If one image shows nothing of the target, only the other is used, and the source
