@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from rpod_pose.navigation.filter import POSE, FilterState, innovation_of
 from rpod_pose.navigation.history import PoseMeasurement
@@ -68,7 +67,7 @@ def residual_of(predicted: FilterState, measured: PoseMeasurement, config: Filte
     except np.linalg.LinAlgError:
         return None
     twist = np.concatenate([predicted.velocity_m_s, predicted.rate_rad_s])
-    white: FloatArray = solve_triangular(L, np.column_stack([y, -twist]), lower=True)
+    white: FloatArray = np.linalg.solve(L, np.column_stack([y, -twist]))
     return Residual(measured.stamp_ns, white[:, 0], white[:, 1])
 
 
