@@ -14,8 +14,8 @@ CONFIG_VERSION = 4
 """Version of the configuration models.
 
 1: all fields beside each other, and no version in the log. 2: fields outside the public interface are in
-``tuning`` models. 3: the fields in ``RENAMED`` have their present names. 4: a track is lost by its covariance, and
-the navigator has no ``rejection_timeout_s`` and ``rejected_frames``.
+``tuning`` models. 3: the fields in ``RENAMED`` have their present names. 4: a track is lost by its
+covariance, and the navigator has no ``rejection_timeout_s`` and ``rejected_frames``.
 """
 _FIRST_WITH_TUNING = 2
 """First version whose logs have ``tuning`` models."""
