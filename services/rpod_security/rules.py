@@ -68,8 +68,8 @@ class Rules:
         """Return Zenoh's configuration ``access_control``.
 
         Args:
-            common_names: common name of the valid certificate of each member that has one, by its name. A
-            member without one may do nothing.
+            common_names: common name of the valid certificate of each member that has one, by its name; a
+                member without one may do nothing.
         """
         rules: list[dict[str, Any]] = []
         subjects, policies = [], []

@@ -13,7 +13,17 @@ from facility_process import FacilityProcess
 from mcap.reader import make_reader
 
 from rpod_schemas.cdr import decode, encode
-from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE, POINTS, STATUS, TRUTH
+from rpod_schemas.topics import (
+    CLOCK,
+    DEPTH,
+    DIAGNOSTICS,
+    ESTIMATE,
+    PARAMETER_EVENTS,
+    POINTS,
+    ROSOUT,
+    STATUS,
+    TRUTH,
+)
 
 BOTH = """
 name: both
@@ -41,7 +51,8 @@ def content(log: Path) -> dict[str, list[bytes]]:
                 status.processing_s = 0.0
                 data = bytes(encode(status))
             found.setdefault(name, []).append((message.sequence, data))
-    found.pop(DIAGNOSTICS.name)
+    for name in (DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name):  # in order of processes' own time
+        found.pop(name, None)
     return {name: [data for _, data in sorted(messages)] for name, messages in found.items()}
 
 

@@ -77,7 +77,8 @@ def test_a_command_that_was_accepted_is_in_the_diagnostics_and_one_that_was_refu
     with pytest.raises(QueryFailedError, match="too long"):
         asker.ask("server", "fault", Accepted, FaultRequest(fault="blackout", duration_s=5.0))
     said = first(heard, lambda received: commands(received.decode()))
-    assert json.loads(said["command/fault"]) == {"fault": "blackout", "start_s": 0.0, "duration_s": 0.5}
+    asked = {"fault": "blackout", "sensor": None, "start_s": 0.0, "duration_s": 0.5}
+    assert json.loads(said["command/fault"]) == asked
     assert said["commands/fault"] == "1"
 
 
@@ -285,8 +286,8 @@ def test_nodes_find_a_router_that_was_restarted():
 @pytest.fixture
 def quiet(monkeypatch):
     """Keep the handlers of signals and logging as the tests need them."""
-    monkeypatch.setattr("rpod_runtime.lifecycle._stop_on_signals", lambda _: None)
-    monkeypatch.setattr("rpod_runtime.lifecycle.configure_logging", lambda _: None)
+    monkeypatch.setattr("rpod_runtime.lifecycle._heed_signals", lambda *_: None)
+    monkeypatch.setattr("rpod_runtime.lifecycle.configure_logging", lambda *_: None)
     monkeypatch.delenv("RPOD_SUPERVISED", raising=False)
 
 

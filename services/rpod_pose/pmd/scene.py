@@ -127,14 +127,15 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     bright = shown if frame.amplitude is None else shown | (frame.amplitude > dim)
     stride = int(np.clip(round(np.sqrt(np.count_nonzero(bright) / config.pixels)), 1, config.most_stride_px))
     try:
-        # A faint target has depth on few of the pixels that are bright.
-        for finer in range(stride, 0, -1):
-            found = _strided(frame, shown, dim, DepthView.of(frame.camera, finer), REACH * radius_m)
-            if len(found.points_m) >= config.min_points:
-                return found
+        found = _strided(frame, shown, dim, DepthView.of(frame.camera, stride), REACH * radius_m)
+        while len(found.points_m) < config.min_points and stride > 1:
+            stride -= 1  # a faint target has depth on few of the pixels that are bright
+            found = _strided(frame, shown, dim, DepthView.of(frame.camera, stride), REACH * radius_m)
     except DistortionError as error:
         return str(error)
-    return f"{len(found.points_m)} pixels with depth on the target, {config.min_points} needed"
+    if len(found.points_m) < config.min_points:
+        return f"{len(found.points_m)} pixels with depth on the target, {config.min_points} needed"
+    return found
 
 
 def _strided(

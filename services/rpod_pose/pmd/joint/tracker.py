@@ -159,9 +159,11 @@ class JointTracker:
         moves the outline less, or if too few edges are in their place at any of the poses.
         """
         reach_px, sigma_m = self._tuning.edges.final_search_px, self._ranges.bias_m
-        range_m = float(np.linalg.norm(pose.t))
+        range_m = max(float(np.linalg.norm(pose.t)), NEAREST_M)
         px_per_m = seen.view.camera.fx * self._target.radius_m / max(float(pose.t[2]), NEAREST_M) / range_m
-        number = min(int(MOST_BIAS_SIGMAS * sigma_m * px_per_m / reach_px), MOST_MOVES)
+        if not np.isfinite(px_per_m):
+            return None
+        number = int(min(MOST_BIAS_SIGMAS * sigma_m * px_per_m / reach_px, MOST_MOVES))
         best, most = None, self._tuning.near_share
         for move in (move for move in range(-number, number + 1) if move):
             bias_m = move * reach_px / px_per_m

@@ -38,7 +38,7 @@ def wiggling(
     waves = np.column_stack((np.ones(len(range_m)), np.sin(phase), np.cos(phase)))
     prior = np.full(waves.shape[1], (scale_m / sigma_m) ** 2)
     prior[0] = 0.0
-    weights = np.ones(len(error_m))
+    weights, amplitudes = np.ones(len(error_m)), np.zeros(waves.shape[1])
     for _ in range(ROUNDS):
         weighted = waves * weights[:, None]
         amplitudes = np.linalg.lstsq(weighted.T @ waves + np.diag(prior), weighted.T @ error_m, rcond=None)[0]
