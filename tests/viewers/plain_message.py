@@ -20,9 +20,8 @@ def plain(value: Any) -> Plain:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, bytes | bytearray | memoryview) or getattr(value, "dtype", None) == np.uint8:
-        if len(value) == 0:  # some readers give an empty list of bytes as a list of anything
-            return []
-        return {"bytes": len(value), "sha256": sha256(value).hexdigest()}
+        # Some readers give an empty list of bytes as a list of anything.
+        return {"bytes": len(value), "sha256": sha256(value).hexdigest()} if len(value) else []
     if isinstance(value, np.ndarray | list | tuple) or hasattr(value, "typecode"):
         return [plain(item) for item in value]
     return {name: plain(item) for name, item in _fields(value).items()}

@@ -93,7 +93,7 @@ def test_it_knows_where_target_estimate_and_camera_are(viewer):
 
 def test_every_view_is_drawn(viewer):
     views = viewer.get_state().views
-    assert {view.view_class for view in views} == {"2D", "3D"}
+    assert {view.view_class for view in views} == {"2D", "3D", "TextLog"}
     for view in views:
         assert colours(viewer.take_screenshot(view.view_id)) > 200, f"{view.name} is empty"
     assert [(view.name, view.reports) for view in viewer.get_state().views if view.reports] == []
