@@ -93,7 +93,7 @@ def test_the_emulator_is_in_order_and_beside_truth_too(bus, capsys):
 
 @pytest.mark.parametrize(
     "fault",
-    ["tai_clock", "second_publisher", "lost_messages", "not_latched", "frozen", "no_mount", "missing_part"],
+    ["tai_clock", "second_publisher", "lost_messages", "frozen", "no_mount", "missing_part"],
 )
 def test_a_fault_of_the_emulator_is_named_and_the_exit_code_is_1(bus, capsys, fault):
     with emulated(bus, fault):
