@@ -67,7 +67,7 @@ def residual_of(predicted: FilterState, measured: PoseMeasurement, config: Filte
     except np.linalg.LinAlgError:
         return None
     twist = np.concatenate([predicted.velocity_m_s, predicted.rate_rad_s])
-    white: FloatArray = np.linalg.solve(L, np.column_stack([y, -twist]))
+    white: FloatArray = np.linalg.solve(L, np.column_stack([y, -twist])).astype(np.float64)
     return Residual(measured.stamp_ns, white[:, 0], white[:, 1])
 
 
