@@ -369,7 +369,7 @@ class IntegrityState(IntEnum):
     UNAVAILABLE = 0
     """There is no estimate, or a protection level is above its alert limit."""
     NOMINAL = 1
-    """No test speaks against the estimate, and both levels are below their alert limits."""
+    """All tests of the estimate pass, and both levels are below their alert limits."""
     CAUTION = 2
     """The same, but the newest measurement was not accepted, or a test is close to its limit."""
     ALERT = 3

@@ -61,9 +61,9 @@ class Sway:
 
     R_chaser_middle: FloatArray
     amplitude_rad: FloatArray
-    """Of roll, pitch and yaw, shape (3,)."""
+    """One value each for roll, pitch and yaw, shape (3,)."""
     period_s: FloatArray
-    """Of roll, pitch and yaw, shape (3,)."""
+    """One value each for roll, pitch and yaw, shape (3,)."""
 
     def relative(self, time_s: float, chaser: TrajectoryState) -> tuple[FloatArray, FloatArray]:  # noqa: ARG002
         """Return R_chaser_target and the relative rate, target axes."""

@@ -1,7 +1,7 @@
 """Limits on what a log may ask of the machine that reads it.
 
-A file of a few megabytes may announce gigabytes. The limits lie far above what the logger and rosbag2 write;
-``--no-limits`` of the commands lifts them for a file that is trusted.
+A file of a few megabytes may announce gigabytes. The limits were chosen, not derived from logs; ``--no-limits``
+of the commands lifts them for a file that is trusted.
 """
 
 import math
@@ -21,12 +21,11 @@ class LogLimits:
     """Greatest values that are accepted in a file of a log."""
 
     chunk_bytes: float = 1 << 28
-    """Size of a chunk's decompressed content; loggers write chunks of 1 to 8 MB."""
+    """Size of a chunk's decompressed content."""
     content_bytes: float = 1 << 32
     """Size of a file's decompressed content that is always accepted."""
     ratio: float = 100.0
-    """Size of a file's decompressed content over the file's size, above ``content_bytes``; images of an empty
-    scene reach 20."""
+    """Size of a file's decompressed content over the file's size, above ``content_bytes``."""
     channels: float = 10_000
     """Number of channels, and number of schemas."""
 
