@@ -12,7 +12,7 @@ from rpod_motion.truth_error import TruthError
 from rpod_schemas.config.motion import TruthErrorConfig
 
 SIGMA = np.array([0.5e-3] * 3 + [np.radians(0.05)] * 3)
-"""Standard deviations, m and rad, of an estimator that is better than the truth of the 2018 paper's facility."""
+"""Standard deviations, m and rad: a better estimator than the truth of the 2018 paper's facility."""
 
 
 def estimated(number, _time_s):
