@@ -19,8 +19,10 @@ A sphere has three such axes: its position alone is estimated.
 from rpod_pose.navigation.filter.blocks import Block
 from rpod_pose.navigation.filter.correction import (
     NOTHING,
+    Innovation,
     Sensitivities,
     Update,
+    grown,
     innovation_of,
     is_consistent,
     separation_of,
@@ -42,10 +44,12 @@ __all__ = [
     "VELOCITY",
     "Block",
     "FilterState",
+    "Innovation",
     "Sensitivities",
     "StampOrderError",
     "Update",
     "exponential",
+    "grown",
     "innovation_of",
     "is_consistent",
     "left_jacobian",

@@ -46,13 +46,13 @@ from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.joint.wiggling import wiggling
 from rpod_pose.pmd.reflections import reflected_m
 from rpod_pose.pmd.rendering import FineRanges, Rendering
-from rpod_pose.ports import Registration
+from rpod_pose.ports import ErrorParts, Registration
 from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.model_error import ModelError
-from rpod_pose.registration.normal_equations import no_sums
+from rpod_pose.registration.normal_equations import UNKNOWNS, information_of, no_sums
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_joint import JointConfig
@@ -68,6 +68,9 @@ MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
 """Largest bias at which edges are searched in standard deviations, and number of the places on each side."""
 MOST_WIDER = 3.0
 """Greatest factor on the last search's reach for close targets, whose edges are farther off in pixels."""
+PHASE_PX = 0.25
+"""Motion of the image after which errors by the sampling of pixels are uncorrelated: they repeat with each
+pixel, and the correlation of a sine with itself is zero after a quarter of its period."""
 
 
 class JointTracker:
@@ -186,16 +189,19 @@ class JointTracker:
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
         if len(first):
             sight = self._sight_at(seen, sight, state.pose)
-            state = align(self._problem(points, sight, first), state).state
-        return align(self._problem(points, self._sight_at(seen, sight, state.pose), last), state)
+            state = align(self._problem(seen, points, sight, first), state).state
+        return align(self._problem(seen, points, self._sight_at(seen, sight, state.pose), last), state)
 
     def _least_scale_m(self, seen: JointFrame) -> float:
         """Return the least Geman-McClure scale: an error that the noise explains is no outlier."""
         depth = self._tuning.depth
         return depth.scale_sigmas * max(seen.noise_m, depth.noise_m)
 
-    def _problem(self, points: Points, sight: EdgeSight, schedule: FloatArray) -> JointProblem:
-        return JointProblem(points, self._field, sight, self._depth_errors, self._edge_errors, schedule)
+    def _problem(
+        self, seen: JointFrame, points: Points, sight: EdgeSight, schedule: FloatArray
+    ) -> JointProblem:
+        errors = self._depth_errors._replace(white_m2=seen.white_m2, spread_m2=seen.spread_m2)
+        return JointProblem(points, self._field, sight, errors, self._edge_errors, schedule)
 
     def _sight_at(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> EdgeSight:
         """Return the edges that the image should show at a pose: those given if it is near enough."""
@@ -205,7 +211,7 @@ class JointTracker:
     def _registered(self, seen: JointFrame, fit: JointFit, steps: int) -> Registration:
         """Return the registration of an aligned pose, with its belief."""
         tuning = self._tuning
-        ((R, t), bias), information, (depth, found) = fit
+        ((R, t), bias), _, (depth, found, _) = fit
         points, squares = depth.inliers, depth.squares_m2
         edges, checked, expected = found.inliers, found.checked, found.expected
         if points < tuning.verdict.min_points and checked < tuning.verdict.min_edges:
@@ -218,13 +224,7 @@ class JointTracker:
             marks = PixelMarks(inconsistent.marked, seen.view.stride)
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
-        to_sensor = np.zeros((6, 6))
-        to_sensor[:3, :3] = to_sensor[3:, 3:] = R
-        covariance: FloatArray = np.linalg.inv(information + self._weak).astype(np.float64)
-        if self._model_error.matters:
-            covariance = self._considered(seen, fit, covariance)
-        covariance = covariance[:6, :6]
-        covariance *= max(1.0, self._fills(seen, t)) ** 2  # with fewer parts in view, errors average out less
+        covariance, parts = self._uncertainty(seen, fit)
         return Registration(
             self._source(points, checked),
             T_sensor_target=pose_of(R, t),
@@ -233,8 +233,37 @@ class JointTracker:
             inliers=points + edges,
             inlier_share=(points + found.found) / max(len(seen.points_m) + checked, 1),
             explained_share=inconsistent.explained_share,
-            covariance=to_sensor @ covariance @ to_sensor.T,
+            covariance=covariance,
+            parts=parts,
             iterations=steps,
+        )
+
+    def _uncertainty(self, seen: JointFrame, fit: JointFit) -> tuple[FloatArray, ErrorParts]:
+        """Return the covariance of a pose, sensor axes, shape (6, 6), and its errors by how long they last.
+
+        With the information I of all residuals, errors of the residuals whose information would be J cause
+        the covariance I^-1 J I^-1. The true bias causes an error because of its prior, and J is the prior's.
+        The model's errors are those that the target's file declares.
+        """
+        (R, t), information, parts = fit.state.pose, fit.information, fit.evidence.parts
+        P: FloatArray = np.linalg.inv(information + self._weak).astype(np.float64)
+        whole = self._considered(seen, fit, P) if self._model_error.matters else P
+        white, of_sensor, of_image = (information_of(part, UNKNOWNS) for part in parts)
+        of_sensor[-1, -1] += self._depth_errors.bias_m**-2
+        to_sensor = np.kron(np.eye(2), R)
+        wider = max(1.0, self._fills(seen, t)) ** 2  # with fewer parts in view, errors average out less
+
+        def turned(covariance: FloatArray) -> FloatArray:
+            moved: FloatArray = to_sensor @ (covariance[:6, :6] * wider) @ to_sensor.T
+            return moved
+
+        radius_px = seen.view.camera.fx * self._target.radius_m / max(float(t[2]), NEAREST_M)
+        return turned(whole), ErrorParts(
+            white=turned(P @ white @ P),
+            of_sensor=turned(P @ of_sensor @ P),
+            of_image=turned(P @ of_image @ P),
+            image_turn_rad=PHASE_PX / radius_px,
+            of_model=turned(whole - P),
         )
 
     def _considered(self, seen: JointFrame, fit: JointFit, covariance: FloatArray) -> FloatArray:
@@ -245,12 +274,12 @@ class JointTracker:
         places_m = np.concatenate((points_m, sight.edges.places_m[sight.expected.sample]))
         cells = self._model_error.cells(places_m)
         parts, centres_m = [], []
-        shares = joint_shares(self._problem(Points(seen.points_m, seen.trust), sight, last), fit.state)
+        shares = joint_shares(self._problem(seen, Points(seen.points_m, seen.trust), sight, last), fit.state)
         for cell in range(int(cells.max(initial=-1)) + 1):
             of_points, of_edges = np.split(cells == cell, [len(points_m)])
             points = Points(np.ascontiguousarray(seen.points_m[of_points]), seen.trust[of_points])
             expected = sight.expected.only(of_edges)
-            problem = self._problem(points, sight._replace(expected=expected), last)
+            problem = self._problem(seen, points, sight._replace(expected=expected), last)
             parts.append(cell_information(problem, fit.state, shares))
             centres_m.append(places_m[cells == cell].mean(axis=0))
         if not parts:
