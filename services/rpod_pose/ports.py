@@ -58,6 +58,14 @@ class ErrorParts:
     of_model: FloatArray
     """Errors of the target's model: they stay in the target's axes as long as the same parts are seen."""
 
+    @classmethod
+    def lasting_model(cls, white: FloatArray, of_model: FloatArray) -> Self:
+        """Return the parts of a pose with no other lasting errors than those of the target's model.
+
+        Of a scan, each ray meets another place in the next one: how it is sampled is new each time.
+        """
+        return cls(white, np.zeros((6, 6)), np.zeros((6, 6)), np.inf, of_model)
+
 
 @dataclass(frozen=True, eq=False)
 class Registration:

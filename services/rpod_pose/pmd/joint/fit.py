@@ -128,7 +128,8 @@ class JointEvidence(NamedTuple):
     edges: EdgeEvidence
     parts: FloatArray
     """Sums of points and edges, each times the variance by a kind of errors over the assumed one, shape
-    (3, 35): the frame's own noise, the sensor's calibration, and what else the residuals show."""
+    (3, 35): the frame's own noise; the sensor's calibration, and what else the points' residuals show;
+    what else those of the edges show."""
 
 
 class JointFit(NamedTuple):
@@ -277,8 +278,8 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
         per_variance = shares.points * points.trusted
         excess = max(0.0, points.squares_m2 / points.trusted - depth.spread_m2)
         parts[0] += per_variance * depth.white_m2 / points.trusted * of_points
-        parts[1] += per_variance * depth.uneven_m**2 * of_points
-        parts[2] += per_variance * excess / min(depth.most_points, points.trusted) * of_points
+        excess /= min(depth.most_points, points.trusted)
+        parts[1] += per_variance * (depth.uneven_m**2 + excess) * of_points
     if edges.inliers > 0:
         per_variance = shares.edges * edges.inliers
         excess = max(0.0, edges.squares_px2 - edges.noise_px2) / edges.inliers
