@@ -22,11 +22,16 @@ from rpod_pose.navigation.filter.blocks import unknown
 from rpod_pose.navigation.integrity.levels import Levels, Solution, protection_levels, solution
 from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent, residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started, updated
+from rpod_pose.navigation.sensors.mounts import mount_offsets
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState
+
+
+NOT_TOLD = "; which of them is wrong is not known: calibrate both"
+"""What an offset between two mounts does not tell, and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +171,9 @@ class Monitor:
             ]
             if len(there) == 2:
                 tests.append(_separation_test(f"the solutions without {one} and without {other}", *there))
+        for offset in mount_offsets(estimate, self._limits):
+            tests.append(Statistic(offset.told(), offset.excess(self._config), 6, NOT_TOLD))
+            evidence |= offset.evidence
         return tests, evidence
 
     def _levels(self, memory: Memory, state: NavigatorState, output: Output, estimate: FilterState) -> Levels:
