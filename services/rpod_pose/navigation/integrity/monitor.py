@@ -29,7 +29,6 @@ from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState
 
-
 NOT_TOLD = "; which of them is wrong is not known: calibrate both"
 """What an offset between two mounts does not tell, and what to do."""
 

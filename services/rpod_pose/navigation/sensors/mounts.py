@@ -52,9 +52,10 @@ class MountOffset:
         """Return the offset in words, with its figures."""
         angle_deg, length_m = np.rad2deg(np.linalg.norm(self.error[3:])), np.linalg.norm(self.error[:3])
         sigma = np.sqrt(np.diag(self.covariance))
+        sigma_deg, sigma_m = np.rad2deg(sigma[3:].max()), sigma[:3].max()
         return (
-            f"the mounts of {self.one} and {self.other} disagree by {angle_deg:.2f} deg (sigma "
-            f"{np.rad2deg(sigma[3:].max()):.2f}) and {1e3 * length_m:.0f} mm (sigma {1e3 * sigma[:3].max():.0f})"
+            f"the mounts of {self.one} and {self.other} disagree by {angle_deg:.2f} deg "
+            f"(sigma {sigma_deg:.2f}) and {1e3 * length_m:.0f} mm (sigma {1e3 * sigma_m:.0f})"
         )
 
 

@@ -68,9 +68,9 @@ MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
 """Largest bias at which edges are searched in standard deviations, and number of the places on each side."""
 MOST_WIDER = 3.0
 """Greatest factor on the last search's reach for close targets, whose edges are farther off in pixels."""
-PHASE_PX = 0.25
-"""Motion of the image after which errors by the sampling of pixels are uncorrelated: they repeat with each
-pixel, and the correlation of a sine with itself is zero after a quarter of its period."""
+PHASE_PX = 1.0
+"""Motion of the image after which errors of edges by pixels that mix two surfaces are correlated by 1/e: then
+an edge lies on other pixels."""
 
 
 class JointTracker:
