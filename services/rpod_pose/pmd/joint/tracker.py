@@ -43,16 +43,17 @@ from rpod_pose.pmd.joint.fit import (
     joint_shares,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.joint.uncertainty import Uncertainty, uncertainty
 from rpod_pose.pmd.joint.wiggling import wiggling
 from rpod_pose.pmd.reflections import reflected_m
 from rpod_pose.pmd.rendering import FineRanges, Rendering
-from rpod_pose.ports import ErrorParts, Registration
+from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.model_error import ModelError
-from rpod_pose.registration.normal_equations import UNKNOWNS, information_of, no_sums
+from rpod_pose.registration.normal_equations import no_sums
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_joint import JointConfig
@@ -68,9 +69,6 @@ MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
 """Largest bias at which edges are searched in standard deviations, and number of the places on each side."""
 MOST_WIDER = 3.0
 """Greatest factor on the last search's reach for close targets, whose edges are farther off in pixels."""
-PHASE_PX = 1.0
-"""Motion of the image after which errors of edges by pixels that mix two surfaces are correlated by 1/e: then
-an edge lies on other pixels."""
 
 
 class JointTracker:
@@ -238,32 +236,18 @@ class JointTracker:
             iterations=steps,
         )
 
-    def _uncertainty(self, seen: JointFrame, fit: JointFit) -> tuple[FloatArray, ErrorParts]:
-        """Return the covariance of a pose, sensor axes, shape (6, 6), and its errors by how long they last.
-
-        With the information I of all residuals, errors of the residuals whose information would be J cause
-        the covariance I^-1 J I^-1. The true bias causes an error because of its prior, and J is the prior's.
-        The model's errors are those that the target's file declares.
-        """
-        (R, t), information, parts = fit.state.pose, fit.information, fit.evidence.parts
-        P: FloatArray = np.linalg.inv(information + self._weak).astype(np.float64)
-        whole = self._considered(seen, fit, P) if self._model_error.matters else P
-        white, of_sensor, of_image = (information_of(part, UNKNOWNS) for part in parts)
-        of_sensor[-1, -1] += self._depth_errors.bias_m**-2
-        to_sensor = np.kron(np.eye(2), R)
-        wider = max(1.0, self._fills(seen, t)) ** 2  # with fewer parts in view, errors average out less
-
-        def turned(covariance: FloatArray) -> FloatArray:
-            moved: FloatArray = to_sensor @ (covariance[:6, :6] * wider) @ to_sensor.T
-            return moved
-
-        radius_px = seen.view.camera.fx * self._target.radius_m / max(float(t[2]), NEAREST_M)
-        return turned(whole), ErrorParts(
-            white=turned(P @ white @ P),
-            of_sensor=turned(P @ of_sensor @ P),
-            of_image=turned(P @ of_image @ P),
-            image_turn_rad=PHASE_PX / radius_px,
-            of_model=turned(whole - P),
+    def _uncertainty(self, seen: JointFrame, fit: JointFit) -> Uncertainty:
+        """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
+        alone: FloatArray = np.linalg.inv(fit.information + self._weak).astype(np.float64)
+        whole = self._considered(seen, fit, alone) if self._model_error.matters else alone
+        camera = seen.view.camera
+        return uncertainty(
+            fit,
+            alone,
+            whole,
+            bias_m=self._depth_errors.bias_m,
+            radius_px=camera.fx * self._target.radius_m / max(float(fit.state.pose.t[2]), NEAREST_M),
+            wider=max(1.0, self._fills(seen, fit.state.pose.t)) ** 2,
         )
 
     def _considered(self, seen: JointFrame, fit: JointFit, covariance: FloatArray) -> FloatArray:
