@@ -119,6 +119,8 @@ class EdgeEvidence(NamedTuple):
     """Number of inliers beside saturated pixels."""
     noise_px2: float
     """Sum of the inliers' variances by the image's own noise."""
+    shift: FloatArray
+    """Sums of the inliers beside saturated pixels, if each lies one pixel towards its darker side, (35,)."""
 
 
 class JointEvidence(NamedTuple):
@@ -130,6 +132,8 @@ class JointEvidence(NamedTuple):
     """Sums of points and edges, each times the variance by a kind of errors over the assumed one, shape
     (3, 35): the frame's own noise; the sensor's calibration, and what else the points' residuals show;
     what else those of the edges show."""
+    shift: FloatArray
+    """Sums by the shift that all edges beside saturated pixels share, of one standard deviation, (35,)."""
 
 
 class JointFit(NamedTuple):
@@ -165,7 +169,7 @@ def add_edge_points(
     places, directions = edges.places_m, edges.directions
     R, t = pose.R, pose.t
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
-    c2 = (SCALE * reach) ** 2
+    c2, shift = (SCALE * reach) ** 2, no_sums()
     for m in range(len(expected_edges.sample)):
         n = expected_edges.sample[m]
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
@@ -199,9 +203,17 @@ def add_edge_points(
             inliers += 1
             squares += e2
             noise_px2 += (BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)) ** 2
-            if patch.saturated.size:
-                shifted += patch.saturated[int(row + place * down), int(column + place * across)]
-    return EdgeEvidence(squares, inliers, checked, found, expected, shifted, noise_px2)
+            if (
+                patch.saturated.size
+                and patch.saturated[int(row + place * down), int(column + place * across)]
+            ):
+                shifted += 1
+                ahead = patch.image[int(row + (place + 2.0) * down), int(column + (place + 2.0) * across)]
+                behind = patch.image[int(row + (place - 2.0) * down), int(column + (place - 2.0) * across)]
+                darker = -1.0 if ahead < behind else 1.0
+                weight = geman_mcclure(e2, c2)
+                add_residual(shift, Vector(-kx, -ky, -kz), Vector(x, y, z), darker, weight)
+    return EdgeEvidence(squares, inliers, checked, found, expected, shifted, noise_px2, shift)
 
 
 @kernel
@@ -284,7 +296,6 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
         per_variance = shares.edges * edges.inliers
         excess = max(0.0, edges.squares_px2 - edges.noise_px2) / edges.inliers
         excess /= min(problem.edge_errors.most_edges, edges.inliers)
-        excess += (SHIFT_PX * edges.shifted / edges.inliers) ** 2
         parts[0] += per_variance * edges.noise_px2 / edges.inliers**2 * of_edges
         parts[2] += per_variance * excess * of_edges
     total = of_points + of_edges
@@ -292,7 +303,9 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     total[SUMS - 1] += state.bias_m / depth.bias_m**2
     hold[:3] = REACH_M**-2
     hold[3:6] = REACH_RAD**-2
-    return Linear(total, hold, True, JointEvidence(points, edges, parts))
+    return Linear(
+        total, hold, True, JointEvidence(points, edges, parts, SHIFT_PX * shares.edges * edges.shift)
+    )
 
 
 @kernel

@@ -209,7 +209,7 @@ class JointTracker:
     def _registered(self, seen: JointFrame, fit: JointFit, steps: int) -> Registration:
         """Return the registration of an aligned pose, with its belief."""
         tuning = self._tuning
-        ((R, t), bias), _, (depth, found, _) = fit
+        ((R, t), bias), _, (depth, found, _, _) = fit
         points, squares = depth.inliers, depth.squares_m2
         edges, checked, expected = found.inliers, found.checked, found.expected
         if points < tuning.verdict.min_points and checked < tuning.verdict.min_edges:

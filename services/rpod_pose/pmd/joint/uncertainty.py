@@ -6,7 +6,7 @@ import numpy as np
 
 from rpod_pose.pmd.joint.fit import JointFit
 from rpod_pose.ports import ErrorParts
-from rpod_pose.registration.normal_equations import UNKNOWNS, information_of
+from rpod_pose.registration.normal_equations import UNKNOWNS, gradient_of, information_of
 from rpod_schemas.arrays import FloatArray
 
 MIXED_PX = 1.0
@@ -29,7 +29,8 @@ def uncertainty(
 
     With the information I of all residuals, errors of the residuals whose information would be J cause the
     covariance I^-1 J I^-1. The true bias of the ranges causes an error because of its prior, and J is the
-    prior's. The model's errors are those that the target's file declares.
+    prior's. Edges beside saturated pixels are shifted towards their darker sides by a length that they share.
+    The model's errors are those that the target's file declares.
 
     Args:
         fit: the aligned pose.
@@ -42,17 +43,18 @@ def uncertainty(
     """
     white, of_sensor, of_image = (information_of(part, UNKNOWNS) for part in fit.evidence.parts)
     of_sensor[-1, -1] += bias_m**-2
+    moved = alone @ gradient_of(fit.evidence.shift, UNKNOWNS)
     to_sensor = np.kron(np.eye(2), fit.state.pose.R)
 
     def turned(covariance: FloatArray) -> FloatArray:
-        moved: FloatArray = to_sensor @ (covariance[:6, :6] * wider) @ to_sensor.T
-        return moved
+        found: FloatArray = to_sensor @ (covariance[:6, :6] * wider) @ to_sensor.T
+        return found
 
     return Uncertainty(
         turned(whole),
         ErrorParts(
             white=turned(alone @ white @ alone),
-            of_sensor=turned(alone @ of_sensor @ alone),
+            of_sensor=turned(alone @ of_sensor @ alone + np.outer(moved, moved)),
             of_image=turned(alone @ of_image @ alone),
             image_turn_rad=MIXED_PX / radius_px,
             of_model=turned(whole - alone),
