@@ -53,7 +53,7 @@ READERS = {
     "tf": SHOWN | {"operator"},
     "clock": SHOWN | {"emulator", "driver", "estimator", "operator", "guidance"},
     "guidance/command": {"logger"},
-    "chaser/imu": {"logger"},
+    "chaser/imu": {"logger", "estimator"},
     "rosout": {"logger"},
     "parameter_events": {"logger"},
     "diagnostics": SHOWN | {"estimator", "operator", "guidance"},

@@ -1,0 +1,186 @@
+"""What the chaser's IMU has measured, integrated once, so that any step is a difference of two integrals.
+
+With G the attitude of the chaser in axes that are at rest, dG/dt = G [w]x for the measured rate w. The turn
+of a step from 0 to 1 is G1^T G0. An error d of the bias turns it by G1^T (S1 - S0) d to first order, where S
+is the integral of G. The same holds for the measured specific force: its integrals are those of G f, and the
+derivatives by its bias those of -G.
+"""
+
+from bisect import bisect_right
+from dataclasses import dataclass
+
+import numpy as np
+
+from rpod_pose.navigation.dynamics.chaser import ChaserStep
+from rpod_pose.navigation.filter.rotations import exponential
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import ImuReading
+
+_GAP_S = 0.1
+"""Time between two readings beyond which the rotation between them is not known: a spacecraft's attitude
+control reacts within some tenths of a second."""
+_KEPT_S = 300.0
+"""Time for which readings are kept; no track coasts for longer."""
+_RATE_S = 0.1
+"""Time before a stamp over which readings are averaged for the rate at the stamp."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Sum:
+    """Integrals up to a reading; force and way are those of the specific force."""
+
+    stamp_ns: int
+    rate_rad_s: FloatArray
+    force_m_s2: FloatArray
+    G: FloatArray
+    S: FloatArray
+    SS: FloatArray
+    """Integral of S."""
+    speed_m_s: FloatArray
+    way_m: FloatArray
+    variance: float
+    """Variance of the turn about each axis."""
+    unknown_s: float
+    angle_rad: FloatArray
+    """Integral of the rate, component by component, for its mean."""
+    R_orbit_chaser: FloatArray | None
+
+
+class ImuTrack:
+    """Readings of the chaser's IMU in the order of their stamps, and their integrals.
+
+    It only grows: a step up to the newest reading is the same whenever it is asked for. After the newest
+    reading its rate is assumed, and the time counts as unknown.
+
+    Args:
+        noise_rad_sqrt_s: angular random walk of a gyro whose readings do not state their variance.
+        R_orbit_chaser: attitude in the orbital frame that holds where readings state none; None for unknown.
+    """
+
+    def __init__(self, noise_rad_sqrt_s: float = 0.0, R_orbit_chaser: FloatArray | None = None) -> None:
+        self._noise = noise_rad_sqrt_s**2
+        self._attitude = R_orbit_chaser
+        self._sums: list[_Sum] = []
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest reading; None before the first."""
+        return self._sums[-1].stamp_ns if self._sums else None
+
+    def hear(self, reading: ImuReading) -> bool:
+        """Add a reading; return whether it is newer than all before, otherwise it is not used."""
+        last = self._sums[-1] if self._sums else None
+        if last is not None and reading.stamp_ns <= last.stamp_ns:
+            return False
+        attitude = self._attitude if reading.R_orbit_chaser is None else reading.R_orbit_chaser.as_matrix()
+        force = np.zeros(3) if reading.force_m_s2 is None else reading.force_m_s2
+        if last is None:
+            nothing, none = np.zeros((3, 3)), np.zeros(3)
+            first = _Sum(
+                reading.stamp_ns, reading.rate_rad_s, force, np.eye(3), nothing, nothing, none, none, 0.0,
+                0.0, none, attitude,
+            )  # fmt: skip
+            self._sums.append(first)
+            return True
+        step_s = (reading.stamp_ns - last.stamp_ns) * 1e-9
+        density = reading.rate_variance * step_s if reading.rate_variance else self._noise
+        self._sums.append(
+            _extended(last, step_s, reading.stamp_ns, reading.rate_rad_s, force, density, attitude)
+        )
+        self._prune()
+        return True
+
+    def _prune(self) -> None:
+        oldest_ns = self._sums[-1].stamp_ns - round(_KEPT_S * 1e9)
+        if len(self._sums) % 4096 == 0:
+            self._sums = self._sums[bisect_right(self._sums, oldest_ns, key=lambda each: each.stamp_ns) :]
+
+    def step(self, begin_ns: int, end_ns: int) -> ChaserStep:
+        """Return the motion between two stamps."""
+        if not self._sums:
+            nothing, none = np.zeros((3, 3)), np.zeros(3)
+            step_s = (end_ns - begin_ns) * 1e-9
+            return ChaserStep(
+                np.eye(3), nothing, none, none, 0.0, step_s, none, none, nothing, nothing, self._attitude
+            )
+        a, b = self._at(begin_ns), self._at(end_ns)
+        step_s = (end_ns - begin_ns) * 1e-9
+        back = a.G.T
+        return ChaserStep(
+            turn=b.G.T @ a.G,
+            turn_by_bias=b.G.T @ (b.S - a.S),
+            rate_before_rad_s=self._mean_rate(a),
+            rate_after_rad_s=self._mean_rate(b),
+            turn_variance=max(b.variance - a.variance, 0.0),
+            unknown_s=b.unknown_s - a.unknown_s,
+            speed_m_s=back @ (b.speed_m_s - a.speed_m_s),
+            way_m=back @ (b.way_m - a.way_m - step_s * a.speed_m_s),
+            speed_by_bias=-back @ (b.S - a.S),
+            way_by_bias=-back @ (b.SS - a.SS - step_s * a.S),
+            R_orbit_chaser=a.R_orbit_chaser,
+        )
+
+    def _at(self, stamp_ns: int) -> _Sum:
+        """Return the integrals at any stamp, between readings or beyond them."""
+        place = bisect_right(self._sums, stamp_ns, key=lambda each: each.stamp_ns)
+        before = self._sums[max(place - 1, 0)]
+        step_s = (stamp_ns - before.stamp_ns) * 1e-9
+        if step_s == 0.0:
+            return before
+        if 0 < place < len(self._sums):
+            after = self._sums[place]
+            gap_s = (after.stamp_ns - before.stamp_ns) * 1e-9
+            share = step_s / gap_s
+            found = _extended(
+                before, step_s, stamp_ns,
+                (1.0 - share) * before.rate_rad_s + share * after.rate_rad_s,
+                (1.0 - share) * before.force_m_s2 + share * after.force_m_s2,
+                (after.variance - before.variance) / gap_s, before.R_orbit_chaser,
+            )  # fmt: skip
+            return found
+        beyond = _extended(
+            before, step_s, stamp_ns, before.rate_rad_s, before.force_m_s2, self._noise,
+            before.R_orbit_chaser,
+        )  # fmt: skip
+        return beyond
+
+    def _mean_rate(self, at: _Sum) -> FloatArray:
+        """Return the rate at a stamp: the mean over a short time before it, moved by half its change."""
+        stamp_ns = at.stamp_ns - round(_RATE_S * 1e9)
+        if stamp_ns <= self._sums[0].stamp_ns or at.stamp_ns > self._sums[-1].stamp_ns:
+            return at.rate_rad_s
+        before, middle = self._at(stamp_ns), self._at(at.stamp_ns - round(0.5e9 * _RATE_S))
+        late = (at.angle_rad - middle.angle_rad) / (0.5 * _RATE_S)
+        early = (middle.angle_rad - before.angle_rad) / (0.5 * _RATE_S)
+        # means at 1/4 and 3/4 of the time before the stamp: the line through them at the stamp
+        return 1.5 * late - 0.5 * early
+
+
+def _extended(
+    last: _Sum,
+    step_s: float,
+    stamp_ns: int,
+    rate_rad_s: FloatArray,
+    force_m_s2: FloatArray,
+    density: float,
+    attitude: FloatArray | None,
+) -> _Sum:
+    """Return the integrals after a step, with the mean of both ends' readings, which may lie in the past."""
+    mean_rad_s = 0.5 * (last.rate_rad_s + rate_rad_s)
+    G = last.G @ exponential(mean_rad_s * step_s)
+    middle = 0.5 * (last.G + G)
+    force = 0.5 * (last.G @ last.force_m_s2 + G @ force_m_s2)
+    return _Sum(
+        stamp_ns=stamp_ns,
+        rate_rad_s=rate_rad_s,
+        force_m_s2=force_m_s2,
+        G=G,
+        S=last.S + step_s * middle,
+        SS=last.SS + step_s * last.S + 0.5 * step_s**2 * middle,
+        speed_m_s=last.speed_m_s + step_s * force,
+        way_m=last.way_m + step_s * last.speed_m_s + 0.5 * step_s**2 * force,
+        variance=last.variance + abs(step_s) * density,
+        unknown_s=last.unknown_s + (step_s if abs(step_s) > _GAP_S else 0.0),
+        angle_rad=last.angle_rad + step_s * mean_rad_s,
+        R_orbit_chaser=attitude,
+    )

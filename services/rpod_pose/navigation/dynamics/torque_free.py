@@ -1,0 +1,183 @@
+"""Rotation of a rigid body without torque, with its derivatives.
+
+Euler's equations in body axes read J dw/dt = -w x J w, the attitude follows from dM/dt = M [w]x, M(0) = 1.
+They and their derivatives by the rate at the start and by the inertia are integrated together, by the
+classical method of Runge and Kutta (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential
+Equations I, section II.1).
+
+Without torque the scale of the inertia does not matter, so that five numbers are left. They are the
+coefficients c of a symmetric matrix S without trace, with J = L exp(S) L^T, where L is the square root of the
+declared inertia: each c leaves J positive, and c = 0 is the declared inertia. The matrices B_k of the
+coefficients have the norm 1, so that an isotropic prior does not depend on the body's axes. A principal
+moment that is wrong by a share e alone has |c| of about 0.8 e.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian
+from rpod_schemas.arrays import FloatArray
+
+SHAPES = 5
+"""Number of coefficients of an inertia's shape."""
+_STEP_RAD = 0.1
+"""Largest turn in a step of the integration: the error of a step is about 1e-7 rad."""
+
+
+def _basis() -> FloatArray:
+    """Return an orthonormal basis of the symmetric matrices without trace, shape (5, 3, 3)."""
+    B = np.zeros((SHAPES, 3, 3))
+    B[0] = np.diag([1.0, -1.0, 0.0]) / np.sqrt(2.0)
+    B[1] = np.diag([1.0, 1.0, -2.0]) / np.sqrt(6.0)
+    for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)), start=2):
+        B[k, i, j] = B[k, j, i] = np.sqrt(0.5)
+    return B
+
+
+_BASIS = _basis()
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """The declared inertia of a body, and what its shape may be instead.
+
+    Args:
+        declared_kg_m2: inertia about the centre of mass, target axes, shape (3, 3).
+    """
+
+    declared_kg_m2: FloatArray
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """Symmetric square root L of the declared inertia by its trace, shape (3, 3)."""
+        moments, axes = np.linalg.eigh(self.declared_kg_m2 / np.trace(self.declared_kg_m2))
+        return (axes * np.sqrt(moments)) @ axes.T
+
+    def shaped(self, coefficients: FloatArray) -> "Shape":
+        """Return the inertia of coefficients of its shape, shape (5,), or (0,) for the declared one."""
+        if not len(coefficients):
+            return Shape(self.root @ self.root, np.zeros((0, 3, 3)))
+        values, axes = np.linalg.eigh(np.tensordot(coefficients, _BASIS, 1))
+        power = np.exp(values)
+        J = self.root @ (axes * power) @ axes.T @ self.root
+        # derivative of exp at S (Daleckii and Krein): (e^a - e^b) / (a - b) in the eigenvectors of S
+        apart = values[:, None] - values[None]
+        near = np.abs(apart) < 1e-6
+        quotient = np.where(
+            near,
+            0.5 * (power[:, None] + power[None]),
+            (power[:, None] - power[None]) / np.where(near, 1.0, apart),
+        )
+        inner = axes @ ((axes.T @ _BASIS @ axes) * quotient) @ axes.T
+        return Shape(J, self.root @ inner @ self.root)
+
+
+class Shape(NamedTuple):
+    """An inertia of any scale, and its derivatives by the coefficients."""
+
+    J: FloatArray
+    """Inertia, shape (3, 3)."""
+    by_coefficient: FloatArray
+    """Derivatives of J, shape (5, 3, 3), or (0, 3, 3) where the shape is not a state."""
+
+
+class Turned(NamedTuple):
+    """Rotation of a body in a time, and its derivatives, all in body axes.
+
+    The errors of the turn are right ones: M_estimated = M_true Exp(error), in axes at the end.
+    """
+
+    turn: FloatArray
+    """M, shape (3, 3): coordinates in body axes at the end to those in body axes at the start."""
+    rate_rad_s: FloatArray
+    """Rate relative to inertial space at the end, shape (3,)."""
+    turn_by_rate: FloatArray
+    """Derivatives of the turn by the rate at the start, shape (3, 3)."""
+    rate_by_rate: FloatArray
+    """Derivatives of the rate by the rate at the start, shape (3, 3)."""
+    turn_by_shape: FloatArray
+    """Derivatives of the turn by the coefficients of the inertia, shape (3, K)."""
+    rate_by_shape: FloatArray
+    """Derivatives of the rate by the coefficients of the inertia, shape (3, K)."""
+
+
+@dataclass
+class _Integration:
+    """State of the integration; ``slope`` is its derivative by time."""
+
+    shape: Shape
+    inverse: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.inverse = np.linalg.inv(self.shape.J)
+
+    def slope(self, y: FloatArray) -> FloatArray:
+        """Return dy/dt of y = (quaternion x y z w, rate, [rate by] and [turn by] all, row by row)."""
+        quaternion, w = y[:4], y[4:7]
+        by_all = y[7:].reshape(2, 3, -1)
+        J, parts = self.shape
+        spin, momentum = cross_matrix(w), J @ w
+        w_slope = -self.inverse @ (spin @ momentum)
+        rate_slope = self.inverse @ (cross_matrix(momentum) - spin @ J) @ by_all[0]
+        if len(parts):
+            forced = parts @ w_slope + (parts @ w) @ spin.T
+            rate_slope[:, 3:] -= self.inverse @ forced.T
+        turn_slope = by_all[0] - spin @ by_all[1]
+        x, y_, z = w
+        turning = np.array([[0.0, z, -y_, x], [-z, 0.0, x, y_], [y_, -x, 0.0, z], [-x, -y_, -z, 0.0]])
+        return np.concatenate([0.5 * turning @ quaternion, w_slope, rate_slope.ravel(), turn_slope.ravel()])
+
+
+def torque_free(rate_rad_s: FloatArray, shape: Shape, step_s: float) -> Turned:
+    """Return the rotation without torque in a time.
+
+    Args:
+        rate_rad_s: rate relative to inertial space at the start, body axes, shape (3,).
+        shape: inertia, of any scale.
+        step_s: time, s.
+    """
+    count = 3 + len(shape.by_coefficient)
+    start = np.zeros((2, 3, count))
+    start[0, :, :3] = np.eye(3)
+    y = np.concatenate([[0.0, 0.0, 0.0, 1.0], rate_rad_s, start.ravel()])
+    steps = max(1, int(np.ceil(float(np.linalg.norm(rate_rad_s)) * step_s / _STEP_RAD)))
+    h, slope = step_s / steps, _Integration(shape).slope
+    for _ in range(steps):
+        k1 = slope(y)
+        k2 = slope(y + 0.5 * h * k1)
+        k3 = slope(y + 0.5 * h * k2)
+        k4 = slope(y + h * k3)
+        y = y + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+    by_all = y[7:].reshape(2, 3, count)
+    return Turned(
+        turn=_matrix(y[:4]),
+        rate_rad_s=y[4:7],
+        turn_by_rate=by_all[1, :, :3],
+        rate_by_rate=by_all[0, :, :3],
+        turn_by_shape=by_all[1, :, 3:],
+        rate_by_shape=by_all[0, :, 3:],
+    )
+
+
+def constant_rate(rate_rad_s: FloatArray, step_s: float) -> Turned:
+    """Return the rotation of a body whose rate is constant, which is that of a sphere without torque."""
+    phi = rate_rad_s * step_s
+    empty = np.zeros((3, 0))
+    return Turned(
+        exponential(phi), rate_rad_s, step_s * left_jacobian(phi).T, np.eye(3), empty, empty
+    )
+
+
+def _matrix(quaternion_xyzw: FloatArray) -> FloatArray:
+    """Return the rotation matrix of a quaternion of any norm."""
+    x, y, z, w = (quaternion_xyzw / np.linalg.norm(quaternion_xyzw)).tolist()
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
