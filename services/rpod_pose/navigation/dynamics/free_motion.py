@@ -7,7 +7,7 @@ orbit, less what the chaser's own thrust gains, and the body turns at a constant
 the end the chaser's turn C leads to its axes, and the same relations lead back. The derivatives follow the
 same way, step by step; the errors of q, u and W are estimate minus truth like those of p, v and w.
 
-Further states, where they are there: centre of mass r, shape of the inertia, bias of the gyro and of the
+Further states, where they are there: offset of the centre of mass from the declared one, shape of the inertia, bias of the gyro and of the
 accelerometer. A state that nothing tells keeps its prior.
 """
 
@@ -17,15 +17,16 @@ import numpy as np
 
 from rpod_pose.navigation.dynamics.chaser import Chaser, ChaserStep
 from rpod_pose.navigation.dynamics.relative_orbit import inertial_transition, straight
-from rpod_pose.navigation.dynamics.torque_free import Inertia, Turned, constant_rate, torque_free
-from rpod_pose.navigation.filter.prediction import Motion, faded, of_blocks, process_noise
-from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, orthonormal
-from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSITION, RATE, VELOCITY, FilterState
+from rpod_pose.navigation.dynamics.torque_free import Inertia, Turned, constant_rate, curvature, torque_free
+from rpod_pose.navigation.filter.blocks import faded
+from rpod_pose.navigation.filter.prediction import of_blocks, process_noise, turn_of_view_rad
+from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian, orthonormal
+from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSITION, RATE, VELOCITY, FilterState, Motion
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 
-CENTRE_OF_MASS, INERTIA = "centre_of_mass_m", "inertia_shape"
+CENTRE_OF_MASS, INERTIA = "centre_of_mass_offset_m", "inertia_shape"
 GYRO_BIAS, ACCELERATION_BIAS = "gyro_bias_rad_s", "acceleration_bias_m_s2"
 
 _NONE = np.zeros(3)
@@ -45,7 +46,7 @@ class _Extras:
     def of(cls, state: FilterState) -> "_Extras":
         values = {block.name: block.value for block in state.blocks}
         return cls(
-            values.get(CENTRE_OF_MASS, state.centre_of_mass_m),
+            state.centre_of_mass_m + values.get(CENTRE_OF_MASS, _NONE),
             values.get(INERTIA, np.zeros(0)),
             values.get(GYRO_BIAS, _NONE),
             values.get(ACCELERATION_BIAS, _NONE),
@@ -62,6 +63,8 @@ class FreeMotion:
     """Inertia of a target that turns without torque; None for a constant rate relative to inertial space."""
     orbit_rate_rad_s: float | None = None
     """Rate of the orbit; None for straight motion."""
+    uses_force: bool = True
+    """Whether the chaser's measured specific force is used."""
     acceleration_density_m2_s3: float | None = None
     """Density of the accelerations that are left; that of the filter if None."""
     angular_acceleration_density_rad2_s3: float | None = None
@@ -82,19 +85,27 @@ class FreeMotion:
         to_centre = _to_centre(extras, state.size, R, q=q, arm_m=arm_m, w=w, chaser_rad_s=before_rad_s)
 
         body = self._turned(R.T @ W, extras, step_s)
+        curved = self._curved(state, extras, to_centre, R=R, W=W, step_s=step_s)
+        body = body._replace(
+            turn=body.turn @ exponential(curved[:3].sum(axis=1) / 6.0),
+            rate_rad_s=body.rate_rad_s + curved[3:].sum(axis=1) / 6.0,
+        )
         moved = self._transition(chaser, step_s)
         qu = moved @ np.concatenate([q, u])
-        qu[:3] -= chaser.way_m + chaser.way_by_bias @ extras.force_m_s2
-        qu[3:] -= chaser.speed_m_s + chaser.speed_by_bias @ extras.force_m_s2
-        C = exponential(chaser.turn_by_bias @ extras.gyro_rad_s) @ chaser.turn
+        if self.uses_force:
+            qu[:3] -= chaser.way_m + chaser.way_by_bias @ extras.force_m_s2
+            qu[3:] -= chaser.speed_m_s + chaser.speed_by_bias @ extras.force_m_s2
+        phi = chaser.turn_by_bias @ extras.gyro_rad_s
+        C = exponential(phi) @ chaser.turn
         R_after = orthonormal(C @ R @ body.turn)
         q, u, W_after = C @ qu[:3], C @ qu[3:], R_after @ body.rate_rad_s
         F, Q = of_blocks(state, step_s)
         F[MOTION] = _moved(extras, state.size, R=R, C=C, W=W, body=body, moved=moved, chaser=chaser)
         by_turn = _by_turn(q, u, W_after)
         if GYRO_BIAS in extras.places:
-            F[MOTION, extras.places[GYRO_BIAS]] += by_turn @ chaser.turn_by_bias
+            F[MOTION, extras.places[GYRO_BIAS]] += by_turn @ left_jacobian(phi) @ chaser.turn_by_bias
         Q[MOTION, MOTION] = self._noise(chaser, step_s, config) + chaser.turn_variance * by_turn @ by_turn.T
+        Q[MOTION, MOTION] += _of_curvature(curved, R_after, W_after)
 
         arm_m, w = R_after @ extras.centre_m, W_after - after_rad_s
         velocity_m_s = u - np.cross(after_rad_s, q) - np.cross(w, arm_m)
@@ -104,8 +115,7 @@ class FreeMotion:
             T_chaser_target=pose_of(R_after, q - arm_m),
             velocity_m_s=velocity_m_s,
             rate_rad_s=w,
-            centre_of_mass_m=extras.centre_m,
-            blocks=faded(state, step_s),
+            blocks=faded(state.blocks, step_s, turn_of_view_rad(state, step_s)),
         )
         return Motion(after, F @ to_centre, Q, back)
 
@@ -113,6 +123,38 @@ class FreeMotion:
         if self.inertia is None:
             return constant_rate(rate_rad_s, step_s)
         return torque_free(rate_rad_s, self.inertia.shaped(extras.shape), step_s)
+
+    def _curved(
+        self,
+        state: FilterState,
+        extras: _Extras,
+        to_centre: FloatArray,
+        *,
+        R: FloatArray,
+        W: FloatArray,
+        step_s: float,
+    ) -> FloatArray:
+        """Return the second differences of turn and rate over the covariance, shape (6, D).
+
+        Euler's equations are quadratic in the rate. As long as the rate or the inertia is not known well,
+        their second order counts: a rate of 8 deg/s that is assumed 0 changes by 1 deg/s2.
+        """
+        if self.inertia is None:
+            return np.zeros((6, 0))
+        place = extras.places.get(INERTIA, slice(0, 0))
+        chosen = np.zeros((3 + place.stop - place.start, state.size))
+        chosen[:3, ATTITUDE], chosen[:3, RATE] = R.T @ cross_matrix(W), R.T
+        chosen[3:, place] = np.eye(place.stop - place.start)
+        chosen = chosen @ to_centre
+        spread = chosen @ state.covariance @ chosen.T
+        sigma = np.sqrt(np.abs(np.diag(spread)))
+        bound = (np.linalg.norm(sigma[:3]) + np.linalg.norm(W) * np.linalg.norm(sigma[3:])) ** 2 * step_s
+        density = self.angular_acceleration_density_rad2_s3 or 0.0
+        if bound < 0.1 * np.sqrt(density * step_s):
+            return np.zeros((6, 0))
+        values, axes = np.linalg.eigh(spread)
+        directions = axes * np.sqrt(3.0 * np.maximum(values, 0.0))
+        return curvature(R.T @ W, extras.shape, self.inertia, directions, step_s)
 
     def _transition(self, chaser: ChaserStep, step_s: float) -> FloatArray:
         """Return the transition of (q, u); without an attitude in the orbital frame that of straight motion."""
@@ -223,6 +265,24 @@ def _moved(
         place = extras.places[ACCELERATION_BIAS]
         F[POSITION, place], F[VELOCITY, place] = -C @ chaser.way_by_bias, -C @ chaser.speed_by_bias
     return F
+
+
+def _of_curvature(curved: FloatArray, R: FloatArray, W: FloatArray) -> FloatArray:
+    """Return the noise of (q, theta, u, W) that stands for second derivatives, shape (12, 12).
+
+    Second differences over sqrt(3) standard deviations give the mean by a sixth, and the covariance by an
+    eighteenth of their squares (M. Norgaard, N. K. Poulsen, O. Ravn, New developments in state estimation for
+    nonlinear systems, Automatica 36 (2000) 1627-1638, equations 28 and 62).
+
+    Args:
+        curved: second differences of turn and rate, body axes at the end, shape (6, D).
+        R: attitude at the end, shape (3, 3).
+        W: rate at the end, the same axes as R, shape (3,).
+    """
+    spread = np.zeros((12, curved.shape[1]))
+    spread[ATTITUDE] = R @ curved[:3]
+    spread[RATE] = R @ curved[3:] - cross_matrix(W) @ spread[ATTITUDE]
+    return spread @ spread.T / 18.0
 
 
 def _by_turn(q: FloatArray, u: FloatArray, W: FloatArray) -> FloatArray:

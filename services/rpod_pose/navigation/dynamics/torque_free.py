@@ -17,6 +17,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian
 from rpod_schemas.arrays import FloatArray
@@ -52,17 +53,17 @@ class Inertia:
 
     @cached_property
     def root(self) -> FloatArray:
-        """Symmetric square root L of the declared inertia by its trace, shape (3, 3)."""
+        """L with L L^T = J / tr J of the declared inertia, shape (3, 3); its columns are principal axes."""
         moments, axes = np.linalg.eigh(self.declared_kg_m2 / np.trace(self.declared_kg_m2))
-        return (axes * np.sqrt(moments)) @ axes.T
+        return axes * np.sqrt(moments)
 
     def shaped(self, coefficients: FloatArray) -> "Shape":
         """Return the inertia of coefficients of its shape, shape (5,), or (0,) for the declared one."""
         if not len(coefficients):
-            return Shape(self.root @ self.root, np.zeros((0, 3, 3)))
+            return Shape(self.root @ self.root.T, np.zeros((0, 3, 3)))
         values, axes = np.linalg.eigh(np.tensordot(coefficients, _BASIS, 1))
         power = np.exp(values)
-        J = self.root @ (axes * power) @ axes.T @ self.root
+        J = self.root @ (axes * power) @ axes.T @ self.root.T
         # derivative of exp at S (Daleckii and Krein): (e^a - e^b) / (a - b) in the eigenvectors of S
         apart = values[:, None] - values[None]
         near = np.abs(apart) < 1e-6
@@ -72,7 +73,7 @@ class Inertia:
             (power[:, None] - power[None]) / np.where(near, 1.0, apart),
         )
         inner = axes @ ((axes.T @ _BASIS @ axes) * quotient) @ axes.T
-        return Shape(J, self.root @ inner @ self.root)
+        return Shape(J, self.root @ inner @ self.root.T)
 
 
 class Shape(NamedTuple):
@@ -160,6 +161,53 @@ def torque_free(rate_rad_s: FloatArray, shape: Shape, step_s: float) -> Turned:
         turn_by_shape=by_all[1, :, 3:],
         rate_by_shape=by_all[0, :, 3:],
     )
+
+
+def curvature(
+    rate_rad_s: FloatArray, coefficients: FloatArray, inertia: Inertia, spread: FloatArray, step_s: float
+) -> FloatArray:
+    """Return second differences of turn and rate along directions of the state, shape (6, D).
+
+    They are f(x + d) + f(x - d) - 2 f(x), where f is (turn, as a vector in axes at the end; rate).
+
+    Args:
+        rate_rad_s: rate at the start, body axes, shape (3,).
+        coefficients: those of the inertia's shape, shape (5,) or (0,).
+        inertia: the declared inertia.
+        spread: directions in (rate, coefficients), shape (8, D) or (3, D).
+        step_s: time, s.
+    """
+    points = np.concatenate([np.zeros((1, len(spread))), spread.T, -spread.T])
+    rates = rate_rad_s + points[:, :3]
+    J = np.array([inertia.shaped(coefficients + point[3:]).J for point in points])
+    turns, rates = _turned(rates, J, step_s)
+    off = Rotation.from_matrix(turns[0].T @ turns[1:]).as_rotvec()
+    change = np.hstack([off, rates[1:] - rates[0]])
+    return (change[: spread.shape[1]] + change[spread.shape[1] :]).T
+
+
+def _turned(rates_rad_s: FloatArray, J: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return turns, shape (P, 3, 3), and rates, shape (P, 3), of bodies after a time, by the same method."""
+    inverse = np.linalg.inv(J)
+
+    def slope(q: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        momentum = np.einsum("pij,pj->pi", J, w)
+        torque = -np.cross(w, momentum)
+        vector = q[:, 3:] * w + np.cross(q[:, :3], w)
+        scalar = -np.einsum("pi,pi->p", q[:, :3], w)
+        return 0.5 * np.hstack([vector, scalar[:, None]]), np.einsum("pij,pj->pi", inverse, torque)
+
+    q, w = np.tile([0.0, 0.0, 0.0, 1.0], (len(J), 1)), rates_rad_s
+    steps = max(1, int(np.ceil(float(np.linalg.norm(w, axis=1).max()) * step_s / _STEP_RAD)))
+    h = step_s / steps
+    for _ in range(steps):
+        a = slope(q, w)
+        b = slope(q + 0.5 * h * a[0], w + 0.5 * h * a[1])
+        c = slope(q + 0.5 * h * b[0], w + 0.5 * h * b[1])
+        d = slope(q + h * c[0], w + h * c[1])
+        q = q + h / 6.0 * (a[0] + 2.0 * (b[0] + c[0]) + d[0])
+        w = w + h / 6.0 * (a[1] + 2.0 * (b[1] + c[1]) + d[1])
+    return Rotation.from_quat(q).as_matrix(), w
 
 
 def constant_rate(rate_rad_s: FloatArray, step_s: float) -> Turned:

@@ -1,0 +1,89 @@
+"""The model of motion and the further states that a configuration asks for."""
+
+from dataclasses import dataclass
+from math import pi, radians
+
+import numpy as np
+
+from rpod_pose.navigation.dynamics.chaser import Chaser, Held
+from rpod_pose.navigation.dynamics.free_motion import (
+    ACCELERATION_BIAS,
+    CENTRE_OF_MASS,
+    GYRO_BIAS,
+    INERTIA,
+    FreeMotion,
+)
+from rpod_pose.navigation.dynamics.imu_track import ImuTrack
+from rpod_pose.navigation.dynamics.torque_free import SHAPES, Inertia
+from rpod_pose.navigation.filter import Block, MotionModel
+from rpod_schemas.config.dynamics import DynamicsConfig
+from rpod_schemas.errors import ConfigurationError
+from rpod_target import Equivalence, Target
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """How tracks are predicted: the model, and its states before any measurement."""
+
+    model: MotionModel | None = None
+    """Model of the motion; None for constant velocity and rate as seen from the chaser."""
+    blocks: tuple[Block, ...] = ()
+    """Further states of the model."""
+    imu: ImuTrack | None = None
+    """Readings of the chaser's IMU, for a model that uses them."""
+
+    @classmethod
+    def of(cls, config: DynamicsConfig, target: Target) -> "Dynamics":
+        """Return the dynamics of a configuration and a target.
+
+        Raises:
+            ConfigurationError: the rotation of the target about a free axis is not observable.
+        """
+        return cls() if config.is_default else _free(config, target)
+
+
+def _free(config: DynamicsConfig, target: Target) -> Dynamics:
+    tuning, free_fall = config.tuning, config.orbit is not None
+    _require_observable(config, target.equivalence)
+    rate_rad_s = None if config.orbit is None else 2.0 * pi / config.orbit.period_s
+    attitude = None if config.orbit is None else config.orbit.R_orbit_chaser
+    R_orbit_chaser = None if attitude is None else attitude.as_matrix()
+    imu, chaser = None, Held(R_orbit_chaser, rate_rad_s or 0.0)
+    blocks = []
+    if config.centre_of_mass_sigma_m:
+        blocks.append(_block(CENTRE_OF_MASS, 3, config.centre_of_mass_sigma_m))
+    torque_free = config.target == "torque_free"
+    if torque_free and config.inertia_sigma:
+        blocks.append(_block(INERTIA, SHAPES, config.inertia_sigma))
+    if config.imu is not None:
+        imu = ImuTrack(radians(tuning.gyro_noise_deg_sqrt_s), R_orbit_chaser)
+        blocks.append(_block(GYRO_BIAS, 3, radians(config.imu.gyro_bias_sigma_deg_s)))
+        if config.imu.acceleration_bias_sigma_m_s2 is not None:
+            free_fall = True
+            blocks.append(_block(ACCELERATION_BIAS, 3, config.imu.acceleration_bias_sigma_m_s2))
+    turning: Chaser = chaser if imu is None else imu
+    model = FreeMotion(
+        turning,
+        inertia=Inertia(target.inertia_kg_m2) if torque_free else None,
+        orbit_rate_rad_s=rate_rad_s,
+        uses_force=config.imu is not None and config.imu.acceleration_bias_sigma_m_s2 is not None,
+        acceleration_density_m2_s3=tuning.acceleration_density_m2_s3 if free_fall else None,
+        angular_acceleration_density_rad2_s3=(
+            tuning.angular_acceleration_density_rad2_s3 if torque_free else None
+        ),
+    )
+    return Dynamics(model, tuple(blocks), imu)
+
+
+def _block(name: str, size: int, sigma: float) -> Block:
+    return Block(name, np.zeros(size), np.full(size, sigma))
+
+
+def _require_observable(config: DynamicsConfig, alike: Equivalence) -> None:
+    if config.target == "torque_free" and len(alike.free_axes):
+        raise ConfigurationError(
+            "estimator",
+            "dynamics.target",
+            "torque_free needs the rate about every axis, but the target has a free axis, about which no "
+            "measurement tells it; leave constant_rate",
+        )
