@@ -6,12 +6,12 @@ same, bit for bit, as if they had arrived in order. The newest stamp never goes 
 """
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.navigation.filter import FilterState, Update, predict, update
+from rpod_pose.navigation.filter import NOTHING, FilterState, Sensitivities, Update, predict, update
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.filter import FilterConfig
 
@@ -23,7 +23,9 @@ class PoseMeasurement:
     stamp_ns: int
     T_chaser_target: RigidTransform
     covariance: FloatArray
-    """Covariance of (dp, dtheta), ICD section 1, shape (6, 6)."""
+    """Covariance of (dp, dtheta), ICD section 1, shape (6, 6), without what comes from states of blocks."""
+    sensitivities: Sensitivities = field(default_factory=lambda: NOTHING)
+    """How the pose depends on the states of the filter's blocks."""
 
 
 class Applied(NamedTuple):
@@ -112,5 +114,11 @@ def apply(
 
 
 def _applied(measurement: PoseMeasurement, predicted: FilterState, config: FilterConfig) -> _Step:
-    outcome = update(predicted, measurement.T_chaser_target, measurement.covariance, config=config)
+    outcome = update(
+        predicted,
+        measurement.T_chaser_target,
+        measurement.covariance,
+        config=config,
+        sensitivities=measurement.sensitivities,
+    )
     return _Step(measurement, outcome)

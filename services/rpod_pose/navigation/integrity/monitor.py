@@ -18,6 +18,7 @@ import numpy as np
 
 from rpod_pose.belief import SYMMETRY
 from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of, start, update
+from rpod_pose.navigation.filter.blocks import unknown
 from rpod_pose.navigation.history import PoseMeasurement
 from rpod_pose.navigation.integrity.levels import Levels, Solution, protection_levels, solution
 from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent, residual_of, residual_tests
@@ -122,12 +123,14 @@ class Monitor:
                 found[name] = start(
                     measured.T_chaser_target, measured.covariance, measured.stamp_ns, config=self._filter,
                     centre_of_mass_m=predicted.centre_of_mass_m, alike=predicted.alike,
+                    blocks=unknown(predicted.blocks), sensitivities=measured.sensitivities,
                 )  # fmt: skip
             elif measured.stamp_ns >= found[name].stamp_ns:
                 there = predict(found[name], measured.stamp_ns, self._filter)
                 found[name] = update(
-                    there, measured.T_chaser_target, measured.covariance, config=self._filter
-                ).state
+                    there, measured.T_chaser_target, measured.covariance, config=self._filter,
+                    sensitivities=measured.sensitivities,
+                ).state  # fmt: skip
         return found
 
     def _remembered(self, memory: Memory, estimate: FilterState) -> Memory:
