@@ -7,7 +7,7 @@ orbit, less what the chaser's own thrust gains, and the body turns at a constant
 the end the chaser's turn C leads to its axes, and the same relations lead back. The derivatives follow the
 same way, step by step; the errors of q, u and W are estimate minus truth like those of p, v and w.
 
-Further states, where they are there: offset of the centre of mass from the declared one, shape of the inertia, bias of the gyro and of the
+Further states, where they are there: offset of the centre of mass from the declared one, ratios of the inertia, bias of the gyro and of the
 accelerometer. A state that nothing tells keeps its prior.
 """
 
@@ -26,7 +26,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 
-CENTRE_OF_MASS, INERTIA = "centre_of_mass_offset_m", "inertia_shape"
+CENTRE_OF_MASS, INERTIA = "centre_of_mass_offset_m", "inertia_ratios"
 GYRO_BIAS, ACCELERATION_BIAS = "gyro_bias_rad_s", "acceleration_bias_m_s2"
 
 _NONE = np.zeros(3)

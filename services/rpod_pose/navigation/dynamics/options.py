@@ -14,7 +14,7 @@ from rpod_pose.navigation.dynamics.free_motion import (
     FreeMotion,
 )
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
-from rpod_pose.navigation.dynamics.torque_free import SHAPES, Inertia
+from rpod_pose.navigation.dynamics.torque_free import RATIOS, Inertia
 from rpod_pose.navigation.filter import Block, MotionModel
 from rpod_schemas.config.dynamics import DynamicsConfig
 from rpod_schemas.errors import ConfigurationError
@@ -54,7 +54,7 @@ def _free(config: DynamicsConfig, target: Target) -> Dynamics:
         blocks.append(_block(CENTRE_OF_MASS, 3, config.centre_of_mass_sigma_m))
     torque_free = config.target == "torque_free"
     if torque_free and config.inertia_sigma:
-        blocks.append(_block(INERTIA, SHAPES, config.inertia_sigma))
+        blocks.append(_block(INERTIA, RATIOS, config.inertia_sigma))
     if config.imu is not None:
         imu = ImuTrack(radians(tuning.gyro_noise_deg_sqrt_s), R_orbit_chaser)
         blocks.append(_block(GYRO_BIAS, 3, radians(config.imu.gyro_bias_sigma_deg_s)))

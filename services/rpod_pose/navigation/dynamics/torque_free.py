@@ -5,11 +5,10 @@ They and their derivatives by the rate at the start and by the inertia are integ
 classical method of Runge and Kutta (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential
 Equations I, section II.1).
 
-Without torque the scale of the inertia does not matter, so that five numbers are left. They are the
-coefficients c of a symmetric matrix S without trace, with J = L exp(S) L^T, where L is the square root of the
-declared inertia: each c leaves J positive, and c = 0 is the declared inertia. The matrices B_k of the
-coefficients have the norm 1, so that an isotropic prior does not depend on the body's axes. A principal
-moment that is wrong by a share e alone has |c| of about 0.8 e.
+Without torque the scale of the inertia does not matter, and its principal axes are believed, so that two
+ratios are left. With the principal moments J_i of the declared inertia they are the coefficients c of
+J_i exp(S_i), where S is the sum of two orthogonal vectors of norm 1 and sum 0. So each c leaves the moments
+positive, and c = 0 is the declared inertia. One moment that is wrong by a share e has |c| of about 0.8 e.
 """
 
 from dataclasses import dataclass, field
@@ -22,28 +21,16 @@ from scipy.spatial.transform import Rotation
 from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian
 from rpod_schemas.arrays import FloatArray
 
-SHAPES = 5
-"""Number of coefficients of an inertia's shape."""
+RATIOS = 2
+"""Number of coefficients of an inertia's ratios."""
+_BASIS = np.array([[1.0, -1.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[2.0], [6.0]])
 _STEP_RAD = 0.1
 """Largest turn in a step of the integration: the error of a step is about 1e-7 rad."""
 
 
-def _basis() -> FloatArray:
-    """Return an orthonormal basis of the symmetric matrices without trace, shape (5, 3, 3)."""
-    B = np.zeros((SHAPES, 3, 3))
-    B[0] = np.diag([1.0, -1.0, 0.0]) / np.sqrt(2.0)
-    B[1] = np.diag([1.0, 1.0, -2.0]) / np.sqrt(6.0)
-    for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)), start=2):
-        B[k, i, j] = B[k, j, i] = np.sqrt(0.5)
-    return B
-
-
-_BASIS = _basis()
-
-
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """The declared inertia of a body, and what its shape may be instead.
+    """The declared inertia of a body, and what its ratios may be instead.
 
     Args:
         declared_kg_m2: inertia about the centre of mass, target axes, shape (3, 3).
@@ -52,28 +39,17 @@ class Inertia:
     declared_kg_m2: FloatArray
 
     @cached_property
-    def root(self) -> FloatArray:
-        """L with L L^T = J / tr J of the declared inertia, shape (3, 3); its columns are principal axes."""
+    def _principal(self) -> tuple[FloatArray, FloatArray]:
+        """Principal moments by their sum, shape (3,), and axes, in the columns, shape (3, 3)."""
         moments, axes = np.linalg.eigh(self.declared_kg_m2 / np.trace(self.declared_kg_m2))
-        return axes * np.sqrt(moments)
+        return moments, axes
 
     def shaped(self, coefficients: FloatArray) -> "Shape":
-        """Return the inertia of coefficients of its shape, shape (5,), or (0,) for the declared one."""
-        if not len(coefficients):
-            return Shape(self.root @ self.root.T, np.zeros((0, 3, 3)))
-        values, axes = np.linalg.eigh(np.tensordot(coefficients, _BASIS, 1))
-        power = np.exp(values)
-        J = self.root @ (axes * power) @ axes.T @ self.root.T
-        # derivative of exp at S (Daleckii and Krein): (e^a - e^b) / (a - b) in the eigenvectors of S
-        apart = values[:, None] - values[None]
-        near = np.abs(apart) < 1e-6
-        quotient = np.where(
-            near,
-            0.5 * (power[:, None] + power[None]),
-            (power[:, None] - power[None]) / np.where(near, 1.0, apart),
-        )
-        inner = axes @ ((axes.T @ _BASIS @ axes) * quotient) @ axes.T
-        return Shape(J, self.root @ inner @ self.root.T)
+        """Return the inertia of coefficients, shape (2,), or (0,) for the declared one."""
+        moments, axes = self._principal
+        used = _BASIS[: len(coefficients)]
+        moments = moments * np.exp(coefficients @ used)
+        return Shape((axes * moments) @ axes.T, (axes * (used * moments)[:, None]) @ axes.T)
 
 
 class Shape(NamedTuple):
@@ -82,7 +58,8 @@ class Shape(NamedTuple):
     J: FloatArray
     """Inertia, shape (3, 3)."""
     by_coefficient: FloatArray
-    """Derivatives of J, shape (5, 3, 3), or (0, 3, 3) where the shape is not a state."""
+    """Derivatives of J, shape (2, 3, 3), or (0, 3, 3) where the ratios are no
+    states."""
 
 
 class Turned(NamedTuple):
@@ -172,9 +149,9 @@ def curvature(
 
     Args:
         rate_rad_s: rate at the start, body axes, shape (3,).
-        coefficients: those of the inertia's shape, shape (5,) or (0,).
+        coefficients: those of the inertia's ratios, shape (2,) or (0,).
         inertia: the declared inertia.
-        spread: directions in (rate, coefficients), shape (8, D) or (3, D).
+        spread: directions in (rate, coefficients), shape (5, D) or (3, D).
         step_s: time, s.
     """
     points = np.concatenate([np.zeros((1, len(spread))), spread.T, -spread.T])

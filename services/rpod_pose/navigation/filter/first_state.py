@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
 from rpod_pose.navigation.filter.correction import NOTHING, Sensitivities, measurement_noise, told
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
-from rpod_pose.navigation.filter.state import MOTION, POSE, RATE, VELOCITY, FilterState, unturned
+from rpod_pose.navigation.filter.state import MOTION, POSE, RATE, VELOCITY, FilterState, MotionModel, unturned
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix
@@ -26,6 +26,7 @@ def start(
     alike: Equivalence = NO_SYMMETRY,
     blocks: Sequence[Block] = (),
     sensitivities: Sensitivities = NOTHING,
+    model: MotionModel | None = None,
 ) -> FilterState:
     """Return the state after a first measured pose, with an unknown twist.
 
@@ -39,6 +40,7 @@ def start(
         alike: which attitudes of the target no measurement tells apart.
         blocks: further states, as before any measurement.
         sensitivities: how the measured pose depends on them, as in ``update``.
+        model: model of the motion; None for constant velocity and rate.
     """
     centre_m = np.zeros(3) if centre_of_mass_m is None else centre_of_mass_m
     if len(alike.free_axes) == 1:
@@ -65,6 +67,7 @@ def start(
         centre_of_mass_m=centre_m,
         alike=alike,
         blocks=tuple(blocks),
+        model=model,
     )
     return unturned(state, config)
 

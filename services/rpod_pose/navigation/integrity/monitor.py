@@ -124,6 +124,7 @@ class Monitor:
                     measured.T_chaser_target, measured.covariance, measured.stamp_ns, config=self._filter,
                     centre_of_mass_m=predicted.centre_of_mass_m, alike=predicted.alike,
                     blocks=unknown(predicted.blocks), sensitivities=measured.sensitivities,
+                    model=predicted.model,
                 )  # fmt: skip
             elif measured.stamp_ns >= found[name].stamp_ns:
                 there = predict(found[name], measured.stamp_ns, self._filter)

@@ -46,7 +46,7 @@ def test_a_body_without_torque_turns_as_eulers_equations_say():
         )
 
     y = integrated(slope, np.concatenate([np.eye(3).ravel(), rate]), 60.0)
-    found = torque_free(rate, Inertia(INERTIA_KG_M2).shaped(np.zeros(5)), 60.0)
+    found = torque_free(rate, Inertia(INERTIA_KG_M2).shaped(np.zeros(2)), 60.0)
     off = Rotation.from_matrix(y[:9].reshape(3, 3).T @ found.turn).magnitude()
     assert np.degrees(off) < 1e-3
     np.testing.assert_allclose(found.rate_rad_s, y[9:], atol=1e-7)
@@ -92,7 +92,7 @@ def a_state(blocks):
         ),
         velocity_m_s=np.array([0.03, -0.02, 0.05]),
         rate_rad_s=np.radians([4.0, -3.0, 5.0]),
-        covariance=np.diag(generator.uniform(0.5, 1.5, size)),
+        covariance=1e-10 * np.diag(generator.uniform(0.5, 1.5, size)),
         centre_of_mass_m=np.array([0.5, -0.2, 0.1]),
         blocks=tuple(blocks),
     )
@@ -113,7 +113,7 @@ def a_track(rate_hz=100.0, span_s=(-1.0, 4.0), **fields):
 
 BLOCKS = (
     Block(CENTRE_OF_MASS, np.array([0.1, 0.05, -0.1]), np.full(3, 0.2)),
-    Block(INERTIA, np.array([0.05, -0.1, 0.02, 0.04, -0.03]), np.full(5, 0.1)),
+    Block(INERTIA, np.array([0.05, -0.1]), np.full(2, 0.1)),
     Block(GYRO_BIAS, np.radians([0.02, -0.03, 0.01]), np.full(3, 1e-3)),
     Block(ACCELERATION_BIAS, np.array([1e-3, 2e-3, -1e-3]), np.full(3, 1e-3)),
 )
@@ -134,11 +134,13 @@ def difference(state, other):
 
 
 MODELS = {
-    "chaser at rest": FreeMotion(Held(), Inertia(INERTIA_KG_M2)),
+    "chaser at rest": FreeMotion(
+        Held(), Inertia(INERTIA_KG_M2), angular_acceleration_density_rad2_s3=2e-11
+    ),
     "constant rate in orbit": FreeMotion(Held(np.eye(3)[[1, 2, 0]], 1e-3), None, 1e-3),
     "all with an imu": FreeMotion(
         a_track(R_orbit_chaser=Rotation.from_euler("zyx", [1.0, 0.3, -0.4])), Inertia(INERTIA_KG_M2), 1e-3,
-        acceleration_density_m2_s3=1e-12, angular_acceleration_density_rad2_s3=1e-12,
+        acceleration_density_m2_s3=1e-16, angular_acceleration_density_rad2_s3=1e-16,
     ),  # fmt: skip
 }
 
@@ -166,7 +168,7 @@ def test_the_derivatives_do_not_depend_on_the_length_of_the_steps():
     for part in range(1, 11):
         parts = predict(parts, state.stamp_ns + part * 200_000_000, FILTER)
     np.testing.assert_allclose(difference(parts, whole), 0.0, atol=3e-5)
-    np.testing.assert_allclose(parts.covariance, whole.covariance, rtol=5e-3, atol=2e-2)
+    np.testing.assert_allclose(parts.covariance, whole.covariance, rtol=5e-3, atol=2e-12)
 
 
 def test_a_chaser_that_turns_sees_a_target_at_rest_turn_the_other_way():
@@ -188,7 +190,7 @@ def test_a_chaser_that_turns_sees_a_target_at_rest_turn_the_other_way():
 
 def test_time_without_readings_adds_the_noise_of_a_chaser_that_nobody_measures():
     track = a_track()
-    model = FreeMotion(track, Inertia(INERTIA_KG_M2), angular_acceleration_density_rad2_s3=1e-12)
+    model = FreeMotion(track, Inertia(INERTIA_KG_M2), angular_acceleration_density_rad2_s3=2e-11)
     state = replace(a_state(()), model=model)
     known = predict(state, state.stamp_ns + 3_500_000_000, FILTER)
     blind = predict(state, state.stamp_ns + 10_000_000_000, FILTER)
@@ -204,13 +206,13 @@ def test_readings_that_are_not_newer_are_not_used():
     assert track.newest_ns == newest_ns
 
 
-def test_the_shape_of_an_inertia_stays_that_of_a_body():
+def test_an_inertia_of_any_ratios_is_positive():
     inertia = Inertia(INERTIA_KG_M2)
-    declared = inertia.shaped(np.zeros(5)).J
+    declared = inertia.shaped(np.zeros(2)).J
     np.testing.assert_allclose(declared, INERTIA_KG_M2 / np.trace(INERTIA_KG_M2), atol=1e-15)
-    for k in range(5):
-        step = 1e-6 * np.eye(5)[k]
-        at = np.array([0.3, -0.2, 0.5, 0.1, -0.4])
+    for k in range(2):
+        step = 1e-6 * np.eye(2)[k]
+        at = np.array([0.3, -0.2])
         slope = (inertia.shaped(at + step).J - inertia.shaped(at - step).J) / 2e-6
         np.testing.assert_allclose(inertia.shaped(at).by_coefficient[k], slope, atol=1e-9)
-    assert np.linalg.eigvalsh(inertia.shaped(np.array([2.0, -3.0, 1.0, 2.0, 1.0])).J).min() > 0.0
+    assert np.linalg.eigvalsh(inertia.shaped(np.array([2.0, -3.0])).J).min() > 0.0
