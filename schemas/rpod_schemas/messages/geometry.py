@@ -23,7 +23,7 @@ from rpod_schemas.poses import covariance_at, make_pose, rotation_matrix, rotati
 from rpod_schemas.types import Odometry
 
 
-def vector(value: NDArray[np.float64]) -> Any:
+def write_vector(value: NDArray[np.float64]) -> Any:
     """Return a geometry_msgs/Vector3."""
     return message_class("geometry_msgs/msg/Vector3")(x=float(value[0]), y=float(value[1]), z=float(value[2]))
 
@@ -93,7 +93,7 @@ def read_vector_stamped(message: Any) -> tuple[int, NDArray[np.float64]]:
 def write_vector_stamped(stamp_ns: int, frame_id: str, vector: NDArray[np.float64]) -> Any:
     """Return a geometry_msgs/Vector3Stamped."""
     return message_class("geometry_msgs/msg/Vector3Stamped")(
-        header=write_header(stamp_ns, frame_id), vector=vector(vector)
+        header=write_header(stamp_ns, frame_id), vector=write_vector(vector)
     )
 
 
@@ -110,7 +110,7 @@ def write_transforms(stamp_ns: int, transforms: Iterable[tuple[str, str, RigidTr
                 header=write_header(stamp_ns, parent),
                 child_frame_id=child,
                 transform=message_class("geometry_msgs/msg/Transform")(
-                    translation=vector(pose.translation), rotation=write_quaternion(rotation_of(pose))
+                    translation=write_vector(pose.translation), rotation=write_quaternion(rotation_of(pose))
                 ),
             )
             for parent, child, pose in transforms
@@ -153,7 +153,7 @@ def read_odometry(message: Any) -> Odometry:
 def write_odometry(odometry: Odometry) -> Any:
     """Return a nav_msgs/Odometry."""
     twist = message_class("geometry_msgs/msg/Twist")(
-        linear=vector(odometry.linear_m_s), angular=vector(odometry.angular_rad_s)
+        linear=write_vector(odometry.linear_m_s), angular=write_vector(odometry.angular_rad_s)
     )
     return message_class("nav_msgs/msg/Odometry")(
         header=write_header(odometry.stamp_ns, odometry.frame_id),

@@ -7,7 +7,7 @@ import numpy as np
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages.geometry import read_rotation, read_vector, vector, write_quaternion
+from rpod_schemas.messages.geometry import read_rotation, read_vector, write_quaternion, write_vector
 from rpod_schemas.messages.header import build, read_stamp, write_header
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import ImuReading
@@ -53,9 +53,9 @@ def write_imu(
         header=write_header(reading.stamp_ns, reading.frame_id),
         orientation=write_quaternion(attitude) if attitude is not None else _no_rotation(),
         orientation_covariance=_covariance(attitude_variance if attitude is not None else None),
-        angular_velocity=vector(reading.rate_rad_s),
+        angular_velocity=write_vector(reading.rate_rad_s),
         angular_velocity_covariance=_covariance(reading.rate_variance),
-        linear_acceleration=vector(force if force is not None else np.zeros(3)),
+        linear_acceleration=write_vector(force if force is not None else np.zeros(3)),
         linear_acceleration_covariance=_covariance(force_variance if force is not None else None),
     )
 

@@ -28,6 +28,8 @@ from rpod_schemas.poses import pose_of, rotation_matrix
 
 CENTRE_OF_MASS, INERTIA = "centre_of_mass_offset_m", "inertia_ratios"
 GYRO_BIAS, ACCELERATION_BIAS = "gyro_bias_rad_s", "acceleration_bias_m_s2"
+STATES = frozenset({CENTRE_OF_MASS, INERTIA, GYRO_BIAS, ACCELERATION_BIAS})
+"""Names of the blocks of further states."""
 
 _NONE = np.zeros(3)
 

@@ -49,8 +49,9 @@ class _Sum:
 class ImuTrack:
     """Readings of the chaser's IMU in the order of their stamps, and their integrals.
 
-    It only grows: a step up to the newest reading is the same whenever it is asked for. After the newest
-    reading its rate is assumed, and the time counts as unknown.
+    Readings after a stamp do not count for it: a step is the same whenever it is asked for, once all readings
+    up to its end are there. Between readings the last rate is assumed. More than 0.1 s after a reading, the
+    time counts as unknown.
 
     Args:
         noise_rad_sqrt_s: angular random walk of a gyro whose readings do not state their variance.
@@ -62,10 +63,12 @@ class ImuTrack:
         self._attitude = R_orbit_chaser
         self._sums: list[_Sum] = []
 
-    @property
-    def newest_ns(self) -> int | None:
-        """Stamp of the newest reading; None before the first."""
-        return self._sums[-1].stamp_ns if self._sums else None
+    def covers(self, stamp_ns: int) -> bool:
+        """Return whether all readings up to a stamp are there, if they go on as before."""
+        if len(self._sums) < 2:
+            return False
+        newest_ns = self._sums[-1].stamp_ns
+        return 2 * newest_ns - self._sums[-2].stamp_ns > stamp_ns
 
     def hear(self, reading: ImuReading) -> bool:
         """Add a reading; return whether it is newer than all before, otherwise it is not used."""
@@ -121,28 +124,16 @@ class ImuTrack:
         )
 
     def _at(self, stamp_ns: int) -> _Sum:
-        """Return the integrals at any stamp, between readings or beyond them."""
+        """Return the integrals at any stamp, by the readings up to it."""
         place = bisect_right(self._sums, stamp_ns, key=lambda each: each.stamp_ns)
         before = self._sums[max(place - 1, 0)]
         step_s = (stamp_ns - before.stamp_ns) * 1e-9
         if step_s == 0.0:
             return before
-        if 0 < place < len(self._sums):
-            after = self._sums[place]
-            gap_s = (after.stamp_ns - before.stamp_ns) * 1e-9
-            share = step_s / gap_s
-            found = _extended(
-                before, step_s, stamp_ns,
-                (1.0 - share) * before.rate_rad_s + share * after.rate_rad_s,
-                (1.0 - share) * before.force_m_s2 + share * after.force_m_s2,
-                (after.variance - before.variance) / gap_s, before.R_orbit_chaser,
-            )  # fmt: skip
-            return found
-        beyond = _extended(
+        return _extended(
             before, step_s, stamp_ns, before.rate_rad_s, before.force_m_s2, self._noise,
             before.R_orbit_chaser,
         )  # fmt: skip
-        return beyond
 
     def _mean_rate(self, at: _Sum) -> FloatArray:
         """Return the rate at a stamp: the mean over a short time before it, moved by half its change."""

@@ -11,11 +11,12 @@ from rpod_pose.navigation.dynamics.free_motion import (
     CENTRE_OF_MASS,
     GYRO_BIAS,
     INERTIA,
+    STATES,
     FreeMotion,
 )
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.torque_free import RATIOS, Inertia
-from rpod_pose.navigation.filter import Block, MotionModel
+from rpod_pose.navigation.filter import Block, FilterState, MotionModel
 from rpod_schemas.config.dynamics import DynamicsConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import Equivalence, Target
@@ -40,6 +41,21 @@ class Dynamics:
             ConfigurationError: the rotation of the target about a free axis is not observable.
         """
         return cls() if config.is_default else _free(config, target)
+
+
+CONSTANT = Dynamics()
+"""Constant velocity and rate as seen from the chaser."""
+
+
+def evidence_of(state: FilterState) -> dict[str, float]:
+    """Return size and standard deviation of a model's further states, by name, for the status."""
+    places, found = state.places(), {}
+    for block in state.blocks:
+        if state.model is not None and block.name in STATES:
+            variances = np.diag(state.covariance)[places[block.name]]
+            found[block.name] = float(np.linalg.norm(block.value))
+            found[f"{block.name}_sigma"] = float(np.sqrt(variances.max()))
+    return found
 
 
 def _free(config: DynamicsConfig, target: Target) -> Dynamics:

@@ -200,10 +200,10 @@ def test_time_without_readings_adds_the_noise_of_a_chaser_that_nobody_measures()
 
 def test_readings_that_are_not_newer_are_not_used():
     track = a_track()
-    newest_ns = track.newest_ns
+    newest_ns = 10**18 + 3_990_000_000
     old = ImuReading(stamp_ns=newest_ns, frame_id=CHASER, rate_rad_s=np.ones(3))
     assert not track.hear(old)
-    assert track.newest_ns == newest_ns
+    assert track.covers(newest_ns + 9_000_000) and not track.covers(newest_ns + 11_000_000)
 
 
 def test_an_inertia_of_any_ratios_is_positive():
