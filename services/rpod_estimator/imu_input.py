@@ -9,7 +9,7 @@ from rpod_runtime.holders import Holders
 from rpod_schemas.config.dynamics import DynamicsConfig
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages import NANOSECONDS, read_imu
+from rpod_schemas.messages import read_imu
 from rpod_schemas.topics import IMU
 from rpod_schemas.types import ImuReading
 
@@ -73,11 +73,13 @@ class ImuInput:
             return
         self._is_behind = behind
         text = (
-            f"{IMU.name} has no reading up to the frame: the chaser's rotation is unknown, and estimates coast "
-            "less long; check its publisher"
+            f"{IMU.name} has no reading up to the frame: the chaser's rotation is unknown, and a track "
+            "coasts less long; check its publisher"
         )
         self._node.health.alarm("imu", text if behind else "")
-        log.log(logging.WARNING if behind else logging.INFO, text if behind else f"{IMU.name}: in order again")
+        log.log(
+            logging.WARNING if behind else logging.INFO, text if behind else f"{IMU.name}: in order again"
+        )
 
 
 def checked(reading: ImuReading, config: DynamicsConfig) -> ImuReading:
@@ -89,10 +91,10 @@ def checked(reading: ImuReading, config: DynamicsConfig) -> ImuReading:
             "orientation is absent, and dynamics.orbit needs the chaser's attitude in the orbital frame; set "
             "dynamics.orbit.R_orbit_chaser, or leave out dynamics.orbit",
         )
-    if config.imu is not None and config.imu.acceleration_bias_sigma_m_s2 is not None:
-        if reading.force_m_s2 is None:
-            raise MessageRejectedError(
-                Reason.MALFORMED,
-                "linear acceleration is absent; leave out dynamics.imu.acceleration_bias_sigma_m_s2",
-            )
+    used = config.imu is not None and config.imu.acceleration_bias_sigma_m_s2 is not None
+    if used and reading.force_m_s2 is None:
+        raise MessageRejectedError(
+            Reason.MALFORMED,
+            "linear acceleration is absent; leave out dynamics.imu.acceleration_bias_sigma_m_s2",
+        )
     return reading

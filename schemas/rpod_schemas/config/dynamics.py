@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from rpod_schemas.config.base import Config, NonNegative, Positive
 from rpod_schemas.config.tuning import Provenance, Tuning
@@ -79,7 +79,7 @@ class DynamicsConfig(Config):
     def _the_orbit_needs_an_attitude(self) -> Self:
         if self.orbit is not None and self.orbit.R_orbit_chaser is None and self.imu is None:
             raise ValueError(
-                "orbit: the chaser's attitude in the orbital frame is not known; set orbit.R_orbit_chaser, or "
-                "imu if chaser/imu states it"
+                "orbit: the chaser's attitude in the orbital frame is not known; set orbit.R_orbit_chaser, "
+                "or imu if chaser/imu states it"
             )
         return self

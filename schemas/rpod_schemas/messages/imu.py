@@ -44,9 +44,7 @@ def read_imu(message: Any) -> ImuReading:
     )
 
 
-def write_imu(
-    reading: ImuReading, *, attitude_variance: float = 0.0, force_variance: float = 0.0
-) -> Any:
+def write_imu(reading: ImuReading, *, attitude_variance: float = 0.0, force_variance: float = 0.0) -> Any:
     """Return a sensor_msgs/Imu; variances of 0 are not stated."""
     attitude, force = reading.R_orbit_chaser, reading.force_m_s2
     return message_class("sensor_msgs/msg/Imu")(

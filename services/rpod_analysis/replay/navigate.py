@@ -177,9 +177,7 @@ def _relevant(
 class _Feed:
     """Passes frames to the estimator, and advances its time between the frames."""
 
-    def __init__(
-        self, estimator: Estimator, intake: FrameReader, imu: LoggedImu, *, as_live: bool
-    ) -> None:
+    def __init__(self, estimator: Estimator, intake: FrameReader, imu: LoggedImu, *, as_live: bool) -> None:
         self.processing_s: list[float] = []
         self._imu = imu
         self._estimator, self._intake, self._as_live = estimator, intake, as_live

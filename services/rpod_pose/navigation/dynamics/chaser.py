@@ -66,6 +66,4 @@ class Held:
         turn = exponential(-self._rate_rad_s * ((end_ns - begin_ns) * 1e-9))
         nothing, none = np.zeros((3, 3)), np.zeros(3)
         rate = self._rate_rad_s
-        return ChaserStep(
-            turn, nothing, rate, rate, 0.0, 0.0, none, none, nothing, nothing, self._attitude
-        )
+        return ChaserStep(turn, nothing, rate, rate, 0.0, 0.0, none, none, nothing, nothing, self._attitude)

@@ -7,8 +7,8 @@ orbit, less what the chaser's own thrust gains, and the body turns at a constant
 the end the chaser's turn C leads to its axes, and the same relations lead back. The derivatives follow the
 same way, step by step; the errors of q, u and W are estimate minus truth like those of p, v and w.
 
-Further states, where they are there: offset of the centre of mass from the declared one, ratios of the inertia, bias of the gyro and of the
-accelerometer. A state that nothing tells keeps its prior.
+Further states, where they are there: offset of the centre of mass from the declared one, ratios of the
+inertia, bias of the gyro and of the accelerometer. A state that nothing tells keeps its prior.
 """
 
 from dataclasses import dataclass, replace
@@ -159,7 +159,7 @@ class FreeMotion:
         return curvature(R.T @ W, extras.shape, self.inertia, directions, step_s)
 
     def _transition(self, chaser: ChaserStep, step_s: float) -> FloatArray:
-        """Return the transition of (q, u); without an attitude in the orbital frame that of straight motion."""
+        """Return the transition of (q, u); on a line where the attitude in the orbital frame is unknown."""
         if self.orbit_rate_rad_s is None or chaser.R_orbit_chaser is None:
             return straight(step_s)
         return inertial_transition(self.orbit_rate_rad_s, step_s, chaser.R_orbit_chaser.T)
@@ -187,7 +187,7 @@ def _to_centre(
     w: FloatArray,
     chaser_rad_s: FloatArray,
 ) -> FloatArray:
-    """Return the derivatives of (q, theta, u, W, blocks) by the errors of the state, shape (12 + n, 12 + n)."""
+    """Return the derivatives of (q, theta, u, W, blocks) by those of the state, shape (12 + n, 12 + n)."""
     arm, spin, own = cross_matrix(arm_m), cross_matrix(w), cross_matrix(chaser_rad_s)
     T = np.eye(size)
     T[POSITION, ATTITUDE] = -arm

@@ -21,8 +21,9 @@ _GAP_S = 0.1
 control reacts within some tenths of a second."""
 _KEPT_S = 300.0
 """Time for which readings are kept; no track coasts for longer."""
-_RATE_S = 0.1
-"""Time before a stamp over which readings are averaged for the rate at the stamp."""
+_RATE_S = 0.2
+"""Time before a stamp over which readings give the rate at the stamp: its noise is then 5 times the angular
+random walk over a second. Attitude control changes the rate little in this time."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,7 +89,14 @@ class ImuTrack:
         step_s = (reading.stamp_ns - last.stamp_ns) * 1e-9
         density = reading.rate_variance * step_s if reading.rate_variance else self._noise
         self._sums.append(
-            _extended(last, step_s, reading.stamp_ns, reading.rate_rad_s, force, density, attitude)
+            _extended(
+                last,
+                stamp_ns=reading.stamp_ns,
+                rate_rad_s=reading.rate_rad_s,
+                force_m_s2=force,
+                density=density,
+                attitude=attitude,
+            )
         )
         self._prune()
         return True
@@ -127,36 +135,40 @@ class ImuTrack:
         """Return the integrals at any stamp, by the readings up to it."""
         place = bisect_right(self._sums, stamp_ns, key=lambda each: each.stamp_ns)
         before = self._sums[max(place - 1, 0)]
-        step_s = (stamp_ns - before.stamp_ns) * 1e-9
-        if step_s == 0.0:
+        if before.stamp_ns == stamp_ns:
             return before
         return _extended(
-            before, step_s, stamp_ns, before.rate_rad_s, before.force_m_s2, self._noise,
-            before.R_orbit_chaser,
-        )  # fmt: skip
+            before,
+            stamp_ns=stamp_ns,
+            rate_rad_s=before.rate_rad_s,
+            force_m_s2=before.force_m_s2,
+            density=self._noise,
+            attitude=before.R_orbit_chaser,
+        )
 
     def _mean_rate(self, at: _Sum) -> FloatArray:
-        """Return the rate at a stamp: the mean over a short time before it, moved by half its change."""
+        """Return the rate at a stamp, by a line through two means over a short time before it."""
         stamp_ns = at.stamp_ns - round(_RATE_S * 1e9)
-        if stamp_ns <= self._sums[0].stamp_ns or at.stamp_ns > self._sums[-1].stamp_ns:
+        if stamp_ns <= self._sums[0].stamp_ns:
             return at.rate_rad_s
         before, middle = self._at(stamp_ns), self._at(at.stamp_ns - round(0.5e9 * _RATE_S))
         late = (at.angle_rad - middle.angle_rad) / (0.5 * _RATE_S)
         early = (middle.angle_rad - before.angle_rad) / (0.5 * _RATE_S)
-        # means at 1/4 and 3/4 of the time before the stamp: the line through them at the stamp
+        # the means are those at 3/4 and 1/4 of this time before the stamp
         return 1.5 * late - 0.5 * early
 
 
 def _extended(
     last: _Sum,
-    step_s: float,
+    *,
     stamp_ns: int,
     rate_rad_s: FloatArray,
     force_m_s2: FloatArray,
     density: float,
     attitude: FloatArray | None,
 ) -> _Sum:
-    """Return the integrals after a step, with the mean of both ends' readings, which may lie in the past."""
+    """Return the integrals at another stamp, with the mean of both ends' readings; it may lie in the past."""
+    step_s = (stamp_ns - last.stamp_ns) * 1e-9
     mean_rad_s = 0.5 * (last.rate_rad_s + rate_rad_s)
     G = last.G @ exponential(mean_rad_s * step_s)
     middle = 0.5 * (last.G + G)

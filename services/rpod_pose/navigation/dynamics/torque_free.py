@@ -48,8 +48,8 @@ class Inertia:
         """Return the inertia of coefficients, shape (2,), or (0,) for the declared one."""
         moments, axes = self._principal
         used = _BASIS[: len(coefficients)]
-        moments = moments * np.exp(coefficients @ used)
-        return Shape((axes * moments) @ axes.T, (axes * (used * moments)[:, None]) @ axes.T)
+        shaped: FloatArray = moments * np.exp(coefficients @ used)
+        return Shape((axes * shaped) @ axes.T, (axes * (used * shaped)[:, None]) @ axes.T)
 
 
 class Shape(NamedTuple):
@@ -160,7 +160,8 @@ def curvature(
     turns, rates = _turned(rates, J, step_s)
     off = Rotation.from_matrix(turns[0].T @ turns[1:]).as_rotvec()
     change = np.hstack([off, rates[1:] - rates[0]])
-    return (change[: spread.shape[1]] + change[spread.shape[1] :]).T
+    both: FloatArray = change[: spread.shape[1]] + change[spread.shape[1] :]
+    return both.T
 
 
 def _turned(rates_rad_s: FloatArray, J: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
@@ -191,9 +192,7 @@ def constant_rate(rate_rad_s: FloatArray, step_s: float) -> Turned:
     """Return the rotation of a body whose rate is constant, which is that of a sphere without torque."""
     phi = rate_rad_s * step_s
     empty = np.zeros((3, 0))
-    return Turned(
-        exponential(phi), rate_rad_s, step_s * left_jacobian(phi).T, np.eye(3), empty, empty
-    )
+    return Turned(exponential(phi), rate_rad_s, step_s * left_jacobian(phi).T, np.eye(3), empty, empty)
 
 
 def _matrix(quaternion_xyzw: FloatArray) -> FloatArray:

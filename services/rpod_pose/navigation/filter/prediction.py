@@ -1,8 +1,9 @@
 """Prediction of a state to a later time, by a model of motion.
 
-A model of motion (``MotionModel``) gives the state after a step, and how its errors move. The errors after the step are A (F e + q): F moves them, q is noise of covariance Q, and A
-applies to both. All three are of shape (12 + n, 12 + n); a model with states of its own fills their rows and
-columns, and leaves those of other blocks to ``of_blocks``.
+A model of motion (``MotionModel``) gives the state after a step, and how its errors move. The errors after
+the step are A (F e + q): F moves them, q is noise of covariance Q, and A applies to both. All three are of
+shape (12 + n, 12 + n); a model with states of its own fills their rows and columns, and leaves those of other
+blocks to ``of_blocks``.
 """
 
 from dataclasses import replace

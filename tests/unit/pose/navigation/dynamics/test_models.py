@@ -134,14 +134,15 @@ def difference(state, other):
 
 
 MODELS = {
-    "chaser at rest": FreeMotion(
-        Held(), Inertia(INERTIA_KG_M2), angular_acceleration_density_rad2_s3=2e-11
-    ),
+    "chaser at rest": FreeMotion(Held(), Inertia(INERTIA_KG_M2), angular_acceleration_density_rad2_s3=2e-11),
     "constant rate in orbit": FreeMotion(Held(np.eye(3)[[1, 2, 0]], 1e-3), None, 1e-3),
     "all with an imu": FreeMotion(
-        a_track(R_orbit_chaser=Rotation.from_euler("zyx", [1.0, 0.3, -0.4])), Inertia(INERTIA_KG_M2), 1e-3,
-        acceleration_density_m2_s3=1e-16, angular_acceleration_density_rad2_s3=1e-16,
-    ),  # fmt: skip
+        a_track(R_orbit_chaser=Rotation.from_euler("zyx", [1.0, 0.3, -0.4])),
+        Inertia(INERTIA_KG_M2),
+        1e-3,
+        acceleration_density_m2_s3=1e-16,
+        angular_acceleration_density_rad2_s3=1e-16,
+    ),
 }
 
 
@@ -157,7 +158,12 @@ def test_the_derivatives_of_a_model_are_those_of_its_states(name):
         step[index] = 1e-5
         ends = [model(state.corrected(sign * step), 2.0, FILTER).state for sign in (1.0, -1.0)]
         column = difference(*ends) / 2e-5
-        np.testing.assert_allclose(found[:, index], column, atol=2e-3 if index >= state.places()[GYRO_BIAS].start else 1e-6, err_msg=f"state {index}")
+        np.testing.assert_allclose(
+            found[:, index],
+            column,
+            atol=2e-3 if index >= state.places()[GYRO_BIAS].start else 1e-6,
+            err_msg=f"state {index}",
+        )
     assert rotation_of(moved.T_chaser_target).magnitude() > 0.1
 
 
@@ -185,7 +191,9 @@ def test_a_chaser_that_turns_sees_a_target_at_rest_turn_the_other_way():
     turn = Rotation.from_rotvec(-30.0 * rate)
     np.testing.assert_allclose(seen.T_chaser_target.translation, turn.apply(pose.translation), atol=1e-9)
     assert (rotation_of(seen.T_chaser_target) * turn.inv()).magnitude() < 1e-9
-    np.testing.assert_allclose(seen.velocity_m_s, -np.cross(rate, seen.T_chaser_target.translation), atol=1e-9)
+    np.testing.assert_allclose(
+        seen.velocity_m_s, -np.cross(rate, seen.T_chaser_target.translation), atol=1e-9
+    )
 
 
 def test_time_without_readings_adds_the_noise_of_a_chaser_that_nobody_measures():
@@ -203,7 +211,8 @@ def test_readings_that_are_not_newer_are_not_used():
     newest_ns = 10**18 + 3_990_000_000
     old = ImuReading(stamp_ns=newest_ns, frame_id=CHASER, rate_rad_s=np.ones(3))
     assert not track.hear(old)
-    assert track.covers(newest_ns + 9_000_000) and not track.covers(newest_ns + 11_000_000)
+    assert track.covers(newest_ns + 9_000_000)
+    assert not track.covers(newest_ns + 11_000_000)
 
 
 def test_an_inertia_of_any_ratios_is_positive():
