@@ -48,6 +48,8 @@ class Estimator:
         self._tell_unreliable_parts()
         self.learn({})
         self._dynamics = Dynamics.of(config.dynamics, target)
+        if self._dynamics.assumption:
+            log.warning("%s", self._dynamics.assumption)
         self._navigator = Navigator(
             config,
             self._methods,

@@ -32,6 +32,8 @@ class Dynamics:
     """Further states of the model."""
     imu: ImuTrack | None = None
     """Readings of the chaser's IMU, for a model that uses them."""
+    assumption: str = ""
+    """What the configuration assumes without saying so; empty if nothing."""
 
     @classmethod
     def of(cls, config: DynamicsConfig, target: Target) -> "Dynamics":
@@ -88,7 +90,14 @@ def _free(config: DynamicsConfig, target: Target) -> Dynamics:
             tuning.angular_acceleration_density_rad2_s3 if torque_free else None
         ),
     )
-    return Dynamics(model, tuple(blocks), imu)
+    held = "in the orbital frame" if config.orbit is not None else "in inertial space"
+    assumption = (
+        ""
+        if imu is not None
+        else f"dynamics: the chaser is taken to hold its attitude {held}; if it turns, "
+        "the estimates are worse than their covariance: set dynamics.imu"
+    )
+    return Dynamics(model, tuple(blocks), imu, assumption)
 
 
 def _block(name: str, size: int, sigma: float) -> Block:

@@ -90,7 +90,7 @@ class _Integration:
     inverse: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
-        self.inverse = np.linalg.inv(self.shape.J)
+        self.inverse = np.linalg.inv(self.shape.J).astype(np.float64)
 
     def slope(self, y: FloatArray) -> FloatArray:
         """Return dy/dt of y = (quaternion x y z w, rate, [rate by] and [turn by] all, row by row)."""
