@@ -114,7 +114,7 @@ def fly(course: Course, seed: int) -> Result:
             state = start(
                 measured, covariance, _stamp(time_s), config=course.filter,
                 centre_of_mass_m=course.assumed().centre_of_mass_m,
-                blocks=dynamics.blocks, model=dynamics.model,
+                blocks=dynamics.blocks_at(_stamp(time_s)), model=dynamics.model,
             )  # fmt: skip
             continue
         outcome = update(

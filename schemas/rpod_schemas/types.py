@@ -256,6 +256,8 @@ class ImuReading(Stamped):
     """Specific force: acceleration without that of gravity, shape (3,)."""
     R_orbit_chaser: Attitude | None = None
     """Attitude in the orbital frame (ICD section 1)."""
+    attitude_variance: Annotated[float, bounded(VARIANCE)] = 0.0
+    """Mean variance of the attitude about the three axes, rad2; 0 if it is not stated."""
 
 
 class LidarInfo(Model):

@@ -64,16 +64,15 @@ class Imu:
             rate_variance=self._rate_sigma**2,
             force_m_s2=force,
             R_orbit_chaser=attitude,
+            attitude_variance=radians(config.star_tracker_sigma_deg or 0.0) ** 2,
         )
 
     def message(self, stamp_ns: int, time_s: float) -> object:
         """Return the sensor_msgs/Imu of a reading."""
         config = self._config
-        attitude_variance = radians(config.star_tracker_sigma_deg or 0.0) ** 2
         force_variance = (config.acceleration_noise_m_s_sqrt_s or 0.0) ** 2 * config.rate_hz
         return write_imu(
             self.reading(stamp_ns, time_s),
-            attitude_variance=attitude_variance,
             force_variance=force_variance,
         )
 

@@ -45,6 +45,10 @@ class DynamicsTuning(Tuning):
         Positive, Provenance("physics", "0.15 deg/sqrt(h), a tactical MEMS gyro (STIM300 data sheet)")
     ] = 0.0025
     """Angular random walk of a gyro whose readings do not state their variance, deg/sqrt(s)."""
+    gyro_bias_walk_deg_s_sqrt_s: Annotated[
+        Positive, Provenance("physics", "0.3 deg/h, its bias instability (STIM300 data sheet), in 1,000 s")
+    ] = 2.6e-6
+    """Random walk of the gyro's bias, deg/s/sqrt(s), where a star tracker tells the bias."""
 
 
 class DynamicsConfig(Config):

@@ -22,40 +22,46 @@ def read_imu(message: Any) -> ImuReading:
         raise MessageRejectedError(
             Reason.MALFORMED, f"frame_id is {message.header.frame_id!r}, needs {CHASER!r}: turn the readings"
         )
-    variances = message.angular_velocity_covariance[[0, 4, 8]]
-    if not np.isfinite(variances).all():
-        raise MessageRejectedError(Reason.NOT_FINITE, "angular velocity covariance")
-    if variances[0] == _ABSENT:
+    rate_variance = _variance(message.angular_velocity_covariance, "angular velocity")
+    attitude_variance = _variance(message.orientation_covariance, "orientation")
+    if rate_variance is None:
         raise MessageRejectedError(Reason.MALFORMED, "angular velocity is absent; the estimator needs it")
     return build(
         ImuReading,
         stamp_ns=read_stamp(message.header),
         frame_id=message.header.frame_id,
         rate_rad_s=read_vector(message.angular_velocity),
-        rate_variance=float(variances.mean()),
+        rate_variance=rate_variance,
         force_m_s2=(
             read_vector(message.linear_acceleration)
             if message.linear_acceleration_covariance[0] != _ABSENT
             else None
         ),
-        R_orbit_chaser=(
-            read_rotation(message.orientation) if message.orientation_covariance[0] != _ABSENT else None
-        ),
+        R_orbit_chaser=None if attitude_variance is None else read_rotation(message.orientation),
+        attitude_variance=attitude_variance or 0.0,
     )
 
 
-def write_imu(reading: ImuReading, *, attitude_variance: float = 0.0, force_variance: float = 0.0) -> Any:
+def write_imu(reading: ImuReading, *, force_variance: float = 0.0) -> Any:
     """Return a sensor_msgs/Imu; variances of 0 are not stated."""
     attitude, force = reading.R_orbit_chaser, reading.force_m_s2
     return message_class("sensor_msgs/msg/Imu")(
         header=write_header(reading.stamp_ns, reading.frame_id),
         orientation=write_quaternion(attitude) if attitude is not None else _no_rotation(),
-        orientation_covariance=_covariance(attitude_variance if attitude is not None else None),
+        orientation_covariance=_covariance(reading.attitude_variance if attitude is not None else None),
         angular_velocity=write_vector(reading.rate_rad_s),
         angular_velocity_covariance=_covariance(reading.rate_variance),
         linear_acceleration=write_vector(force if force is not None else np.zeros(3)),
         linear_acceleration_covariance=_covariance(force_variance if force is not None else None),
     )
+
+
+def _variance(covariance: FloatArray, field: str) -> float | None:
+    """Return the mean variance of a covariance, shape (9,); None where it says that nothing is measured."""
+    variances = covariance[[0, 4, 8]]
+    if not np.isfinite(variances).all():
+        raise MessageRejectedError(Reason.NOT_FINITE, f"{field} covariance")
+    return None if variances[0] == _ABSENT else float(variances.mean())
 
 
 def _no_rotation() -> Any:

@@ -103,7 +103,7 @@ class Navigator:
             config=self._settings.filter,
             centre_of_mass_m=self._centre_of_mass_m,
             alike=self._alike,
-            blocks=self._dynamics.blocks,
+            blocks=self._dynamics.blocks_at(measured.stamp_ns),
             model=self._dynamics.model,
         )
 

@@ -37,6 +37,10 @@ class ChaserStep(NamedTuple):
     """Derivatives of ``way_m`` by the accelerometer's bias, shape (3, 3)."""
     R_orbit_chaser: FloatArray | None
     """Attitude in the orbital frame at the start, shape (3, 3); None where nothing tells it."""
+    bias_kept: float = 1.0
+    """Share of the gyro's bias that is left at the end, where a star tracker takes it out in the step."""
+    bias_noise: float = 0.0
+    """Variance about each axis of what comes to this share, (rad/s)^2."""
 
 
 class Chaser(Protocol):

@@ -18,7 +18,7 @@ import numpy as np
 from rpod_pose.navigation.dynamics.chaser import Chaser, ChaserStep
 from rpod_pose.navigation.dynamics.relative_orbit import inertial_transition, straight
 from rpod_pose.navigation.dynamics.torque_free import Inertia, Turned, constant_rate, curvature, torque_free
-from rpod_pose.navigation.filter.blocks import faded
+from rpod_pose.navigation.filter.blocks import Block, faded
 from rpod_pose.navigation.filter.prediction import of_blocks, process_noise, turn_of_view_rad
 from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian, orthonormal
 from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSITION, RATE, VELOCITY, FilterState, Motion
@@ -77,7 +77,7 @@ class FreeMotion:
         extras = _Extras.of(state)
         chaser = self.chaser.step(state.stamp_ns, state.stamp_ns + round(step_s * 1e9))
         before_rad_s = chaser.rate_before_rad_s - extras.gyro_rad_s
-        after_rad_s = chaser.rate_after_rad_s - extras.gyro_rad_s
+        after_rad_s = chaser.rate_after_rad_s - chaser.bias_kept * extras.gyro_rad_s
 
         R, w = rotation_matrix(state.T_chaser_target), state.rate_rad_s
         arm_m = R @ extras.centre_m
@@ -105,7 +105,10 @@ class FreeMotion:
         F[MOTION] = _moved(extras, state.size, R=R, C=C, W=W, body=body, moved=moved, chaser=chaser)
         by_turn = _by_turn(q, u, W_after)
         if GYRO_BIAS in extras.places:
-            F[MOTION, extras.places[GYRO_BIAS]] += by_turn @ left_jacobian(phi) @ chaser.turn_by_bias
+            place = extras.places[GYRO_BIAS]
+            F[place, place] *= chaser.bias_kept
+            Q[place, place] += chaser.bias_noise * np.eye(3)
+            F[MOTION, place] += by_turn @ left_jacobian(phi) @ chaser.turn_by_bias
         Q[MOTION, MOTION] = self._noise(chaser, step_s, config) + chaser.turn_variance * by_turn @ by_turn.T
         Q[MOTION, MOTION] += _of_curvature(curved, R_after, W_after)
 
@@ -117,7 +120,7 @@ class FreeMotion:
             T_chaser_target=pose_of(R_after, q - arm_m),
             velocity_m_s=velocity_m_s,
             rate_rad_s=w,
-            blocks=faded(state.blocks, step_s, turn_of_view_rad(state, step_s)),
+            blocks=_faded(state, step_s, chaser),
         )
         return Motion(after, F @ to_centre, Q, back)
 
@@ -175,6 +178,14 @@ class FreeMotion:
         if chaser.unknown_s > 0.0:
             noise = noise + process_noise(min(chaser.unknown_s, step_s), *filtered)
         return noise
+
+
+def _faded(state: FilterState, step_s: float, chaser: ChaserStep) -> tuple[Block, ...]:
+    """Return the blocks after a step; of the gyro's bias, what the star tracker has not taken out."""
+    return tuple(
+        replace(block, value=chaser.bias_kept * block.value) if block.name == GYRO_BIAS else block
+        for block in faded(state.blocks, step_s, turn_of_view_rad(state, step_s))
+    )
 
 
 def _to_centre(

@@ -1,6 +1,6 @@
 """The model of motion and the further states that a configuration asks for."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi, radians
 
 import numpy as np
@@ -35,6 +35,15 @@ class Dynamics:
     assumption: str = ""
     """What the configuration assumes without saying so; empty if nothing."""
 
+    def blocks_at(self, stamp_ns: int) -> tuple[Block, ...]:
+        """Return the further states of a track that begins at a stamp."""
+        if self.imu is None:
+            return self.blocks
+        sigma = np.full(3, np.sqrt(self.imu.bias_at(stamp_ns).variance))
+        return tuple(
+            replace(block, sigma=sigma) if block.name == GYRO_BIAS else block for block in self.blocks
+        )
+
     @classmethod
     def of(cls, config: DynamicsConfig, target: Target) -> "Dynamics":
         """Return the dynamics of a configuration and a target.
@@ -52,10 +61,13 @@ CONSTANT = Dynamics()
 def evidence_of(state: FilterState) -> dict[str, float]:
     """Return size and standard deviation of a model's further states, by name, for the status."""
     places, found = state.places(), {}
+    imu = state.model.chaser if isinstance(state.model, FreeMotion) else None
     for block in state.blocks:
-        if state.model is not None and block.name in STATES:
-            variances = np.diag(state.covariance)[places[block.name]]
-            found[block.name] = float(np.linalg.norm(block.value))
+        if block.name in STATES:
+            variances, value = np.diag(state.covariance)[places[block.name]], block.value
+            if block.name == GYRO_BIAS and isinstance(imu, ImuTrack):
+                value = value + imu.bias_at(state.stamp_ns).bias_rad_s
+            found[block.name] = float(np.linalg.norm(value))
             found[f"{block.name}_sigma"] = float(np.sqrt(variances.max()))
     return found
 
@@ -74,8 +86,15 @@ def _free(config: DynamicsConfig, target: Target) -> Dynamics:
     if torque_free and config.inertia_sigma:
         blocks.append(_block(INERTIA, RATIOS, config.inertia_sigma))
     if config.imu is not None:
-        imu = ImuTrack(radians(tuning.gyro_noise_deg_sqrt_s), R_orbit_chaser)
-        blocks.append(_block(GYRO_BIAS, 3, radians(config.imu.gyro_bias_sigma_deg_s)))
+        bias_sigma = radians(config.imu.gyro_bias_sigma_deg_s)
+        imu = ImuTrack(
+            radians(tuning.gyro_noise_deg_sqrt_s),
+            R_orbit_chaser,
+            orbit_rate_rad_s=rate_rad_s,
+            bias_sigma_rad_s=bias_sigma,
+            bias_walk_rad_s_sqrt_s=radians(tuning.gyro_bias_walk_deg_s_sqrt_s),
+        )
+        blocks.append(_block(GYRO_BIAS, 3, bias_sigma))
         if config.imu.acceleration_bias_sigma_m_s2 is not None:
             free_fall = True
             blocks.append(_block(ACCELERATION_BIAS, 3, config.imu.acceleration_bias_sigma_m_s2))

@@ -225,3 +225,30 @@ def test_an_inertia_of_any_ratios_is_positive():
         slope = (inertia.shaped(at + step).J - inertia.shaped(at - step).J) / 2e-6
         np.testing.assert_allclose(inertia.shaped(at).by_coefficient[k], slope, atol=1e-9)
     assert np.linalg.eigvalsh(inertia.shaped(np.array([2.0, -3.0])).J).min() > 0.0
+
+
+def test_the_star_tracker_tells_the_bias_of_the_gyro():
+    n, sigma, bias = 1e-3, np.radians(0.01), np.radians([0.004, -0.002, 0.003])
+    track = ImuTrack(
+        np.radians(0.0025), orbit_rate_rad_s=n, bias_sigma_rad_s=np.radians(0.003),
+        bias_walk_rad_s_sqrt_s=np.radians(2.6e-6),
+    )  # fmt: skip
+    generator, R = np.random.default_rng(1), Rotation.identity()
+    for number in range(1201):
+        time_s = 0.1 * number
+        rate = np.radians([0.5, 1.0 * np.sin(0.1 * time_s), 0.0])
+        noise = np.radians(0.0025) * np.sqrt(10.0) * generator.standard_normal(3)
+        measured = Rotation.from_rotvec([0.0, 0.0, -n * time_s]) * R
+        track.hear(
+            ImuReading(
+                stamp_ns=10**18 + number * 100_000_000, frame_id=CHASER, rate_rad_s=rate + bias + noise,
+                R_orbit_chaser=measured * Rotation.from_rotvec(sigma * generator.standard_normal(3)),
+                attitude_variance=sigma**2,
+            )
+        )  # fmt: skip
+        middle = np.radians([0.5, 1.0 * np.sin(0.1 * (time_s + 0.05)), 0.0])
+        R = R * Rotation.from_rotvec(0.1 * middle)
+    found = track.bias_at(10**18 + 120_000_000_000)
+    off = found.bias_rad_s - bias
+    assert np.sqrt(found.variance) < np.radians(4e-4)
+    assert off @ np.linalg.solve(found.covariance[3:, 3:], off) < 16.3  # 99.9 % of chi-squared with 3
