@@ -17,7 +17,15 @@ import numpy as np
 
 from rpod_pose.navigation.dynamics.chaser import Chaser, ChaserStep
 from rpod_pose.navigation.dynamics.relative_orbit import inertial_transition, straight
-from rpod_pose.navigation.dynamics.torque_free import Inertia, Turned, constant_rate, curvature, torque_free
+from rpod_pose.navigation.dynamics.torque_free import (
+    FLAT,
+    Curvature,
+    Inertia,
+    Turned,
+    constant_rate,
+    curvature,
+    torque_free,
+)
 from rpod_pose.navigation.filter.blocks import Block, faded
 from rpod_pose.navigation.filter.prediction import of_blocks, process_noise, turn_of_view_rad
 from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian, orthonormal
@@ -89,8 +97,7 @@ class FreeMotion:
         body = self._turned(R.T @ W, extras, step_s)
         curved = self._curved(state, extras, to_centre, R=R, W=W, step_s=step_s)
         body = body._replace(
-            turn=body.turn @ exponential(curved[:3].sum(axis=1) / 6.0),
-            rate_rad_s=body.rate_rad_s + curved[3:].sum(axis=1) / 6.0,
+            turn=body.turn @ exponential(curved.mean[:3]), rate_rad_s=body.rate_rad_s + curved.mean[3:]
         )
         moved = self._transition(chaser, step_s)
         qu = moved @ np.concatenate([q, u])
@@ -110,7 +117,7 @@ class FreeMotion:
             Q[place, place] += chaser.bias_noise * np.eye(3)
             F[MOTION, place] += by_turn @ left_jacobian(phi) @ chaser.turn_by_bias
         Q[MOTION, MOTION] = self._noise(chaser, step_s, config) + chaser.turn_variance * by_turn @ by_turn.T
-        Q[MOTION, MOTION] += _of_curvature(curved, R_after, W_after)
+        Q[MOTION, MOTION] += _of_curvature(curved.spread, R_after, W_after)
 
         arm_m, w = R_after @ extras.centre_m, W_after - after_rad_s
         velocity_m_s = u - np.cross(after_rad_s, q) - np.cross(w, arm_m)
@@ -138,14 +145,14 @@ class FreeMotion:
         R: FloatArray,
         W: FloatArray,
         step_s: float,
-    ) -> FloatArray:
-        """Return the second differences of turn and rate over the covariance, shape (6, D).
+    ) -> Curvature:
+        """Return what the second order of the target's rotation adds.
 
         Euler's equations are quadratic in the rate. As long as the rate or the inertia is not known well,
         their second order counts: a rate of 8 deg/s that is assumed 0 changes by 1 deg/s2.
         """
         if self.inertia is None:
-            return np.zeros((6, 0))
+            return FLAT
         place = extras.places.get(INERTIA, slice(0, 0))
         chosen = np.zeros((3 + place.stop - place.start, state.size))
         chosen[:3, ATTITUDE], chosen[:3, RATE] = R.T @ cross_matrix(W), R.T
@@ -156,10 +163,10 @@ class FreeMotion:
         bound = (np.linalg.norm(sigma[:3]) + np.linalg.norm(W) * np.linalg.norm(sigma[3:])) ** 2 * step_s
         density = self.angular_acceleration_density_rad2_s3 or 0.0
         if bound < 0.1 * np.sqrt(density * step_s):
-            return np.zeros((6, 0))
+            return FLAT
         values, axes = np.linalg.eigh(spread)
-        directions = axes * np.sqrt(3.0 * np.maximum(values, 0.0))
-        return curvature(R.T @ W, extras.shape, self.inertia, directions, step_s)
+        root = axes * np.sqrt(np.maximum(values, 0.0))
+        return curvature(R.T @ W, extras.shape, self.inertia, root, step_s)
 
     def _transition(self, chaser: ChaserStep, step_s: float) -> FloatArray:
         """Return the transition of (q, u); on a line where the attitude in the orbital frame is unknown."""
@@ -280,22 +287,18 @@ def _moved(
     return F
 
 
-def _of_curvature(curved: FloatArray, R: FloatArray, W: FloatArray) -> FloatArray:
-    """Return the noise of (q, theta, u, W) that stands for second derivatives, shape (12, 12).
-
-    Second differences over sqrt(3) standard deviations give the mean by a sixth, and the covariance by an
-    eighteenth of their squares (M. Norgaard, N. K. Poulsen, O. Ravn, New developments in state estimation for
-    nonlinear systems, Automatica 36 (2000) 1627-1638, equations 28 and 62).
+def _of_curvature(spread: FloatArray, R: FloatArray, W: FloatArray) -> FloatArray:
+    """Return the noise of (q, theta, u, W) that stands for the second order, shape (12, 12).
 
     Args:
-        curved: second differences of turn and rate, body axes at the end, shape (6, D).
+        spread: root of the covariance of turn and rate, body axes at the end, shape (6, K).
         R: attitude at the end, shape (3, 3).
         W: rate at the end, the same axes as R, shape (3,).
     """
-    spread = np.zeros((12, curved.shape[1]))
-    spread[ATTITUDE] = R @ curved[:3]
-    spread[RATE] = R @ curved[3:] - cross_matrix(W) @ spread[ATTITUDE]
-    return spread @ spread.T / 18.0
+    root = np.zeros((12, spread.shape[1]))
+    root[ATTITUDE] = R @ spread[:3]
+    root[RATE] = R @ spread[3:] - cross_matrix(W) @ root[ATTITUDE]
+    return root @ root.T
 
 
 def _by_turn(q: FloatArray, u: FloatArray, W: FloatArray) -> FloatArray:

@@ -140,28 +140,48 @@ def torque_free(rate_rad_s: FloatArray, shape: Shape, step_s: float) -> Turned:
     )
 
 
-def curvature(
-    rate_rad_s: FloatArray, coefficients: FloatArray, inertia: Inertia, spread: FloatArray, step_s: float
-) -> FloatArray:
-    """Return second differences of turn and rate along directions of the state, shape (6, D).
+class Curvature(NamedTuple):
+    """What the second order of the motion adds to a turn and a rate, body axes at the end."""
 
-    They are f(x + d) + f(x - d) - 2 f(x), where f is (turn, as a vector in axes at the end; rate).
+    mean: FloatArray
+    """Mean of turn, as a vector, and rate, shape (6,)."""
+    spread: FloatArray
+    """Matrix whose product with its transpose is the covariance, shape (6, K)."""
+
+
+FLAT = Curvature(np.zeros(6), np.zeros((6, 0)))
+"""No second order."""
+
+
+def curvature(
+    rate_rad_s: FloatArray, coefficients: FloatArray, inertia: Inertia, root: FloatArray, step_s: float
+) -> Curvature:
+    """Return the second order of the motion over a normal distribution of rate and inertia.
+
+    With second differences D over h = sqrt(3) standard deviations along the columns i and j of a root of the
+    covariance, D_ij = h^2 H_ij, the mean is sum H_ii / 2, the covariance sum H_ij H_ij^T / 2 over all i, j
+    (M. Norgaard, N. K. Poulsen, O. Ravn, New developments in state estimation for nonlinear systems,
+    Automatica 36 (2000) 1627-1638). The mixed ones count: those of Euler's equations along principal axes are
+    the only ones.
 
     Args:
         rate_rad_s: rate at the start, body axes, shape (3,).
         coefficients: those of the inertia's ratios, shape (2,) or (0,).
         inertia: the declared inertia.
-        spread: directions in (rate, coefficients), shape (5, D) or (3, D).
+        root: root of the covariance of (rate, coefficients), shape (D, D), D = 5 or 3.
         step_s: time, s.
     """
-    points = np.concatenate([np.zeros((1, len(spread))), spread.T, -spread.T])
-    rates = rate_rad_s + points[:, :3]
+    count, steps = root.shape[1], np.sqrt(3.0) * root.T
+    first, second = np.triu_indices(count, 1)
+    pairs = steps[first] + steps[second]
+    points = np.concatenate([np.zeros((1, len(root))), steps, -steps, pairs, -pairs])
     J = np.array([inertia.shaped(coefficients + point[3:]).J for point in points])
-    turns, rates = _turned(rates, J, step_s)
-    off = Rotation.from_matrix(turns[0].T @ turns[1:]).as_rotvec()
-    change = np.hstack([off, rates[1:] - rates[0]])
-    both: FloatArray = change[: spread.shape[1]] + change[spread.shape[1] :]
-    return both.T
+    turns, rates = _turned(rate_rad_s + points[:, :3], J, step_s)
+    off = Rotation.from_matrix(turns[0].T @ turns).as_rotvec()
+    change = np.hstack([off, rates - rates[0]])[1:]
+    own = change[:count] + change[count : 2 * count]
+    mixed = change[2 * count :].reshape(2, -1, 6).sum(axis=0) - own[first] - own[second]
+    return Curvature(own.sum(axis=0) / 6.0, np.concatenate([own / np.sqrt(18.0), mixed / 6.0]).T)
 
 
 def _turned(rates_rad_s: FloatArray, J: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ from rpod_pose.navigation.dynamics.free_motion import (
 )
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.relative_orbit import inertial_transition, transition
-from rpod_pose.navigation.dynamics.torque_free import Inertia, constant_rate, torque_free
+from rpod_pose.navigation.dynamics.torque_free import Inertia, constant_rate, curvature, torque_free
 from rpod_pose.navigation.filter import ATTITUDE, Block, FilterState, predict
 from rpod_pose.navigation.filter.rotations import cross_matrix
 from rpod_schemas.config.filter import FilterConfig
@@ -252,3 +252,22 @@ def test_the_star_tracker_tells_the_bias_of_the_gyro():
     off = found.bias_rad_s - bias
     assert np.sqrt(found.variance) < np.radians(4e-4)
     assert off @ np.linalg.solve(found.covariance[3:, 3:], off) < 16.3  # 99.9 % of chi-squared with 3
+
+
+def test_the_second_order_of_the_rotation_is_that_of_samples():
+    generator, inertia, mean = np.random.default_rng(5), Inertia(INERTIA_KG_M2), np.radians([1.0, 3.0, -2.0])
+    sigma = np.concatenate([np.full(3, np.radians(4.0)), np.full(2, 0.1)])
+    found = curvature(mean, np.zeros(2), inertia, np.diag(sigma), 1.0)
+    middle = torque_free(mean, inertia.shaped(np.zeros(2)), 1.0)
+    samples = sigma * generator.standard_normal((300, 5))
+    over = []
+    for sample in samples:
+        ends = [
+            torque_free(mean + sign * sample[:3], inertia.shaped(sign * sample[3:]), 1.0).rate_rad_s
+            for sign in (1.0, -1.0)
+        ]
+        over.append(0.5 * (ends[0] + ends[1]) - middle.rate_rad_s)  # the even part: second order and higher
+    off = (found.mean[3:] - np.mean(over, axis=0)) / (np.std(over, axis=0) / np.sqrt(len(over)))
+    assert np.abs(off).max() < 4.0
+    covariance = (found.spread @ found.spread.T)[3:, 3:]
+    np.testing.assert_allclose(np.diag(covariance), np.var(over, axis=0), rtol=0.5)
