@@ -6,26 +6,12 @@ same, bit for bit, as if they had arrived in order. The newest stamp never goes 
 """
 
 from bisect import bisect_right
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from scipy.spatial.transform import RigidTransform
-
-from rpod_pose.navigation.filter import NOTHING, FilterState, Sensitivities, Update, predict, update
-from rpod_schemas.arrays import FloatArray
+from rpod_pose.navigation.filter import FilterState, Update, predict
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
 from rpod_schemas.config.filter import FilterConfig
-
-
-@dataclass(frozen=True, eq=False)
-class PoseMeasurement:
-    """A pose measured at a time."""
-
-    stamp_ns: int
-    T_chaser_target: RigidTransform
-    covariance: FloatArray
-    """Covariance of (dp, dtheta), ICD section 1, shape (6, 6), without what comes from states of blocks."""
-    sensitivities: Sensitivities = field(default_factory=lambda: NOTHING)
-    """How the pose depends on the states of the filter's blocks."""
 
 
 class Applied(NamedTuple):
@@ -114,11 +100,4 @@ def apply(
 
 
 def _applied(measurement: PoseMeasurement, predicted: FilterState, config: FilterConfig) -> _Step:
-    outcome = update(
-        predicted,
-        measurement.T_chaser_target,
-        measurement.covariance,
-        config=config,
-        sensitivities=measurement.sensitivities,
-    )
-    return _Step(measurement, outcome)
+    return _Step(measurement, updated(predicted, measurement, config))

@@ -25,11 +25,12 @@ from rpod_pose.navigation.challenger import Outcome
 from rpod_pose.navigation.coasting import Coasting
 from rpod_pose.navigation.contest import challenged
 from rpod_pose.navigation.dynamics.options import CONSTANT, Dynamics
-from rpod_pose.navigation.filter import FilterState, start
+from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.frames import as_measured
-from rpod_pose.navigation.history import History, PoseMeasurement
+from rpod_pose.navigation.history import History
 from rpod_pose.navigation.joints import tracked_joints
 from rpod_pose.navigation.parallel import ParallelTracks
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
 from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
 from rpod_pose.navigation.rivals import Rivals
@@ -96,10 +97,8 @@ class Navigator:
         self._joints = {joint.name: joint for joint in joints}
 
     def _start_filter(self, measured: PoseMeasurement) -> FilterState:
-        return start(
-            measured.T_chaser_target,
-            measured.covariance,
-            measured.stamp_ns,
+        return started(
+            measured,
             config=self._settings.filter,
             centre_of_mass_m=self._centre_of_mass_m,
             alike=self._alike,

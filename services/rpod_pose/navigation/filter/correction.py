@@ -1,16 +1,17 @@
 """Update of a state with a measured pose, and comparison of states."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 from scipy.special import gammainc, gammaincinv
 
-from rpod_pose.navigation.filter.blocks import placed
+from rpod_pose.navigation.filter.blocks import Block, placed, variances
 from rpod_pose.navigation.filter.rotations import left_jacobian, symmetric
 from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSE, FilterState, unturned
 from rpod_schemas.arrays import FloatArray
@@ -57,9 +58,10 @@ def innovation_of(
     *,
     config: FilterConfig,
     sensitivities: Sensitivities = NOTHING,
+    white: bool = False,
 ) -> Innovation:
     """Return the innovation of a measured pose at the state's stamp; arguments as for ``update``."""
-    noise = measurement_noise(covariance, config)
+    noise = covariance if white else measurement_noise(covariance, config)
     R = rotation_matrix(T_chaser_target)
     # no innovation is left about a free axis; any variance keeps the matrix regular and leaves the gain at 0
     noise = state.alike.with_free_variance(noise, R, 1.0)
@@ -80,6 +82,23 @@ def innovation_of(
     return Innovation(difference, predicted + noise, noise, H, cross)
 
 
+def grown(state: FilterState, blocks: Sequence[Block]) -> FilterState:
+    """Return a state with further blocks, as before any measurement.
+
+    Those that the state has are kept, with the constants that are given now.
+    """
+    given = {block.name: block for block in blocks}
+    old = tuple(
+        replace(given.pop(block.name), value=block.value) if block.name in given else block
+        for block in state.blocks
+    )
+    if not given:
+        return replace(state, blocks=old) if blocks else state
+    new = tuple(given.values())
+    covariance = block_diag(state.covariance, np.diag(variances(new)))
+    return replace(state, covariance=covariance, blocks=(*old, *new))
+
+
 def separation_of(state: FilterState, other: FilterState) -> FloatArray:
     """Return (dp, dtheta) from another filter's pose to a state's, at the same stamp, shape (6,)."""
     return pose_difference(state.T_chaser_target, other.T_chaser_target, state.alike)
@@ -92,6 +111,7 @@ def update(
     *,
     config: FilterConfig,
     sensitivities: Sensitivities = NOTHING,
+    white: bool = False,
 ) -> Update:
     """Return the state after a pose measured at the state's stamp, unless the gate rejects it.
 
@@ -106,8 +126,11 @@ def update(
             states of blocks; rejected if not finite.
         config: noise floor, inflation and gate.
         sensitivities: how the measured pose depends on the states of blocks.
+        white: whether the covariance is that of the frame's own noise alone: without floors and inflation.
     """
-    found = innovation_of(state, T_chaser_target, covariance, config=config, sensitivities=sensitivities)
+    found = innovation_of(
+        state, T_chaser_target, covariance, config=config, sensitivities=sensitivities, white=white
+    )
     innovation, S, noise, H, cross = found
     if not (np.isfinite(innovation).all() and np.isfinite(noise).all()):
         return Update(state, float("nan"), accepted=False)

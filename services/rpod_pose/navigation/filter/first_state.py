@@ -26,6 +26,7 @@ def start(
     alike: Equivalence = NO_SYMMETRY,
     blocks: Sequence[Block] = (),
     sensitivities: Sensitivities = NOTHING,
+    white: bool = False,
     model: MotionModel | None = None,
 ) -> FilterState:
     """Return the state after a first measured pose, with an unknown twist.
@@ -40,6 +41,7 @@ def start(
         alike: which attitudes of the target no measurement tells apart.
         blocks: further states, as before any measurement.
         sensitivities: how the measured pose depends on them, as in ``update``.
+        white: as in ``update``.
         model: model of the motion; None for constant velocity and rate.
     """
     centre_m = np.zeros(3) if centre_of_mass_m is None else centre_of_mass_m
@@ -48,7 +50,7 @@ def start(
     elif len(alike.free_axes):
         centre_m = np.zeros(3)
     covariance = block_diag(
-        measurement_noise(covariance, config),
+        covariance if white else measurement_noise(covariance, config),
         config.initial_velocity_sigma_m_s**2 * np.eye(3),
         np.deg2rad(config.initial_rate_sigma_deg_s) ** 2 * np.eye(3),
     )

@@ -7,6 +7,7 @@ blocks to ``of_blocks``.
 """
 
 from dataclasses import replace
+from math import hypot
 
 import numpy as np
 
@@ -104,14 +105,17 @@ def of_blocks(state: FilterState, step_s: float) -> tuple[FloatArray, FloatArray
 
 
 def turn_of_view_rad(state: FilterState, step_s: float) -> float:
-    """Return by how much the view of the target turns in a step, rad.
+    """Return by how much the view of the target changes in a step, rad.
 
     The line of sight is that from the chaser's origin. The target turns against it by w less the line's own
-    rate p x v / p^2.
+    rate p x v / p^2. It also grows, by the share p . v / p^2: at its rim that moves the image as much as a
+    turn by that angle.
     """
     place_m = state.T_chaser_target.translation
-    line_rad_s = np.cross(place_m, state.velocity_m_s) / max(float(place_m @ place_m), 1e-12)
-    return float(np.linalg.norm(state.rate_rad_s - line_rad_s)) * step_s
+    squared = max(float(place_m @ place_m), 1e-12)
+    line_rad_s = np.cross(place_m, state.velocity_m_s) / squared
+    growth = float(place_m @ state.velocity_m_s) / squared
+    return hypot(float(np.linalg.norm(state.rate_rad_s - line_rad_s)), growth) * step_s
 
 
 def _swing(arm_m: FloatArray, spin: FloatArray) -> FloatArray:

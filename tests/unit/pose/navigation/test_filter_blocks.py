@@ -151,7 +151,7 @@ def test_no_block_turns_a_body_of_revolution_about_its_axis() -> None:
     by = {"mount": np.eye(6)}
     state = start(AT, NOISE, 0, config=PLAIN, alike=alike, blocks=[block], sensitivities=by)
     state = update(state, shifted(AT, np.full(6, 0.004)), NOISE, config=PLAIN, sensitivities=by).state
-    axis = AT.rotation.as_matrix()[:, 2]
+    axis = state.T_chaser_target.rotation.as_matrix()[:, 2]
     about = np.zeros(state.size)
     about[3:6] = axis
     np.testing.assert_allclose(state.covariance @ about, 0.0, atol=1e-15)
