@@ -24,6 +24,7 @@ from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.challenger import Outcome
 from rpod_pose.navigation.coasting import Coasting
 from rpod_pose.navigation.contest import challenged
+from rpod_pose.navigation.dynamics.options import CONSTANT, Dynamics
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.frames import as_measured
 from rpod_pose.navigation.history import History
@@ -68,6 +69,7 @@ class Navigator:
         alike: which attitudes of the target no measurement tells apart; each estimate lists the poses that
             the turns give, and leaves the angle about a free axis as it is.
         joints: joints of the target, whose angles are estimated.
+        dynamics: how tracks are predicted.
     """
 
     def __init__(
@@ -78,10 +80,11 @@ class Navigator:
         centre_of_mass_m: FloatArray,
         alike: Equivalence = NO_SYMMETRY,
         joints: Sequence[Joint] = (),
+        dynamics: Dynamics = CONSTANT,
     ) -> None:
         self._settings = settings
         self._alike = alike
-        self._centre_of_mass_m = centre_of_mass_m
+        self._centre_of_mass_m, self._dynamics = centre_of_mass_m, dynamics
         self._results = Results(settings.filter, alike)
         self._output = self._results.output
         self._coasting = Coasting(settings)
@@ -99,6 +102,8 @@ class Navigator:
             config=self._settings.filter,
             centre_of_mass_m=self._centre_of_mass_m,
             alike=self._alike,
+            blocks=self._dynamics.blocks_at(measured.stamp_ns),
+            model=self._dynamics.model,
         )
 
     def start(

@@ -22,6 +22,7 @@ from rpod_pose.navigation.filter import (
     Block,
     FilterState,
     Innovation,
+    MotionModel,
     Sensitivities,
     Update,
     grown,
@@ -81,6 +82,7 @@ def started(
     centre_of_mass_m: FloatArray | None = None,
     alike: Equivalence = NO_SYMMETRY,
     blocks: Sequence[Block] = (),
+    model: MotionModel | None = None,
 ) -> FilterState:
     """Return the state after a first measured pose, with an unknown twist; arguments as for ``start``."""
     shared = shared_errors(measured, config)
@@ -95,6 +97,7 @@ def started(
         blocks=(*blocks, *(block for block in shared.blocks if block.name not in known)),
         sensitivities=shared.sensitivities,
         white=shared.white is not None,
+        model=model,
     )
 
 

@@ -16,7 +16,7 @@ from rpod_schemas.config.tuning import Provenance, Tuning, limits_in, public_fie
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import methods, sensor_kinds
 
-MOST_PUBLIC_FIELDS = 76
+MOST_PUBLIC_FIELDS = 83
 """For the whole estimator. A capability that needs more raises it, with a decision record."""
 MOST_BY_HAND = 81
 """Values that a hand fitted on emulated frames, mostly of the mock-up. It only ever falls."""

@@ -32,7 +32,16 @@ from rpod_pose.navigation.filter.first_state import start
 from rpod_pose.navigation.filter.odometry import to_odometry
 from rpod_pose.navigation.filter.prediction import StampOrderError, predict
 from rpod_pose.navigation.filter.rotations import exponential, left_jacobian
-from rpod_pose.navigation.filter.state import ATTITUDE, POSE, POSITION, RATE, TWIST, VELOCITY, FilterState
+from rpod_pose.navigation.filter.state import (
+    ATTITUDE,
+    POSE,
+    POSITION,
+    RATE,
+    TWIST,
+    VELOCITY,
+    FilterState,
+    MotionModel,
+)
 
 __all__ = [
     "ATTITUDE",
@@ -45,6 +54,7 @@ __all__ = [
     "Block",
     "FilterState",
     "Innovation",
+    "MotionModel",
     "Sensitivities",
     "StampOrderError",
     "Update",

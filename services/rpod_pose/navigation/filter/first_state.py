@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
 from rpod_pose.navigation.filter.correction import NOTHING, Sensitivities, measurement_noise, told
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
-from rpod_pose.navigation.filter.state import MOTION, POSE, RATE, VELOCITY, FilterState, unturned
+from rpod_pose.navigation.filter.state import MOTION, POSE, RATE, VELOCITY, FilterState, MotionModel, unturned
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix
@@ -27,6 +27,7 @@ def start(
     blocks: Sequence[Block] = (),
     sensitivities: Sensitivities = NOTHING,
     white: bool = False,
+    model: MotionModel | None = None,
 ) -> FilterState:
     """Return the state after a first measured pose, with an unknown twist.
 
@@ -41,6 +42,7 @@ def start(
         blocks: further states, as before any measurement.
         sensitivities: how the measured pose depends on them, as in ``update``.
         white: as in ``update``.
+        model: model of the motion; None for constant velocity and rate.
     """
     centre_m = np.zeros(3) if centre_of_mass_m is None else centre_of_mass_m
     if len(alike.free_axes) == 1:
@@ -67,6 +69,7 @@ def start(
         centre_of_mass_m=centre_m,
         alike=alike,
         blocks=tuple(blocks),
+        model=model,
     )
     return unturned(state, config)
 

@@ -1,15 +1,13 @@
 """Prediction of a state to a later time, by a model of motion.
 
-A model of motion is a function ``(state, step_s, config) -> Motion``: the state after the step, and how its
-errors move. The errors after the step are A (F e + q): F moves them, q is noise of covariance Q, and A
-applies to both. All three are of shape (12 + n, 12 + n); a model with states of its own fills their rows and
-columns, and leaves those of other blocks to ``of_blocks``.
+A model of motion (``MotionModel``) gives the state after a step, and how its errors move. The errors after
+the step are A (F e + q): F moves them, q is noise of covariance Q, and A applies to both. All three are of
+shape (12 + n, 12 + n); a model with states of its own fills their rows and columns, and leaves those of other
+blocks to ``of_blocks``.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from math import hypot
-from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +23,7 @@ from rpod_pose.navigation.filter.state import (
     TWIST,
     VELOCITY,
     FilterState,
+    Motion,
     unturned,
 )
 from rpod_schemas.arrays import FloatArray
@@ -39,23 +38,6 @@ class StampOrderError(PoseError):
         super().__init__(f"the state is of {state_ns} ns and cannot be predicted back to {asked_ns} ns")
 
 
-class Motion(NamedTuple):
-    """A state after a step, and how its errors move in the step."""
-
-    state: FilterState
-    """State after the step, with the covariance and the stamp of before."""
-    F: FloatArray
-    """Derivatives of the errors by those before, but for ``after``, shape (12 + n, 12 + n)."""
-    noise: FloatArray
-    """Covariance of the noise that comes in addition, but for ``after``, shape (12 + n, 12 + n)."""
-    after: FloatArray
-    """What the errors and the noise are multiplied with, shape (12 + n, 12 + n)."""
-
-
-MotionModel = Callable[[FilterState, float, FilterConfig], Motion]
-"""A model of motion."""
-
-
 def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterState:
     """Return the state at a later stamp.
 
@@ -67,7 +49,7 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     if stamp_ns == state.stamp_ns:
         return state
     step_s = (stamp_ns - state.stamp_ns) * 1e-9
-    moved, F, noise, after = constant_twist(state, step_s, config)
+    moved, F, noise, after = (state.model or constant_twist)(state, step_s, config)
     covariance = after @ (F @ state.covariance @ F.T + noise) @ after.T
     return unturned(replace(moved, stamp_ns=stamp_ns, covariance=symmetric(covariance)), config)
 
@@ -91,7 +73,9 @@ def constant_twist(state: FilterState, step_s: float, config: FilterConfig) -> M
     F[POSITION, VELOCITY] = step_s * np.eye(3)
     F[ATTITUDE, ATTITUDE] = turn
     F[ATTITUDE, RATE] = step_s * left_jacobian(phi)
-    Q[MOTION, MOTION] = _process_noise(step_s, config)
+    Q[MOTION, MOTION] = process_noise(
+        step_s, config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3
+    )
     from_centre = np.eye(state.size)
     from_centre[MOTION, MOTION] -= _swing(arm_after_m, spin)
     to_centre = np.eye(state.size)
@@ -146,9 +130,9 @@ def _swing(arm_m: FloatArray, spin: FloatArray) -> FloatArray:
     return N
 
 
-def _process_noise(step_s: float, config: FilterConfig) -> FloatArray:
-    """Return the noise that white accelerations cause in a step, shape (12, 12)."""
-    densities = (config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3)
+def process_noise(step_s: float, acceleration_m2_s3: float, angular_rad2_s3: float) -> FloatArray:
+    """Return the noise that white accelerations of two densities cause in a step, shape (12, 12)."""
+    densities = (acceleration_m2_s3, angular_rad2_s3)
     density = np.diag(np.repeat(densities, 3))
     Q = np.empty((12, 12))
     Q[POSE, POSE] = step_s**3 / 3.0 * density

@@ -1,6 +1,7 @@
 """State of the filter at one time."""
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -17,6 +18,27 @@ POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slic
 POSE, TWIST = slice(0, 6), slice(6, 12)
 MOTION = slice(0, 12)
 """Pose and twist; the states of blocks follow."""
+
+
+class Motion(NamedTuple):
+    """A state after a step, and how its errors move in the step."""
+
+    state: "FilterState"
+    """State after the step, with the covariance and the stamp of before."""
+    F: FloatArray
+    """Derivatives of the errors by those before, but for ``after``, shape (12 + n, 12 + n)."""
+    noise: FloatArray
+    """Covariance of the noise that comes in addition, but for ``after``, shape (12 + n, 12 + n)."""
+    after: FloatArray
+    """What the errors and the noise are multiplied with, shape (12 + n, 12 + n)."""
+
+
+class MotionModel(Protocol):
+    """A model of the motion of target and chaser."""
+
+    def __call__(self, state: "FilterState", step_s: float, config: FilterConfig) -> Motion:
+        """Return the motion of a state in a step, s."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +60,8 @@ class FilterState:
     """Which attitudes no measurement tells apart."""
     blocks: tuple[Block, ...] = ()
     """Further states; their names differ."""
+    model: MotionModel | None = None
+    """Model of the motion between measurements; None for constant velocity and rate."""
 
     @property
     def size(self) -> int:

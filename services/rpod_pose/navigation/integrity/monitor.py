@@ -127,6 +127,7 @@ class Monitor:
                 found[name] = started(
                     measured, config=self._filter, centre_of_mass_m=predicted.centre_of_mass_m,
                     alike=predicted.alike, blocks=unknown(predicted.blocks),
+                    model=predicted.model,
                 )  # fmt: skip
             elif measured.stamp_ns >= found[name].stamp_ns:
                 there = predict(found[name], measured.stamp_ns, self._filter)
