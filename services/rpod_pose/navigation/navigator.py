@@ -9,7 +9,8 @@ TRACKING   --too many frames inconsistent with the pose-->  LOST
 LOST       --accepted near the prediction, or found-->      VERIFYING
 
 ``step(state, measurement) -> (state, output)`` knows neither bus nor clock: the daemon, a replay
-of a log and a Monte-Carlo campaign run the same function.
+of a log and a Monte-Carlo campaign run the same function. Searches are made behind a port (``Searches``):
+while one runs, the steps go on, and its result is applied at a later frame.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +26,7 @@ from rpod_pose.navigation.challenger import Outcome
 from rpod_pose.navigation.coasting import Coasting
 from rpod_pose.navigation.contest import challenged
 from rpod_pose.navigation.filter import FilterState, start
-from rpod_pose.navigation.frames import as_measured
+from rpod_pose.navigation.frames import as_measured, as_of_stamp
 from rpod_pose.navigation.history import History, PoseMeasurement
 from rpod_pose.navigation.joints import tracked_joints
 from rpod_pose.navigation.parallel import ParallelTracks
@@ -34,6 +35,15 @@ from rpod_pose.navigation.results import Results
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.sensors.newcomers import LATE, Newcomers, applied
 from rpod_pose.navigation.sensors.ranges import Ranges
+from rpod_pose.navigation.sensors.searches import (
+    BEGUN,
+    SEARCHED,
+    SEARCHING,
+    Found,
+    InlineSearches,
+    Search,
+    Searches,
+)
 from rpod_pose.navigation.sensors.streams import (
     RESTS,
     begun,
@@ -67,6 +77,7 @@ class Navigator:
         alike: which attitudes of the target no measurement tells apart; each estimate lists the poses that
             the turns give, and leaves the angle about a free axis as it is.
         joints: joints of the target, whose angles are estimated.
+        searches: makes the searches; by default inline, with the delay that is configured.
     """
 
     def __init__(
@@ -77,6 +88,7 @@ class Navigator:
         centre_of_mass_m: FloatArray,
         alike: Equivalence = NO_SYMMETRY,
         joints: Sequence[Joint] = (),
+        searches: Searches | None = None,
     ) -> None:
         self._settings = settings
         self._alike = alike
@@ -91,6 +103,7 @@ class Navigator:
         self._newcomers = Newcomers(settings, self._registrar, self._output, self._accepting)
         self._ranges = Ranges(settings.sensors)
         self._joints = {joint.name: joint for joint in joints}
+        self._searches = searches or InlineSearches(methods, self._limits.tuning.search_delay_frames)
 
     def _start_filter(self, measured: PoseMeasurement) -> FilterState:
         return start(
@@ -124,7 +137,7 @@ class Navigator:
         """Return the next state and the output to publish; no output for a tick that changes nothing."""
         if isinstance(event, Tick):
             return self._let_time_pass(state, event)
-        state, why = self._coasting.aged(state, event.stamp_ns)
+        began, (state, why) = state.mode, self._coasting.aged(state, event.stamp_ns)
         why *= state.mode == Mode.LOST
         state = replace(state, streams=heard(state.streams, event.sensor, event.stamp_ns))
         state, output = self._take(state, event)
@@ -132,11 +145,25 @@ class Navigator:
             output = output.because(why)
         if output.odometry is not None:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
+        if state.mode == Mode.TRACKING and not began.has_track:  # it is offered to the other sensors
+            state = replace(state, searches={})
         return state, output
 
     def _take(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         if state.given is not None:
             state = self._start_at_given(state, event)
+        pending = state.searches.get(event.sensor)
+        if pending is None or (state.mode == Mode.VERIFYING and event.sensor not in state.established):
+            return self._look(state, event)
+        found = self._searches.result(pending)
+        if found is None:
+            return self._look(state.searching(replace(pending, waited=pending.waited + 1)), event)
+        state, then = self._conclude(state.not_searching(event.sensor), pending, found)
+        state, output = self._look(state, event)
+        return state, output.after_search(then, pending.age_s(event.stamp_ns))
+
+    def _look(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
+        """Take a measurement by what is known of the target."""
         if state.rivals is not None:
             return self._compare(state, state.rivals, event)
         if state.mode == Mode.ACQUIRING or state.history is None:
@@ -165,27 +192,71 @@ class Navigator:
         aged, _ = self._coasting.aged(state, stamp_ns)
         return self._results.silent(aged, stamp_ns, reason, sensor=sensor)
 
+    # --- searches ---
+
+    def _ask(self, state: NavigatorState, search: Search) -> tuple[NavigatorState, Output]:
+        """Let a frame be searched; take the result if it is there at once."""
+        found = self._searches.result(search)
+        if found is not None:
+            return self._conclude(state, search, found)
+        state = state.searching(replace(search, waited=1))
+        reason = f"{search.reason}; {SEARCHED}" if search.registration else SEARCHED
+        return state, self._output(state, search.event, search.registration, reason=reason).noting(BEGUN, 1.0)
+
+    def _conclude(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
+        """Take the result of a search, at the stamp of the searched frame."""
+        if state.rivals is not None:
+            return self._decide(state, state.rivals, search, found)
+        if state.history is None or not (state.mode == Mode.VERIFYING or state.mode.has_track):
+            return self._found(state, search, found)
+        predicted = state.history.at(search.event.stamp_ns, self._settings.filter)
+        if predicted is None or search.registration is None:
+            return state, self._output(state, search.event, reason=LATE)
+        registration, reason = search.registration, search.reason
+        if found.acquisition.begins_track:
+            registration, reason = found.acquisition.registration, ""
+        return self._registered(state, state.history, predicted, search.event, registration, reason=reason)
+
     # --- ACQUIRING ---
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
-        """Search without a guess; begin a track if one pose explains the measurement."""
-        pause_s = self._limits.tuning.search_pause_s if len(self._methods) > 1 else 0.0
-        if rests(state.streams, event.sensor, event.stamp_ns, pause_s):
+        """Search without a guess."""
+        if waiting := self._waiting(state, event):
+            return state, self._output(state, event, reason=waiting)
+        if self._rests(state, event):
             return state, self._output(state, event, reason=RESTS)
-        found = self._registrar.methods_for(state.joints, event).acquirer.acquire(event.data)
+        angles = self._registrar.angles(state.joints, event)
+        return self._ask(state, Search(event, event.data, angles=angles))
+
+    def _rests(self, state: NavigatorState, event: Measurement) -> bool:
+        pause_s = self._limits.tuning.search_pause_s if len(self._methods) > 1 else 0.0
+        return rests(state.streams, event.sensor, event.stamp_ns, pause_s)
+
+    def _waiting(self, state: NavigatorState, event: Measurement) -> str:
+        """Return that an earlier frame of the sensor is being searched; empty if none is."""
+        pending = state.searches.get(event.sensor)
+        return "" if pending is None else SEARCHING.format(pending.age_s(event.stamp_ns))
+
+    def _found(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
+        """Begin a track, or the tracks of rivals, if a search has found the target."""
+        event, acquisition = search.event, found.acquisition
+        if found.nearby and acquisition.begins_track:
+            return self._begin(state, event, acquisition.registration)
+        if found.nearby:
+            return state, self._output(state, event, reason=search.reason)
         state = replace(state, streams=searched(state.streams, event.sensor, event.stamp_ns))
-        if why := self._ranges.not_of(event.sensor, found):
+        if why := self._ranges.not_of(event.sensor, acquisition):
             return state, self._output(state, event, reason=why)
-        if found.begins_track:
-            return self._begin(state, event, found.registration)
+        if acquisition.begins_track:
+            return self._begin(state, event, acquisition.registration)
         if self._methods[event.sensor].likelihoods is not None:
-            tracks = self._parallel.started(event, found)
+            tracks = self._parallel.started(event, acquisition)
             if 1 < len(tracks) <= self._limits.tuning.most_rivals:
-                rivals = Rivals(
-                    tracks, event.sensor, event.stamp_ns, event.stamp_ns, found.belief.needed_weight
-                )
-                state = replace(state, rivals=rivals)
-        return state, self._output(state, event, found.registration, reason=found.belief.refusal, found=found)
+                needed = acquisition.belief.needed_weight
+                rivals = Rivals(tracks, event.sensor, event.stamp_ns, event.stamp_ns, needed)
+                state = replace(state, rivals=rivals, searches={})
+        registration, reason = acquisition.registration, acquisition.belief.refusal
+        return state, self._output(state, event, registration, reason=reason, found=acquisition)
 
     def _begin(
         self, state: NavigatorState, event: Measurement, registration: Registration
@@ -199,6 +270,7 @@ class Navigator:
             established=frozenset({event.sensor}),
             separation=None,
             confirmations=0,
+            searches=state.not_searching(event.sensor).searches,
             joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
         )
         return state, self._output(state, event, registration)
@@ -218,21 +290,36 @@ class Navigator:
         if tracked is None and event.sensor != rivals.sensor and not overdue:
             return state, self._output(state, event, reason=rivals.reason(self._alike))
         if tracked is None or overdue:
-            return self._acquire(replace(state, rivals=None), event)
+            return self._acquire(replace(state, rivals=None, searches={}), event)
         rivals, registration = tracked
+        state = replace(state, rivals=rivals)
         if (
-            rivals.decided
+            event.sensor not in state.searches
+            and rivals.decided
             and registration.begins_track
             and self._registrar.is_confident(rivals.tracks[0].state)
         ):
-            again = self._parallel.searched_again(rivals, event, methods)
-            rivals = again or rivals
-            if again and rivals.decided:
-                return self._begin_remaining(state, rivals, event, registration)
-        if len(rivals.tracks) > self._limits.tuning.most_rivals:
-            state = replace(state, rivals=None)
-        else:
-            state = replace(state, rivals=rivals)
+            frame = as_of_stamp(event, rivals.tracks[0].state, methods.deskew)
+            reason = rivals.reason(self._alike)
+            return self._ask(state, Search(event, frame, registration=registration, reason=reason))
+        return self._undecided(state, rivals, event, registration)
+
+    def _decide(
+        self, state: NavigatorState, rivals: Rivals, search: Search, found: Found
+    ) -> tuple[NavigatorState, Output]:
+        """Begin a track at the best rival, if it is so beside those of a search that was made once more."""
+        event, registration = search.event, search.registration
+        others = self._parallel.also_found(rivals, event, found.acquisition)
+        joined = rivals.joined_by(others, self._alike) if others else rivals
+        if others and joined.decided and registration is not None:
+            return self._begin_remaining(state, joined, event, registration)
+        return self._undecided(state, joined, event, registration)
+
+    def _undecided(
+        self, state: NavigatorState, rivals: Rivals, event: Measurement, registration: Registration | None
+    ) -> tuple[NavigatorState, Output]:
+        kept = rivals if len(rivals.tracks) <= self._limits.tuning.most_rivals else None
+        state = replace(state, rivals=kept, searches=state.searches if kept else {})
         return state, self._output(state, event, registration, reason=rivals.reason(self._alike))
 
     def _begin_remaining(
@@ -248,6 +335,7 @@ class Navigator:
             established=frozenset({event.sensor}),
             separation=None,
             confirmations=rivals.frames,
+            searches={},
         )
         return state, self._output(state, event, registration)
 
@@ -266,6 +354,7 @@ class Navigator:
             established=frozenset(),
             separation=None,
             confirmations=self._limits.confirmations - 1,
+            searches={},
         )
 
     # --- VERIFYING and TRACKING ---
@@ -275,7 +364,27 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, accept or reject the pose, update the filter."""
         tracked = state.mode.has_track
-        registration, reason = self._registrar.searched(state.joints, event, predicted, tracked=tracked)
+        registration, reason = self._registrar.offered(state.joints, event, predicted, tracked=tracked)
+        if reason and not (tracked and self._registrar.is_confident(predicted)):
+            # While no twist is known, or after a gap, the prediction may be far off.
+            if waiting := self._waiting(state, event):
+                return state, self._output(state, event, registration, reason=f"{reason}; {waiting}")
+            search = self._registrar.around(state.joints, event, predicted)
+            return self._ask(state, replace(search, registration=registration, reason=reason))
+        return self._registered(state, history, predicted, event, registration, reason=reason)
+
+    def _registered(
+        self,
+        state: NavigatorState,
+        history: History,
+        predicted: FilterState,
+        event: Measurement,
+        registration: Registration,
+        *,
+        reason: str,
+    ) -> tuple[NavigatorState, Output]:
+        """Take the registration of a frame from the prediction to its stamp."""
+        tracked = state.mode.has_track
         record = state.records.get(event.sensor, Record())
         if registration.T_sensor_target is not None:
             record = record.after(registration.belief)
@@ -308,7 +417,7 @@ class Navigator:
         self, state: NavigatorState, event: Measurement, registration: Registration
     ) -> NavigatorState:
         return replace(
-            state,
+            state.not_searching(event.sensor),
             streams=supported(state.streams, event.sensor, event.stamp_ns),
             confirmations=state.confirmations + 1,
             challenger=None,
@@ -340,11 +449,16 @@ class Navigator:
         self, state: NavigatorState, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Search near the prediction first, then everywhere."""
-        if (event.stamp_ns - state.lost_ns) / NANOSECONDS <= self._limits.near_search_s:
-            registration, why = self._registrar.searched(state.joints, event, predicted, tracked=False)
-            if not why:
-                return self._begin(state, event, registration)
-        return self._acquire(state, event)
+        if (event.stamp_ns - state.lost_ns) / NANOSECONDS > self._limits.near_search_s:
+            return self._acquire(state, event)
+        registration, why = self._registrar.offered(state.joints, event, predicted, tracked=False)
+        if not why:
+            return self._begin(state, event, registration)
+        if waiting := self._waiting(state, event):
+            return state, self._output(state, event, reason=waiting)
+        search = self._registrar.around(state.joints, event, predicted)
+        everywhere = None if self._rests(state, event) else event.data
+        return self._ask(state, replace(search, frame=everywhere, reason=RESTS))
 
     def _let_time_pass(self, state: NavigatorState, tick: Tick) -> tuple[NavigatorState, Output | None]:
         """Publish the prediction of a track while no sensor sends anything, until it is lost."""
