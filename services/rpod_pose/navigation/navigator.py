@@ -17,7 +17,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import overload
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import Record
@@ -25,17 +24,10 @@ from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.challenger import Outcome
 from rpod_pose.navigation.coasting import Coasting
 from rpod_pose.navigation.contest import challenged
-from rpod_pose.navigation.filter import FilterState, start
-from rpod_pose.navigation.frames import as_measured, as_of_stamp
-from rpod_pose.navigation.history import History, PoseMeasurement
-from rpod_pose.navigation.joints import tracked_joints
-from rpod_pose.navigation.parallel import ParallelTracks
-from rpod_pose.navigation.registering import Registrar
-from rpod_pose.navigation.results import Results
-from rpod_pose.navigation.rivals import Rivals
-from rpod_pose.navigation.sensors.newcomers import LATE, Newcomers, applied
-from rpod_pose.navigation.sensors.ranges import Ranges
-from rpod_pose.navigation.sensors.searches import (
+from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.first_pose.beginning import Beginning, first_state
+from rpod_pose.navigation.first_pose.results import SearchResults
+from rpod_pose.navigation.first_pose.searches import (
     BEGUN,
     SEARCHED,
     SEARCHING,
@@ -44,27 +36,28 @@ from rpod_pose.navigation.sensors.searches import (
     Search,
     Searches,
 )
+from rpod_pose.navigation.frames import as_measured, as_of_stamp
+from rpod_pose.navigation.history import History
+from rpod_pose.navigation.parallel import ParallelTracks
+from rpod_pose.navigation.registering import Registrar
+from rpod_pose.navigation.results import Results
+from rpod_pose.navigation.rivals import Rivals
+from rpod_pose.navigation.sensors.newcomers import LATE, Newcomers, applied
+from rpod_pose.navigation.sensors.ranges import Ranges
 from rpod_pose.navigation.sensors.streams import (
     RESTS,
-    begun,
     heard,
     rests,
-    searched,
     silent_since_s,
     supported,
 )
-from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
+from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import Mode
 from rpod_target import NO_SYMMETRY, Equivalence, Joint
-
-BEGINNING = 0.5
-"""Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
-_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.26
-"""Standard deviations of a given first pose without a given covariance."""
 
 
 class Navigator:
@@ -90,29 +83,24 @@ class Navigator:
         joints: Sequence[Joint] = (),
         searches: Searches | None = None,
     ) -> None:
-        self._settings = settings
-        self._alike = alike
-        self._centre_of_mass_m = centre_of_mass_m
+        self._settings, self._limits = settings, settings.navigator
+        self._methods, self._alike = methods, alike
         self._results = Results(settings.filter, alike)
         self._output = self._results.output
         self._coasting = Coasting(settings)
-        self._parallel = ParallelTracks(self._start_filter, settings.filter, alike)
-        self._limits = settings.navigator
+        self._beginning = Beginning(settings, centre_of_mass_m=centre_of_mass_m, alike=alike, joints=joints)
+        self._parallel = ParallelTracks(self._beginning.filter_at, settings.filter, alike)
         self._registrar = Registrar(methods, vague_deg=self._limits.tuning.vague_deg)
-        self._methods = methods
         self._newcomers = Newcomers(settings, self._registrar, self._output, self._accepting)
         self._ranges = Ranges(settings.sensors)
-        self._joints = {joint.name: joint for joint in joints}
         self._searches = searches or InlineSearches(methods, self._limits.tuning.search_delay_frames)
-
-    def _start_filter(self, measured: PoseMeasurement) -> FilterState:
-        return start(
-            measured.T_chaser_target,
-            measured.covariance,
-            measured.stamp_ns,
-            config=self._settings.filter,
-            centre_of_mass_m=self._centre_of_mass_m,
-            alike=self._alike,
+        self._found = SearchResults(
+            settings,
+            methods,
+            beginning=self._beginning,
+            parallel=self._parallel,
+            output=self._output,
+            alike=alike,
         )
 
     def start(
@@ -123,11 +111,7 @@ class Navigator:
         stamp_ns: int | None = None,
     ) -> NavigatorState:
         """Return the first state: searching, or waiting for a frame to verify a given pose."""
-        if pose is None:
-            return NavigatorState()
-        if covariance is None:
-            covariance = np.diag([_GIVEN_SIGMA_M**2] * 3 + [_GIVEN_SIGMA_RAD**2] * 3)
-        return NavigatorState(mode=Mode.VERIFYING, given=GivenPose(pose, covariance, stamp_ns))
+        return first_state(pose, covariance, stamp_ns)
 
     @overload
     def step(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]: ...
@@ -151,9 +135,9 @@ class Navigator:
 
     def _take(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         if state.given is not None:
-            state = self._start_at_given(state, event)
+            state = self._beginning.at_given(state, state.given, event)
         pending = state.searches.get(event.sensor)
-        if pending is None or (state.mode == Mode.VERIFYING and event.sensor not in state.established):
+        if pending is None or self._verifies_another(state, event):
             return self._look(state, event)
         found = self._searches.result(pending)
         if found is None:
@@ -206,9 +190,9 @@ class Navigator:
     def _conclude(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
         """Take the result of a search, at the stamp of the searched frame."""
         if state.rivals is not None:
-            return self._decide(state, state.rivals, search, found)
+            return self._found.again(state, state.rivals, search, found)
         if state.history is None or not (state.mode == Mode.VERIFYING or state.mode.has_track):
-            return self._found(state, search, found)
+            return self._found.first(state, search, found)
         predicted = state.history.at(search.event.stamp_ns, self._settings.filter)
         if predicted is None or search.registration is None:
             return state, self._output(state, search.event, reason=LATE)
@@ -232,48 +216,14 @@ class Navigator:
         pause_s = self._limits.tuning.search_pause_s if len(self._methods) > 1 else 0.0
         return rests(state.streams, event.sensor, event.stamp_ns, pause_s)
 
+    def _verifies_another(self, state: NavigatorState, event: Measurement) -> bool:
+        """Return whether the first pose of another sensor is being verified, so that a result can wait."""
+        return state.mode == Mode.VERIFYING and bool(state.established - {event.sensor})
+
     def _waiting(self, state: NavigatorState, event: Measurement) -> str:
         """Return that an earlier frame of the sensor is being searched; empty if none is."""
         pending = state.searches.get(event.sensor)
         return "" if pending is None else SEARCHING.format(pending.age_s(event.stamp_ns))
-
-    def _found(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
-        """Begin a track, or the tracks of rivals, if a search has found the target."""
-        event, acquisition = search.event, found.acquisition
-        if found.nearby and acquisition.begins_track:
-            return self._begin(state, event, acquisition.registration)
-        if found.nearby:
-            return state, self._output(state, event, reason=search.reason)
-        state = replace(state, streams=searched(state.streams, event.sensor, event.stamp_ns))
-        if why := self._ranges.not_of(event.sensor, acquisition):
-            return state, self._output(state, event, reason=why)
-        if acquisition.begins_track:
-            return self._begin(state, event, acquisition.registration)
-        if self._methods[event.sensor].likelihoods is not None:
-            tracks = self._parallel.started(event, acquisition)
-            if 1 < len(tracks) <= self._limits.tuning.most_rivals:
-                needed = acquisition.belief.needed_weight
-                rivals = Rivals(tracks, event.sensor, event.stamp_ns, event.stamp_ns, needed)
-                state = replace(state, rivals=rivals, searches={})
-        registration, reason = acquisition.registration, acquisition.belief.refusal
-        return state, self._output(state, event, registration, reason=reason, found=acquisition)
-
-    def _begin(
-        self, state: NavigatorState, event: Measurement, registration: Registration
-    ) -> tuple[NavigatorState, Output]:
-        unverified = self._limits.confirmations > 0 or not self._is_credible(state, event)
-        state = replace(
-            state,
-            mode=Mode.VERIFYING if unverified else Mode.TRACKING,
-            history=History(self._start_filter(as_measured(registration, event))),
-            streams=begun(state.streams, event.sensor, event.stamp_ns),
-            established=frozenset({event.sensor}),
-            separation=None,
-            confirmations=0,
-            searches=state.not_searching(event.sensor).searches,
-            joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
-        )
-        return state, self._output(state, event, registration)
 
     # --- rivals ---
 
@@ -302,60 +252,7 @@ class Navigator:
             frame = as_of_stamp(event, rivals.tracks[0].state, methods.deskew)
             reason = rivals.reason(self._alike)
             return self._ask(state, Search(event, frame, registration=registration, reason=reason))
-        return self._undecided(state, rivals, event, registration)
-
-    def _decide(
-        self, state: NavigatorState, rivals: Rivals, search: Search, found: Found
-    ) -> tuple[NavigatorState, Output]:
-        """Begin a track at the best rival, if it is so beside those of a search that was made once more."""
-        event, registration = search.event, search.registration
-        others = self._parallel.also_found(rivals, event, found.acquisition)
-        joined = rivals.joined_by(others, self._alike) if others else rivals
-        if others and joined.decided and registration is not None:
-            return self._begin_remaining(state, joined, event, registration)
-        return self._undecided(state, joined, event, registration)
-
-    def _undecided(
-        self, state: NavigatorState, rivals: Rivals, event: Measurement, registration: Registration | None
-    ) -> tuple[NavigatorState, Output]:
-        kept = rivals if len(rivals.tracks) <= self._limits.tuning.most_rivals else None
-        state = replace(state, rivals=kept, searches=state.searches if kept else {})
-        return state, self._output(state, event, registration, reason=rivals.reason(self._alike))
-
-    def _begin_remaining(
-        self, state: NavigatorState, rivals: Rivals, event: Measurement, registration: Registration
-    ) -> tuple[NavigatorState, Output]:
-        verified = rivals.frames >= self._limits.confirmations and self._is_credible(state, event)
-        state = replace(
-            state,
-            mode=Mode.TRACKING if verified else Mode.VERIFYING,
-            rivals=None,
-            history=rivals.tracks[0].history,
-            streams=begun(state.streams, event.sensor, event.stamp_ns),
-            established=frozenset({event.sensor}),
-            separation=None,
-            confirmations=rivals.frames,
-            searches={},
-        )
-        return state, self._output(state, event, registration)
-
-    def _start_at_given(self, state: NavigatorState, event: Measurement) -> NavigatorState:
-        given = state.given
-        assert given is not None  # noqa: S101 - guaranteed by the caller
-        stamp_ns = event.stamp_ns if given.stamp_ns is None else min(given.stamp_ns, event.stamp_ns)
-        return replace(
-            state,
-            mode=Mode.VERIFYING,
-            given=None,
-            history=History(
-                self._start_filter(PoseMeasurement(stamp_ns, given.T_chaser_target, given.covariance))
-            ),
-            streams=begun(state.streams),
-            established=frozenset(),
-            separation=None,
-            confirmations=self._limits.confirmations - 1,
-            searches={},
-        )
+        return self._found.undecided(state, rivals, event, registration)
 
     # --- VERIFYING and TRACKING ---
 
@@ -399,13 +296,15 @@ class Navigator:
         state, nis, accepted = applied(state, history, measured, self._settings.filter)
         if not accepted:
             if tracked and registration.begins_track:
-                started = self._start_filter(measured)
+                started = self._beginning.filter_at(measured)
                 state, outcome = challenged(state, predicted, measured, started, self._settings.filter)
                 if outcome != Outcome.OPEN:
                     reason = outcome.value if outcome == Outcome.LOST else ""
                     return state, self._output(state, event, registration, reason=reason, nis=nis)
             return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
-        verified = state.confirmations >= self._limits.confirmations - 1 and self._is_credible(state, event)
+        verified = state.confirmations >= self._limits.confirmations - 1 and self._beginning.is_credible(
+            state, event.sensor
+        )
         state = replace(
             self._accepting(state, event, registration),
             mode=Mode.TRACKING if tracked or verified else Mode.VERIFYING,
@@ -421,7 +320,7 @@ class Navigator:
             streams=supported(state.streams, event.sensor, event.stamp_ns),
             confirmations=state.confirmations + 1,
             challenger=None,
-            joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
+            joints=self._beginning.joints_after(state.joints, registration.angles, event.stamp_ns),
         )
 
     def _reject(
@@ -438,11 +337,6 @@ class Navigator:
             state = replace(state, mode=Mode.ACQUIRING, history=None)
         return state, self._output(state, event, registration, reason=reason, nis=nis)
 
-    def _is_credible(self, state: NavigatorState, event: Measurement) -> bool:
-        """Return whether a track may begin: few recent frames of the sensor were inconsistent."""
-        share = state.records.get(event.sensor, Record()).share
-        return share <= BEGINNING * self._limits.tuning.max_contradicted_share
-
     # --- LOST ---
 
     def _recover(
@@ -453,7 +347,8 @@ class Navigator:
             return self._acquire(state, event)
         registration, why = self._registrar.offered(state.joints, event, predicted, tracked=False)
         if not why:
-            return self._begin(state, event, registration)
+            state = self._beginning.at_found(state, event, registration)
+            return state, self._output(state, event, registration)
         if waiting := self._waiting(state, event):
             return state, self._output(state, event, reason=waiting)
         search = self._registrar.around(state.joints, event, predicted)

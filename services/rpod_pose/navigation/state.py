@@ -7,11 +7,11 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.challenger import Challenger
+from rpod_pose.navigation.first_pose.searches import AGE_S, Search
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.sensors.joining import Separation
-from rpod_pose.navigation.sensors.searches import AGE_S, Search
 from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
