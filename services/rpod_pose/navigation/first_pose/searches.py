@@ -11,7 +11,7 @@ navigator is a pure function.
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 from scipy.spatial.transform import RigidTransform
@@ -21,10 +21,14 @@ from rpod_pose.ports import Acquisition, Angle, Methods, Registration
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import SensorFrame, Source
 
-SEARCHING = "searching: the result of the frame {:.2f} s ago is awaited"
+WAITS = "searching: "
+"""Beginning of the reasons for which a frame is not used while a search runs."""
+SEARCHING = WAITS + "the result of the frame {:.2f} s ago is awaited"
 """Reason for which a frame is not used while another one of its sensor is searched."""
-SEARCHED = "searching: a search in this frame has begun"
+SEARCHED = WAITS + "a search in this frame has begun"
 """Reason for which a frame is not used yet: it is searched."""
+RESTING = "not searched: searches in vain rest"
+"""Reason for which a frame is not searched."""
 BEGUN = "search_begun"
 """Name of the evidence that a search in this frame has begun; its result comes with a later frame."""
 AGE_S = "search_age_s"
@@ -62,6 +66,11 @@ class Search:
     def sensor(self) -> str:
         """Name of the sensor."""
         return self.event.sensor
+
+    @property
+    def sent(self) -> "Search":
+        """This search without what only its result's use needs."""
+        return replace(self, registration=None)
 
     def age_s(self, stamp_ns: int) -> float:
         """Return the time from the searched frame to a stamp, s."""
