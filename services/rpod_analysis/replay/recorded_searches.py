@@ -7,6 +7,7 @@ earlier one was applied (ICD section 3).
 from collections.abc import Collection, Mapping
 from typing import Any, Self
 
+from rpod_estimator.search_process import found_as_in_process
 from rpod_pose.navigation.first_pose.searches import AGE_S, BEGUN, RESTING, Found, Search, find
 from rpod_pose.ports import Methods
 
@@ -32,7 +33,8 @@ class RecordedSearches:
             return Found.nothing(RESTING)
         if search.waited and AGE_S not in self.evidence:
             return None
-        return find(search, self._methods[search.sensor])
+        methods = self._methods[search.sensor]
+        return found_as_in_process(search, methods) if search.waited else find(search, methods)
 
     def keep(self, searches: Collection[Search]) -> None:
         """Do nothing: no search runs between two frames."""
