@@ -155,7 +155,7 @@ def test_a_replay_applies_the_results_at_the_recorded_frames():
         live.searches.ended |= {ends[number]} if number in ends else set()
         outputs.append(live.see(sensor, view))
     assert outputs[-1].status.mode == Mode.TRACKING
-    assert sum(AGE_S in each.status.evidence for each in outputs) == 4
+    assert sum(AGE_S in each.status.evidence for each in outputs) == 3
     recorded = RecordedSearches()
     again = Desk(recorded)
     for (sensor, view), output in zip(frames, outputs, strict=True):
