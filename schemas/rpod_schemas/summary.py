@@ -240,9 +240,13 @@ class Handover(Config):
     gap_s: NonNegative
     """Longest time from the last accepted frame of another sensor to the first of the new one, s."""
     jump_m: Known
-    """Largest change of the position error between successive estimates around a handover, m; null without
-    truth."""
+    """Largest part of a change of the position error between successive estimates around a handover that is
+    beyond the covariance of the earlier one, m; null without truth."""
     jump_deg: Known
+    """The same of the attitude error, deg."""
+    change_m: Known = None
+    """Largest such change as a whole, m."""
+    change_deg: Known = None
     """The same of the attitude error, deg."""
 
 

@@ -82,6 +82,11 @@ def _handover(handover: Handover) -> str:
         if handover.jump_m is None or handover.jump_deg is None
         else f"jump {1e3 * handover.jump_m:.1f} mm, {handover.jump_deg:.2f} deg"
     )
+    if handover.change_m is not None and handover.change_deg is not None:
+        jump = (
+            f"change {1e3 * handover.change_m:.1f} mm, {handover.change_deg:.2f} deg, "
+            f"beyond the covariance {jump}"
+        )
     return f"{handover.count} between sensors, gap {handover.gap_s:.2f} s, {jump}"
 
 

@@ -129,6 +129,12 @@ class NavigatorTuning(Tuning):
     search_pause_s: Annotated[NonNegative, BUDGET] = 1.0
     """Time between two searches of one sensor that find nothing, s, where there are several sensors. The
     frames of a sensor that is out of range would otherwise delay the others. One sensor is not affected."""
+    search_delay_frames: Annotated[
+        Annotated[int, Field(ge=0)],
+        Provenance("numerics", "0 is a search that takes no time: what a campaign of methods compares"),
+    ] = 0
+    """Number of frames of the same sensor after which the result of a search is applied, in lockstep,
+    campaigns and replay. A live estimator applies it at the first frame after the search has ended."""
     rivals_s: Annotated[Positive, BY_HAND] = 15.0
     """Time after which rivals of which none is believed are given up for a new search, s. Errors of the model
     that favour one of them count no longer than this."""
