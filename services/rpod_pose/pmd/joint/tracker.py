@@ -43,6 +43,7 @@ from rpod_pose.pmd.joint.fit import (
     joint_shares,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.joint.uneven_ranges import evened
 from rpod_pose.pmd.joint.wiggling import wiggling
 from rpod_pose.pmd.reflections import reflected_m
 from rpod_pose.pmd.rendering import FineRanges, Rendering
@@ -187,7 +188,9 @@ class JointTracker:
         if len(first):
             sight = self._sight_at(seen, sight, state.pose)
             state = align(self._problem(points, sight, first), state).state
-        return align(self._problem(points, self._sight_at(seen, sight, state.pose), last), state)
+        problem = self._problem(points, self._sight_at(seen, sight, state.pose), last)
+        fit = align(problem, state)
+        return evened(problem, fit, self._weak, seen.frequencies_hz, self._ranges.bias_m)
 
     def _least_scale_m(self, seen: JointFrame) -> float:
         """Return the least Geman-McClure scale: an error that the noise explains is no outlier."""
