@@ -51,8 +51,8 @@ def wiggling(
 def waves(range_m: FloatArray, frequencies_hz: FloatArray) -> FloatArray:
     """Return how the wiggling may vary over a target, each wave of amplitude 1, shape (2 F, N).
 
-    Wiggling of one frequency is A sin(k d) + B cos(k d), with d the range less the mean range. Of this, B is
-    an error that all ranges share: the waves are sin(k d) and cos(k d) - 1.
+    Wiggling of one frequency is A sin(k d) + B cos(k d), with d the range less the mean range. Of this, B is an
+    error that all ranges share: the waves are sin(k d) and cos(k d) - 1.
 
     Args:
         range_m: measured ranges, shape (N,), m.
