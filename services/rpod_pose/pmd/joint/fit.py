@@ -27,7 +27,6 @@ from rpod_pose.registration.field_alignment import FieldEvidence, Points, add_fi
 from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
 from rpod_pose.registration.normal_equations import (
-    OF_POSE,
     SUMS,
     UNKNOWNS,
     add_residual,
@@ -227,13 +226,6 @@ def _shares(
     return Shares(of_points, of_edges)
 
 
-def last_shares(problem: JointProblem, fit: JointFit) -> Shares:
-    """Return the weights of points and edges in the last step that led to a fit."""
-    evidence = fit.evidence
-    depth_m, reach_px = float(fit.state.pose.t[2]), float(problem.schedule[-1, 1])
-    return _shares(problem, evidence.points, evidence.edges, depth_m, reach_px)
-
-
 @kernel
 def joint_shares(problem: JointProblem, state: State) -> Shares:
     """Return the weights of points and edges in the last step of a problem, at a pose."""
@@ -251,40 +243,6 @@ def cell_information(problem: JointProblem, state: State, shares: Shares) -> Flo
     add_field_points(sums, problem.points, state, problem.field, scale, True)
     add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors.noise_px)
     return information_of(shares.points * sums + shares.edges * of_edges, UNKNOWNS)
-
-
-@kernel
-def wave_equations(
-    problem: JointProblem, state: State, shares: Shares, waves: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what the points tell of errors of their ranges that are waves, beside pose and bias.
-
-    A range that is too long by a share of a wave moves its residual as the bias does, by that share.
-
-    Args:
-        problem: the frame; its points are weighed with the scale of the last step.
-        state: pose and bias to linearise at.
-        shares: weights of the sums.
-        waves: value of each wave at each point, shape (W, N).
-
-    Returns:
-        Their information with (dtau, dtheta, bias), shape (W, 7), about each other, shape (W, W), and the
-        gradient by their amplitudes, shape (W,).
-    """
-    scale, number = problem.schedule[-1, 0], len(waves)
-    with_pose, own, gradient = np.zeros((number, UNKNOWNS)), np.zeros((number, number)), np.zeros(number)
-    for i in range(number):
-        for j in range(i, number + 1):
-            sums, trust = no_sums(), problem.points.trust * waves[i]
-            if j < number:
-                trust *= waves[j]
-            add_field_points(sums, Points(problem.points.places_m, trust), state, problem.field, scale, True)
-            if j < number:
-                own[i, j] = own[j, i] = shares.points * sums[SUMS - 2]
-            else:
-                with_pose[i] = shares.points * sums[OF_POSE : SUMS - 1]
-                gradient[i] = shares.points * sums[SUMS - 1]
-    return with_pose, own, gradient
 
 
 @linearises(JointProblem)

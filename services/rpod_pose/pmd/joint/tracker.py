@@ -43,7 +43,6 @@ from rpod_pose.pmd.joint.fit import (
     joint_shares,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
-from rpod_pose.pmd.joint.uneven_ranges import evened
 from rpod_pose.pmd.joint.wiggling import wiggling
 from rpod_pose.pmd.reflections import reflected_m
 from rpod_pose.pmd.rendering import FineRanges, Rendering
@@ -188,9 +187,7 @@ class JointTracker:
         if len(first):
             sight = self._sight_at(seen, sight, state.pose)
             state = align(self._problem(points, sight, first), state).state
-        problem = self._problem(points, self._sight_at(seen, sight, state.pose), last)
-        fit = align(problem, state)
-        return evened(problem, fit, self._weak, seen.frequencies_hz, self._ranges.bias_m)
+        return align(self._problem(points, self._sight_at(seen, sight, state.pose), last), state)
 
     def _least_scale_m(self, seen: JointFrame) -> float:
         """Return the least Geman-McClure scale: an error that the noise explains is no outlier."""

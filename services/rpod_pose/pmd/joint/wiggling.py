@@ -34,7 +34,7 @@ def wiggling(
     """
     if not len(error_m) or not len(frequencies_hz) or sigma_m == 0.0:
         return np.zeros(len(error_m))
-    phase = _phases(range_m, frequencies_hz)
+    phase = 2.0 * np.pi * PERIODS / speed_of_light * np.outer(range_m, frequencies_hz)
     waves = np.column_stack((np.ones(len(range_m)), np.sin(phase), np.cos(phase)))
     prior = np.full(waves.shape[1], (scale_m / sigma_m) ** 2)
     prior[0] = 0.0
@@ -46,23 +46,3 @@ def wiggling(
         weights = (1.0 + (left_m / scale_m) ** 2) ** -2
     explained: FloatArray = waves[:, 1:] @ amplitudes[1:]
     return explained - np.median(explained)
-
-
-def waves(range_m: FloatArray, frequencies_hz: FloatArray) -> FloatArray:
-    """Return how the wiggling may vary over a target, each wave of amplitude 1, shape (2 F, N).
-
-    Wiggling of one frequency is A sin(k d) + B cos(k d), with d the range less the mean range. Of this, B is an
-    error that all ranges share: the waves are sin(k d) and cos(k d) - 1.
-
-    Args:
-        range_m: measured ranges, shape (N,), m.
-        frequencies_hz: modulation frequencies, shape (F,), Hz.
-    """
-    phase = _phases(range_m - range_m.mean(), frequencies_hz).T if len(range_m) else np.zeros((0, 0))
-    return np.concatenate((np.sin(phase), np.cos(phase) - 1.0))
-
-
-def _phases(range_m: FloatArray, frequencies_hz: FloatArray) -> FloatArray:
-    """Return the phases of the wiggling at ranges, shape (N, F), rad."""
-    phases: FloatArray = 2.0 * np.pi * PERIODS / speed_of_light * np.outer(range_m, frequencies_hz)
-    return phases
