@@ -71,6 +71,7 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
         misleading = "-" if told.misleading is None else str(told.misleading)
         within = f"available {_percent(told.availability)}"
         rows.append(("integrity", f"{misleading} misleading, {told.alerts} alerts, {within}"))
+    rows += [(f"mounts of {pair}", found.text) for pair, found in summary.mounts.items()]
     rows.append(("messages", f"{published} published, {missed} missed by the log"))
     return rows
 

@@ -7,6 +7,7 @@ from threading import Event
 from rpod_estimator.backoff import Backoff
 from rpod_estimator.estimator import TICK_S, Estimator
 from rpod_estimator.frame_reader import Arrived
+from rpod_estimator.imu_input import ImuInput
 from rpod_estimator.outputs import Outputs
 from rpod_estimator.subscriptions import Subscriptions
 from rpod_estimator.validity import Beacon, Validity
@@ -27,6 +28,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     with Node(config, version=version, stop=stop) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
+        imu = ImuInput(node, config, estimator.imu)
         validity = Validity(config.stale_after_s)
         with Beacon(validity, outputs.tell, node.clock) as beacon:
             service = _Service(estimator, subscriptions, outputs, validity, beacon)
@@ -38,6 +40,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
                 arrived = subscriptions.newest(TICK_S)
                 estimator.learn(subscriptions.infos)
                 if arrived is not None:
+                    imu.hear_up_to(arrived.stamp_ns)
                     if config.time_source == "clock":
                         for output in estimator.let_time_pass(arrived.stamp_ns):
                             service.publish(output)
@@ -46,6 +49,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
                 service.publish(estimator.tick(node.clock.settled_ns()))
                 subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted
+                imu.hear_up_to(arrived.stamp_ns)
                 service.process(arrived)
 
 

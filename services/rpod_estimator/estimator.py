@@ -12,6 +12,8 @@ from typing import Any
 from rpod_estimator.frame_reader import Arrived
 from rpod_pose.measurement import Tick
 from rpod_pose.methods import kind_methods, ready_methods
+from rpod_pose.navigation.dynamics.imu_track import ImuTrack
+from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
@@ -45,12 +47,16 @@ class Estimator:
         self._known: dict[str, KnownParts] = {}
         self._tell_unreliable_parts()
         self.learn({})
+        self._dynamics = Dynamics.of(config.dynamics, target)
+        if self._dynamics.assumption:
+            log.warning("%s", self._dynamics.assumption)
         self._navigator = Navigator(
             config,
             self._methods,
             centre_of_mass_m=target.centre_of_mass_m,
             alike=target.equivalence,
             joints=target.joints,
+            dynamics=self._dynamics,
         )
         self._state: NavigatorState = self._navigator.start(config.initial_pose)
         self._monitor, self._memory = Monitor(config), Memory()
@@ -112,6 +118,11 @@ class Estimator:
         for sensor in self._sensors.values():
             if kind_methods(sensor).masked is None:
                 log.warning("%s: sensors of kind %s cannot ignore them", sensor.name, sensor.kind)
+
+    @property
+    def imu(self) -> ImuTrack | None:
+        """Readings of the chaser's IMU, to which its receiver adds; None if it is not used."""
+        return self._dynamics.imu
 
     def request_reset(self, request: ResetRequest) -> Accepted:
         """Start again with the next frame, without a pose or from a given pose."""

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from rpod_schemas.arrays import VectorN
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.config.depth_calibration import CalibrationSource
+from rpod_schemas.config.dynamics import DynamicsConfig
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.integrity import IntegrityConfig
 from rpod_schemas.config.lidar import LidarConfig
@@ -169,6 +170,8 @@ class EstimatorSettings(Config):
     """Configuration of the navigator's state machine."""
     filter: FilterConfig = Field(default_factory=FilterConfig)
     """The error-state Kalman filter."""
+    dynamics: DynamicsConfig = DynamicsConfig()
+    """Motion of target and chaser between measurements."""
     integrity: IntegrityConfig = IntegrityConfig()
     """Protection levels and alerts."""
 

@@ -16,6 +16,7 @@ from rpod_analysis.log.log_file import REPLAY, beside
 from rpod_analysis.log.unreadable import StampCheck
 from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
+from rpod_analysis.replay.imu import LoggedImu
 from rpod_analysis.replay.timeline import Timeline
 from rpod_analysis.scoring.run import estimate_prefix
 from rpod_estimator.estimator import Estimator
@@ -110,7 +111,7 @@ def replay(
         if as_live
         else Frames(intake, stamps)
     )
-    feed = _Feed(estimator, intake, as_live=as_live)
+    feed = _Feed(estimator, intake, LoggedImu(log, config.dynamics, estimator.imu), as_live=as_live)
     try:
         with EstimateLog(new, log, config, target) as written:
             for logged in _relevant(log, intake, old, start_s=start_s, end_s=end_s):
@@ -138,7 +139,9 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
         AnalysisError: the log cannot be read.
     """
     intake = FrameReader(config.sensors)
-    feed = _Feed(Estimator(config, load_target(config.target)), intake, as_live=False)
+    estimator = Estimator(config, load_target(config.target))
+    imu = LoggedImu(log, config.dynamics, estimator.imu)
+    feed = _Feed(estimator, intake, imu, as_live=False)
     frames = Frames(intake, StampCheck(log))
     for logged in log.messages(*(topic.name for topic in (*intake.latched, *intake.streams))):
         yield from feed.outputs(frames.take(logged))
@@ -174,14 +177,16 @@ def _relevant(
 class _Feed:
     """Passes frames to the estimator, and advances its time between the frames."""
 
-    def __init__(self, estimator: Estimator, intake: FrameReader, *, as_live: bool) -> None:
+    def __init__(self, estimator: Estimator, intake: FrameReader, imu: LoggedImu, *, as_live: bool) -> None:
         self.processing_s: list[float] = []
+        self._imu = imu
         self._estimator, self._intake, self._as_live = estimator, intake, as_live
 
     def outputs(self, events: Iterable[Event]) -> Iterator[Output]:
         """Yield the estimator's outputs."""
         for event in events:
             self._estimator.learn(self._intake.infos)
+            self._imu.hear_up_to(event.stamp_ns)
             if isinstance(event, Tick):
                 yield from self._tick(event.stamp_ns)
                 continue

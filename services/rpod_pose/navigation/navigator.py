@@ -24,11 +24,13 @@ from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.challenger import Outcome
 from rpod_pose.navigation.coasting import Coasting
 from rpod_pose.navigation.contest import challenged
-from rpod_pose.navigation.filter import FilterState, start
+from rpod_pose.navigation.dynamics.options import CONSTANT, Dynamics
+from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.frames import as_measured
-from rpod_pose.navigation.history import History, PoseMeasurement
+from rpod_pose.navigation.history import History
 from rpod_pose.navigation.joints import tracked_joints
 from rpod_pose.navigation.parallel import ParallelTracks
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
 from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
 from rpod_pose.navigation.rivals import Rivals
@@ -67,6 +69,7 @@ class Navigator:
         alike: which attitudes of the target no measurement tells apart; each estimate lists the poses that
             the turns give, and leaves the angle about a free axis as it is.
         joints: joints of the target, whose angles are estimated.
+        dynamics: how tracks are predicted.
     """
 
     def __init__(
@@ -77,10 +80,11 @@ class Navigator:
         centre_of_mass_m: FloatArray,
         alike: Equivalence = NO_SYMMETRY,
         joints: Sequence[Joint] = (),
+        dynamics: Dynamics = CONSTANT,
     ) -> None:
         self._settings = settings
         self._alike = alike
-        self._centre_of_mass_m = centre_of_mass_m
+        self._centre_of_mass_m, self._dynamics = centre_of_mass_m, dynamics
         self._results = Results(settings.filter, alike)
         self._output = self._results.output
         self._coasting = Coasting(settings)
@@ -93,13 +97,13 @@ class Navigator:
         self._joints = {joint.name: joint for joint in joints}
 
     def _start_filter(self, measured: PoseMeasurement) -> FilterState:
-        return start(
-            measured.T_chaser_target,
-            measured.covariance,
-            measured.stamp_ns,
+        return started(
+            measured,
             config=self._settings.filter,
             centre_of_mass_m=self._centre_of_mass_m,
             alike=self._alike,
+            blocks=self._dynamics.blocks_at(measured.stamp_ns),
+            model=self._dynamics.model,
         )
 
     def start(

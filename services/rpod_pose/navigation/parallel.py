@@ -10,7 +10,8 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.frames import as_measured, as_of_stamp
-from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.history import History, apply
+from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.rivals import Rival, Rivals, distinct
 from rpod_pose.ports import Acquisition, Methods, Registration
 from rpod_schemas.arrays import FloatArray
