@@ -33,7 +33,11 @@ def kills(
 ) -> None:
     """Kill each service so often, in turn; the exit code is 1 where an aim is missed."""
     rnd, console, done = Random(seed), Console(highlight=False, width=160), dict[str, list[Kill]]()
-    with TemporaryDirectory() as folder, kept_facility(Path(folder), rate_hz=rate) as facility, desk(facility) as at:
+    with (
+        TemporaryDirectory() as folder,
+        kept_facility(Path(folder), rate_hz=rate) as facility,
+        desk(facility) as at,
+    ):
         for wrong in at.settle():
             console.print(f"before any kill: {wrong}")
         for number in range(1, count + 1):
@@ -54,8 +58,8 @@ def kills(
 
 def _table(done: dict[str, list[Kill]]) -> Table:
     table = Table(
-        "killed", "times", "TRACKING after, s: min, median, p90, most", "at work after, s", "bare echo after, s",
-        "log lost, s: most", "statement right",
+        "killed", "times", "TRACKING after, s: min, median, p90, most", "at work after, s",
+        "bare echo after, s",        "log lost, s: most", "statement right",
     )  # fmt: skip
     for name, found in done.items():
         table.add_row(

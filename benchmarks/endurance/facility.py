@@ -75,22 +75,21 @@ def kept_facility(
     """
     endpoint = free_endpoint()
     target = {"target": "mockup"}
+    files = {"directory": str(folder / "logs"), "name": "hall"}
+    motion = {"duration_s": 10 * _DAY_S, "motion": _TUMBLING, "epoch_ns": time.time_ns()}
     document = {
         "name": "hall",
         "bus": {"connect": endpoint},
         "backoff": {"first_s": 0.1, "max_s": 0.1},
         "services": {
             "router": {"verb": "router"},
-            "logger": {"verb": "logger", "config": {"directory": str(folder / "logs"), "name": "hall"} | (logger or {})},
+            "logger": {"verb": "logger", "config": files | (logger or {})},
             "estimator": {"verb": "estimator", "config": target | {"sensors": [{"kind": "pmd"}]}},
             "emulator": {
                 "verb": "emulator",
                 "config": target | {"sensors": [{"kind": "pmd", "rate_hz": rate_hz}]},
             },
-            "motion": {
-                "verb": "motion",
-                "config": target | {"duration_s": 10 * _DAY_S, "motion": _TUMBLING, "epoch_ns": time.time_ns()},
-            },
+            "motion": {"verb": "motion", "config": target | motion},
         },
     }  # fmt: skip
     path = folder / "hall.yaml"

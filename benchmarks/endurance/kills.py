@@ -12,6 +12,7 @@ from threading import Event, Lock
 
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
+from pydantic import TypeAdapter
 
 from endurance.echo import Echo
 from endurance.facility import KeptFacility, until
@@ -23,7 +24,6 @@ from rpod_schemas.logs import COMPLETENESS, PUBLISHERS, Completeness, Numbers
 from rpod_schemas.messages import read_status
 from rpod_schemas.topics import STATUS, TRUTH
 from rpod_schemas.types import Mode
-from pydantic import TypeAdapter
 
 _QUIET_S = 1.0, 2.0
 """Least and longest time before a kill, s, so that it falls anywhere between two syncs of the log."""
@@ -161,7 +161,9 @@ def truth_numbers(path: Path) -> Sequence[int]:
     numbers: list[int] = []
     with path.open("rb") as stream:
         try:
-            for _, _, message in NonSeekingReader(stream).iter_messages(f"/{TRUTH.name}", log_time_order=False):
+            for _, _, message in NonSeekingReader(stream).iter_messages(
+                f"/{TRUTH.name}", log_time_order=False
+            ):
                 numbers.append(message.sequence)
         except McapError:
             pass
@@ -195,5 +197,9 @@ def judge(path: Path, *, killed: str) -> Iterator[str]:
     if not said.complete and killed == "logger" and records:
         yield f"{path.name}: not complete, but it begins after the logger's kill: {said.reasons}"
     named = "the bus was lost" if killed == "router" else f"{killed} (session "
-    if not said.complete and killed not in ("", "logger") and not any(each.startswith(named) for each in said.reasons):
+    if (
+        not said.complete
+        and killed not in ("", "logger")
+        and not any(each.startswith(named) for each in said.reasons)
+    ):
         yield f"{path.name}: does not name {killed}: {said.reasons}"

@@ -3,7 +3,7 @@
 ``<log>.mcap.chain`` has one JSON object a line. The first line names the log, the chain of the log before it,
 and the certificate by whose key the lines are signed, if there is one. Each further line is written when the
 log was synced to the disk: the log's size, and the digest (SHA-256) of the bytes since the line before. Every
-line holds the digest of the line before, and a signature of itself. The last line says that the log is closed.
+line holds the digest of the line before, and its own signature. The last line says that the log is closed.
 
 Without a key the lines are not signed: the chain then shows damage, but whoever changes the log can make its
 chain anew. With a key that takes the key, or the host of the logger.

@@ -1,4 +1,4 @@
-"""Signatures of the digest chains of logs, by the key of the logger's certificate. Needs the extra ``secure``."""
+"""Signatures of the digest chains of logs, by the key of the logger's certificate (extra ``secure``)."""
 
 import base64
 from datetime import datetime
@@ -58,10 +58,11 @@ class Signatory:
     def signed(self, text: bytes, signature: str) -> bool:
         """Return whether a signature is of this certificate's key."""
         key = self._certificate.public_key()
+        if not isinstance(key, ec.EllipticCurvePublicKey):
+            return False
         try:
-            assert isinstance(key, ec.EllipticCurvePublicKey)
             key.verify(base64.b64decode(signature, validate=True), text, ec.ECDSA(hashes.SHA256()))
-        except (AssertionError, InvalidSignature, ValueError):
+        except (InvalidSignature, ValueError):
             return False
         return True
 

@@ -174,7 +174,9 @@ class _Check:
                 self._verdict.problems.append(f"line {number + 1} of the chain comes after its end")
             digest, found = _digest(stream, seal.size - begin)
             if found < seal.size - begin:
-                self._verdict.problems.append(f"the log ends at byte {begin + found}, {seal.size} were written")
+                self._verdict.problems.append(
+                    f"the log ends at byte {begin + found}, {seal.size} were written"
+                )
                 return seal
             if digest != seal.sha256:
                 when = seal.time.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -36,7 +36,7 @@ class LoggerConfig(ServiceConfig):
     chunk that did not fit, and for the index."""
     digest_chain: bool | None = None
     """Whether a digest chain is written beside each file, by which ``rpod verify-log`` finds later changes.
-    By default it is on a secure bus, where it is signed by the logger's key; elsewhere it has no signature."""
+    By default it is on a secure bus, where the logger's key signs it; elsewhere it has no signature."""
     record_extra: tuple[str, ...] = ()
     """Key expressions to record besides the ICD's topics."""
 
