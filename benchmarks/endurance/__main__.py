@@ -13,10 +13,13 @@ from rich.table import Table
 
 from endurance.facility import SERVICES, kept_facility
 from endurance.kills import Kill, desk
+from endurance.soak import figures, slope, watch, write
 
 app = typer.Typer(add_completion=False)
 _MEDIAN_S, _MOST_S, _LOST_S = 2.0, 5.0, 1.0
 """Aims: TRACKING again at the median and at most; truth that no log holds."""
+_GROWTH_MIB = 0.05
+"""Aim: growth of each process's memory, a minute."""
 
 
 @app.callback()
@@ -54,6 +57,27 @@ def kills(
     console.print(_table(done))
     console.print(f"load average {', '.join(f'{load:.1f}' for load in os.getloadavg())}")
     raise typer.Exit(0 if all(_reached(each) for each in done.values()) else 1)
+
+
+@app.command()
+def soak(
+    hours: Annotated[float, typer.Option(min=0.01, help="How long.")] = 1.0,
+    rate: Annotated[float, typer.Option(help="Frames of the camera a second.")] = 20.0,
+    out: Annotated[Path, typer.Option(help="Folder of soak.html and soak.json.")] = Path("build/soak"),
+) -> None:
+    """Watch a facility for hours; the exit code is 1 where an aim is missed."""
+    console = Console(highlight=False, width=160)
+    with (
+        TemporaryDirectory() as folder,
+        kept_facility(Path(folder), rate_hz=rate, logger={"split_interval_s": 60.0}) as facility,
+    ):
+        seen = watch(facility, seconds=3600.0 * hours, rate_hz=rate)
+    console.print(f"{write(seen, out)}")
+    console.print_json(data=figures(seen))
+    console.print(f"load average {', '.join(f'{load:.1f}' for load in os.getloadavg())}")
+    slopes = [slope(rows, 1) for rows in seen.processes.values()]
+    grows = any(each is not None and each.low > _GROWTH_MIB for each in slopes)
+    raise typer.Exit(1 if grows or seen.missed or seen.wrong else 0)
 
 
 def _table(done: dict[str, list[Kill]]) -> Table:

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import Any, TypeVar
@@ -99,7 +100,7 @@ def kept_facility(
         try:
             facility = KeptFacility(folder, endpoint)
             for name in SERVICES:
-                until(lambda name=name: facility.ready(name), f"{name} at work")
+                until(partial(facility.ready, name), f"{name} at work")
             yield facility
         finally:
             process.terminate()

@@ -142,10 +142,11 @@ class Desk:
 
     def _lost_s(self) -> float:
         """Return how much truth is missing between the file of the killed logger and the next one, s."""
-        before, after = self._files()[-3:-1]
-        first = next(iter(truth_numbers(after)), 0)
-        last = max(truth_numbers(before), default=first)
-        return max(0, first - last - 1) / _TRUTH_HZ
+        before, after = (truth_numbers(path) for path in self._files()[-3:-1])
+        last = max(before, default=min(after, default=0))
+        return (
+            max(after, default=last) - last - len([each for each in set(after) if each > last])
+        ) / _TRUTH_HZ
 
     def _judge(self, *, killed: str) -> Iterator[str]:
         """Yield the statements of the closed files that do not agree with what happened to them."""
