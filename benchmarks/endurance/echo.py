@@ -46,8 +46,8 @@ class Echo:
         self._stop.set()
         self._thread.join()
         self.kill()
-        self._subscriber.undeclare()
-        self._session.close()
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        self._session.close()  # type: ignore[no-untyped-call]
 
     def start(self) -> None:
         """Start the answering process."""
@@ -82,7 +82,7 @@ class Echo:
                 self._sent_s[number] = time.monotonic()
                 self._sent_s.pop(number - 10_000, None)
             publisher.put(number.to_bytes(_NUMBER_BYTES, "little") + self._padding)
-        publisher.undeclare()
+        publisher.undeclare()  # type: ignore[no-untyped-call]
 
     def _take(self, sample: zenoh.Sample) -> None:
         now_s, number = time.monotonic(), int.from_bytes(sample.payload.to_bytes(), "little")
@@ -112,8 +112,8 @@ def respond(endpoint: str, wait: Callable[[], object]) -> None:
             _PING, lambda sample: publisher.put(sample.payload.to_bytes()[:_NUMBER_BYTES])
         )
         wait()
-        subscriber.undeclare()
-        publisher.undeclare()
+        subscriber.undeclare()  # type: ignore[no-untyped-call]
+        publisher.undeclare()  # type: ignore[no-untyped-call]
 
 
 if __name__ == "__main__":

@@ -11,10 +11,10 @@ from random import Random
 import psutil
 import pytest
 import yaml
-from endurance.facility import SERVICES, kept_facility
-from endurance.kills import desk
 from facility_process import DEADLINE_S, Lines, until
 
+from endurance.facility import SERVICES, kept_facility
+from endurance.kills import desk
 from rpod_runtime.session import free_endpoint
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from endurance.soak import quantiles_ms, slope
 
 

@@ -360,7 +360,7 @@ def status(name: str, **configuration: object) -> StatusReply:
     )
 
 
-def test_a_log_and_its_successor_have_digest_chains_that_fit_them(desk, arrive, tmp_path):
+def test_a_log_and_its_successor_have_digest_chains_that_fit_them(desk, arrive):
     one = desk(digest_chain=True)
     first = one.recorder.start()
     one.put(arrive(CLOCK, 1))
