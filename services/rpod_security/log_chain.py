@@ -30,6 +30,7 @@ class Key(Protocol):
 
     def sign(self, text: bytes) -> str:
         """Return a signature, base64."""
+        ...
 
 
 class ChainWriter:
