@@ -10,7 +10,7 @@ SCENARIO ?= mockup-tumbling
 ARGS ?=
 MINUTES ?= 60
 
-.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster hand-eye peers fuzz check-viewers lock audit setup clean
+.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster hand-eye peers fuzz kills soak check-viewers lock audit setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -61,6 +61,12 @@ reading: $(READY) ## A log of 10 GB: time to open and slice it, memory to summar
 
 fuzz: $(READY) ## Hostile input of every kind, for MINUTES: readers in one process, then the facility over the bus
 	@PYTHONPATH=tests $(BIN)/python -m fuzz $(MINUTES) $(ARGS)
+
+kills: $(READY) ## Each service of a facility killed 100 times (ARGS="--count 10"): when it works again, what the log says
+	@PYTHONPATH=benchmarks $(BIN)/python -m endurance kills $(ARGS)
+
+soak: $(READY) ## A facility for an hour (ARGS="--hours 8"): memory, threads, descriptors, latency beside a bare echo
+	@PYTHONPATH=benchmarks $(BIN)/python -m endurance soak $(ARGS)
 
 recording: $(READY) ## The logger at a camera's full rate: loss, processor time, memory
 	@PYTHONPATH=benchmarks $(BIN)/python -m recording $(ARGS)

@@ -18,7 +18,7 @@ from rpod_schemas.config.rights import MemberConfig, RightsConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.audit import check
 from rpod_security.authority import FOLDER, Authority, Entry
-from rpod_security.credentials import WARN_BEFORE
+from rpod_security.credentials import AUTHORITY, IDENTITY, WARN_BEFORE, accept_certificate, write_request
 from rpod_security.errors import SecurityError
 from rpod_security.facility import named, read_rules, rules_of
 from rpod_security.roles import ROLES, ROUTER
@@ -71,6 +71,33 @@ def issue_command(folder: Path, role: str, name: str | None, *, hosts: Sequence[
         named_hosts = _hosts(hosts) if its == ROUTER else tuple(hosts)
         made = authority.issue(its, each, validity=timedelta(days=days), hosts=named_hosts)
         print(f"{made}: credentials of {each}, a {its}; copy the folder to its host")
+
+
+@_told
+def request_command(folder: Path, role: str) -> None:
+    """Make a key and a request for its certificate."""
+    if role not in ROLES:
+        raise ConfigurationError(
+            "rpod pki request", "role", f"is {role!r}, unknown; 'rpod pki show' lists them"
+        )
+    request = write_request(folder.absolute(), role)
+    print(f"{request}: send it to the authority; the key stays here")
+
+
+@_told
+def sign_command(folder: Path, request: Path, *, hosts: Sequence[str], days: float) -> None:
+    """Issue the certificate of a request."""
+    made = Authority.open(folder).certify(
+        request.read_bytes(), validity=timedelta(days=days), hosts=tuple(hosts)
+    )
+    print(f"{made}: certificate; copy the folder back, and 'rpod pki accept' it there")
+
+
+@_told
+def accept_command(signed: Path, folder: Path) -> None:
+    """Complete the credentials of a key that waits for its certificate."""
+    accept_certificate(folder, (signed / AUTHORITY).read_bytes(), (signed / IDENTITY).read_bytes())
+    print(f"{folder}: credentials")
 
 
 @_told

@@ -81,6 +81,21 @@ def replay(
     )
 
 
+@log_verbs.command("verify-log")
+def verify_log(
+    logs: Annotated[list[Path], typer.Argument(help="MCAP files, each with its chain beside it.")],
+    authority: Annotated[
+        Path | None,
+        typer.Option("--authority", help="The authority's certificate, authority.pem of any credentials."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+) -> None:
+    """Compare logs with the digest chains that the logger wrote: exit 0 if they are as they were written."""
+    from rpod.command_verify_log import verify_log_command
+
+    raise typer.Exit(verify_log_command(logs, authority=authority, as_json=as_json))
+
+
 @log_verbs.command()
 def recover(
     log: Annotated[Path, typer.Argument(help="Truncated or damaged MCAP file; it is not changed.")],

@@ -52,6 +52,41 @@ def issue(
 
 
 @pki_verbs.command()
+def request(
+    role: Annotated[str, typer.Argument(help="Role, as 'rpod pki show' lists them.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of the credentials, named as the instance.")],
+) -> None:
+    """Make a key on this host, and a request for its certificate, which goes to the authority."""
+    from rpod.command_pki import request_command
+
+    raise typer.Exit(request_command(folder, role))
+
+
+@pki_verbs.command()
+def sign(
+    request: Annotated[Path, typer.Argument(help="Request, made by 'rpod pki request'.")],
+    host: HostOption = None,
+    days: DaysOption = 365,
+    folder: FolderOption = _FOLDER,
+) -> None:
+    """Issue, or renew, the certificate of a key that was made elsewhere."""
+    from rpod.command_pki import sign_command
+
+    raise typer.Exit(sign_command(folder, request, hosts=host or (), days=days))
+
+
+@pki_verbs.command()
+def accept(
+    signed: Annotated[Path, typer.Argument(help="Folder that 'rpod pki sign' made.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of the credentials, in which the key waits.")],
+) -> None:
+    """Complete credentials with the certificate that the authority signed."""
+    from rpod.command_pki import accept_command
+
+    raise typer.Exit(accept_command(signed, folder))
+
+
+@pki_verbs.command()
 def renew(
     names: Annotated[
         list[str] | None, typer.Argument(help="Names; those that end within 30 days by default.")

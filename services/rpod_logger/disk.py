@@ -6,6 +6,7 @@ the process ends. When the disk is full, this space is released, so that the log
 
 import errno
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -32,6 +33,8 @@ class DiskFile:
             self._reserve.close()
             raise
         self._size = 0
+        self.appended: Callable[[bytes], None] = lambda _: None
+        """Gets all data that were appended."""
         _sync_directory(path.parent)
 
     def write(self, data: bytes) -> int:
@@ -45,6 +48,7 @@ class DiskFile:
                 self._stream.truncate(self._size)
             raise
         self._size += len(data)
+        self.appended(data)
         return len(data)
 
     def _append(self, data: memoryview) -> int:

@@ -17,7 +17,7 @@ from rpod_logger.backlog import Backlog, Command
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, LoggerError, NotRecordingError
 from rpod_logger.farewells import Endings
 from rpod_logger.recording import Recording, Totals
-from rpod_logger.writer import WriterSettings, create_log
+from rpod_logger.writer import WriterSettings, create_log, signing_key
 from rpod_runtime import Received
 from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
@@ -235,6 +235,8 @@ class Recorder:
             config.compression,
             config.chunk_bytes,
             config.reserve_bytes,
+            chained=config.chained,
+            key=signing_key(config),
         )
         try:
             file = create_log(config.directory, stem, settings)

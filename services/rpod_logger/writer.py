@@ -3,6 +3,7 @@
 It knows neither bus nor threads.
 """
 
+import logging
 import re
 from collections import Counter
 from contextlib import suppress
@@ -17,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 from rpod_logger.disk import DiskFile
 from rpod_runtime import Received
 from rpod_schemas.cdr import definition
+from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.logs import (
     ENCODING_METADATA,
     HASH_METADATA,
@@ -29,6 +31,9 @@ from rpod_schemas.logs import (
     SCHEMA_ENCODING,
 )
 from rpod_schemas.topics import ABSOLUTE_TOPICS, Namespace, Topic
+from rpod_security.log_chain import ChainWriter, Key
+
+log = logging.getLogger(__name__)
 
 Compression = Literal["lz4", "zstd", "none"]
 
@@ -49,18 +54,36 @@ class WriterSettings:
     chunk_bytes: int = 1 << 20
     reserve_bytes: int = 16 << 20
     """Disk space that is reserved for closing the file."""
+    chained: bool = False
+    """Whether a digest chain is written beside each file."""
+    key: Key | None = None
+    """Key that signs the chain."""
+
+
+def signing_key(config: LoggerConfig) -> Key | None:
+    """Return the key of a logger's certificate; None without a certificate or a chain.
+
+    Raises:
+        ChainError: there is a certificate whose key cannot be used.
+    """
+    if config.bus.credentials is None or not config.chained:
+        return None
+    from rpod_security.log_signature import SigningKey  # noqa: PLC0415 - of an extra
+
+    return SigningKey.read(config.bus.credentials)
 
 
 class LogFile:
     """One MCAP file that is being written; made by ``create_log``."""
 
-    def __init__(self, path: Path, settings: WriterSettings) -> None:
+    def __init__(self, path: Path, settings: WriterSettings, *, before: Path | None = None) -> None:
         self.path = path
         self.messages = 0
         self.bytes = 0
         """Size of all payloads."""
         self._settings = settings
         self._disk = DiskFile(path, reserve_bytes=settings.reserve_bytes)
+        self._chain = self._begin_chain(before) if settings.chained else None
         self._writer = Writer(
             self._disk,  # type: ignore[arg-type]  # write, tell and flush are what it calls
             chunk_size=settings.chunk_bytes,
@@ -73,6 +96,11 @@ class LogFile:
         """Number of messages in the open chunk, which is not in the file yet, by topic."""
         self._dirty = True
         self._writer.start(profile=PROFILE, library=settings.library)
+
+    def _begin_chain(self, before: Path | None) -> ChainWriter:
+        chain = ChainWriter(self.path, key=self._settings.key, continues=before)
+        self._disk.appended = chain.add
+        return chain
 
     @property
     def size_bytes(self) -> int:
@@ -121,6 +149,7 @@ class LogFile:
         if self._dirty:
             self._flush()
             self._disk.sync()
+            self._seal()
             self._dirty = False
 
     def close(self) -> None:
@@ -128,10 +157,29 @@ class LogFile:
         self._flush()
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._disk.sync()
+        self._seal(closed=True)
+        self._end_chain()
         self._disk.close()
+
+    def _seal(self, *, closed: bool = False) -> None:
+        """Add to the chain; where that fails, the log goes on without it."""
+        if self._chain is None:
+            return
+        try:
+            self._chain.seal(closed=closed)
+        except OSError as error:
+            log.error("%s: its digest chain ends here: %s", self.path.name, error.strerror)
+            self._end_chain()
+
+    def _end_chain(self) -> None:
+        if self._chain is not None:
+            self._chain.close()
+            self._disk.appended = lambda _: None
+            self._chain = None
 
     def abandon(self) -> None:
         """Leave the file as it is after the disk has failed; it ends after the last complete record."""
+        self._end_chain()
         with suppress(OSError):
             self._disk.close()
 
@@ -170,10 +218,14 @@ def create_log(directory: Path, stem: str, settings: WriterSettings) -> LogFile:
     """
     directory.mkdir(parents=True, exist_ok=True)
     for number in count(_last_number(directory, stem) + 1):
-        path = directory / (f"{stem}.mcap" if number == 1 else f"{stem}_{number:04d}.mcap")
+        before = _path(directory, stem, number - 1) if number > 1 else None
         with suppress(FileExistsError):
-            return LogFile(path, settings)
+            return LogFile(_path(directory, stem, number), settings, before=before)
     raise AssertionError("unreachable")
+
+
+def _path(directory: Path, stem: str, number: int) -> Path:
+    return directory / (f"{stem}.mcap" if number == 1 else f"{stem}_{number:04d}.mcap")
 
 
 def _last_number(directory: Path, stem: str) -> int:

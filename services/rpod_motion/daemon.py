@@ -33,6 +33,8 @@ _LONGEST_TAIL_S = 0.9
 """Longest duration of truth after the end in lockstep; the motion is defined a little longer than that."""
 
 _LONGEST_WAIT_S = 1.0
+_OVERDUE_S = 1.0
+"""Longest time of truth that is made up for after a late start; receivers keep 2 s or more of it."""
 
 
 def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
@@ -63,6 +65,7 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         if config.speed == "max":
             Lockstep(node, config, truth).play(first, last)
         else:
+            first = max(first, _present(truth, first))
             _play_by_the_wall(node, truth, range(first, last + 1), lead_s=config.lead_s)
         node.state = "finished"
         node.health.report(Health.OK, "finished")
@@ -119,6 +122,15 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
 def _soon_ns(config: MotionServiceConfig) -> int:
     """Return the configured epoch, or one as soon as possible."""
     return config.epoch_ns or time.time_ns() + round(_SPARE_S * NANOSECONDS)
+
+
+def _present(truth: TruthPublisher, first: int) -> int:
+    """Return the tick of now if the first one is long overdue: after a restart the motion goes on."""
+    now_s = (time.time_ns() - truth.stamp_ns(0)) / NANOSECONDS
+    if (truth.stamp_ns(first) - truth.stamp_ns(0)) / NANOSECONDS > now_s - _OVERDUE_S:
+        return first
+    log.warning("the epoch was %.1f s ago: the motion goes on where it would be by now", now_s)
+    return truth.tick(now_s)
 
 
 def _play_by_the_wall(node: Node, truth: TruthPublisher, ticks: range, *, lead_s: float) -> None:

@@ -1,10 +1,31 @@
-"""Common base of all services: session, publishers, subscriptions, health, clock and life cycle."""
+"""Common base of all services: session, publishers, subscriptions, health, clock and life cycle.
 
-from rpod_runtime.clock import BusClock, Clock, WallClock
-from rpod_runtime.errors import BusError, NoRouterError, QueryFailedError
-from rpod_runtime.inbox import Inbox, Received
-from rpod_runtime.node import Node
-from rpod_runtime.publisher import Publisher
+Names are imported when they are first used: a router needs none of them, nor the numerical libraries that
+they import, and is back sooner after an accident.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rpod_runtime.clock import BusClock, Clock, WallClock
+    from rpod_runtime.errors import BusError, NoRouterError, QueryFailedError
+    from rpod_runtime.inbox import Inbox, Received
+    from rpod_runtime.node import Node
+    from rpod_runtime.publisher import Publisher
+
+_MODULES = {
+    "BusClock": "clock",
+    "BusError": "errors",
+    "Clock": "clock",
+    "Inbox": "inbox",
+    "NoRouterError": "errors",
+    "Node": "node",
+    "Publisher": "publisher",
+    "QueryFailedError": "errors",
+    "Received": "inbox",
+    "WallClock": "clock",
+}
 
 __all__ = [
     "BusClock",
@@ -18,3 +39,9 @@ __all__ = [
     "Received",
     "WallClock",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

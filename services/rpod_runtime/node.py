@@ -200,7 +200,7 @@ class Node(Asker):
     def _subscribe(
         self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool
     ) -> None:
-        past = SENSOR_CACHE if history else 0
+        past = topic.kept if history else 0
         self._declare(
             self._keys.selector(topic),
             lambda sample: self._delivery.take(topic, sample, sink),

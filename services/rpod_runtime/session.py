@@ -7,6 +7,7 @@ import json
 import logging
 import socket
 import time
+from itertools import count
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -17,7 +18,6 @@ from rpod_runtime.errors import EndpointError, NoRouterError, RefusedByRouterErr
 from rpod_runtime.refusal import why_refused
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.topics import TRUTH_TOPICS
-from rpod_security.rules import load_access_control
 
 log = logging.getLogger(__name__)
 
@@ -27,6 +27,10 @@ _QUEUED_BATCHES = 16
 A batch is 64 KiB, and 16 is the most that Zenoh accepts. With its default of two, an image is dropped as soon
 as the receiver is slow, and so is a burst of messages from a process that had to wait.
 """
+_STALLED_US = 1_000_000
+"""Longest wait of a message that may not be dropped, microseconds; then Zenoh closes the link and connects
+again. Clients that find a restarted router ask each other for what they missed, all at once, and may wait
+for each other: by Zenoh's default for 5 s. An image of 0.5 MB passes a link of 4 Mbit/s in this time."""
 _RETRY_S = 0.25
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 """How often a client tries to reach a router that has gone: it is back within half a second of the router."""
@@ -34,12 +38,22 @@ _HANDSHAKE_MS, _PENDING = 1000, 4000
 """Longest time for a connection to say who it is, and number of connections that may be about to: so that
 idle ones keep nobody out."""
 _REMIND_S = 10.0
+_opened = count()
+_STARTS = 1024
+"""Number of identities that a configured one stands for: it, followed by three hexadecimal digits."""
+_LONGEST_ID = 29
+"""Number of digits that are kept of a configured identity: Zenoh's have 32."""
+_STARTS_HZ = 4
+"""Identities a second: the same one returns after 256 s."""
 
 
 def _zenoh_config(
     *, tls: dict[str, Any] | None = None, unicast: dict[str, Any] | None = None, **settings: Any
 ) -> zenoh.Config:
-    queue = {"size": dict.fromkeys(("data", "data_high"), _QUEUED_BATCHES)}
+    queue = {
+        "size": dict.fromkeys(("data", "data_high"), _QUEUED_BATCHES),
+        "congestion_control": {"block": {"wait_before_close": _STALLED_US}},
+    }
     common = {
         "timestamping": {"enabled": True},
         "transport": {
@@ -61,7 +75,7 @@ def _tls(folder: Path | None, *, listens: bool) -> dict[str, Any] | None:
 
 
 def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None) -> zenoh.Session:
-    """Open a client session to the router, with a given identity or a random one.
+    """Open a client session to the router, with an identity that begins with a given one, or a random one.
 
     With credentials the certificate says who the client is. Its Zenoh identity is random then and gives no
     right.
@@ -73,7 +87,9 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
         RefusedByRouterError: there is a router, and the reason for its refusal is known; with ``wait`` it is
             logged instead, since credentials may be replaced meanwhile.
     """
-    identity: dict[str, Any] = {"id": zenoh_id} if zenoh_id and bus.credentials is None else {}
+    identity: dict[str, Any] = {}
+    if zenoh_id and bus.credentials is None:
+        identity = {"id": _identity(zenoh_id, time.time_ns() * _STARTS_HZ // 1_000_000_000 + next(_opened))}
     config = _zenoh_config(
         mode="client",
         connect={"endpoints": [bus.connect], "timeout_ms": 0, "retry": _RETRY},
@@ -98,6 +114,16 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
             hint = why_refused(bus) or "start one with 'rpod router'"
             log.warning("still waiting for a router at %s; %s", bus.connect, hint)
         stop.wait(_RETRY_S)
+
+
+def _identity(zenoh_id: str, start: int) -> str:
+    """Return the identity of one start of a client.
+
+    Receivers with recovery know a publisher by session and entity. They would take the messages of a
+    restarted client with the same identity for old ones, and not hear it for as long as the client before
+    had published.
+    """
+    return f"{zenoh_id[:_LONGEST_ID]}{start % _STARTS:03x}"
 
 
 def open_router(config: RouterConfig) -> zenoh.Session:
@@ -125,7 +151,11 @@ def open_router(config: RouterConfig) -> zenoh.Session:
             "exit_on_failure": False,
             "retry": {"period_init_ms": 100, "period_max_ms": 500},
         },
-        scouting={"multicast": {"enabled": False}, "gossip": {"enabled": config.credentials is None}},
+        scouting={
+            "multicast": {"enabled": False},
+            "gossip": {"enabled": config.credentials is None},
+            "delay": 1,  # ms; by default a router waits half a second for others that it scouts
+        },
         adminspace={"enabled": False},
         unicast=unicast,
         tls=_tls(config.credentials, listens=True),
@@ -147,6 +177,8 @@ def _listening(config: RouterConfig) -> str:
 def _access_control(config: RouterConfig) -> dict[str, Any]:
     if config.rules is None:
         return truth_rules(config)
+    from rpod_security.rules import load_access_control  # noqa: PLC0415 - roles take a second to import
+
     return load_access_control(config.rules)
 
 
@@ -159,6 +191,8 @@ def truth_rules(config: RouterConfig) -> dict[str, Any]:
     if not config.estimators:
         return {"enabled": False}  # Zenoh refuses an empty list of subjects
     keys = [f"*/**/{topic.name}/**" for topic in TRUTH_TOPICS]
+    starts = [_identity(each, start) for each in config.estimators for start in range(_STARTS)]
+    identities = [*config.estimators, *starts]
     return {
         "enabled": True,
         "default_permission": "allow",
@@ -171,7 +205,7 @@ def truth_rules(config: RouterConfig) -> dict[str, Any]:
                 "key_exprs": keys + [f"{key}/@adv/**" for key in keys],
             }
         ],
-        "subjects": [{"id": "estimators", "zids": list(config.estimators)}],
+        "subjects": [{"id": "estimators", "zids": identities}],
         "policies": [{"rules": ["no-truth"], "subjects": ["estimators"]}],
     }
 

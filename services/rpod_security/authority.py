@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from pydantic import AwareDatetime, TypeAdapter, ValidationError
 
 from rpod_schemas.config.base import Config, Name
-from rpod_security.certificates import Identity, Signer, private_pem, public_pem
+from rpod_security.certificates import Identity, Signer, private_pem, public_pem, read_request
 from rpod_security.credentials import AUTHORITY, IDENTITY, make_private, write_credentials, write_private
 from rpod_security.errors import AuthorityError
 from rpod_security.roles import ROLES, ROUTER
@@ -129,6 +129,32 @@ class Authority:
         Raises:
             AuthorityError: the role is unknown, or the name is empty, not allowed, or in use.
         """
+        return self._sign(self._new(role, name, hosts), validity, tuple(hosts))
+
+    def certify(
+        self, request: bytes, *, validity: timedelta = timedelta(days=ROLE_DAYS), hosts: Sequence[str] = ()
+    ) -> Path:
+        """Issue a certificate for a key that never leaves its host; return the folder to be sent there.
+
+        A request of a name that is in use renews its certificate, if the role is the same.
+
+        Raises:
+            AuthorityError: the request cannot be used, or its role or name, as for ``issue``.
+        """
+        try:
+            name, role, key = read_request(request)
+        except ValueError as error:
+            raise AuthorityError(f"the request cannot be used: {error}") from error
+        before = self._entries.get(name)
+        if before and before.revoked is None and before.role == role:
+            identity, hosts = before.identity, before.hosts
+        else:
+            identity = self._new(role, name, hosts)
+        certificate = self._signer.certify(identity, key, validity=validity, hosts=hosts)
+        return self._hand_out(identity, certificate, b"", tuple(hosts))
+
+    def _new(self, role: str, name: str, hosts: Sequence[str]) -> Identity:
+        """Return the identity of a name that has no valid certificate yet. Raises ``AuthorityError``."""
         if role not in ROLES:
             raise AuthorityError(f"role {role!r} is unknown; choose one of {', '.join(sorted(ROLES))}")
         if name == FOLDER or not _is_name(name):
@@ -145,7 +171,7 @@ class Authority:
                 f"certificate, 'rpod pki revoke {name}' takes its rights away"
             )
         generation = before.generation + 1 if before else 1
-        return self._sign(Identity(name, role, generation), validity, tuple(hosts))
+        return Identity(name, role, generation)
 
     def renew(self, name: str, *, validity: timedelta = timedelta(days=ROLE_DAYS)) -> Path:
         """Replace key and certificate of a name in its folder; the one before stays valid until its end.
@@ -179,6 +205,12 @@ class Authority:
 
     def _sign(self, identity: Identity, validity: timedelta, hosts: tuple[str, ...]) -> Path:
         key, certificate = self._signer.issue(identity, validity=validity, hosts=hosts)
+        return self._hand_out(identity, certificate, key, hosts)
+
+    def _hand_out(
+        self, identity: Identity, certificate: x509.Certificate, key: bytes, hosts: tuple[str, ...]
+    ) -> Path:
+        """Note a certificate in the ledger and write the folder; without a key the owner adds his."""
         folder = self.folder / identity.name
         self._keep(
             Entry(

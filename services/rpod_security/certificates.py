@@ -77,21 +77,24 @@ class Signer:
     def issue(
         self, identity: Identity, *, validity: timedelta, hosts: Sequence[str] = ()
     ) -> tuple[bytes, x509.Certificate]:
-        """Return a new private key (PEM) and its certificate; ``hosts`` make it a router's.
-
-        No certificate is valid for longer than that of the authority.
-        """
+        """Return a new private key (PEM) and its certificate; ``hosts`` make it a router's."""
         key = ec.generate_private_key(ec.SECP256R1())
-        subject = x509.Name(
-            [
-                x509.NameAttribute(NameOID.COMMON_NAME, identity.common_name),
-                x509.NameAttribute(_UNIT, identity.role),
-            ]
-        )
+        return private_pem(key), self.certify(identity, key.public_key(), validity=validity, hosts=hosts)
+
+    def certify(
+        self,
+        identity: Identity,
+        key: ec.EllipticCurvePublicKey,
+        *,
+        validity: timedelta,
+        hosts: Sequence[str] = (),
+    ) -> x509.Certificate:
+        """Return a certificate of somebody's public key, not valid for longer than that of the authority."""
+        subject = _subject(identity.common_name, identity.role)
         left = self.certificate.not_valid_after_utc - datetime.now(UTC)
         purpose = ExtendedKeyUsageOID.SERVER_AUTH if hosts else ExtendedKeyUsageOID.CLIENT_AUTH
         builder = (
-            _builder(subject, self.certificate.subject, key.public_key(), min(validity, left))
+            _builder(subject, self.certificate.subject, key, min(validity, left))
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage("digital_signature"), critical=True)
             .add_extension(x509.ExtendedKeyUsage([purpose]), critical=False)
@@ -102,7 +105,29 @@ class Signer:
         if hosts:
             names = x509.SubjectAlternativeName([_host(host) for host in hosts])
             builder = builder.add_extension(names, critical=False)
-        return private_pem(key), builder.sign(self.key, hashes.SHA256())
+        return builder.sign(self.key, hashes.SHA256())
+
+
+def requested(name: str, role: str) -> tuple[bytes, bytes]:
+    """Return a new private key and a request for its certificate (PKCS 10), both PEM."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    request = x509.CertificateSigningRequestBuilder().subject_name(_subject(name, role))
+    return private_pem(key), request.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+
+
+def read_request(pem: bytes) -> tuple[str, str, ec.EllipticCurvePublicKey]:
+    """Return name, role and public key of a request. Raises ``ValueError``."""
+    request = x509.load_pem_x509_csr(pem)
+    key = request.public_key()
+    if not request.is_signature_valid:
+        raise ValueError("it is not signed by its own key")
+    if not isinstance(key, ec.EllipticCurvePublicKey) or key.curve.name != ec.SECP256R1.name:
+        raise ValueError("its key is not of the curve P-256")
+    return _part(request, NameOID.COMMON_NAME), _part(request, _UNIT), key
+
+
+def _subject(name: str, role: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name), x509.NameAttribute(_UNIT, role)])
 
 
 def private_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
@@ -143,6 +168,6 @@ def _host(host: str) -> x509.GeneralName:
         return x509.DNSName(host)
 
 
-def _part(certificate: x509.Certificate, oid: x509.ObjectIdentifier) -> str:
+def _part(certificate: x509.Certificate | x509.CertificateSigningRequest, oid: x509.ObjectIdentifier) -> str:
     found = certificate.subject.get_attributes_for_oid(oid)
     return str(found[0].value) if len(found) == 1 else ""

@@ -12,11 +12,14 @@ from pathlib import Path
 from typing import Any, Self
 
 from cryptography import x509
+from cryptography.hazmat.primitives import serialization
 
-from rpod_security.certificates import Identity
+from rpod_security.certificates import Identity, public_pem, requested
 from rpod_security.errors import CredentialsError
 
 AUTHORITY, IDENTITY, AUDIT = "authority.pem", "identity.pem", "audit.jsonl"
+KEY, REQUEST = "key.pem", "request.pem"
+"""A key that waits for its certificate, and the request for it."""
 WARN_BEFORE = timedelta(days=30)
 """Time before the end of a certificate from which it is told."""
 _PRIVATE_FOLDER, _PRIVATE_FILE = 0o700, 0o600
@@ -99,6 +102,47 @@ def write_credentials(folder: Path, *, authority: bytes, identity: bytes) -> Non
     make_private(folder)
     write_private(folder / AUTHORITY, authority)
     write_private(folder / IDENTITY, identity)
+
+
+def write_request(folder: Path, role: str) -> Path:
+    """Make a key in a folder, whose name is that of the service, and a request; return the request's file.
+
+    Raises:
+        CredentialsError: the folder has a key that waits for its certificate.
+        OSError: it cannot be written.
+    """
+    make_private(folder)
+    if (folder / KEY).exists():
+        raise CredentialsError(
+            folder, "has a key already that waits for its certificate", f"remove {folder / KEY}"
+        )
+    key, request = requested(folder.name, role)
+    write_private(folder / KEY, key)
+    write_private(folder / REQUEST, request)
+    return folder / REQUEST
+
+
+def accept_certificate(folder: Path, authority: bytes, certificate: bytes) -> None:
+    """Complete a folder whose key waits for its certificate; the old one stays until then.
+
+    Raises:
+        CredentialsError: the certificate is of another key, or not of this authority.
+        OSError: a file cannot be read or written.
+    """
+    key = (folder / KEY).read_bytes()
+    try:
+        found = x509.load_pem_x509_certificate(certificate)
+        private = serialization.load_pem_private_key(key, None)
+        found.verify_directly_issued_by(x509.load_pem_x509_certificate(authority))
+    except Exception as error:
+        raise CredentialsError(
+            folder, f"the certificate cannot be used: {error}", "sign the request again"
+        ) from error
+    if found.public_key() != private.public_key():
+        raise CredentialsError(folder, "the certificate is of another key", "send the newest request")
+    write_credentials(folder, authority=authority, identity=public_pem(found) + key)
+    for name in (KEY, REQUEST):
+        (folder / name).unlink(missing_ok=True)
 
 
 def make_private(folder: Path) -> None:

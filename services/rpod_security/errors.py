@@ -29,3 +29,10 @@ class RulesError(SecurityError):
 
 class AuditError(SecurityError):
     """An audit record cannot be written or is not as it was written."""
+
+
+class ChainError(SecurityError):
+    """A log cannot be signed, or its digest chain cannot be read."""
+
+    def __init__(self, file: Path | str, reason: str) -> None:
+        super().__init__(f"{file}: {reason}")

@@ -8,7 +8,7 @@ from time import monotonic
 import pytest
 import zenoh
 from facility_process import until
-from live_bus import TIMEOUT_S, first, router
+from live_bus import TIMEOUT_S, collect, first, router
 
 from rpod_runtime import Inbox, NoRouterError, QueryFailedError
 from rpod_runtime.errors import EndpointError, LockstepError, RefusedError
@@ -26,8 +26,8 @@ from rpod_schemas.control import (
     StatusReply,
 )
 from rpod_schemas.errors import ConfigurationError
-from rpod_schemas.messages import read_diagnostics
-from rpod_schemas.topics import DIAGNOSTICS, Namespace
+from rpod_schemas.messages import read_diagnostics, write_clock
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, Namespace
 
 KEYS = Namespace()
 
@@ -239,15 +239,15 @@ def test_a_node_that_waits_can_be_stopped():
     assert len(raised) == 1
 
 
-def test_an_identity_is_held_by_one_client_at_a_time(bus):
-    bus.node("estimator", zenoh_id="e57a7e")
-    taken = ServiceConfig(
-        instance="second",
-        zenoh_id="e57a7e",
-        bus=bus.config.model_copy(update={"connect_timeout_s": 0.1}),
-    )
-    with pytest.raises(NoRouterError, match="end the other client that holds the identity e57a7e"):
-        Node(taken, version="test").__enter__()
+def test_a_client_that_starts_again_under_its_identity_is_heard_at_once(bus):
+    """A killed one cannot say that it has ended, so that receivers still know its session."""
+    heard = Inbox()
+    bus.node("listener").subscribe(CLOCK, heard.put, recover=True)
+    for published in (5, 1):
+        clock = bus.node("estimator", zenoh_id="e57a7e").publisher(CLOCK)
+        for number in range(1, published + 1):
+            clock.publish(write_clock(number))
+        assert len(collect(heard, published)) == published
 
 
 def test_two_routers_cannot_listen_at_one_endpoint():

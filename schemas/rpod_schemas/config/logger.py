@@ -34,8 +34,16 @@ class LoggerConfig(ServiceConfig):
     reserve_bytes: int = Field(default=16 << 20, ge=1 << 16)
     """Space that is kept free on the disk, bytes, so that a file can be closed when the disk is full: for the
     chunk that did not fit, and for the index."""
+    digest_chain: bool | None = None
+    """Whether a digest chain is written beside each file, by which ``rpod verify-log`` finds later changes.
+    By default it is on a secure bus, where the logger's key signs it; elsewhere it has no signature."""
     record_extra: tuple[str, ...] = ()
     """Key expressions to record besides the ICD's topics."""
+
+    @property
+    def chained(self) -> bool:
+        """Whether a digest chain is written."""
+        return self.bus.credentials is not None if self.digest_chain is None else self.digest_chain
 
     @model_validator(mode="after")
     def _room_for_the_last_chunk(self) -> Self:

@@ -21,6 +21,7 @@ from rpod_schemas.errors import Reason
 from rpod_schemas.logs import PUBLISHERS, Completeness, Numbers, TopicCount
 from rpod_schemas.topics import CLOCK, TF_STATIC, Topic
 from rpod_schemas.types import Health
+from rpod_security.log_verification import verify
 
 BIG = Topic("lab/big", "")
 
@@ -357,3 +358,16 @@ def status(name: str, **configuration: object) -> StatusReply:
         target_digest="abc" if name == "emulator" else None,
         target_content="def" if name == "emulator" else None,
     )
+
+
+def test_a_log_and_its_successor_have_digest_chains_that_fit_them(desk, arrive):
+    one = desk(digest_chain=True)
+    first = one.recorder.start()
+    one.put(arrive(CLOCK, 1))
+    second = one.recorder.split()
+    one.put(arrive(CLOCK, 2))
+    one.recorder.stop()
+    for log in (first, second):
+        verdict = verify(Path(log.path))
+        assert (verdict.problems, verdict.closed) == ([], True)
+        assert verdict.verified_bytes == Path(log.path).stat().st_size
