@@ -15,6 +15,15 @@ DEFAULT_EPOCH_NS = 1_767_225_600_000_000_000
 """Default epoch, 2026-01-01T00:00:00Z, ns of UTC."""
 
 
+_CLIENTS = ("motion", "emulator", "estimator", "logger")
+_MAY_FAIL = {
+    "messages": (), "scene": (), "disk": (),
+    "link": _CLIENTS,
+    "process": ("router", *_CLIENTS),
+}  # fmt: skip
+"""Services of a run that can have a fault, by the fault's subject."""
+
+
 class ScenarioEstimator(EstimatorSettings):
     """The estimator of a scenario."""
 
@@ -52,8 +61,8 @@ class Scenario(Config):
     publish_samples: bool = False
     """Whether to publish the PMD cameras' raw samples as well, about 70 MB/s at 45 Hz."""
     faults: tuple[PlannedFault, ...] = ()
-    """Faults of the sensors, at times of the scenario, by their names in the catalogue; the estimator is not
-    told."""
+    """Faults of sensors, links, processes and the logger's disk, at times of the scenario, by their names in
+    the catalogue; the estimator is not told."""
     estimator: ScenarioEstimator
     """Sensors, navigator and filter of the estimator, and the target that it looks for."""
 
@@ -70,6 +79,9 @@ class Scenario(Config):
         for fault in self.faults:
             if fault.sensor not in {None, *(name for _, name in emulated)}:
                 raise ValueError(f"faults: no sensor {fault.sensor!r} is emulated")
+            if fault.service not in (None, *_MAY_FAIL[fault.kind.subject]):
+                known = ", ".join(_MAY_FAIL[fault.kind.subject])
+                raise ValueError(f"faults: {fault.fault} of {fault.service!r}, needs one of {known}")
         for sensor in self.estimator.sensors:
             if (sensor.kind, sensor.name) not in emulated:
                 raise ValueError(f"estimator.sensors: no {sensor.kind} called {sensor.name!r} is emulated")

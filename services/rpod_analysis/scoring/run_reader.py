@@ -13,8 +13,12 @@ from rpod_analysis.log.sensors import Sensor
 from rpod_analysis.log.unreadable import StampCheck
 from rpod_analysis.scoring.row_store import RowStore
 from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.faults.injected import InjectedFault, read_faults
 from rpod_schemas.messages import read_diagnostics, read_integrity, read_odometry, read_stamp, read_status
-from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, INTEGRITY, STATUS, TRUTH
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, FAULTS, INTEGRITY, STATUS, TRUTH
+
+_MOST_FAULTS = 500
+"""Largest number of faults that are kept."""
 
 
 @dataclass(eq=False)
@@ -36,6 +40,8 @@ class Found:
     parents: set[str] = field(default_factory=set)
     """Frames of reference of truth and estimates."""
     account: Account = field(default_factory=Account)
+    faults: dict[tuple[str, str, int], InjectedFault] = field(default_factory=dict)
+    """Faults that services injected; the first ones only."""
     clock: bool = False
     """Whether time comes from the topic ``clock``."""
 
@@ -53,6 +59,7 @@ class Reader:
             status_topic: self._take_status,
             INTEGRITY.under(prefix).name: self._take_integrity,
             DIAGNOSTICS.name: self._take_diagnostics,
+            FAULTS.name: self._take_faults,
             CLOCK.name: self._take_clock,
         }
         for sensor in sensors.values():
@@ -102,6 +109,11 @@ class Reader:
     def _take_diagnostics(self, logged: Logged) -> None:
         for diagnostic in read_diagnostics(logged.decode()):
             self.found.account.hear(diagnostic)
+
+    def _take_faults(self, logged: Logged) -> None:
+        for fault in read_faults(logged.decode()):
+            if fault.identity in self.found.faults or len(self.found.faults) < _MOST_FAULTS:
+                self.found.faults[fault.identity] = fault
 
     def _take_clock(self, logged: Logged) -> None:
         read_stamp(logged.decode())
