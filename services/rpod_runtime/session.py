@@ -15,18 +15,16 @@ import zenoh
 
 from rpod_runtime.errors import EndpointError, NoRouterError, RefusedByRouterError
 from rpod_runtime.refusal import why_refused
+from rpod_schemas.config.link import LinkConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.topics import TRUTH_TOPICS
 from rpod_security.rules import load_access_control
 
 log = logging.getLogger(__name__)
 
-_QUEUED_BATCHES = 16
-"""Number of batches that may wait for a congested link, for bulky and for small messages each.
-
-A batch is 64 KiB, and 16 is the most that Zenoh accepts. With its default of two, an image is dropped as soon
-as the receiver is slow, and so is a burst of messages from a process that had to wait.
-"""
+_LARGEST_BYTES = 1 << 28
+"""Largest message that is put together from fragments, bytes: more than the largest image or point cloud
+within the ICD's bounds. Zenoh's default lets a peer take 1 GiB of each of its receivers."""
 _RETRY_S = 0.25
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 """How often a client tries to reach a router that has gone: it is back within half a second of the router."""
@@ -37,18 +35,50 @@ _REMIND_S = 10.0
 
 
 def _zenoh_config(
-    *, tls: dict[str, Any] | None = None, unicast: dict[str, Any] | None = None, **settings: Any
+    link: LinkConfig,
+    *,
+    tls: dict[str, Any] | None = None,
+    unicast: dict[str, Any] | None = None,
+    **settings: Any,
 ) -> zenoh.Config:
-    queue = {"size": dict.fromkeys(("data", "data_high"), _QUEUED_BATCHES)}
+    """Return Zenoh's settings.
+
+    Queues hold 16 batches on a fast link, the most that Zenoh accepts: with its default of two, an image is
+    dropped as soon as the receiver is slow, and so is a burst of messages from a process that had to wait.
+    """
+    queue = {
+        "size": dict.fromkeys(("data", "data_high"), link.queued_batches),
+        "congestion_control": {
+            "drop": {"max_wait_before_drop_fragments": round(link.wait_fragments_s * 1e6)},
+        },
+    }
+    opening = {
+        "open_timeout": round(link.open_timeout_s * 1e3),
+        "compression": {"enabled": link.compression},
+    }
     common = {
         "timestamping": {"enabled": True},
+        "qos": {"network": _overwrites(link)},
         "transport": {
             "shared_memory": {"enabled": False},
-            "unicast": unicast or {},
-            "link": {"tx": {"queue": queue}, "tls": tls or {}},
+            "unicast": opening | (unicast or {}),
+            "link": {
+                "tx": {"lease": round(link.lease_s * 1e3), "queue": queue},
+                "rx": {"max_message_size": _LARGEST_BYTES},
+                "tcp": {"so_sndbuf": link.send_buffer_bytes},
+                "tls": (tls or {}) | {"so_sndbuf": link.send_buffer_bytes},
+            },
         },
     }
     return zenoh.Config.from_json5(json.dumps(common | settings))
+
+
+def _overwrites(link: LinkConfig) -> list[dict[str, Any]]:
+    """Return how large messages are sent, where that is not as their publishers want it."""
+    if not link.newest_large:
+        return []
+    large = {"payload_size": f"{link.large_bytes}..", "messages": ["put"], "flows": ["egress"]}
+    return [large | {"overwrite": {"congestion_control": "block_first"}}]
 
 
 def _tls(folder: Path | None, *, listens: bool) -> dict[str, Any] | None:
@@ -75,6 +105,7 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
     """
     identity: dict[str, Any] = {"id": zenoh_id} if zenoh_id and bus.credentials is None else {}
     config = _zenoh_config(
+        bus.link,
         mode="client",
         connect={"endpoints": [bus.connect], "timeout_ms": 0, "retry": _RETRY},
         tls=_tls(bus.credentials, listens=False),
@@ -117,6 +148,7 @@ def open_router(config: RouterConfig) -> zenoh.Session:
         "max_sessions": config.max_clients,
     }
     zenoh_config = _zenoh_config(
+        config.link,
         mode="router",
         listen={"endpoints": [_listening(config)], "exit_on_failure": True},
         connect={

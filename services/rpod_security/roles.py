@@ -113,6 +113,7 @@ ROLES: dict[str, Role] = {
         watches=True,
         asks=_STATUS_OF_ALL,
     ),
+    "proxy": Role("makes links faulty, and tells which", sends_as=("proxy",), serves=("fault",)),
     "operator": Role(
         "starts, resets and ends services, also as the supervisor of a run",
         sends_as=("supervisor",),

@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.config.emulator import SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.link import Link, LinkConfig
 from rpod_schemas.config.motion import MotionConfig, TruthErrorConfig
 from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.faults import PlannedFault
@@ -63,6 +64,8 @@ class Scenario(Config):
     faults: tuple[PlannedFault, ...] = ()
     """Faults of sensors, links, processes and the logger's disk, at times of the scenario, by their names in
     the catalogue; the estimator is not told."""
+    link: Link = LinkConfig()
+    """Tuning of all links to the router: ``fast``, ``slow``, or field by field."""
     estimator: ScenarioEstimator
     """Sensors, navigator and filter of the estimator, and the target that it looks for."""
 
