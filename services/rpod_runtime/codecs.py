@@ -70,7 +70,7 @@ def _check_size(data: NDArray[np.uint8]) -> None:
     size = _png_size(data) or _jpeg_size(data)
     if size is None:
         raise MessageRejectedError(
-            Reason.MALFORMED, f"{data.size} bytes are neither PNG nor JPEG with a size"
+            Reason.MALFORMED, f"{data.size} bytes cannot be decoded: they are neither PNG nor JPEG"
         )
     height, width = size
     within(IMAGE_SIDE, "width", width)
