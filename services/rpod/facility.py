@@ -81,7 +81,9 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 time_source=time_source,
                 **_settings(scenario),
             ),
-            "logger": LoggerConfig(bus=bus, directory=directory, name=scenario.name),
+            "logger": LoggerConfig(
+                bus=bus, directory=directory, name=scenario.name, record_extra=_thinned(scenario, bus)
+            ),
         },
         supervisor=ServiceConfig(
             instance="supervisor", bus=BusConfig(connect=endpoint, connect_timeout_s=_ROUTER_POLL_S)
@@ -116,6 +118,12 @@ def _with_proxy(facility: Facility, scenario: Scenario) -> Facility:
         bus=BusConfig(connect=facility.router.listen, wait=True), links=links, seed=scenario.seed
     )
     return replace(facility, services=services, proxy=proxy)
+
+
+def _thinned(scenario: Scenario, bus: BusConfig) -> tuple[str, ...]:
+    """Return the keys of the cameras' thinned streams, which are recorded too."""
+    thinned = {sensor.name: getattr(sensor, "thinned", None) for sensor in scenario.sensors}
+    return tuple(f"{bus.keys.root}/{each.prefix}/{name}/**" for name, each in thinned.items() if each)
 
 
 def _settings(scenario: Scenario) -> dict[str, Any]:

@@ -153,10 +153,11 @@ def _flows(run: StreamedRun, totals: RunTotals, summary: Summary) -> list[Sensor
     for sensor in run.sensors.values():
         outcomes = totals.by_sensor.get(sensor.name, Counter[str]())
         dropped, incomplete = run.account.passed_over(run.status_topic, sensor.name)
+        counted = summary.frames.get(sensor.leading.name)  # a stream that was not recorded has no count
         flows.append(
             SensorFlow(
                 sensor=sensor.name,
-                published=summary.frames[sensor.leading.name].published,
+                published=counted.published if counted else 0,
                 accepted=outcomes["accepted"],
                 rejected=outcomes["rejected"],
                 dropped=dropped,

@@ -74,10 +74,10 @@ def _max(values: Sequence[float | None]) -> float | None:
 def sections(results: Results) -> list[Section]:
     """Return the sections of the report."""
     note = (
-        "Shares are of the results during the fault. Lost: sequences whose track went to LOST or ACQUIRING, "
-        "and the median time to it; back: those that were in TRACKING again, and the median time from the end "
-        "of the fault. Wrong: tracked estimates during the fault that are more than 10 deg or 0.3 m off. stop "
-        "and kill are of the estimator, which gives no results meanwhile."
+        "Shares are of the results during the fault. Lost: sequences whose track went to LOST or "
+        "ACQUIRING, and the median time to it; back: those that were in TRACKING again, and the median "
+        "time from the end of the fault. Wrong: tracked estimates during the fault that are more than "
+        "10 deg or 0.3 m off. stop and kill are of the estimator, which gives no results meanwhile."
     )
     columns = (
         *("target", "sensor", "fault", "size", "lasts, s", "tracking", "coasting", "lost", "after, s"),
