@@ -34,7 +34,7 @@ class Fault:
 
     name: str
     change: Callable[[bytes, int], bytes]
-    """Of the payload and the place of its stamp."""
+    """Function of the payload and the place of its stamp."""
 
 
 def _stamped(seconds: int) -> Callable[[bytes, int], bytes]:

@@ -139,7 +139,7 @@ class Frame:
     position_m: Any = (0.0, 0.0, 0.0)
     """In the sensor's axes."""
     covariance: Any = field(default_factory=lambda: np.zeros((6, 6)))
-    """Of (dp, dtheta), chaser axes."""
+    """Covariance of (dp, dtheta), chaser axes."""
     reason: str = ""
     nis: float = float("nan")
     marked: Any = None

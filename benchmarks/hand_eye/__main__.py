@@ -14,7 +14,8 @@ from rich.console import Console
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod.scenarios import find
-from rpod_analysis.calibration.hand_eye.fit import (
+from rpod_analysis.calibration.hand_eye.fit import fit_hand_eye
+from rpod_analysis.calibration.hand_eye.parameters import (
     DEPTH,
     DRIFT,
     HOLDER_M,
@@ -24,7 +25,6 @@ from rpod_analysis.calibration.hand_eye.fit import (
     OFFSET,
     Assumptions,
     HandEye,
-    fit_hand_eye,
 )
 from rpod_analysis.calibration.hand_eye.poses import StampedPoses
 from rpod_estimator.estimator import Estimator

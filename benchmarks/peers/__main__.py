@@ -22,7 +22,7 @@ from rpod_schemas.config.lidar import LidarConfig
 from rpod_target import load_target
 
 WIDTH = 160
-"""Of the table where it is not printed on a terminal."""
+"""Width of the table where it is not printed on a terminal."""
 _MOCKUP = "mockup"
 """What the camera looks at."""
 Described = Sequence[Peer[Any, Any]]

@@ -143,9 +143,9 @@ class Score:
     wilson_high: float
     median_s: float
     median_error_deg: float | None
-    """Of the successes; None without any."""
+    """Median over the successes; None without any."""
     median_error_m: float | None
-    """Of the successes; None without any."""
+    """Median over the successes; None without any."""
 
 
 def cases(scene: Scene, *, seed: int, trials: int) -> Iterator[Case[LidarScan]]:

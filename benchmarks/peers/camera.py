@@ -20,7 +20,7 @@ PMD = Clouds("pmd", Criterion(SUCCESS_DEG, SUCCESS_M))
 STARTS = ((2.0, 0.03), (10.0, 0.2), (20.0, 0.5))
 """Errors of the poses that tracking starts from, deg and m."""
 RANGE_M = (3.0, 6.0)
-"""Of the target's middle, uniform; its front within 45 deg."""
+"""Ranges of the target's middle, uniform; its front is within 45 deg."""
 _SCENARIO = "mockup-tumbling"
 """Its camera and its sun; nothing is calibrated."""
 _MOST_POINTS = 20_000

@@ -14,11 +14,12 @@ from rpod_campaign.pmd.methods import DEFAULT, PAPER_ICP, pmd_input
 from rpod_pose.methods import ready_methods
 
 POINT_SPACING_M, PLANE_SPACING_M = 0.02, 0.02
-"""Of the model's points for Open3D; of 0.02, 0.03 and 0.05."""
+"""Spacing of the model's points for Open3D; the best of 0.02, 0.03 and 0.05."""
 POINT_DISTANCE_M, PLANE_DISTANCE_M = 0.5, 0.5
-"""Largest distance of a pair for Open3D; of 0.2, 0.3, 0.5 and 1."""
+"""Largest distance of a pair for Open3D; the best of 0.2, 0.3, 0.5 and 1."""
 SMALL_GICP = Setup(spacing_m=0.02, distance_m=0.5, voxel_m=0.1)
-"""Of spacings of 0.02 and 0.03, distances of 0.2, 0.3, 0.5 and 1, voxels of 0.03, 0.05, 0.08, 0.1 and 0.2."""
+"""The best of spacings of 0.02 and 0.03, distances of 0.2, 0.3, 0.5 and 1, and voxels of 0.03, 0.05,
+0.08, 0.1 and 0.2, m."""
 
 _OPEN3D_SETUP = open3d_icp.SETUP
 _SMALL_GICP_SETUP = (

@@ -14,7 +14,7 @@ from rpod_target.sampling import sample_evenly
 from rpod_target.topology import areas_m2
 
 NEIGHBOURS = 8
-"""Of a return, for its normal: those around it in the grid of the scan."""
+"""Neighbours of a return, for its normal: those around it in the grid of the scan."""
 
 
 class Cloud(NamedTuple):

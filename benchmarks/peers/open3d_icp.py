@@ -8,7 +8,7 @@ from peers.benchmark import Register, Returns, Scene
 from peers.clouds import Cloud, model_cloud, seen_from
 
 POINT_SPACING_M, PLANE_SPACING_M = 0.1, 0.2
-"""Of the model's points; of 0.1, 0.2 and 0.35."""
+"""Spacing of the model's points; the best of 0.1, 0.2 and 0.35."""
 POINT_DISTANCE_M, PLANE_DISTANCE_M = 1.0, 0.5
 """Largest distance of a pair; of 0.5, 1, 2 and 3."""
 CRITERIA = o3d.pipelines.registration.ICPConvergenceCriteria(1e-6, 1e-6, 100)

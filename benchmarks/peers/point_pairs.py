@@ -12,11 +12,11 @@ from peers.clouds import Cloud, model_cloud, scan_cloud
 from rpod_schemas.types import LidarScan
 
 MODEL_SPACING_M = 0.9
-"""Of the model's points; of 0.7, 0.9 and 1.2. Finer ones take seconds a scan."""
+"""Spacing of the model's points; the best of 0.7, 0.9 and 1.2. Finer ones take seconds a scan."""
 MODEL_STEP = 0.08
 """Sampling and distance step over the model's diameter; of 0.06 and 0.08."""
 SCENE_SHARE = 0.2
-"""Of the scan's points that are references; of 0.2 and 1."""
+"""Share of the scan's points that are references; the best of 0.2 and 1."""
 SCENE_STEP = 0.05
 """Sampling of the scan over the model's diameter; of 0.03 and 0.05."""
 ANGLES = 30

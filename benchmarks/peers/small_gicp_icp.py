@@ -13,13 +13,13 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
 
 MODEL_SPACING_M = 0.1
-"""Of the model's points; of 0.1, 0.2 and 0.35."""
+"""Spacing of the model's points; the best of 0.1, 0.2 and 0.35."""
 NEIGHBOURS = 10
-"""Of a point, for normals and covariances."""
+"""Neighbours of a point, for normals and covariances."""
 DISTANCE_M = 1.0
 """Largest distance of a pair; of 0.5, 1 and 2."""
 VOXEL_M = 1.5
-"""Of VGICP; of 0.5, 1, 1.5, 2 and 3."""
+"""Voxel of VGICP; the best of 0.5, 1, 1.5, 2 and 3."""
 ITERATIONS = 100
 ROTATION_STEP_RAD, TRANSLATION_STEP_M = 1e-4, 1e-4
 """Where the iterations end."""

@@ -11,8 +11,9 @@ import yaml
 
 from rpod.unreadable import tell_unreadable
 from rpod_analysis import AnalysisError, open_log
-from rpod_analysis.calibration.hand_eye.fit import Assumptions, fit_hand_eye
+from rpod_analysis.calibration.hand_eye.fit import fit_hand_eye
 from rpod_analysis.calibration.hand_eye.logged import LoggedPoses, poses_of
+from rpod_analysis.calibration.hand_eye.parameters import Assumptions
 from rpod_analysis.calibration.hand_eye.results import (
     clock_findings,
     clock_source,

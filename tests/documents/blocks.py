@@ -30,7 +30,7 @@ class Block:
 
     document: Path
     line: int
-    """Of its first line of code, from 1."""
+    """Number of its first line of code, from 1."""
     language: str
     """First word after the fence; empty where there is none."""
     title: str

@@ -270,12 +270,9 @@ def test_a_services_data_come_through_with_history(bus: SecureBus):
         publisher.put(b"\0\1\0\0first")
         with bus.node("logger") as logger:
             logger.subscribe(STATUS, inbox.put, recover=True, history=True)
-            publisher.put(b"\0\1\0\0second")
-            got = []
-            while len(got) < 2:
-                arrived = inbox.wait(TIMEOUT_S)
-                assert arrived
-                got += arrived
+            got = inbox.wait(TIMEOUT_S)
+            publisher.put(b"\0\1\0\0second")  # with the reply still under way, Zenoh may drop the history
+            got += inbox.wait(TIMEOUT_S)
     assert [received.attachment.sequence for received in got] == [1, 2]
 
 

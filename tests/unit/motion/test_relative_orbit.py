@@ -47,7 +47,7 @@ def separations_m(orbit: RelativeOrbit) -> FloatArray:
 
 
 def acceleration_m_s2(position_m: FloatArray) -> FloatArray:
-    """Of a point mass with J2."""
+    """Return the acceleration of a point mass with J2."""
     radius_m = np.linalg.norm(position_m)
     up2 = 5.0 * (position_m[2] / radius_m) ** 2
     oblate = 1.5 * EARTH_J2 * (EARTH_RADIUS_M / radius_m) ** 2 * np.array([1.0 - up2, 1.0 - up2, 3.0 - up2])

@@ -23,7 +23,7 @@ MOST_BY_HAND = 81
 LIMITS = Path(__file__).parents[3] / "docs" / "limits"
 """Results of the campaign that derives limits."""
 FEWEST_WORDS = 4
-"""Of the sentence that tells what a field does."""
+"""Fewest words of the sentence that tells what a field does."""
 
 
 def estimator_fields() -> dict[str, FieldInfo]:

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rpod_analysis.calibration.hand_eye.fit import (
+from rpod_analysis.calibration.hand_eye.logged import LoggedPoses
+from rpod_analysis.calibration.hand_eye.parameters import (
     DEPTH,
     HOLDER,
     HOLDER_M,
@@ -15,7 +16,6 @@ from rpod_analysis.calibration.hand_eye.fit import (
     MOUNT_RAD,
     HandEye,
 )
-from rpod_analysis.calibration.hand_eye.logged import LoggedPoses
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.mount_calibration import MountCalibration, MountEvidence
 from rpod_schemas.config.source import FORWARD_BORESIGHT, SourceConfig

@@ -30,7 +30,7 @@ PMD = PmdConfig(camera=Camera(width=118, height=96, fx=228.0, fy=231.0, cx=58.5,
 """A third of the pixels each way, so that the logs are made in a moment."""
 FOLDED = PMD.camera.model_copy(update={"distortion": np.array([-9.0, 0.0, 0.0, 0.0, 0.0])})
 WAVE_M = unambiguous_range_m(HERTZ) / (2.0 * np.pi) * PMD.pixel.wiggling_share
-"""Of a third harmonic h3: h3 c / 4 pi f."""
+"""Amplitude of the error of a third harmonic h3: h3 c / 4 pi f."""
 
 
 def inwards(time_s):

@@ -9,7 +9,8 @@ import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from rpod_analysis.calibration.hand_eye.fit import (
+from rpod_analysis.calibration.hand_eye.fit import fit_hand_eye
+from rpod_analysis.calibration.hand_eye.parameters import (
     DEPTH,
     DRIFT,
     HOLDER_M,
@@ -18,7 +19,6 @@ from rpod_analysis.calibration.hand_eye.fit import (
     MOUNT_RAD,
     OFFSET,
     Assumptions,
-    fit_hand_eye,
 )
 from rpod_analysis.calibration.hand_eye.poses import StampedPoses
 from rpod_analysis.errors import CalibrationError

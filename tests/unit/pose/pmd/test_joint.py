@@ -228,7 +228,7 @@ def test_a_right_pose_is_believed_with_the_sun_behind_the_camera_from_afar(mater
 
 
 def test_from_a_good_prediction_the_covariance_is_as_large_as_the_errors() -> None:
-    """Of mock-ups whose parts are 1 mm off, which the covariance assumes, by a calibrated camera."""
+    """The mock-ups have parts that are 1 mm off, as the covariance assumes; the camera is calibrated."""
     pixel = CAMERA.pixel.model_copy(update={"wiggling_share": CALIBRATED_WIGGLING})
     left = CAMERA.model_copy(update={"pixel": pixel})
     tracker = JointTracker(JointConfig(), MOCKUP, calibrated=True)
