@@ -31,6 +31,8 @@ _TURN_S = 0.01
 _SLOW_PERIOD_S = 0.1
 """Period in which a slow process stands still for its share of the time."""
 _ALWAYS_NS = 2**62
+_RECORD_S = 2.0
+"""Longest time until the logger records again after its disk was full."""
 _BACK_S = 60.0
 """Longest time that a service may take to be at work again."""
 _RESTARTED = ("router", "emulator", "estimator", "logger")
@@ -165,9 +167,21 @@ class FaultPlayer:
                 self._services.signal(service, signal.SIGCONT)
             case "disk_full":
                 if not self._over.is_set():
-                    self._node.ask("logger", "start", LogReply, LogRequest())
+                    self._record_again()
             case _:
                 pass
+
+    def _record_again(self) -> None:
+        """Start a new log; the logger's own time of the fault ends a moment later."""
+        deadline_s = time.monotonic() + _RECORD_S
+        while True:
+            try:
+                self._node.ask("logger", "start", LogReply, LogRequest())
+                return
+            except QueryFailedError:
+                if time.monotonic() > deadline_s:
+                    raise
+                time.sleep(10 * _TURN_S)
 
     def _restart(self, service: str) -> None:
         changes = {"zenoh_id": self._spare_ids.pop(0)} if service == "estimator" and self._spare_ids else {}
