@@ -135,7 +135,6 @@ class Supervisor:
         if service.down:
             service.close()
             return
-        process.send_signal(signal.SIGCONT)  # where a fault has stopped it
         process.terminate()
         try:
             code = process.wait(_STOP_TIMEOUT_S)
