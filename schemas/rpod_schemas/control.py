@@ -6,9 +6,9 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.bounds import POSITION_M, Covariance6, Stamp
-from rpod_schemas.config.base import Config, Name, NonNegative, Positive
+from rpod_schemas.config.base import Config, NonNegative, Positive
 from rpod_schemas.config.driver import Setting
-from rpod_schemas.faults import FaultName
+from rpod_schemas.faults import AskedFault
 from rpod_schemas.poses import Pose
 
 Delay = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
@@ -120,14 +120,13 @@ class LogReply(Config):
     """Bytes of payload written to it."""
 
 
-class FaultRequest(Config):
-    """Make the emulated sensors fail for a while."""
+class FaultRequest(AskedFault):
+    """Inject a fault for a while.
 
-    fault: FaultName
-    """Name of a fault of the catalogue, as dropout, glints, blackout, silence; ``rpod driver faults`` lists
-    them."""
-    sensor: Name | None = None
-    """Name of the sensor; all that can have the fault if left out."""
+    The emulator injects those of sensors, the proxy those of links, the supervisor of a run those of
+    processes, the logger that of its disk.
+    """
+
     start_s: Delay = 0.0
     """Start of the fault, seconds from now."""
     duration_s: Delay

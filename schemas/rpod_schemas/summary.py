@@ -250,6 +250,38 @@ class Handover(Config):
     """The same of the attitude error, deg."""
 
 
+class FaultOutcome(Config):
+    """A fault that was injected, and what navigation did during it."""
+
+    fault: str
+    """Name in the catalogue of faults."""
+    where: str
+    """Name of the sensor or service; empty for all sensors, or for the logger's disk."""
+    size: float | None
+    """Size in the catalogue's unit; null if it has none, or if it was drawn."""
+    begin_s: float
+    """Begin, s from the start of the run."""
+    end_s: float | None
+    """End, s from the start of the run; null if it lasted until the end."""
+    frames: Count
+    """Number of frames with a status during the fault."""
+    tracking_share: KnownShare
+    """Share of these frames in TRACKING."""
+    coasting_share: KnownShare
+    """Share of these frames in COASTING."""
+    lost_after_s: Known
+    """Time from the begin to the first frame in LOST or ACQUIRING; null if the track was not lost."""
+    tracking_again_s: Known
+    """Time from the end to the first accepted frame in TRACKING; null if there was none."""
+    wrong_accepted: Count | None
+    """Number of tracked estimates during the fault that are more than 10 deg or 0.3 m off; null if none could
+    be scored."""
+    worst_deg: Known
+    """Largest attitude error of the tracked estimates during the fault, deg."""
+    worst_m: Known
+    """Largest position error of them, m."""
+
+
 class Summary(Config):
     """Contents of ``summary.json``."""
 
@@ -301,6 +333,8 @@ class Summary(Config):
     mounts: dict[str, MountDifference] = Field(default_factory=dict)
     """Differences between the mounts of two sensors, by ``<one> and <other>``; empty where the estimator does
     not estimate mounts."""
+    faults: tuple[FaultOutcome, ...] = ()
+    """Faults that were injected, in the order of their beginning."""
     completeness: LogCompleteness | None = None
     """Completeness of the log."""
     unreadable: dict[str, dict[str, Count]] = Field(default_factory=dict)

@@ -167,6 +167,7 @@ INTEGRITY = Topic("estimate/integrity", "rpod_msgs/msg/Integrity")
 STATUS = Topic("estimate/status", "rpod_msgs/msg/EstimatorStatus")
 COMMAND = Topic("guidance/command", "geometry_msgs/msg/TwistStamped")
 IMU = Topic("chaser/imu", "sensor_msgs/msg/Imu")
+FAULTS = Topic("faults", "diagnostic_msgs/msg/DiagnosticArray", latched=True)
 DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 ROSOUT = Topic("rosout", "rcl_interfaces/msg/Log", absolute=True, profile=qos.ROSOUT)
 PARAMETER_EVENTS = Topic(
@@ -176,8 +177,8 @@ PARAMETER_EVENTS = Topic(
 TOPICS: tuple[Topic, ...] = (
     TRUTH, TRUTH_JOINTS, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, DEPTH_SIGMA,
     CAMERA_INFO, PHASE, PMD_INFO, POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME,
-    ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, INTEGRITY, STATUS, COMMAND, IMU, DIAGNOSTICS, ROSOUT,
-    PARAMETER_EVENTS,
+    ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, INTEGRITY, STATUS, COMMAND, IMU, FAULTS, DIAGNOSTICS,
+    ROSOUT, PARAMETER_EVENTS,
 )  # fmt: skip
 """All topics, in the order of the ICD's table."""
 
@@ -197,6 +198,7 @@ SENT_BY: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((INTEGRITY.name, STATUS.name), ("estimator",)),
     COMMAND.name: ("guidance",),
     IMU.name: ("chaser", "motion"),
+    FAULTS.name: ("emulator", "proxy", "supervisor", "logger"),
     **dict.fromkeys((DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name), ("service",)),
 }  # fmt: skip
 """Who publishes a topic: the column "from" of the ICD's table, by the topic's name."""

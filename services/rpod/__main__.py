@@ -232,6 +232,22 @@ def logger(
 
 
 @app.command()
+def proxy(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = False,
+    credentials: CredentialsOption = None,
+) -> None:
+    """Pass links of services on to the router, with faults on request."""
+    from rpod_proxy import daemon
+    from rpod_schemas.config.proxy import ProxyConfig
+
+    _serve(
+        "proxy", ProxyConfig, daemon.run, config=config, connect=connect, wait=wait, credentials=credentials
+    )
+
+
+@app.command()
 def view(
     logs: Annotated[
         list[Path] | None, typer.Argument(help="MCAP files to show; without one, the bus is shown.")

@@ -1,7 +1,7 @@
 """From a scenario to the configurations of all services of a run."""
 
 import secrets
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,11 +9,15 @@ from rpod_runtime.session import free_endpoint
 from rpod_schemas.config.emulator import EmulatorConfig, LockstepConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings
 from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.proxy import ProxiedLink, ProxyConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.config.view import ViewConfig
+from rpod_schemas.errors import ConfigurationError
 
 Speed = Literal["1", "max"]
+_SPARE_IDS = 8
+"""Number of times that a run's estimator can be killed and started again."""
 _ROUTER_POLL_S = 0.5
 """Interval at which the supervisor checks that the router still runs while it tries to reach it."""
 
@@ -28,16 +32,21 @@ class Facility:
     supervisor: ServiceConfig
     view: ViewConfig
     """Configuration of the live view, if one is wanted."""
+    proxy: ProxyConfig | None = None
+    """Configuration of the proxy, if the scenario has faults of links."""
+    spare_ids: tuple[str, ...] = ()
+    """Zenoh identities of the estimator for the times after it was killed."""
 
 
 def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
     """Return the configurations of a run's services; each run has its own endpoint and estimator identity."""
     endpoint = free_endpoint()
-    bus = BusConfig(connect=endpoint, wait=True)
-    estimator_id = secrets.token_hex(8).lstrip("0") or "e"
+    bus = BusConfig(connect=endpoint, wait=True, link=scenario.link)
+    estimator_id, *spare_ids = (secrets.token_hex(8).lstrip("0") or "e" for _ in range(1 + _SPARE_IDS))
+    _check_faults(scenario, speed)
     time_source: Literal["wall", "clock"] = "clock" if speed == "max" else "wall"
-    return Facility(
-        router=RouterConfig(listen=endpoint, estimators=(estimator_id,)),
+    facility = Facility(
+        router=RouterConfig(listen=endpoint, estimators=(estimator_id, *spare_ids), link=scenario.link),
         services={
             "motion": MotionServiceConfig(
                 bus=bus,
@@ -61,7 +70,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 motion="truth/odometry" if scenario.truth_error is None else "motion/reference",
                 seed=scenario.seed,
                 publish_samples=scenario.publish_samples,
-                faults=scenario.faults,
+                faults=tuple(fault for fault in scenario.faults if fault.kind.of_sensor),
                 await_start=True,
                 time_source=time_source,
             ),
@@ -72,13 +81,49 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 time_source=time_source,
                 **_settings(scenario),
             ),
-            "logger": LoggerConfig(bus=bus, directory=directory, name=scenario.name),
+            "logger": LoggerConfig(
+                bus=bus, directory=directory, name=scenario.name, record_extra=_thinned(scenario, bus)
+            ),
         },
         supervisor=ServiceConfig(
             instance="supervisor", bus=BusConfig(connect=endpoint, connect_timeout_s=_ROUTER_POLL_S)
         ),
         view=ViewConfig(bus=bus, target=scenario.target, truth="tf"),
+        spare_ids=tuple(spare_ids),
     )
+    return _with_proxy(facility, scenario)
+
+
+def _check_faults(scenario: Scenario, speed: Speed) -> None:
+    """Raise ``ConfigurationError`` for faults that lockstep cannot have: it waits for every service."""
+    others = [fault.fault for fault in scenario.faults if not fault.kind.of_sensor]
+    if speed == "max" and others:
+        raise ConfigurationError(
+            scenario.name, "faults", f"{others[0]} needs the wall clock: run it with --speed 1"
+        )
+
+
+def _with_proxy(facility: Facility, scenario: Scenario) -> Facility:
+    """Return the facility with a proxy in the links that are to be faulty."""
+    names = {fault.service for fault in scenario.faults if fault.kind.subject == "link" and fault.service}
+    if not names:
+        return facility
+    target = facility.router.listen.split("/", 1)[1]
+    links = {name: ProxiedLink(listen=free_endpoint().split("/", 1)[1], target=target) for name in names}
+    services = dict(facility.services)
+    for name, link in links.items():
+        bus = services[name].bus.model_copy(update={"connect": f"tcp/{link.listen}"})
+        services[name] = services[name].model_copy(update={"bus": bus})
+    proxy = ProxyConfig(
+        bus=BusConfig(connect=facility.router.listen, wait=True), links=links, seed=scenario.seed
+    )
+    return replace(facility, services=services, proxy=proxy)
+
+
+def _thinned(scenario: Scenario, bus: BusConfig) -> tuple[str, ...]:
+    """Return the keys of the cameras' thinned streams, which are recorded too."""
+    thinned = {sensor.name: getattr(sensor, "thinned", None) for sensor in scenario.sensors}
+    return tuple(f"{bus.keys.root}/{each.prefix}/{name}/**" for name, each in thinned.items() if each)
 
 
 def _settings(scenario: Scenario) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.facility import FacilityFile, FacilityService
 from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.proxy import ProxyConfig
 from rpod_schemas.config.service import RouterConfig
 from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError, SchemaError
@@ -22,6 +23,7 @@ _MODELS: dict[str, type[BaseModel]] = {
     "estimator": EstimatorConfig,
     "logger": LoggerConfig,
     "view": ViewConfig,
+    "proxy": ProxyConfig,
 }
 
 

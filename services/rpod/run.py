@@ -14,6 +14,7 @@ from typing import Any, Self
 from rpod import __version__
 from rpod.errors import InterruptedRunError, NotReadyError
 from rpod.facility import Facility, Speed, configure
+from rpod.fault_player import FaultPlayer
 from rpod.progress import Progress
 from rpod.supervisor import Supervisor
 from rpod_runtime import Node, NoRouterError, QueryFailedError
@@ -92,16 +93,21 @@ def play(
         facility = secured(facility, pki.absolute(), rules=folder.directory / "config" / "rules.json")
     with _interruptible() as interrupted, Supervisor(folder.directory, progress.say) as services:
         services.start("router", facility.router)
+        if facility.proxy is not None:
+            services.start("proxy", facility.proxy)
         _start_listeners_first(services, facility)
         if view:
             services.start(_VIEW, facility.view, optional=True)
         with _client(services, facility, interrupted) as node:
             progress.watch(node, scenario)
             _await_ready(node, services, facility, interrupted, progress)
-            _start(node, scenario, speed)
-            _await_end(node, services, interrupted, progress)
+            player = FaultPlayer(node, services, scenario, facility)
+            epoch_ns = _start(node, scenario, speed)
+            with player.playing(epoch_ns):
+                _await_end(node, services, interrupted, progress)
             for verb in (*facility.services, _VIEW):
                 services.stop(verb)
+        services.stop("proxy")
         services.stop("router")
 
 
@@ -126,7 +132,7 @@ def _client(services: Supervisor, facility: Facility, interrupted: Event) -> Ite
 def _await_ready(
     node: Node, services: Supervisor, facility: Facility, interrupted: Event, progress: Progress
 ) -> None:
-    waiting = set(facility.services)
+    waiting = {*facility.services, *(("proxy",) if facility.proxy else ())}
     deadline_s = time.monotonic() + _READY_TIMEOUT_S
     while waiting:
         progress.say(f"waiting for {', '.join(sorted(waiting))}")
@@ -146,13 +152,14 @@ def _state(node: Node, verb: str) -> str:
         return "unknown"
 
 
-def _start(node: Node, scenario: Scenario, speed: Speed) -> None:
-    """Send epoch and duration to the emulator, then to the motion service."""
+def _start(node: Node, scenario: Scenario, speed: Speed) -> int:
+    """Send epoch and duration to the emulator, then to the motion service; return the epoch, ns."""
     lead_ns = round(_LEAD_S * NANOSECONDS)
     epoch_ns = scenario.epoch_ns if speed == "max" else time.time_ns() + lead_ns
     for verb in ("emulator", "motion"):
         request = StartRequest(epoch_ns=epoch_ns, duration_s=scenario.duration_s)
         node.ask(verb, "start", Accepted, request)
+    return epoch_ns
 
 
 def _await_end(node: Node, services: Supervisor, interrupted: Event, progress: Progress) -> None:

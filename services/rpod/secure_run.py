@@ -38,6 +38,12 @@ def secured(facility: Facility, pki: Path, *, rules: Path) -> Facility:
         RulesError: a certificate is of another role.
         OSError: the rules cannot be written.
     """
+    if facility.proxy is not None:
+        raise CredentialsError(
+            pki,
+            "faults of links need a certificate of the proxy, which a run has not",
+            "run without --secure",
+        )
     endpoint = facility.router.listen.replace("tcp/", "tls/", 1)
     services = {verb: _certified(config, endpoint, pki) for verb, config in facility.services.items()}
     supervisor, view = _certified(facility.supervisor, endpoint, pki), facility.view

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from pydantic import BaseModel
 
@@ -31,6 +31,9 @@ class _Service:
     process: subprocess.Popen[bytes]
     log: Path
     optional: bool
+    config: BaseModel
+    down: bool = False
+    """Whether it was killed on purpose, and is not missed until it is started again."""
 
     def close(self) -> None:
         """Release the resources of a process that has ended."""
@@ -53,14 +56,17 @@ class Supervisor:
         self._logs = directory / "logs"
         self._services: dict[str, _Service] = {}
 
-    def start(self, verb: str, config: BaseModel, *, optional: bool = False) -> None:
-        """Start ``rpod <verb>`` with a configuration; an optional service may end at any time."""
+    def start(self, verb: str, config: BaseModel, *, optional: bool = False, again: bool = False) -> None:
+        """Start ``rpod <verb>`` with a configuration; an optional service may end at any time.
+
+        A service that is started again adds to its file of log lines.
+        """
         self._configurations.mkdir(exist_ok=True)
         self._logs.mkdir(exist_ok=True)
         file = self._configurations / f"{verb}.json"
         file.write_text(config.model_dump_json(indent=2), "utf-8")
         output = self._logs / f"{verb}.log"
-        with output.open("wb") as stream:
+        with output.open("ab" if again else "wb") as stream:
             process = subprocess.Popen(
                 [sys.executable, "-m", "rpod", verb, "--config", str(file)],
                 stdin=subprocess.PIPE,
@@ -69,7 +75,7 @@ class Supervisor:
                 start_new_session=True,
                 env=os.environ | {SUPERVISED: "1"},
             )
-        self._services[verb] = _Service(process, output, optional)
+        self._services[verb] = _Service(process, output, optional, config)
 
     def log_of(self, verb: str) -> Path:
         """Return the file with a service's log lines."""
@@ -83,13 +89,35 @@ class Supervisor:
         """
         for name, service in list(self._services.items()):
             code = service.process.poll()
-            if code is None:
+            if code is None or service.down:
                 continue
             died = ServiceDiedError(name, code, service.tail(), service.log)
             if not service.optional:
                 raise died
             log.warning("the run goes on without %s: %s", name, died if code else "it was closed")
             self._services.pop(name).close()
+
+    def signal(self, verb: str, number: signal.Signals) -> None:
+        """Send a signal to a service, if it runs."""
+        service = self._services.get(verb)
+        if service is not None and service.process.poll() is None:
+            service.process.send_signal(number)
+
+    def kill(self, verb: str) -> None:
+        """Kill a service on purpose; ``restart`` starts it again."""
+        service = self._services.get(verb)
+        if service is not None:
+            service.down = True
+            service.process.kill()
+            service.process.wait()
+
+    def restart(self, verb: str, **changes: Any) -> None:
+        """Start a service that was killed on purpose, with changes to its configuration."""
+        service = self._services.get(verb)
+        if service is not None and service.down:
+            service.close()
+            config = service.config.model_copy(update=changes)
+            self.start(verb, config, optional=service.optional, again=True)
 
     def stop(self, verb: str) -> None:
         """Ask a service to finish, wait, and kill it if it does not.
@@ -104,6 +132,9 @@ class Supervisor:
             return
         self._say(f"stopping {verb}")
         process = service.process
+        if service.down:
+            service.close()
+            return
         process.terminate()
         try:
             code = process.wait(_STOP_TIMEOUT_S)

@@ -32,6 +32,7 @@ BUILT_IN = (
     "model-matrix",
     "limits",
     "integrity",
+    "faults",
 )
 """Names of this package's campaigns; the folder of each has the same name, with underscores."""
 

@@ -12,11 +12,12 @@ import numpy as np
 
 from rpod_emulator.channels import Channel, Showing, open_channel
 from rpod_emulator.errors import TruthGapError
-from rpod_emulator.faults import Faults, FaultyNode
+from rpod_emulator.faults import Faults, FaultyNode, turned
 from rpod_emulator.joints import MovingJoints
 from rpod_emulator.truth_buffer import TruthBuffer
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.errors import RefusedError
+from rpod_runtime.fault_book import FaultBook
 from rpod_runtime.notify import manager
 from rpod_runtime.ros import trigger
 from rpod_schemas.arrays import FloatArray
@@ -59,6 +60,7 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
             for channel, frame in emulator.due():
                 emulator.make(channel, frame)
             emulator.publish_made()
+            emulator.tell_faults()
             for outlet in outlets:
                 outlet.refresh()
 
@@ -94,6 +96,7 @@ class Emulator:
             channel.sensor.name: _exposure_end_ns(channel.sensor) for channel in channels
         }
         self._faults = faults or Faults.of(config)
+        self._fault_book = FaultBook(node)
         self._suns: deque[tuple[int, FloatArray]] = deque([_DARKNESS], maxlen=4)
         self._inbox = Inbox()
         self._starts: SimpleQueue[StartRequest] = SimpleQueue()
@@ -216,13 +219,19 @@ class Emulator:
 
     def make(self, channel: Channel, frame: DueFrame) -> None:
         """Compute one frame; a frame in a gap of the truth is counted and left out."""
-        if "silence" in [fault.name for fault in self._faults.at(frame.sensor, frame.stamp_ns)]:
+        active = self._faults.at(frame.sensor, frame.stamp_ns)
+        if "silence" in [window.fault.name for window in active]:
             self._node.health.count(f"silenced/{frame.sensor}")
             return
         T_sensor_chaser = channel.sensor.T_chaser_sensor.inv()
         try:
             poses = [
-                chained(T_sensor_chaser, self._truth.pose(frame.stamp_ns + round(offset_s * NANOSECONDS)))
+                turned(
+                    chained(
+                        T_sensor_chaser, self._truth.pose(frame.stamp_ns + round(offset_s * NANOSECONDS))
+                    ),
+                    active,
+                )
                 for offset_s in channel.sensor.pose_times_s()
             ]
         except TruthGapError as error:
@@ -245,6 +254,11 @@ class Emulator:
     def _sun_W_m2(self, stamp_ns: int) -> FloatArray:  # noqa: N802 - watt
         """Return the newest sun up to a stamp, or the oldest one if all are newer."""
         return next((sun for sun_ns, sun in reversed(self._suns) if sun_ns <= stamp_ns), self._suns[0][1])
+
+    def tell_faults(self) -> None:
+        """Publish which faults have begun."""
+        if self._epoch_ns is not None:
+            self._fault_book.tell(self._faults.begun(self._truth.last_ns, self._epoch_ns))
 
     def publish_made(self) -> None:
         """Publish the frames that a real sensor would have ready by now; in lockstep all of them."""

@@ -11,18 +11,23 @@ from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Any, Self
 
+from scipy.spatial.transform import RigidTransform, Rotation
+
 from rpod_runtime import Node
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.publisher import Publisher
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
 from rpod_schemas.control import FaultRequest
 from rpod_schemas.errors import ConfigurationError
-from rpod_schemas.faults import BOTH, Fault, known_fault
+from rpod_schemas.faults import BOTH, AskedFault, Fault
+from rpod_schemas.faults.injected import InjectedFault
 from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.poses import chained, make_pose
 from rpod_schemas.topics import Topic
 from rpod_sim_sensor.faults import Injection, Outgoing, injection, parts_of
 
 _ALWAYS_NS = 2**62
+_INJECTOR = {"link": "the proxy", "process": "the supervisor of a run", "disk": "the logger"}
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,18 @@ class Window:
     """Name of the sensor; None for all."""
     start_ns: int
     end_ns: int
+    size: float | None = None
+    """Size in the catalogue's unit; None if it has none, or if it is drawn."""
+
+    def injected(self, epoch_ns: int) -> InjectedFault:
+        """Return it as the bus tells it; one that was there from the start began with the scenario."""
+        return InjectedFault(
+            fault=self.fault.name,
+            where=self.sensor or "",
+            begin_ns=max(self.start_ns, epoch_ns),
+            end_ns=None if self.end_ns == _ALWAYS_NS else self.end_ns,
+            size=self.size,
+        )
 
 
 @dataclass
@@ -53,7 +70,7 @@ class Faults:
         self = cls(config.time_source == "clock", sensors)
         for number, planned in enumerate(config.faults):
             try:
-                self._check(known_fault(planned.fault), planned.sensor, at_start=not planned.start_s)
+                self._check(planned, at_start=not planned.start_s)
             except RefusedError as error:
                 raise ConfigurationError(config.instance, f"faults.{number}", str(error)) from error
         self.begin(config, None)
@@ -69,17 +86,19 @@ class Faults:
             lasts = epoch_ns is not None and planned.duration_s is not None
             end_s = planned.start_s + (planned.duration_s or 0.0)
             end_ns = (epoch_ns or 0) + round(end_s * NANOSECONDS) if lasts else _ALWAYS_NS
-            self._planned.append(Window(known_fault(planned.fault), planned.sensor, start_ns, end_ns))
+            self._planned.append(Window(planned.kind, planned.sensor, start_ns, end_ns, planned.amount))
 
     def request(self, request: FaultRequest, now_ns: int) -> None:
         """Plan a fault from the time of the newest truth on. Raises ``RefusedError``."""
-        fault = known_fault(request.fault)
-        self._check(fault, request.sensor, at_start=False)
+        self._check(request, at_start=False)
         start_ns = now_ns + round(request.start_s * NANOSECONDS)
         end_ns = start_ns + round(request.duration_s * NANOSECONDS)
-        self._requested.append(Window(fault, request.sensor, start_ns, end_ns))
+        self._requested.append(Window(request.kind, request.sensor, start_ns, end_ns, request.amount))
 
-    def _check(self, fault: Fault, sensor: str | None, *, at_start: bool) -> None:
+    def _check(self, asked: AskedFault, *, at_start: bool) -> None:
+        fault, sensor = asked.kind, asked.sensor
+        if not fault.of_sensor:
+            raise RefusedError(f"{fault.name} is no fault of a sensor: {_INJECTOR[fault.subject]} injects it")
         if not any(sensor in (None, name) and can_have(kind, fault) for name, kind in self.sensors.items()):
             known = ", ".join(f"{name} ({kind})" for name, kind in self.sensors.items())
             raise RefusedError(f"no sensor {sensor or ''} can have the fault {fault.name}; there are {known}")
@@ -91,13 +110,27 @@ class Faults:
         if fault.from_start and not at_start:
             raise RefusedError(f"{fault.name} cannot begin while a sensor runs: configure it with start_s 0")
 
-    def at(self, sensor: str, stamp_ns: int) -> list[Fault]:
+    def at(self, sensor: str, stamp_ns: int) -> list[Window]:
         """Return the faults of a sensor at a stamp, in the order in which they were asked for."""
         return [
-            window.fault
+            window
             for window in (*self._planned, *self._requested)
             if window.sensor in (None, sensor) and window.start_ns <= stamp_ns < window.end_ns
         ]
+
+    def begun(self, stamp_ns: int, epoch_ns: int) -> list[InjectedFault]:
+        """Return the faults that began up to a stamp, in the order of their beginning."""
+        begun = [each.injected(epoch_ns) for each in (*self._planned, *self._requested)]
+        return sorted(
+            (each for each in begun if each.begin_ns <= stamp_ns), key=lambda each: each.identity[::-1]
+        )
+
+
+def turned(T_sensor_target: RigidTransform, active: Sequence[Window]) -> RigidTransform:
+    """Return the pose at which the target is shown: turned about its x axis by the faults of the scene."""
+    angle_deg = sum(window.size or 0.0 for window in active if window.fault.name == "half_turn")
+    turn = make_pose(rotation=Rotation.from_euler("x", angle_deg, degrees=True))
+    return chained(T_sensor_target, turn) if angle_deg else T_sensor_target
 
 
 def can_have(kind: str, fault: Fault) -> bool:
@@ -142,13 +175,17 @@ class FaultyNode:
         self._send(outgoing, active)
 
     def _active(self, stamp_ns: int) -> list[Injection]:
-        names = [fault.name for fault in self._faults.at(self._name, stamp_ns) if can_have(self._kind, fault)]
-        for over in self._injections.keys() - set(names):
+        sizes = {
+            window.fault.name: window.size
+            for window in self._faults.at(self._name, stamp_ns)
+            if window.fault.subject == "messages" and can_have(self._kind, window.fault)
+        }
+        for over in self._injections.keys() - sizes.keys():
             del self._injections[over]
-        for name in names:
+        for name, size in sizes.items():
             if name not in self._injections:
-                self._injections[name] = injection(name, self._kind, self._seed)
-        return [self._injections[name] for name in dict.fromkeys(names)]
+                self._injections[name] = injection(name, self._kind, self._seed, size=size)
+        return [self._injections[name] for name in sizes]
 
     def _send(self, outgoing: Outgoing, active: list[Injection]) -> None:
         several = [outgoing]

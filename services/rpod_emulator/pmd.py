@@ -7,6 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime import Node
 from rpod_runtime.sensors import CameraPublisher
+from rpod_runtime.thinning import ThinnedCamera
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.pmd import PmdConfig
@@ -38,6 +39,8 @@ class PmdChannel:
             node, sensor.name, T_chaser_sensor=sensor.published_mount, info=sensor.info()
         )
 
+        self._thinned = ThinnedCamera(node, sensor.name, sensor.thinned) if sensor.thinned else None
+
     def show(self, target: Target) -> None:
         """Show another target from the next frame on."""
         self._emulator.show(target)
@@ -64,4 +67,6 @@ class PmdChannel:
             camera=self.sensor.camera,
         )
         self._publisher.publish(frame, samples=exposure.samples if self._with_samples else None)
+        if self._thinned is not None:
+            self._thinned.publish(frame)
         self._spare.append(exposure)

@@ -12,11 +12,15 @@ from rpod_logger.memory import keep_freed_memory
 from rpod_logger.recorder import Recorder
 from rpod_logger.selection import Extras, patterns
 from rpod_runtime import Node, Received
+from rpod_runtime.errors import RefusedError
+from rpod_runtime.fault_book import FaultBook
 from rpod_runtime.lifecycle import Stop
 from rpod_runtime.notify import manager
 from rpod_runtime.ros import trigger
 from rpod_schemas.config.logger import LoggerConfig
-from rpod_schemas.control import LogReply, LogRequest, StatusReply
+from rpod_schemas.control import Accepted, FaultRequest, LogReply, LogRequest, StatusReply
+from rpod_schemas.faults.injected import InjectedFault
+from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import DIAGNOSTICS, Topic
 
 _TICK_S = 0.25
@@ -147,3 +151,15 @@ def _serve(node: Node, recorder: Recorder, services: Services) -> None:
     node.serve("start", LogRequest, lambda request: recorder.start(request.name), ros=call)
     node.serve("stop", LogRequest, stop, ros=call)
     node.serve("split", LogRequest, split, ros=call)
+    book = FaultBook(node)
+
+    def fail(request: FaultRequest) -> Accepted:
+        if request.kind.subject != "disk" or request.start_s:
+            raise RefusedError("the logger injects disk_full alone, at once: leave start_s out")
+        begin_ns = time.time_ns()
+        end_ns = begin_ns + round(request.duration_s * NANOSECONDS)
+        recorder.fill_disk(request.duration_s)
+        book.tell([InjectedFault(request.fault, "", begin_ns, end_ns)])
+        return Accepted()
+
+    node.serve("fault", FaultRequest, fail)

@@ -20,10 +20,17 @@ class DiskFile:
 
     Raises:
         OSError: the file cannot be created, or the disk has no room for it and its reserve.
+
+    ``refuses`` tells whether the disk counts as full by an injected fault.
     """
 
-    def __init__(self, path: Path, *, reserve_bytes: int) -> None:
+    def __init__(
+        self, path: Path, *, reserve_bytes: int, refuses: Callable[[], bool] = lambda: False
+    ) -> None:
         self.path = path
+        self._refuses = refuses
+        if refuses():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         self.full = False
         """Whether the disk is full and the reserve is in use."""
         self._reserve: IO[bytes] | None = _allocate(path.parent, reserve_bytes)
@@ -53,6 +60,8 @@ class DiskFile:
 
     def _append(self, data: memoryview) -> int:
         try:
+            if self._refuses() and self._reserve is not None:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             return self._stream.write(data)
         except OSError as error:
             if error.errno not in _FULL or self._reserve is None:

@@ -66,6 +66,7 @@ class Recorder:
         self._next_report_s = 0.0
         self._split_asked = False
         self._clock_offset_s: float | None = None
+        self._full_until_s = float("-inf")
         self._thread = Thread(target=self._run, name="writer")
 
     def __enter__(self) -> Self:
@@ -101,6 +102,10 @@ class Recorder:
     def split(self, name: str | None = None) -> LogReply:
         """Close the log and go on in a new one; each message is in exactly one. Raises ``LoggerError``."""
         return self._do(lambda received: self._renew(name, received))
+
+    def fill_disk(self, duration_s: float) -> None:
+        """Treat the disk as full for a time, s: an injected fault."""
+        self._full_until_s = time.monotonic() + duration_s
 
     def check(self) -> tuple[Health, str]:
         """Return the health: ERROR until the process ends if a message was ever lost or missed."""
@@ -235,6 +240,7 @@ class Recorder:
             config.compression,
             config.chunk_bytes,
             config.reserve_bytes,
+            lambda: time.monotonic() < self._full_until_s,
             chained=config.chained,
             key=signing_key(config),
         )

@@ -6,6 +6,7 @@ It knows neither bus nor threads.
 import logging
 import re
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
@@ -54,6 +55,8 @@ class WriterSettings:
     chunk_bytes: int = 1 << 20
     reserve_bytes: int = 16 << 20
     """Disk space that is reserved for closing the file."""
+    refuses: Callable[[], bool] = lambda: False
+    """Function that tells whether the disk counts as full by an injected fault."""
     chained: bool = False
     """Whether a digest chain is written beside each file."""
     key: Key | None = None
@@ -82,7 +85,7 @@ class LogFile:
         self.bytes = 0
         """Size of all payloads."""
         self._settings = settings
-        self._disk = DiskFile(path, reserve_bytes=settings.reserve_bytes)
+        self._disk = DiskFile(path, reserve_bytes=settings.reserve_bytes, refuses=settings.refuses)
         self._chain = self._begin_chain(before) if settings.chained else None
         self._writer = Writer(
             self._disk,  # type: ignore[arg-type]  # write, tell and flush are what it calls

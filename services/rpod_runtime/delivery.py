@@ -16,6 +16,7 @@ from rpod_runtime.accounting import (
     SequenceAccount,
     TooManyKeysError,
 )
+from rpod_runtime.flow import Flow
 from rpod_runtime.health import HealthBook
 from rpod_runtime.inbox import Received
 from rpod_schemas.errors import MessageRejectedError
@@ -44,6 +45,8 @@ class Delivery:
         self._sessions: dict[bytes, str] = {}
         """Zenoh identity of the session of each publisher, by gid."""
         self._forgets = False
+        self.flow = Flow()
+        """What arrives of bulky topics; what was fetched from a cache does not count."""
 
     def take(self, topic: Topic, sample: zenoh.Sample, sink: Sink) -> None:
         """Deliver a message of a topic or of a pattern, unless it is a duplicate or unusable."""
@@ -53,7 +56,11 @@ class Delivery:
         try:
             attachment = _attachment(sample)
             self._account_for(key, sample, attachment)
-            sink(_received(topic, key, sample, attachment, self._sessions.get(attachment.gid, "")))
+            received = _received(topic, key, sample, attachment, self._sessions.get(attachment.gid, ""))
+            if topic.bulky and sample.congestion_control != _REPLAYED:
+                age_s = (received.arrival_ns - attachment.stamp_ns) * 1e-9
+                self.flow.add(topic.name, len(received.payload), age_s)
+            sink(received)
         except JumpError as error:
             self._health.warn(f"sequence_jump/{topic.name}", str(error.jump))
             self.reject(topic.name, error)

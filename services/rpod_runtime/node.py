@@ -49,6 +49,8 @@ State = Literal["starting", "ready", "running", "finished", "stopping", "failed"
 
 _DIAGNOSTICS_PERIOD_S = 1.0
 _CHANGE_POLL_S = 0.1
+_FLOW_PERIOD_S = 0.9
+"""Least time over which the rate of what arrives is taken, s: less than between two heartbeats."""
 _LINGER_S = 0.3
 """Time that a node stays open after its last message, so that receivers can recover what they missed."""
 
@@ -71,6 +73,7 @@ class Node(Asker):
         self._keys = config.bus.keys
         self._delivery = Delivery(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
+        self._next_flow_s = self._started_s + _FLOW_PERIOD_S
         self._entities = 0
         self._publishers: list[Publisher] = []
         self.parameters = Parameters({})
@@ -335,6 +338,10 @@ class Node(Asker):
         self._publish_health()
 
     def _publish_health(self) -> None:
+        if time.monotonic() >= self._next_flow_s:
+            self._next_flow_s = time.monotonic() + _FLOW_PERIOD_S
+            for name, value in self._delivery.flow.take().items():
+                self.health.measure(name, value)
         self.health.alarm("certificate", self._identity.warning())
         self._update_counters()
         self._diagnostics.publish(write_diagnostics([self.health.diagnostic(time.time_ns())]))

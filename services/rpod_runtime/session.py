@@ -16,21 +16,19 @@ import zenoh
 
 from rpod_runtime.errors import EndpointError, NoRouterError, RefusedByRouterError
 from rpod_runtime.refusal import why_refused
+from rpod_schemas.config.link import LinkConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.topics import TRUTH_TOPICS
 
 log = logging.getLogger(__name__)
 
-_QUEUED_BATCHES = 16
-"""Number of batches that may wait for a congested link, for bulky and for small messages each.
-
-A batch is 64 KiB, and 16 is the most that Zenoh accepts. With its default of two, an image is dropped as soon
-as the receiver is slow, and so is a burst of messages from a process that had to wait.
-"""
 _STALLED_US = 1_000_000
 """Longest wait of a message that may not be dropped, microseconds; then Zenoh closes the link and connects
 again. Clients that find a restarted router ask each other for what they missed, all at once, and may wait
 for each other: by Zenoh's default for 5 s. An image of 0.5 MB passes a link of 4 Mbit/s in this time."""
+_LARGEST_BYTES = 1 << 28
+"""Largest message that is put together from fragments, bytes: more than the largest image or point cloud
+within the ICD's bounds. Zenoh's default lets a peer take 1 GiB of each of its receivers."""
 _RETRY_S = 0.25
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 """How often a client tries to reach a router that has gone: it is back within half a second of the router."""
@@ -48,21 +46,51 @@ _STARTS_HZ = 4
 
 
 def _zenoh_config(
-    *, tls: dict[str, Any] | None = None, unicast: dict[str, Any] | None = None, **settings: Any
+    link: LinkConfig,
+    *,
+    tls: dict[str, Any] | None = None,
+    unicast: dict[str, Any] | None = None,
+    **settings: Any,
 ) -> zenoh.Config:
+    """Return Zenoh's settings.
+
+    Queues hold 16 batches on a fast link, the most that Zenoh accepts: with its default of two, an image is
+    dropped as soon as the receiver is slow, and so is a burst of messages from a process that had to wait.
+    """
     queue = {
-        "size": dict.fromkeys(("data", "data_high"), _QUEUED_BATCHES),
-        "congestion_control": {"block": {"wait_before_close": _STALLED_US}},
+        "size": dict.fromkeys(("data", "data_high"), link.queued_batches),
+        "congestion_control": {
+            "block": {"wait_before_close": _STALLED_US},
+            "drop": {"max_wait_before_drop_fragments": round(link.wait_fragments_s * 1e6)},
+        },
+    }
+    opening = {
+        "open_timeout": round(link.open_timeout_s * 1e3),
+        "compression": {"enabled": link.compression},
     }
     common = {
         "timestamping": {"enabled": True},
+        "qos": {"network": _overwrites(link)},
         "transport": {
             "shared_memory": {"enabled": False},
-            "unicast": unicast or {},
-            "link": {"tx": {"queue": queue}, "tls": tls or {}},
+            "unicast": opening | (unicast or {}),
+            "link": {
+                "tx": {"lease": round(link.lease_s * 1e3), "queue": queue},
+                "rx": {"max_message_size": _LARGEST_BYTES},
+                "tcp": {"so_sndbuf": link.send_buffer_bytes},
+                "tls": (tls or {}) | {"so_sndbuf": link.send_buffer_bytes},
+            },
         },
     }
     return zenoh.Config.from_json5(json.dumps(common | settings))
+
+
+def _overwrites(link: LinkConfig) -> list[dict[str, Any]]:
+    """Return how large messages are sent, where that is not as their publishers want it."""
+    if not link.newest_large:
+        return []
+    large = {"payload_size": f"{link.large_bytes}..", "messages": ["put"], "flows": ["egress"]}
+    return [large | {"overwrite": {"congestion_control": "block_first"}}]
 
 
 def _tls(folder: Path | None, *, listens: bool) -> dict[str, Any] | None:
@@ -91,6 +119,7 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
     if zenoh_id and bus.credentials is None:
         identity = {"id": _identity(zenoh_id, time.time_ns() * _STARTS_HZ // 1_000_000_000 + next(_opened))}
     config = _zenoh_config(
+        bus.link,
         mode="client",
         connect={"endpoints": [bus.connect], "timeout_ms": 0, "retry": _RETRY},
         tls=_tls(bus.credentials, listens=False),
@@ -143,6 +172,7 @@ def open_router(config: RouterConfig) -> zenoh.Session:
         "max_sessions": config.max_clients,
     }
     zenoh_config = _zenoh_config(
+        config.link,
         mode="router",
         listen={"endpoints": [_listening(config)], "exit_on_failure": True},
         connect={

@@ -8,6 +8,7 @@ from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.proxy import ProxyConfig
 from rpod_schemas.config.rights import MemberConfig, RightsConfig
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.view import ViewConfig
@@ -24,6 +25,7 @@ MODELS: dict[str, type[ServiceConfig]] = {
     "estimator": EstimatorConfig,
     "logger": LoggerConfig,
     "view": ViewConfig,
+    "proxy": ProxyConfig,
 }
 """Models of the configurations of those roles that are services of rpod."""
 

@@ -78,7 +78,7 @@ ROLES: dict[str, Role] = {
     "lamp": Role("drives the lamp, and publishes the sun", ("lamp",)),
     "emulator": Role(
         "emulates sensors",
-        sends_as=("sensor",),
+        sends_as=("sensor", "emulator"),
         reads=(TRUTH, SUN, CLOCK),
         serves=("start", "fault"),
     ),
@@ -98,11 +98,12 @@ ROLES: dict[str, Role] = {
     ),
     "logger": Role(
         "records everything",
+        sends_as=("logger",),
         reads=_EVERYTHING,
         reads_estimates=True,
         reads_sensors=True,
         watches=True,
-        serves=("start", "stop", "split"),
+        serves=("start", "stop", "split", "fault"),
         asks=_STATUS_OF_ALL,
     ),
     "view": Role(
@@ -113,10 +114,13 @@ ROLES: dict[str, Role] = {
         watches=True,
         asks=_STATUS_OF_ALL,
     ),
+    "proxy": Role("makes links faulty, and tells which", sends_as=("proxy",), serves=("fault",)),
     "operator": Role(
         "starts, resets and ends services, also as the supervisor of a run",
+        sends_as=("supervisor",),
         reads=(TF, DIAGNOSTICS, CLOCK),
         reads_estimates=True,
+        serves=("fault",),
         asks={ANY: (ANY,)},
     ),
     "replay": Role(

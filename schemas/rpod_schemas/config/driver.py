@@ -7,6 +7,7 @@ from pydantic import Field, StrictBool, StrictInt, StrictStr, field_validator, m
 from rpod_schemas.config.base import Name, Positive
 from rpod_schemas.config.mount_calibration import Mount
 from rpod_schemas.config.service import ServiceConfig
+from rpod_schemas.config.thinned import ThinnedConfig
 from rpod_schemas.errors import SchemaError
 from rpod_schemas.poses import make_pose
 from rpod_schemas.sensors import sensor_kind
@@ -35,6 +36,8 @@ class DriverConfig(ServiceConfig):
 
     settings: dict[str, Setting] = Field(default_factory=dict)
     """Settings of the device by name, written after each connection; the driver's documents name them."""
+    thinned: ThinnedConfig | None = None
+    """Thinner stream of a camera for a slow link, beside the full one."""
     trigger_timeout_s: Positive = 1.0
     """Longest time from a requested trigger to its frame, s; a longer one counts as ``trigger_missed``."""
 
@@ -45,6 +48,12 @@ class DriverConfig(ServiceConfig):
             return sensor_kind(kind).name
         except SchemaError as error:
             raise ValueError(str(error)) from error
+
+    @model_validator(mode="after")
+    def _a_camera_is_thinned(self) -> Self:
+        if self.thinned is not None and self.kind != "pmd":
+            raise ValueError(f"thinned is for cameras of kind pmd, not for a {self.kind}: leave it out")
+        return self
 
     @model_validator(mode="after")
     def _waits_are_in_order(self) -> Self:

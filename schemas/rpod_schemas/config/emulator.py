@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
 from rpod_schemas.config.motion import JointMotionConfig, MotionConfig, TruthErrorConfig
@@ -52,6 +52,14 @@ class EmulatorConfig(ServiceConfig):
     the truth that it publishes (``truth_error``)."""
     faults: tuple[PlannedFault, ...] = ()
     """Faults of the sensors, at times from the epoch."""
+
+    @field_validator("faults")
+    @classmethod
+    def _are_of_sensors(cls, faults: tuple[PlannedFault, ...]) -> tuple[PlannedFault, ...]:
+        for fault in faults:
+            if not fault.kind.of_sensor:
+                raise ValueError(f"{fault.fault} is no fault of a sensor")
+        return faults
 
 
 class LockstepConfig(Config):

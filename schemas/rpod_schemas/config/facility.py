@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.config.service import BusConfig
 
-Verb = Literal["router", "motion", "emulator", "estimator", "logger", "driver", "view"]
+Verb = Literal["router", "motion", "emulator", "estimator", "logger", "driver", "view", "proxy"]
 Restart = Literal["always", "on_failure", "never"]
 
 _FINITE: tuple[Verb, ...] = ("motion", "driver", "view")

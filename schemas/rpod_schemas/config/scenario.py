@@ -7,12 +7,22 @@ from pydantic import Field, model_validator
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.config.emulator import SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.link import Link, LinkConfig
 from rpod_schemas.config.motion import MotionConfig, TruthErrorConfig
 from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.faults import PlannedFault
 
 DEFAULT_EPOCH_NS = 1_767_225_600_000_000_000
 """Default epoch, 2026-01-01T00:00:00Z, ns of UTC."""
+
+
+_CLIENTS = ("motion", "emulator", "estimator", "logger")
+_MAY_FAIL = {
+    "messages": (), "scene": (), "disk": (),
+    "link": _CLIENTS,
+    "process": ("router", *_CLIENTS),
+}  # fmt: skip
+"""Services of a run that can have a fault, by the fault's subject."""
 
 
 class ScenarioEstimator(EstimatorSettings):
@@ -52,8 +62,10 @@ class Scenario(Config):
     publish_samples: bool = False
     """Whether to publish the PMD cameras' raw samples as well, about 70 MB/s at 45 Hz."""
     faults: tuple[PlannedFault, ...] = ()
-    """Faults of the sensors, at times of the scenario, by their names in the catalogue; the estimator is not
-    told."""
+    """Faults of sensors, links, processes and the logger's disk, at times of the scenario, by their names in
+    the catalogue; the estimator is not told."""
+    link: Link = LinkConfig()
+    """Tuning of all links to the router: ``fast``, ``slow``, or field by field."""
     estimator: ScenarioEstimator
     """Sensors, navigator and filter of the estimator, and the target that it looks for."""
 
@@ -70,6 +82,9 @@ class Scenario(Config):
         for fault in self.faults:
             if fault.sensor not in {None, *(name for _, name in emulated)}:
                 raise ValueError(f"faults: no sensor {fault.sensor!r} is emulated")
+            if fault.service not in (None, *_MAY_FAIL[fault.kind.subject]):
+                known = ", ".join(_MAY_FAIL[fault.kind.subject])
+                raise ValueError(f"faults: {fault.fault} of {fault.service!r}, needs one of {known}")
         for sensor in self.estimator.sensors:
             if (sensor.kind, sensor.name) not in emulated:
                 raise ValueError(f"estimator.sensors: no {sensor.kind} called {sensor.name!r} is emulated")

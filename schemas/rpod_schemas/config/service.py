@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import Config, Name, Positive
+from rpod_schemas.config.link import Link, LinkConfig
 from rpod_schemas.topics import Namespace
 
 _ENDPOINT = r"^(tcp|tls|quic|unixsock-stream)/.+"
@@ -44,6 +45,8 @@ class BusConfig(Config):
     credentials: Path | None = None
     """Folder of this service's certificate and key, made by ``rpod pki issue``. With it the connection is
     encrypted, and the router knows the service by its certificate."""
+    link: Link = LinkConfig()
+    """Tuning of the link to the router: ``slow`` for a link of some megabits a second, or one that breaks."""
     ros_services: bool = True
     """Whether services can be controlled, and their parameters read, by calls of ROS 2 services."""
 
@@ -95,6 +98,8 @@ class RouterConfig(Config):
     """File of the access rules, made by ``rpod pki rules``."""
     handshake_timeout_s: float = Field(default=1.0, ge=0.01, le=10.0)
     """Longest TLS handshake, s; it takes two round trips on the network."""
+    link: Link = LinkConfig()
+    """Tuning of the links to all clients, as ``bus.link`` of a service."""
     max_clients: int = Field(default=1000, ge=1, le=5000)
     """Largest number of clients that are connected at a time."""
 

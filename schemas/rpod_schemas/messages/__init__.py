@@ -29,11 +29,13 @@ from rpod_schemas.messages.health import (
     write_validity,
 )
 from rpod_schemas.messages.images import (
+    pixel_format,
     read_amplitude,
     read_camera,
     read_depth,
     read_image,
     write_camera,
+    write_compressed,
     write_image,
 )
 from rpod_schemas.messages.imu import read_imu, write_imu
@@ -49,6 +51,7 @@ from rpod_schemas.messages.points import read_points, time_field, write_points
 __all__ = [
     "NANOSECONDS",
     "build",
+    "pixel_format",
     "read_amplitude",
     "read_camera",
     "read_depth",
@@ -70,6 +73,7 @@ __all__ = [
     "time_field",
     "write_camera",
     "write_clock",
+    "write_compressed",
     "write_diagnostics",
     "write_header",
     "write_image",

@@ -21,13 +21,18 @@ _ENCODINGS: dict[str, tuple[str, int]] = {
 }
 
 
+def pixel_format(encoding: str) -> tuple[np.dtype[Any], int]:
+    """Return data type, little-endian, and channels of an encoding. Raises ``MessageRejectedError``."""
+    if encoding not in _ENCODINGS:
+        known = ", ".join(_ENCODINGS)
+        raise MessageRejectedError(Reason.WRONG_TYPE, f"encoding {encoding!r}, known are {known}")
+    code, channels = _ENCODINGS[encoding]
+    return np.dtype(code), channels
+
+
 def read_image(message: Any) -> NDArray[Any]:
     """Return the pixels of a sensor_msgs/Image as a view, (height, width) or (height, width, channels)."""
-    if message.encoding not in _ENCODINGS:
-        known = ", ".join(_ENCODINGS)
-        raise MessageRejectedError(Reason.WRONG_TYPE, f"encoding {message.encoding!r}, known are {known}")
-    code, channels = _ENCODINGS[message.encoding]
-    dtype = np.dtype(code)
+    dtype, channels = pixel_format(message.encoding)
     if message.is_bigendian and dtype.itemsize > 1:
         dtype = dtype.newbyteorder(">")
     row = message.width * channels * dtype.itemsize
@@ -87,6 +92,13 @@ def write_image(stamp_ns: int, frame_id: str, image: NDArray[Any], encoding: str
         is_bigendian=0,
         step=image[0].nbytes,
         data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
+    )
+
+
+def write_compressed(stamp_ns: int, frame_id: str, form: str, data: NDArray[np.uint8]) -> Any:
+    """Return a sensor_msgs/CompressedImage of a codec's bytes."""
+    return message_class("sensor_msgs/msg/CompressedImage")(
+        header=write_header(stamp_ns, frame_id), format=form, data=data
     )
 
 

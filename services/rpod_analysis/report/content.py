@@ -19,6 +19,7 @@ from rpod_analysis.report.figures_path import path_figure
 from rpod_analysis.report.figures_statistics import consistency_figure, timing_figure
 from rpod_analysis.report.plot_data import PlotData
 from rpod_analysis.report.snapshots import Snapshot, Wireframes, take_refused, take_snapshots
+from rpod_analysis.scoring.fault_scores import FaultScores
 from rpod_analysis.scoring.frame_errors import named_frames
 from rpod_analysis.scoring.run import StreamedRun
 from rpod_analysis.scoring.run_checks import Check, assess, find_checks, headline
@@ -102,8 +103,8 @@ class ReportContent:
 
 def gather_content(log: Log, run: StreamedRun, *, name: str, report: Path | None = None) -> ReportContent:
     """Read a run once and return the content of its report; ``report`` is the path of the page."""
-    totals = RunTotals(named_frames(log, prefix=run.prefix))
-    plot_data = PlotData(run.start_ns, run.end_ns, tuple(run.sensors))
+    totals = RunTotals(named_frames(log, prefix=run.prefix), FaultScores(run.faults, run.end_ns))
+    plot_data = PlotData(run.start_ns, run.end_ns, tuple(run.sensors), run.faults)
     for minute in run:
         totals.take(minute)
         plot_data.take(minute)
@@ -152,10 +153,11 @@ def _flows(run: StreamedRun, totals: RunTotals, summary: Summary) -> list[Sensor
     for sensor in run.sensors.values():
         outcomes = totals.by_sensor.get(sensor.name, Counter[str]())
         dropped, incomplete = run.account.passed_over(run.status_topic, sensor.name)
+        counted = summary.frames.get(sensor.leading.name)  # a stream that was not recorded has no count
         flows.append(
             SensorFlow(
                 sensor=sensor.name,
-                published=summary.frames[sensor.leading.name].published,
+                published=counted.published if counted else 0,
                 accepted=outcomes["accepted"],
                 rejected=outcomes["rejected"],
                 dropped=dropped,

@@ -22,6 +22,9 @@ QUIET = "#8b949e"
 SEVERAL = (ACCENT, "#e8833a", "#2aa876", "#a05fd6", "#d6487e", "#8a6d3b", "#17a2b8", "#6c757d")
 """Colours of the logs in a figure of several logs, in their order."""
 _BAND = "rgba(139,148,158,0.22)"
+_FAULT = "rgba(217,83,79,0.16)"
+_MOST_BANDS = 100
+"""Largest number of faults that are drawn."""
 _MODES = {
     Mode.TRACKING: ACCENT,
     Mode.VERIFYING: "#9cc3fb",
@@ -71,6 +74,7 @@ def error_figure(plot_data: PlotData) -> go.Figure:
             figure.update_yaxes(range=[-reach, reach], row=row, col=col)
         for row in range(1, 5):
             figure.update_yaxes(title_text=f"error [{unit}]", row=row, col=col)
+            draw_faults(figure, plot_data, row=row, col=col, named=row == 1)
         figure.update_yaxes(rangemode="tozero", row=1, col=col)
         figure.update_xaxes(title_text="time [s]", row=4, col=col)
     return styled(figure, height=860)
@@ -108,6 +112,8 @@ def state_figure(plot_data: PlotData) -> go.Figure:
             figure.add_trace(
                 go.Scatter(x=x, y=y, mode="lines", name=name, line=style, hovertemplate=hover), row=3, col=1
             )
+    for row in range(1, 4):
+        draw_faults(figure, plot_data, row=row, col=1, named=row == 3)
     for row, title in ((1, "state"), (2, "source")):
         axis = {"range": [0, 1], "fixedrange": True, "showgrid": False, "showticklabels": False}
         figure.update_yaxes(title_text=title, zeroline=False, **axis, row=row, col=1)
@@ -133,6 +139,23 @@ def draw_limit(figure: go.Figure, axis: str, value: float, colour: str, *, row: 
     line = {"color": colour, "width": 1, "dash": "dot"}
     reference = {f"{across}ref": f"{across} domain"}
     figure.add_shape(**ends, **reference, type="line", line=line, row=row, col=col)
+
+
+def draw_faults(figure: go.Figure, plot_data: PlotData, *, row: int, col: int, named: bool) -> None:
+    """Draw a band across a panel for each fault that was injected, with its name if wanted."""
+    for fault in plot_data.faults[:_MOST_BANDS]:
+        ends_ns = fault.begin_ns, plot_data.end_ns if fault.end_ns is None else fault.end_ns
+        x0, x1 = plot_data.seconds(np.array(ends_ns)).tolist()
+        name = f"{fault.fault} {fault.where}".strip()
+        figure.add_shape(
+            type="rect", x0=x0, x1=x1, y0=0, y1=1, yref="y domain", fillcolor=_FAULT, line={"width": 0},
+            layer="below", row=row, col=col,
+        )  # fmt: skip
+        if named:
+            figure.add_annotation(
+                x=x0, y=1, yref="y domain", text=name, showarrow=False, xanchor="left", yanchor="top",
+                row=row, col=col,
+            )  # fmt: skip
 
 
 def _line(figure: go.Figure, plot_data: PlotData, line: Line, unit: str, *, row: int, col: int) -> None:

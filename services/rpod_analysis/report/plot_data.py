@@ -6,6 +6,7 @@ from rpod_analysis.report.downsampling import Band, Line, Samples
 from rpod_analysis.scoring.run import Run, StreamedRun
 from rpod_analysis.scoring.score import IntArray
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.faults.injected import InjectedFault
 
 _MOST_TICKS = 2000
 _MOST_STEPS = 1200
@@ -15,8 +16,16 @@ _MOST_FRAMES = 200
 class PlotData:
     """Collects the data of the figures, minute by minute."""
 
-    def __init__(self, start_ns: int, end_ns: int, sensors: tuple[str, ...] = ()) -> None:
-        self.start_ns = start_ns
+    def __init__(
+        self,
+        start_ns: int,
+        end_ns: int,
+        sensors: tuple[str, ...] = (),
+        faults: tuple[InjectedFault, ...] = (),
+    ) -> None:
+        self.start_ns, self.end_ns = start_ns, end_ns
+        self.faults = faults
+        """Faults that were injected."""
         span_ns = start_ns, end_ns
         self.angle_deg, self.distance_m = Line(span_ns), Line(span_ns)
         """Magnitudes of the errors."""
@@ -42,7 +51,7 @@ class PlotData:
     @classmethod
     def of(cls, run: StreamedRun) -> "PlotData":
         """Return the data of a run's figures."""
-        plot_data = cls(run.start_ns, run.end_ns, tuple(run.sensors))
+        plot_data = cls(run.start_ns, run.end_ns, tuple(run.sensors), run.faults)
         for minute in run:
             plot_data.take(minute)
         return plot_data

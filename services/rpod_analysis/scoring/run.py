@@ -115,6 +115,8 @@ class StreamedRun:
         self.sensors, self.account = found.sensors, found.account
         self.mounts = found.mounts
         """Newest differences between the mounts of two sensors."""
+        self.faults = tuple(sorted(found.faults.values(), key=lambda fault: fault.identity[::-1]))
+        """Faults that were injected, in the order of their beginning."""
         self.status_topic = found.status_topic
         self.clock = found.clock
         """Whether time comes from the topic ``clock``."""

@@ -14,9 +14,13 @@ from rpod_analysis.log.unreadable import StampCheck
 from rpod_analysis.scoring.mounts import mount_differences
 from rpod_analysis.scoring.row_store import RowStore
 from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.faults.injected import InjectedFault, read_faults
 from rpod_schemas.messages import read_diagnostics, read_integrity, read_odometry, read_stamp, read_status
 from rpod_schemas.summary import MountDifference
-from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, INTEGRITY, STATUS, TRUTH
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, FAULTS, INTEGRITY, STATUS, TRUTH
+
+_MOST_FAULTS = 500
+"""Largest number of faults that are kept."""
 
 
 @dataclass(eq=False)
@@ -40,6 +44,8 @@ class Found:
     account: Account = field(default_factory=Account)
     mounts: dict[str, MountDifference] = field(default_factory=dict)
     """Newest differences between the mounts of two sensors."""
+    faults: dict[tuple[str, str, int], InjectedFault] = field(default_factory=dict)
+    """Faults that services injected; the first ones only."""
     clock: bool = False
     """Whether time comes from the topic ``clock``."""
 
@@ -57,6 +63,7 @@ class Reader:
             status_topic: self._take_status,
             INTEGRITY.under(prefix).name: self._take_integrity,
             DIAGNOSTICS.name: self._take_diagnostics,
+            FAULTS.name: self._take_faults,
             CLOCK.name: self._take_clock,
         }
         for sensor in sensors.values():
@@ -107,6 +114,11 @@ class Reader:
     def _take_diagnostics(self, logged: Logged) -> None:
         for diagnostic in read_diagnostics(logged.decode()):
             self.found.account.hear(diagnostic)
+
+    def _take_faults(self, logged: Logged) -> None:
+        for fault in read_faults(logged.decode()):
+            if fault.identity in self.found.faults or len(self.found.faults) < _MOST_FAULTS:
+                self.found.faults[fault.identity] = fault
 
     def _take_clock(self, logged: Logged) -> None:
         read_stamp(logged.decode())

@@ -5,6 +5,7 @@ from pathlib import Path
 from rpod_analysis.log import Log
 from rpod_analysis.log.completeness import check_log_completeness
 from rpod_analysis.log.targets import logged_targets
+from rpod_analysis.scoring.fault_scores import FaultScores
 from rpod_analysis.scoring.frame_errors import named_frames
 from rpod_analysis.scoring.joint_errors import joint_errors
 from rpod_analysis.scoring.run import StreamedRun
@@ -17,7 +18,9 @@ def summarise(
     log: Log, run: StreamedRun, totals: RunTotals | None = None, *, report: Path | None = None
 ) -> Summary:
     """Return the summary of a run, read from its log; ``totals`` if they were added up before."""
-    totals = totals or RunTotals.of(*run, frames=named_frames(log, prefix=run.prefix))
+    totals = totals or RunTotals.of(
+        *run, frames=named_frames(log, prefix=run.prefix), faults=FaultScores(run.faults, run.end_ns)
+    )
     targets = logged_targets(log, prefix=run.prefix)
     return Summary(
         scenario=_scenario(log),
@@ -50,6 +53,7 @@ def summarise(
         handover=totals.handovers.summary(),
         integrity=totals.integrity.summary(),
         mounts=run.mounts,
+        faults=totals.faults.outcomes(run.start_ns),
         completeness=check_log_completeness(log).summary(),
         unreadable=log.unreadable.by_topic(),
     )

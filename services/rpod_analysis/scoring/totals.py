@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_analysis.scoring.fault_scores import FaultScores
 from rpod_analysis.scoring.frame_errors import NamedFrame, frame_errors
 from rpod_analysis.scoring.handover import Handovers
 from rpod_analysis.scoring.integrity import IntegrityTotals
@@ -81,7 +82,11 @@ class Kinds:
 class RunTotals:
     """Totals of a run, added minute by minute or for the whole run."""
 
-    def __init__(self, frames: Mapping[str, NamedFrame] | None = None) -> None:
+    def __init__(
+        self, frames: Mapping[str, NamedFrame] | None = None, faults: FaultScores | None = None
+    ) -> None:
+        self.faults = faults or FaultScores((), 0)
+        """Scores of the injected faults."""
         self.estimates = self.accepted = self.rejected = self.unscored = 0
         self._time_ns = self._tracked_ns = 0
         self._gap_ns = self._longest_gap_ns = 0
@@ -114,14 +119,17 @@ class RunTotals:
         """Handovers from one sensor to another."""
 
     @classmethod
-    def of(cls, *runs: Run, frames: Mapping[str, NamedFrame] | None = None) -> "RunTotals":
+    def of(
+        cls, *runs: Run, frames: Mapping[str, NamedFrame] | None = None, faults: FaultScores | None = None
+    ) -> "RunTotals":
         """Return the totals of runs, which are the minutes of one run in their order.
 
         Args:
             runs: the minutes.
             frames: frames of the target, at which errors are scored too.
+            faults: scores of the faults that were injected.
         """
-        totals = cls(frames)
+        totals = cls(frames, faults)
         for run in runs:
             totals.take(run)
         return totals
@@ -144,6 +152,7 @@ class RunTotals:
         self._take_modes(run)
         self._take_errors(run)
         self.handovers.take(run)
+        self.faults.take(run)
 
     def _take_outcomes(self, statuses: Statuses) -> None:
         accepted = statuses.accepted

@@ -11,6 +11,7 @@ from rpod_campaign.lidar.cells import targets
 from rpod_campaign.pmd.cells import calibrated, scenarios
 from rpod_campaign.pmd.options import PmdOptions
 from rpod_schemas.config.emulator import WorldName
+from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
 
 SCENARIO = "tumbling"
@@ -29,7 +30,7 @@ def cells(options: Options) -> list[IntegrityCell]:
             target=target,
             sensor=sensor,
             world=world,
-            document="" if sensor == "lidar" else _document(options, target, world),
+            document="" if sensor == "lidar" else document_of(options.scenarios, target, world),
         )
         for target in targets(options.target)
         for sensor in options.sensor
@@ -39,9 +40,9 @@ def cells(options: Options) -> list[IntegrityCell]:
     ]
 
 
-def _document(options: Options, target: str, world: WorldName) -> str:
+def document_of(installed: dict[str, Scenario], target: str, world: WorldName) -> str:
     """Return the camera's scenario, calibrated, with a target in a world, as JSON."""
-    own = PmdOptions(scenario=(SCENARIO,), target=(target,), world=(world,), scenarios=options.scenarios)
+    own = PmdOptions(scenario=(SCENARIO,), target=(target,), world=(world,), scenarios=installed)
     ((_, scenario),) = scenarios(own)
     return calibrated(scenario).model_dump_json()
 

@@ -69,7 +69,7 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
     faulty = "lidar" if cell.sensor == "lidar" else "pmd"
     turn = Rotation.from_rotvec(cell.size * np.eye(3)[stream(seed, trial, _TURN).integers(3)], degrees=True)
     methods, liars = _liable(_methods(cell), turn)
-    settings = _settings(cell)
+    settings = settings_of(cell)
     model = cached_target(model_of(cell.target, cell.fault, cell.size))
     navigator = Navigator(settings, methods, centre_of_mass_m=model.centre_of_mass_m, alike=model.equivalence)
     monitor, memory = Monitor(settings), Memory()
@@ -162,7 +162,7 @@ def _inputs(cell: IntegrityCell) -> tuple[SensorInput, ...]:
     return inputs if cell.sensor == "pmd" else (*inputs, lidar)
 
 
-def _settings(cell: IntegrityCell) -> EstimatorSettings:
+def settings_of(cell: IntegrityCell) -> EstimatorSettings:
     """Return the scenario's settings with the cell's sensors; the defaults for the LIDAR alone."""
     if not cell.document:
         return EstimatorSettings(sensors=_inputs(cell))

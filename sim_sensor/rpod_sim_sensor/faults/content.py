@@ -93,30 +93,40 @@ class Content(Injection):
 
 
 class Dropout(Content):
-    """60 % of depth or returns, in patches."""
+    """Depth or returns of some patches; of 60 % of them by default."""
 
-    fault, share = "dropout", 0.6
+    fault = "dropout"
 
     def changed(self, outgoing: Outgoing) -> Outgoing:
         """Return the message without these patches, which are the same in all parts of a frame."""
         return without(outgoing, patches(size_of(outgoing), self.share, self.random(outgoing)))
 
+    @property
+    def share(self) -> float:
+        """Share of the patches that is lost."""
+        return self.size or 0.0
+
 
 class Glints(Dropout):
-    """40 % of depth and amplitude, in patches."""
+    """Depth and amplitude of some patches; of 40 % of them by default."""
 
-    fault, share = "glints", 0.4
+    fault = "glints"
     changes = ("depth", "points", "image", "amplitude")
 
 
 class Blackout(Glints):
     """All depth, amplitude and returns."""
 
-    fault, share = "blackout", 1.0
+    fault = "blackout"
+
+    @property
+    def share(self) -> float:
+        """All patches."""
+        return 1.0
 
 
 class Partial(Content):
-    """The last 40 % of rows, or of the scan, of one frame in three."""
+    """The last rows, or the last part of the scan, of one frame in three; 40 % by default."""
 
     fault = "partial"
     changes = ("depth", "points", "image", "amplitude")
@@ -125,7 +135,7 @@ class Partial(Content):
         """Return the first part of the message."""
         if self.random(outgoing).random() > 1 / 3:
             return outgoing
-        kept = round(0.6 * size_of(outgoing)[-1 if outgoing.part == "points" else 0])
+        kept = round((1.0 - (self.size or 0.0)) * size_of(outgoing)[-1 if outgoing.part == "points" else 0])
         if outgoing.part == "points":
             return with_points(
                 outgoing, lambda fields: {name: part[..., :kept] for name, part in fields.items()}
@@ -181,7 +191,12 @@ class ZerosForNone(Content):
 class Scaled(Content):
     """Distances in millimetres."""
 
-    fault, factor, offset_m = "millimetres", 1000.0, 0.0
+    fault, factor = "millimetres", 1000.0
+
+    @property
+    def offset_m(self) -> float:
+        """Length that is added to each distance, m."""
+        return 0.0
 
     def changed(self, outgoing: Outgoing) -> Outgoing:
         """Return the message with other distances; an offset is along the boresight, or along each ray."""
@@ -199,9 +214,14 @@ class Scaled(Content):
 
 
 class Biased(Scaled):
-    """Distances that are 15 cm too long."""
+    """Distances that are too long; by 15 cm by default."""
 
-    fault, factor, offset_m = "biased", 1.0, 0.15
+    fault, factor = "biased", 1.0
+
+    @property
+    def offset_m(self) -> float:
+        """Length that is added to each distance, m."""
+        return self.size or 0.0
 
 
 class RadialDepth(Content):

@@ -33,13 +33,13 @@ class SlowRate(Injection):
 
 
 class LostFrames(Injection):
-    """One frame in eight is left out at random."""
+    """Frames are left out at random; one in eight by default."""
 
     fault = "lost_frames"
 
     def part(self, outgoing: Outgoing, elapsed_s: float) -> list[Outgoing]:  # noqa: ARG002
         """Return the part, or nothing if its frame is lost."""
-        return [] if self.random(outgoing).random() < 1 / 8 else [outgoing]
+        return [] if self.random(outgoing).random() < (self.size or 0.0) else [outgoing]
 
 
 class Stall(Injection):
@@ -53,14 +53,14 @@ class Stall(Injection):
 
 
 class LostMessages(Injection):
-    """One message in ten is lost on the bus at random."""
+    """Messages are lost on the bus at random; one in ten by default."""
 
     fault = "lost_messages"
 
     def part(self, outgoing: Outgoing, elapsed_s: float) -> list[Outgoing]:  # noqa: ARG002
         """Return the part, marked where it is lost; parts of a frame are lost one by one."""
         lot = self.random(outgoing).random(8)[sum(outgoing.part.encode()) % 8]
-        return [replace(outgoing, lost=bool(lot < 0.1))]
+        return [replace(outgoing, lost=bool(lot < (self.size or 0.0)))]
 
 
 class SlowLink(Injection):

@@ -59,6 +59,8 @@ class Injection:
         self.kind, self.seed = kind, seed
         self.leading = next(iter(sensor_kind(kind).parts))
         self.first_ns: int | None = None
+        self.size: float | None = None
+        """Size in the catalogue's unit; None if the fault has none, or if it is drawn."""
 
     def apply(self, outgoing: Outgoing) -> list[Outgoing]:
         """Return what is published in place of a message."""
@@ -81,8 +83,8 @@ class Injection:
         return np.random.default_rng([self.seed, outgoing.stamp_ns % 2**62, 0xFA17])
 
 
-def injection(name: str, kind: str, seed: int) -> Injection:
-    """Return the injection of a fault into a sensor of a kind.
+def injection(name: str, kind: str, seed: int, *, size: float | None = None) -> Injection:
+    """Return the injection of a fault into a sensor of a kind, of the catalogue's own size by default.
 
     Raises:
         SchemaError: there is no fault of this name, or the kind cannot have it.
@@ -93,7 +95,9 @@ def injection(name: str, kind: str, seed: int) -> Injection:
     for module in _MODULES:
         found: dict[str, type[Injection]] = resolve(f"rpod_sim_sensor.faults.{module}:INJECTIONS")
         if name in found:
-            return found[name](kind, seed)
+            made = found[name](kind, seed)
+            made.size = fault.amount(size)
+            return made
     raise SchemaError(f"the fault {name!r} cannot be injected")
 
 

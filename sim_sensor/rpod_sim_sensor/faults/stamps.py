@@ -59,23 +59,23 @@ class BootClock(Shifted):
 
 
 class ClockAhead(Shifted):
-    """A clock that is 0.2 to 5 s ahead."""
+    """A clock that is ahead; by 0.2 to 5 s by default."""
 
     fault = "clock_ahead"
 
     def shift_s(self, outgoing: Outgoing, elapsed_s: float) -> float:  # noqa: ARG002
         """Return the offset."""
-        return self.drawn(0.2, 5.0)
+        return self.drawn(0.2, 5.0) if self.size is None else self.size
 
 
 class ClockBehind(Shifted):
-    """A clock that is 1.5 to 10 s behind."""
+    """A clock that is behind; by 1.5 to 10 s by default."""
 
     fault = "clock_behind"
 
     def shift_s(self, outgoing: Outgoing, elapsed_s: float) -> float:  # noqa: ARG002
         """Return the offset."""
-        return -self.drawn(1.5, 10.0)
+        return -(self.drawn(1.5, 10.0) if self.size is None else self.size)
 
 
 class ClockDrift(Shifted):

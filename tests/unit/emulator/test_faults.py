@@ -8,9 +8,11 @@ from pydantic import ValidationError
 
 from rpod.facility import configure
 from rpod.scenarios import find
-from rpod_emulator.faults import Faults, FaultyNode
+from rpod_emulator.faults import Faults, FaultyNode, turned
 from rpod_runtime.errors import RefusedError
+from rpod_runtime.fault_book import FaultBook
 from rpod_runtime.sensors import CameraPublisher
+from rpod_schemas.cdr import decode, encode
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
@@ -18,8 +20,10 @@ from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.control import FaultRequest
 from rpod_schemas.errors import ConfigurationError, SchemaError
 from rpod_schemas.faults import FAULTS, PlannedFault
+from rpod_schemas.faults.injected import InjectedFault, read_faults
 from rpod_schemas.messages import read_image, read_stamp, read_transforms
 from rpod_schemas.poses import make_pose
+from rpod_schemas.topics import FAULTS as FAULTS_TOPIC
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_sim_sensor.faults import injection
 
@@ -114,7 +118,7 @@ def test_a_requested_fault_outlives_the_start_of_a_scenario_and_is_of_its_sensor
     faults = Faults.of(config(sensors=both))
     faults.request(FaultRequest(fault="stall", sensor="lidar", duration_s=5.0), 7 * SECOND_NS)
     faults.begin(config(sensors=both), SECOND_NS)
-    assert [fault.name for fault in faults.at("lidar", 8 * SECOND_NS)] == ["stall"]
+    assert [window.fault.name for window in faults.at("lidar", 8 * SECOND_NS)] == ["stall"]
     assert faults.at("pmd", 8 * SECOND_NS) == []
 
 
@@ -194,3 +198,63 @@ def test_the_faults_of_a_scenario_reach_its_emulator():
         Scenario.model_validate(document | {"faults": [{"fault": "glints", "sensor": "front"}]})
     with pytest.raises(ValidationError, match="no fault 'gremlins'; known are silence"):
         Scenario.model_validate(document | {"faults": [{"fault": "gremlins"}]})
+
+
+def test_a_size_that_is_asked_for_is_the_faults_size():
+    shares = {
+        size: lost_share(Camera24(PlannedFault(fault="dropout", size=size)).frame(1.0)["depth"])
+        for size in (0.0, 1.0)
+    }
+    assert shares == {0.0: 0.0, 1.0: 1.0}
+    longer = Camera24(PlannedFault(fault="biased", size=0.5)).frame(1.0)["depth"]
+    assert np.allclose(read_image(longer), 5.5)
+    late = Camera24(PlannedFault(fault="clock_behind", size=0.25)).frame(1.0)["depth"]
+    assert read_stamp(late.header) == 0.75 * SECOND_NS
+
+
+@pytest.mark.parametrize(
+    ("asked", "text"),
+    [
+        ({"fault": "dropout", "size": 1.5}, "size is 1.5, dropout takes 0 to 1 share of the patches"),
+        ({"fault": "frozen", "size": 1.0}, "size: frozen has only one"),
+        ({"fault": "stop"}, "stop needs service"),
+        ({"fault": "dropout", "service": "estimator"}, "dropout is none of a service"),
+        ({"fault": "link_stall", "service": "estimator", "sensor": "pmd"}, "none of a sensor"),
+        ({"fault": "kill", "service": "estimator"}, "until the service is started again"),
+    ],
+)
+def test_a_fault_that_does_not_fit_its_kind_is_refused(asked, text):
+    with pytest.raises(ValidationError, match=text):
+        PlannedFault(**asked)
+
+
+def test_a_fault_of_a_process_is_none_of_the_emulators():
+    with pytest.raises(RefusedError, match="the supervisor of a run injects it"):
+        Faults.of(config()).request(FaultRequest(fault="stop", service="logger", duration_s=1.0), 0)
+    with pytest.raises(ValidationError, match="stop is no fault of a sensor"):
+        config(PlannedFault(fault="stop", service="logger"))
+
+
+def test_a_half_turn_shows_the_target_turned_about_its_own_x_axis():
+    faults = Faults.of(config(PlannedFault(fault="half_turn", start_s=1.0, duration_s=1.0)))
+    faults.begin(config(PlannedFault(fault="half_turn", start_s=1.0, duration_s=1.0)), SECOND_NS)
+    pose = make_pose(translation_m=[1.0, 2.0, 9.0])
+    assert turned(pose, faults.at("pmd", SECOND_NS)) == pose
+    shown = turned(pose, faults.at("pmd", 2 * SECOND_NS))
+    assert np.allclose(shown.apply([3.0, 1.0, 0.0]), [4.0, 1.0, 9.0])
+
+
+def test_each_fault_is_told_when_it_begins_with_all_before_it():
+    planned = (
+        PlannedFault(fault="glints", start_s=2.0, duration_s=3.0),
+        PlannedFault(fault="blackout", sensor="pmd"),
+    )
+    faults, node = Faults.of(config(*planned)), Kept()
+    faults.begin(config(*planned), 5 * SECOND_NS)
+    book = FaultBook(node)
+    for stamp_s in (5, 6, 7, 8):
+        book.tell(faults.begun(stamp_s * SECOND_NS, 5 * SECOND_NS))
+    told = [read_faults(decode(encode(message), FAULTS_TOPIC.type)) for _, message, _ in node.messages]
+    blackout = InjectedFault("blackout", "pmd", 5 * SECOND_NS)
+    glints = InjectedFault("glints", "", 7 * SECOND_NS, 10 * SECOND_NS, 0.4)
+    assert told == [[blackout], [blackout, glints]]

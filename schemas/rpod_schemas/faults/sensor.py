@@ -1,44 +1,6 @@
-"""The catalogue of faults of sensors: what goes wrong, why, how it is recognised, and what to do about it.
+"""Faults of a sensor's messages: what goes wrong, why, how it is recognised, and what to do about it."""
 
-One catalogue serves all: ``rpod_sim_sensor.faults`` injects them, scenarios and the emulator's query ask for
-them by name, and ``rpod driver check`` names them. ``docs/reference/faults.md`` of the site is made from it.
-"""
-
-from dataclasses import dataclass
-from typing import Annotated, Literal
-
-from pydantic import AfterValidator, Field
-
-from rpod_schemas.config.base import Config, Name, NonNegative, Positive
-from rpod_schemas.errors import SchemaError
-
-Evidence = Literal["rate", "truth", "plane", "info"]
-"""What a fault is only seen with: the sensor's nominal rate; truth, mount and target model; a plane in view,
-or truth; the sensor's info message."""
-BOTH = ("pmd", "lidar")
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One kind of fault of a sensor, its driver or its network."""
-
-    name: str
-    """Name in queries, scenarios and verdicts."""
-    cause: str
-    """What is wrong, and where it usually comes from."""
-    line: str
-    """Line of ``rpod driver check`` that reports it."""
-    remedy: str
-    """What to do."""
-    kinds: tuple[str, ...] = BOTH
-    """Kinds of sensors that can have it."""
-    needs: Evidence | None = None
-    """What the check needs to see it; None if the messages alone tell."""
-    in_lockstep: bool = False
-    """Whether it can be injected in lockstep: each frame still comes, once, under its own stamp."""
-    from_start: bool = False
-    """Whether it can only be injected from the start of the sensor."""
-
+from rpod_schemas.faults.fault import Fault, Size
 
 _DRIVER = "let the driver"
 _CAMERA = ("pmd",)
@@ -65,6 +27,7 @@ FAULTS: tuple[Fault, ...] = (
         "gaps",
         "look at the driver's counters of lost frames (device, queue); use a dedicated link, jumbo frames, a "
         "larger receive buffer",
+        size=Size("share of the frames", 1 / 8, 0.0, 1.0),
     ),
     Fault(
         "stall",
@@ -77,6 +40,7 @@ FAULTS: tuple[Fault, ...] = (
         "messages are published and do not arrive: the bus drops them on a slow link",
         "bus",
         "look at the network between driver and receiver; lower the rate or the resolution",
+        size=Size("share of the messages", 0.1, 0.0, 1.0),
     ),
     Fault(
         "slow_link",
@@ -111,6 +75,7 @@ FAULTS: tuple[Fault, ...] = (
         "partial",
         "use a dedicated link and a larger receive buffer; leave partial frames out",
         in_lockstep=True,
+        size=Size("share of the frame", 0.4, 0.0, 1.0),
     ),
     # --- stamps ---
     Fault(
@@ -131,12 +96,14 @@ FAULTS: tuple[Fault, ...] = (
         "stamps are ahead of this machine's clock: a clock is not synchronised",
         "clock",
         "synchronise both clocks (PTP, or chrony), or set source.clock_offset_s",
+        size=Size("s", None, 0.0, 86_400.0),
     ),
     Fault(
         "clock_behind",
         "stamps are older than transport explains: clock not synchronised, or a long queue",
         "clock",
         "synchronise both clocks (PTP, or chrony); shorten queues between device and driver",
+        size=Size("s", None, 0.0, 86_400.0),
     ),
     Fault(
         "clock_drift",
@@ -190,6 +157,7 @@ FAULTS: tuple[Fault, ...] = (
         "returns",
         "look at the exposure, the reconstruction's filters and lost packets",
         in_lockstep=True,
+        size=Size("share of the patches", 0.6, 0.0, 1.0),
     ),
     Fault(
         "glints",
@@ -197,6 +165,7 @@ FAULTS: tuple[Fault, ...] = (
         "returns",
         "shield the scene from other lamps; look at lost packets",
         in_lockstep=True,
+        size=Size("share of the patches", 0.4, 0.0, 1.0),
     ),
     Fault(
         "saturation",
@@ -253,6 +222,7 @@ FAULTS: tuple[Fault, ...] = (
         "calibrate the distances: rpod calibrate",
         needs="truth",
         in_lockstep=True,
+        size=Size("m", 0.15, -1000.0, 1000.0),
     ),
     # --- geometry ---
     Fault(
@@ -356,41 +326,4 @@ FAULTS: tuple[Fault, ...] = (
         in_lockstep=True,
     ),
 )
-"""All kinds of faults."""
-
-BY_NAME = {fault.name: fault for fault in FAULTS}
-
-
-def known_fault(name: str) -> Fault:
-    """Return a fault by its name.
-
-    Raises:
-        SchemaError: there is none of this name.
-    """
-    if name not in BY_NAME:
-        raise SchemaError(f"no fault {name!r}; known are {', '.join(BY_NAME)}")
-    return BY_NAME[name]
-
-
-def _known_name(name: str) -> str:
-    try:
-        return known_fault(name).name
-    except SchemaError as error:
-        raise ValueError(str(error)) from error
-
-
-FaultName = Annotated[str, AfterValidator(_known_name)]
-"""Name of a fault of the catalogue."""
-
-
-class PlannedFault(Config):
-    """A fault of an emulated sensor at a time of the scenario."""
-
-    fault: FaultName
-    """Name of the fault in the catalogue."""
-    sensor: Name | None = None
-    """Name of the sensor; all that can have the fault if left out."""
-    start_s: NonNegative = 0.0
-    """Start, s from the epoch. At 0 the fault is there before the first frame."""
-    duration_s: Positive | None = Field(default=None)
-    """Duration, s; until the end if left out."""
+"""Faults of sensors, their drivers and their network, as ``rpod driver check`` recognises them."""

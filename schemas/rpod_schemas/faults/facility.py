@@ -1,0 +1,101 @@
+"""Faults around the sensors: of what they see, of links, of processes, and of the logger's disk."""
+
+from rpod_schemas.faults.fault import Fault, Size
+
+FACILITY_FAULTS: tuple[Fault, ...] = (
+    Fault(
+        "half_turn",
+        "the target is shown turned about its x axis: what a sensor sees agrees with a wrong attitude",
+        "",
+        "use a second sensor, or an estimator that knows the target's history",
+        in_lockstep=True,
+        subject="scene",
+        size=Size("deg", 180.0, -180.0, 180.0),
+    ),
+    # --- a service's link to the router, by the proxy ---
+    Fault(
+        "link_delay",
+        "everything on a link arrives later, in both directions: a long way, a satellite",
+        "",
+        "look at the round trip time of the link (ping)",
+        kinds=(),
+        subject="link",
+        size=Size("s", 0.05, 0.0, 60.0),
+    ),
+    Fault(
+        "link_loss",
+        "a link loses packets; TCP sends them again after a time-out: radio, bad cable",
+        "",
+        "look at the link's error counters; use a cable",
+        kinds=(),
+        subject="link",
+        size=Size("share of the packets", 0.01, 0.0, 0.5),
+    ),
+    Fault(
+        "link_rate",
+        "a link carries fewer bits than the services send",
+        "",
+        "set up a thinned stream of the sensor (docs/how-to/slow-links.md), or use a faster link",
+        kinds=(),
+        subject="link",
+        size=Size("Mbit/s", 10.0, 0.001, 100_000.0),
+    ),
+    Fault(
+        "link_stall",
+        "nothing moves on a link; all of it arrives when the stall ends: a full queue, a switch",
+        "",
+        "look at queues and load of switches and hosts",
+        kinds=(),
+        subject="link",
+    ),
+    Fault(
+        "link_half_open",
+        "a link is dead without being closed, and what is sent is lost: a pulled cable, a host without power",
+        "",
+        "look at cables and power; shorten bus.link.lease_s",
+        kinds=(),
+        subject="link",
+    ),
+    Fault(
+        "link_cut",
+        "a link is closed, and closed again until the fault ends: a restarted switch or firewall",
+        "",
+        "look at the log lines of switch and firewall",
+        kinds=(),
+        subject="link",
+    ),
+    # --- processes, by the supervisor ---
+    Fault(
+        "kill",
+        "a service is killed, and started again when the fault ends: out of memory, a crash",
+        "",
+        "look at the service's last log lines and at the system's log",
+        kinds=(),
+        subject="process",
+    ),
+    Fault(
+        "stop",
+        "a service stands still, and goes on when the fault ends: swapping, a debugger, a frozen machine",
+        "",
+        "look at memory and load of the host",
+        kinds=(),
+        subject="process",
+    ),
+    Fault(
+        "slow",
+        "a service gets the processor for a part of the time only: other programs, a hot processor",
+        "",
+        "give the service a processor of its own",
+        kinds=(),
+        subject="process",
+        size=Size("share of the time that is taken away", 0.5, 0.0, 0.95),
+    ),
+    Fault(
+        "disk_full",
+        "the logger's disk takes no more data",
+        "",
+        "make room, or record to a larger disk; the log is closed, and a start query begins a new one",
+        kinds=(),
+        subject="disk",
+    ),
+)

@@ -1,0 +1,60 @@
+"""What a fault is: a kind of failure that can be injected, with its size."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Evidence = Literal["rate", "truth", "plane", "info"]
+"""What a fault is only seen with: the sensor's nominal rate; truth, mount and target model; a plane in view,
+or truth; the sensor's info message."""
+Subject = Literal["messages", "scene", "link", "process", "disk"]
+"""What has the fault: a sensor's messages, what a sensor sees, a service's link to the router, its process,
+or the logger's disk."""
+BOTH = ("pmd", "lidar")
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a fault can be."""
+
+    unit: str
+    default: float | None
+    """Size where none is asked for; None if it is drawn by the seed."""
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One kind of fault."""
+
+    name: str
+    """Name in queries, scenarios and verdicts."""
+    cause: str
+    """What is wrong, and where it usually comes from."""
+    line: str
+    """Line of ``rpod driver check`` that reports it; empty if none does."""
+    remedy: str
+    """What to do."""
+    kinds: tuple[str, ...] = BOTH
+    """Kinds of sensors that can have it."""
+    needs: Evidence | None = None
+    """What the check needs to see it; None if the messages alone tell."""
+    in_lockstep: bool = False
+    """Whether it can be injected in lockstep: each frame still comes, once, under its own stamp."""
+    from_start: bool = False
+    """Whether it can only be injected from the start of the sensor."""
+    subject: Subject = "messages"
+    """What has the fault."""
+    size: Size | None = None
+    """Sizes that can be asked for; None for a fault of one size."""
+
+    def amount(self, asked: float | None) -> float | None:
+        """Return the size that is asked for, or the default; None if it has none, or if it is drawn."""
+        if asked is None and self.size is not None:
+            return self.size.default
+        return asked
+
+    @property
+    def of_sensor(self) -> bool:
+        """Whether the emulator injects it, into a sensor."""
+        return self.subject in ("messages", "scene")

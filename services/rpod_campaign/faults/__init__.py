@@ -1,0 +1,1 @@
+"""Faults of the catalogue, and what the estimator does during them and after."""

@@ -1,0 +1,248 @@
+"""A sequence through messages, faults and the whole estimator, in this process.
+
+The sensor's frames become messages, the catalogue's injections change them as in the emulator, and the
+estimator reads what comes of it. ``stop`` and ``kill`` are of the estimator itself: its frames are lost, and
+after ``kill`` it begins anew, without a pose.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import polars as pl
+
+from rpod_campaign.engine.trial.poses import errors
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.integrity.course import EPOCH_S, Course, IntegrityCell, Shown, lidar_of
+from rpod_campaign.integrity.trial import settings_of
+from rpod_campaign.pmd.scene import camera_of, scenario_of
+from rpod_emulator.faults import Faults, FaultyNode
+from rpod_estimator.estimator import Estimator
+from rpod_estimator.frame_reader import Arrived, FrameReader
+from rpod_pose.navigation.state import Output
+from rpod_runtime import Node, Received
+from rpod_runtime.frames import PartRejectedError
+from rpod_runtime.sensors import CameraPublisher, LidarPublisher
+from rpod_schemas.cdr import encode
+from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig, WorldName
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.faults import BY_NAME, PlannedFault
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.topics import Namespace, Topic
+from rpod_schemas.wire import GID_BYTES, Attachment
+
+FRAME = "frame"
+"""Column that distinguishes the rows of a sequence."""
+SCHEMA: dict[str, Any] = {
+    FRAME: pl.Int64,
+    "stamp_ns": pl.Int64,
+    "mode": pl.Int64,
+    "accepted": pl.Boolean,
+    "reason": pl.String,
+    "attitude_error_deg": pl.Float64,
+    "position_error_m": pl.Float64,
+    "begin_ns": pl.Int64,
+    "end_ns": pl.Int64,
+}
+
+
+@dataclass(frozen=True)
+class FaultCell:
+    """A fault of a size and a duration."""
+
+    fault: str
+    size: float | None
+    """Size in the catalogue's unit; None if it has none."""
+    lasts_s: float
+    target: str
+    sensor: str
+    world: WorldName = "documented"
+    document: str = field(default="", repr=False)
+    """JSON of the camera's scenario; empty for the LIDAR."""
+
+    @property
+    def course(self) -> IntegrityCell:
+        """The sequence of the campaign ``integrity`` without a fault, of the same sensor."""
+        return IntegrityCell("none", 0.0, self.target, self.sensor, self.world, self.document)
+
+    @property
+    def start_s(self) -> float:
+        """Begin of the fault in the sequence, s; a LIDAR's lasts ten times as long, since it has 1 Hz."""
+        return 15.0 if self.sensor == "lidar" else 3.0
+
+    @property
+    def end_s(self) -> float:
+        """End of the fault in the sequence, s."""
+        return self.start_s + (10.0 * self.lasts_s if self.sensor == "lidar" else self.lasts_s)
+
+
+class _Tape:
+    """A node that keeps the messages of one frame."""
+
+    def __init__(self) -> None:
+        self.sent: list[Received] = []
+        self._sequence = 0
+        self.now = 0
+
+    @property
+    def clock(self) -> "_Tape":
+        return self
+
+    def now_ns(self) -> int:
+        return self.now
+
+    def publisher(self, topic: Topic) -> "_Mouth":
+        return _Mouth(self, topic)
+
+    def put(self, topic: Topic, message: Any) -> None:
+        self._sequence += 1
+        attachment = Attachment(self._sequence, self.now, bytes(GID_BYTES))
+        payload = memoryview(bytes(encode(message)))
+        self.sent.append(Received(topic, Namespace().key(topic), payload, attachment, self.now, session="a"))
+
+    def take(self) -> list[Received]:
+        sent, self.sent = self.sent, []
+        return sent
+
+
+@dataclass(frozen=True)
+class _Mouth:
+    tape: _Tape
+    topic: Topic
+
+    def publish(self, message: Any) -> None:
+        self.tape.put(self.topic, message)
+
+    def lose(self) -> None:
+        """Lose a message."""
+
+
+class _Sensor:
+    """The sensor of a trial: its frames as messages, with the fault."""
+
+    def __init__(self, cell: FaultCell, seed: int, first: Shown) -> None:
+        self._tape, self._cell = _Tape(), cell
+        self._tape.now = round(EPOCH_S * NANOSECONDS)
+        config = _sensor_config(cell)
+        emulator = EmulatorConfig(target=cell.target, sensors=(config,), faults=_planned(cell))
+        faults = Faults.of(emulator)
+        faults.begin(emulator, round(EPOCH_S * NANOSECONDS))
+        self._faults, self._name = faults, config.name
+        outlet = cast(Node, FaultyNode(cast(Node, self._tape), config, faults, seed=seed))
+        kind = LidarPublisher if cell.sensor == "lidar" else CameraPublisher
+        mount = first.measurement.T_chaser_sensor
+        self._publisher: Any = kind(outlet, config.name, T_chaser_sensor=mount, info=config.info())  # type: ignore[attr-defined]
+
+    def announcement(self) -> list[Received]:
+        """Return the latched messages."""
+        return self._tape.take()
+
+    def messages(self, shown: Shown) -> list[Received]:
+        """Return the messages of a frame."""
+        stamp_ns = shown.measurement.data.stamp_ns
+        self._tape.now = stamp_ns
+        if "silence" not in [window.fault.name for window in self._faults.at(self._name, stamp_ns)]:
+            self._publisher.publish(shown.measurement.data)
+        return self._tape.take()
+
+
+def _planned(cell: FaultCell) -> tuple[PlannedFault, ...]:
+    if not BY_NAME[cell.fault].of_sensor:
+        return ()
+    lasts_s = cell.end_s - cell.start_s
+    return (PlannedFault(fault=cell.fault, size=cell.size, start_s=cell.start_s, duration_s=lasts_s),)
+
+
+def _sensor_config(cell: FaultCell) -> SensorConfig:
+    if cell.sensor == "lidar":
+        return lidar_of(cell.target)
+    return camera_of(scenario_of(cell.document)).model_copy(update={"name": "pmd"})
+
+
+def run(cell: FaultCell, seed: int, trial: int) -> list[dict[str, Any]]:
+    """Return a row for each result of the estimator."""
+    course = Course(cell.course, seed, trial)
+    begin_ns, end_ns = (round((EPOCH_S + time_s) * NANOSECONDS) for time_s in (cell.start_s, cell.end_s))
+    rows: list[dict[str, Any]] = []
+    for output in _outputs(cell, course, seed, begin_ns, end_ns):
+        stamp_ns, found = output.status.stamp_ns, None if output.odometry is None else output.odometry.pose
+        truth = course.truth(stamp_ns / NANOSECONDS - EPOCH_S)
+        angle_deg, distance_m = errors(truth, found, cached_target(cell.target))
+        rows.append(
+            {
+                FRAME: len(rows),
+                "stamp_ns": stamp_ns,
+                "mode": int(output.status.mode),
+                "accepted": output.status.accepted,
+                "reason": output.status.reason,
+                "attitude_error_deg": angle_deg,
+                "position_error_m": distance_m,
+                "begin_ns": begin_ns,
+                "end_ns": end_ns,
+            }
+        )
+    return rows
+
+
+def _outputs(cell: FaultCell, course: Course, seed: int, begin_ns: int, end_ns: int) -> Iterator[Output]:
+    settings = settings_of(cell.course)
+    config = EstimatorConfig(target=cell.target, initial_pose=course.truth(0.0), **_fields(settings))
+    target, sensor = cached_target(cell.target), None
+    estimator, reader = Estimator(config, target), FrameReader(config.sensors)
+    fresh = True
+    for shown in course.frames():
+        if sensor is None:
+            sensor = _Sensor(cell, seed, shown)
+            latched = sensor.announcement()
+        stamp_ns = shown.measurement.stamp_ns
+        messages = sensor.messages(shown)
+        if cell.fault in ("stop", "kill") and begin_ns <= stamp_ns < end_ns:
+            fresh = cell.fault == "stop" and fresh
+            continue
+        if cell.fault == "kill" and stamp_ns >= end_ns and not fresh:
+            unknown = config.model_copy(update={"initial_pose": None})
+            estimator, reader, fresh = Estimator(unknown, target), FrameReader(config.sensors), True
+            messages = latched + messages
+        elif stamp_ns == round(EPOCH_S * NANOSECONDS):
+            messages = latched + messages
+        yield from _processed(estimator, reader, messages, stamp_ns)
+
+
+def _fields(settings: Any) -> dict[str, Any]:
+    return {
+        name: getattr(settings, name)
+        for name in type(settings).model_fields
+        if name not in ("target", "initial_pose")
+    }
+
+
+def _processed(
+    estimator: Estimator, reader: FrameReader, messages: list[Received], stamp_ns: int
+) -> Iterator[Output]:
+    """Yield what the estimator makes of the messages of a frame, or of the time in which none came."""
+    arrived = list(_arrived(reader, messages))
+    estimator.learn(reader.infos)
+    for each in arrived:
+        yield from estimator.let_time_pass(each.stamp_ns)
+        yield estimator.process(each)
+        reader.pinned = estimator.pins_setups
+    if not arrived:
+        yield from estimator.let_time_pass(stamp_ns)
+
+
+def _arrived(reader: FrameReader, messages: list[Received]) -> Iterator[Arrived]:
+    for received in messages:
+        try:
+            if received.topic.name not in reader.parts:
+                reader.learn(received)
+                continue
+            sensor, part = reader.parts[received.topic.name]
+            stamp_ns = reader.stamp_ns(sensor, received)
+            for frame in reader.assemblers[sensor].add(part, stamp_ns, received):
+                try:
+                    yield reader.arrived(sensor, frame, 0.0)
+                except PartRejectedError as error:
+                    yield Arrived(sensor, frame.stamp_ns, 0.0, None, str(error), error.reason)
+        except MessageRejectedError:
+            continue

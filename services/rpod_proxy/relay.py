@@ -1,0 +1,196 @@
+"""Passes the bytes of a link's connections on, in the condition that the link is in.
+
+The proxy holds as little as it can: the kernel's buffers are small, and its own holds what is on its way. So
+a slow link fills the sender's queue, as a real one does, not the proxy's.
+
+A lost packet costs the time in which TCP sends it again: a round trip where more data follow, whose arrival
+tells the sender of the gap, else the least time-out of Linux (RFC 6298; ``TCP_RTO_MIN`` 200 ms).
+"""
+
+import asyncio
+import random
+import socket
+import struct
+import time
+from contextlib import suppress
+
+from rpod_proxy.condition import GOOD, Condition
+
+_CHUNK_BYTES, _PACKET_BYTES = 16_384, 1_448
+_BUFFER_BYTES = 65_536
+"""Size of the kernel's buffers and, beside what is on its way, of the proxy's own."""
+_FASTEST_B_S = 100e6
+"""Rate of a link without a limit by which the bytes on their way are counted."""
+_TIMEOUT_S, _ROUND_TRIP_S = 0.2, 1e-3
+_POLL_S = 0.005
+
+Address = tuple[str, int]
+
+
+class Relay:
+    """One link: all connections from its service to the router. It lives in an event loop."""
+
+    def __init__(self, listen: Address, target: Address, *, seed: int = 0) -> None:
+        self._listen, self._target = listen, target
+        self._random = random.Random(seed)
+        self._condition = GOOD
+        self._writers: set[asyncio.StreamWriter] = set()
+        self._server: asyncio.Server | None = None
+        self.passed_bytes = 0
+        """Number of bytes passed on, in both directions."""
+
+    @property
+    def connections(self) -> int:
+        """Number of open connections."""
+        return len(self._writers) // 2
+
+    async def open(self) -> None:
+        """Listen. Raises ``OSError``."""
+        listener = socket.create_server(self._listen, backlog=128)
+        _keep_small(listener)
+        self._server = await asyncio.start_server(self._accept, sock=listener)
+
+    def close(self) -> None:
+        """Stop listening and close all connections."""
+        if self._server:
+            self._server.close()
+        self._abort()
+
+    def set(self, condition: Condition) -> None:
+        """Set the condition; connections over a link that was dead are reset: bytes of them are lost."""
+        if (self._condition.dead and not condition.dead) or condition.cut:
+            self._abort()
+        self._condition = condition
+
+    def _abort(self) -> None:
+        for writer in list(self._writers):
+            _reset(writer)
+
+    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self._condition.cut:
+            _reset(writer)
+            return
+        _keep_small(writer.get_extra_info("socket"))
+        try:
+            onward = socket.socket()
+            _keep_small(onward)
+            onward.setblocking(False)
+            await asyncio.get_running_loop().sock_connect(onward, self._target)
+            reader_2, writer_2 = await asyncio.open_connection(sock=onward, limit=_BUFFER_BYTES)
+        except OSError:
+            writer.transport.abort()
+            return
+        both = (writer, writer_2)
+        self._writers.update(both)
+        try:
+            await asyncio.gather(self._pump(reader, writer_2), self._pump(reader_2, writer))
+        finally:
+            for each in both:
+                self._writers.discard(each)
+                each.transport.abort()
+
+    async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Pass one direction on until either side closes."""
+        waiting = _Waiting()
+        sending = asyncio.create_task(self._send(waiting, writer))
+        with suppress(OSError):
+            while not waiting.given_up and (data := await reader.read(_CHUNK_BYTES)):
+                await waiting.put(data, room=self._room())
+        await waiting.put(b"", room=None)
+        await sending
+        writer.transport.close()
+
+    def _room(self) -> int:
+        rate_B_s = min(self._condition.rate_B_s or _FASTEST_B_S, _FASTEST_B_S)
+        return _BUFFER_BYTES + round(rate_B_s * self._condition.delay_s)
+
+    async def _send(self, waiting: "_Waiting", writer: asyncio.StreamWriter) -> None:
+        try:
+            await self._send_all(waiting, writer)
+        except OSError:  # the other side has closed
+            waiting.give_up()
+            _reset(writer)
+
+    async def _send_all(self, waiting: "_Waiting", writer: asyncio.StreamWriter) -> None:
+        free_s = 0.0
+        while True:
+            arrived_s, data = await waiting.get()
+            if not data:
+                return
+            await self._wait(arrived_s)
+            if self._condition.dead:
+                continue
+            lost_s = self._lost_s(len(data), more=bool(waiting))
+            if lost_s:
+                await asyncio.sleep(lost_s)
+            if self._condition.rate_B_s:
+                free_s = max(time.monotonic(), free_s) + len(data) / self._condition.rate_B_s
+                await asyncio.sleep(free_s - time.monotonic())
+            writer.write(data)
+            self.passed_bytes += len(data)
+            await writer.drain()
+
+    async def _wait(self, arrived_s: float) -> None:
+        """Wait for the end of the delay, and of a stall."""
+        while (left_s := arrived_s + self._condition.delay_s - time.monotonic()) > 0.0:
+            await asyncio.sleep(min(left_s, _POLL_S * 4))
+        while self._condition.stalled:
+            await asyncio.sleep(_POLL_S)
+
+    def _lost_s(self, size: int, *, more: bool) -> float:
+        """Return the time that the lost packets of some data cost."""
+        if not self._condition.loss:
+            return 0.0
+        packets = -(-size // _PACKET_BYTES)
+        lost = [self._random.random() < self._condition.loss for _ in range(packets)]
+        if not any(lost):
+            return 0.0
+        last_one = lost[-1] and not more
+        return _TIMEOUT_S if last_one else max(2.0 * self._condition.delay_s, _ROUND_TRIP_S)
+
+
+class _Waiting:
+    """Data on their way, with the time of their arrival."""
+
+    def __init__(self) -> None:
+        self._queue: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue()
+        self._bytes = 0
+        self._taken = asyncio.Event()
+        self.given_up = False
+        """Whether nobody takes the data any more."""
+
+    def give_up(self) -> None:
+        """Let nobody wait for room any more."""
+        self.given_up = True
+        self._taken.set()
+
+    def __bool__(self) -> bool:
+        return not self._queue.empty()
+
+    async def put(self, data: bytes, *, room: int | None) -> None:
+        """Add data as soon as there is room for them."""
+        while not self.given_up and room is not None and self._bytes and self._bytes + len(data) > room:
+            self._taken.clear()
+            await self._taken.wait()
+        self._bytes += len(data)
+        self._queue.put_nowait((time.monotonic(), data))
+
+    async def get(self) -> tuple[float, bytes]:
+        """Return the oldest data; empty at the end."""
+        item = await self._queue.get()
+        self._bytes -= len(item[1])
+        self._taken.set()
+        return item
+
+
+def _reset(writer: asyncio.StreamWriter) -> None:
+    """Close a connection as a host does that does not know it: by a reset."""
+    held = writer.get_extra_info("socket")
+    with suppress(OSError):
+        held.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    writer.transport.abort()
+
+
+def _keep_small(held: socket.socket) -> None:
+    for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+        held.setsockopt(socket.SOL_SOCKET, option, _BUFFER_BYTES)

@@ -1,0 +1,57 @@
+"""``faults``: a short LIDAR sequence through messages, a fault and the estimator; cells and summaries."""
+
+import polars as pl
+import pytest
+
+from rpod_campaign.engine.campaign import TRIAL, CellResult
+from rpod_campaign.faults import trial
+from rpod_campaign.faults.campaign import cells
+from rpod_campaign.faults.options import Options
+from rpod_campaign.faults.report import sections, summarise
+from rpod_campaign.faults.trial import FRAME
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.types import Mode
+
+
+def options(**changes):
+    return Options(sensor=("lidar",), **changes)
+
+
+def test_cells_are_sizes_and_durations_of_the_faults_that_the_sensor_can_have():
+    found = [
+        (cell.fault, cell.size, cell.lasts_s)
+        for cell in cells(options(fault=("glints", "saturation", "stop")))
+    ]
+    assert found == [
+        ("glints", 0.2, 2.0),
+        ("glints", 0.4, 2.0),
+        ("glints", 0.8, 2.0),
+        ("stop", None, 0.5),
+        ("stop", None, 2.0),
+    ]
+    with pytest.raises(ConfigurationError, match="not 'link_cut'"):
+        cells(options(fault=("link_cut",)))
+
+
+def row(number, mode, accepted, error_deg):
+    times = {"stamp_ns": number * 10**9, "begin_ns": 2 * 10**9, "end_ns": 4 * 10**9}
+    errors = {"attitude_error_deg": error_deg, "position_error_m": None if error_deg is None else 0.01}
+    return times | errors | {FRAME: number, "mode": int(mode), "accepted": accepted, "reason": ""}
+
+
+def test_a_cell_sums_up_its_sequences_as_a_run_does_its_faults():
+    (cell, *_) = cells(options(fault=("glints",)))
+    rows = [
+        row(1, Mode.TRACKING, True, 0.1),
+        row(2, Mode.TRACKING, True, 20.0),
+        row(3, Mode.LOST, False, None),
+        row(4, Mode.VERIFYING, False, None),
+        row(5, Mode.TRACKING, True, 30.0),
+    ]
+    table = pl.DataFrame(rows, schema=trial.SCHEMA).with_columns(pl.lit(0).alias(TRIAL))
+    summary = summarise(cell, table)
+    assert (summary["tracking_share"], summary["lost"], summary["lost_after_s"]) == (0.5, 1, 1.0)
+    assert (summary["back"], summary["tracking_again_s"]) == (1, 1.0)
+    assert (summary["wrong_accepted"], summary["worst_deg"]) == (1, 20.0)
+    (section,) = sections([CellResult(cell, table, summary)])
+    assert len(section.tables[0].rows) == 1
