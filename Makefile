@@ -80,6 +80,9 @@ cluster: $(READY) ## A campaign on a Dask cluster of this machine beside the pro
 hand-eye: $(READY) ## Errors of mount and clock calibrations on emulated minutes
 	@PYTHONPATH=benchmarks $(BIN)/python -m hand_eye $(ARGS)
 
+free-flight: $(READY) ## Predictions through gaps, on synthetic measurements
+	@PYTHONPATH=benchmarks $(BIN)/python -m free_flight $(ARGS)
+
 peers: $(PEERS)/.ready ## Registration packages beside our methods, on the same scans
 	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 PYTHONPATH=benchmarks $(PEERS)/bin/python -m peers $(ARGS)
 

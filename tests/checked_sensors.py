@@ -24,10 +24,17 @@ from rpod_schemas.cdr import encode
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_schemas.messages import write_odometry
+from rpod_schemas.messages import write_odometry, write_status
 from rpod_schemas.poses import chained, make_pose, rotation_of
-from rpod_schemas.topics import TRUTH, Topic
-from rpod_schemas.types import Camera, LidarInfo, LidarScan, Odometry, PmdFrame, PmdInfo
+from rpod_schemas.topics import ESTIMATE, STATUS, TRUTH, Topic
+from rpod_schemas.types import (
+    Camera,
+    LidarInfo,
+    LidarScan,
+    Odometry,
+    PmdFrame,
+    PmdInfo,
+)
 from rpod_schemas.wire import Attachment
 from rpod_sim_sensor.faults import Injection, Outgoing, injection, parts_of
 from rpod_sim_sensor.lidar import LidarEmulator
@@ -184,6 +191,7 @@ def watched(
     *,
     latency_s: float,
     truth: Any = (),
+    estimates: Any = (),
     faults: tuple[str, ...] = (),
     seed: int = 0,
     options: Options | None = None,
@@ -195,23 +203,28 @@ def watched(
         desk, "front", T_chaser_sensor=mount, info=info
     )
     desk.deliver(EPOCH_NS + SECOND_NS)
-    for stamp_ns, pose in truth:  # all at once: it is beside the sensor, not judged
-        odometry = Odometry(
-            stamp_ns=stamp_ns, frame_id="chaser", child_frame_id="target", pose=pose,
-            linear_m_s=np.zeros(3), angular_rad_s=np.zeros(3),
-        )  # fmt: skip
-        received = Received(
-            TRUTH,
-            "",
-            memoryview(bytes(encode(write_odometry(odometry)))),
-            Attachment(1, 0, bytes(16)),
-            stamp_ns,
-        )
-        desk.observer.take(received)
+    for stamp_ns, pose in truth:
+        hear(desk.observer, TRUTH, stamp_ns, write_odometry(odometry_of(stamp_ns, pose)))
+    for odometry, status in estimates:
+        hear(desk.observer, ESTIMATE, odometry.stamp_ns, write_odometry(odometry))
+        hear(desk.observer, STATUS, status.stamp_ns, write_status(status))
     for frame in frames:
         desk.deliver(frame.stamp_ns + round(latency_s * SECOND_NS))
         publisher.publish(frame)
     return desk.end()
+
+
+def odometry_of(stamp_ns: int, pose: RigidTransform) -> Odometry:
+    return Odometry(
+        stamp_ns=stamp_ns, frame_id="chaser", child_frame_id="target", pose=pose,
+        linear_m_s=np.zeros(3), angular_rad_s=np.zeros(3),
+    )  # fmt: skip
+
+
+def hear(observer: Observer, topic: Topic, stamp_ns: int, message: Any) -> None:
+    """Hand a message over at once: it is beside the sensor, not judged."""
+    payload = memoryview(bytes(encode(message)))
+    observer.take(Received(topic, "", payload, Attachment(1, 0, bytes(16)), stamp_ns))
 
 
 def wall_camera(
@@ -313,10 +326,11 @@ def ideal_frames() -> tuple[PmdFrame, ...]:
     return tuple(frames)
 
 
-def ideal_camera(*faults: str, seed: int = 0) -> list[Verdict]:
-    """Return the verdicts on the ideal camera, beside truth; its exposure lasts 16 ms."""
+def ideal_camera(*faults: str, seed: int = 0, estimates: Any = ()) -> list[Verdict]:
+    """Return the verdicts on the ideal camera, beside truth or estimates; its exposure lasts 16 ms."""
     truth = [(EPOCH_NS + round(step * SECOND_NS / 100), tumbling(step / 100)) for step in range(50, 1800)]
-    options = Options(rate_hz=5.0, surface=Surface.of(load_target(TARGET)))
+    against = "estimate" if estimates else None
+    options = Options(rate_hz=5.0, surface=Surface.of(load_target(TARGET)), against=against)
     info = INFO.model_copy(update={"integration_time_s": 16e-3})
     return judge(
         watched(
@@ -324,7 +338,8 @@ def ideal_camera(*faults: str, seed: int = 0) -> list[Verdict]:
             ideal_frames(),
             info,
             latency_s=0.01,
-            truth=truth,
+            truth=() if estimates else truth,
+            estimates=estimates,
             faults=faults,
             seed=seed,
             options=options,

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
 import zenoh
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -139,3 +140,19 @@ class RosClient:
     def sequence(self) -> int:
         """Sequence number of the last call."""
         return self._sequence
+
+
+def parameters(client, node, service, **fields):
+    camel = "".join(part.capitalize() for part in service.split("_"))
+    return client.call(f"/{node}/{service}", f"rcl_interfaces/srv/{camel}", **fields)
+
+
+def assignment(name, **value):
+    empty = {
+        "type": 0, "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
+        "byte_array_value": np.empty(0, np.uint8), "bool_array_value": np.empty(0, np.bool_),
+        "integer_array_value": np.empty(0, np.int64), "double_array_value": np.empty(0, np.float64),
+        "string_array_value": [],
+    }  # fmt: skip
+    whole = message("rcl_interfaces/msg/ParameterValue", **(empty | value))
+    return message("rcl_interfaces/msg/Parameter", name=name, value=whole)

@@ -96,6 +96,7 @@ POSITION_M = Bound(-1e9, 1e9, "m", "twice the way to the Moon")
 MOUNT_M = Bound(0, 200, "m", "no spacecraft is longer", "check the transform on tf_static")
 SPEED_M_S = Bound(-1e5, 1e5, "m/s", "three times a comet's speed at Earth")
 RATE_RAD_S = Bound(-1e4, 1e4, "rad/s", "about the rate of the fastest rotors")
+ACCELERATION_M_S2 = Bound(-1e4, 1e4, "m/s2", "a thousand times the weight on Earth")
 VARIANCE = Bound(0, 1e18, "", "the square of the farthest position")
 IRRADIANCE_W_M2 = Bound(0, 1e5, "W/m2", "seventy times the Sun at Earth")
 HYPOTHESES = Bound(0, 1_000, "", "more hypotheses are not a useful result", "send the best")
@@ -129,6 +130,8 @@ BOUNDS: dict[str, Bound] = {
     "Odometry: linear velocity, each axis": SPEED_M_S,
     "Odometry: angular velocity, each axis": RATE_RAD_S,
     "Odometry: variances, in their SI units": VARIANCE,
+    "Imu: angular velocity, each axis": RATE_RAD_S,
+    "Imu: linear acceleration, each axis": ACCELERATION_M_S2,
     "environment/sun: irradiance": IRRADIANCE_W_M2,
     "EstimatorStatus: number of hypotheses": HYPOTHESES,
     "EstimatorStatus: inlier_share, each weight, their sum": SHARE,

@@ -170,6 +170,34 @@ class IntegrityCount(Config):
     """Share of the results, from the first estimate on, with both levels below the alert limits."""
 
 
+class MountDifference(Config):
+    """Error of one sensor's stated mount less that of another, as estimated last, chaser axes.
+
+    It does not say which of the two is wrong. Along the line of sight it contains the offset of the ranges.
+    """
+
+    position_m: tuple[float, float, float]
+    """Difference of the places, m."""
+    position_sigma_m: tuple[NonNegative, NonNegative, NonNegative]
+    """Its standard deviations, m."""
+    attitude_deg: tuple[float, float, float]
+    """Difference of the attitudes, a rotation vector, deg."""
+    attitude_sigma_deg: tuple[NonNegative, NonNegative, NonNegative]
+    """Its standard deviations, deg."""
+
+    @property
+    def text(self) -> str:
+        """The difference in words, with its standard deviations."""
+        place = _with_sigmas(self.position_m, self.position_sigma_m, 1e3, ".1f")
+        turn = _with_sigmas(self.attitude_deg, self.attitude_sigma_deg, 1.0, ".3f")
+        return f"{place} mm, {turn} deg along the chaser's x, y, z; which of them is wrong is not known"
+
+
+def _with_sigmas(values: tuple[float, ...], sigmas: tuple[float, ...], scale: float, form: str) -> str:
+    pairs = zip(values, sigmas, strict=True)
+    return ", ".join(f"{scale * value:{form}} (sigma {scale * sigma:{form}})" for value, sigma in pairs)
+
+
 class LogCompleteness(Config):
     """Completeness of the log, checked against its contents."""
 
@@ -212,9 +240,13 @@ class Handover(Config):
     gap_s: NonNegative
     """Longest time from the last accepted frame of another sensor to the first of the new one, s."""
     jump_m: Known
-    """Largest change of the position error between successive estimates around a handover, m; null without
-    truth."""
+    """Largest part of a change of the position error between successive estimates around a handover that is
+    beyond the covariance of the earlier one, m; null without truth."""
     jump_deg: Known
+    """The same of the attitude error, deg."""
+    change_m: Known = None
+    """Largest such change as a whole, m."""
+    change_deg: Known = None
     """The same of the attitude error, deg."""
 
 
@@ -266,6 +298,9 @@ class Summary(Config):
     """Handovers from one sensor to another; null if there was none."""
     integrity: IntegrityCount | None = None
     """Integrity of the estimates; null for a log without it."""
+    mounts: dict[str, MountDifference] = Field(default_factory=dict)
+    """Differences between the mounts of two sensors, by ``<one> and <other>``; empty where the estimator does
+    not estimate mounts."""
     completeness: LogCompleteness | None = None
     """Completeness of the log."""
     unreadable: dict[str, dict[str, Count]] = Field(default_factory=dict)

@@ -196,7 +196,7 @@ SENT_BY: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((ESTIMATE_JOINTS.name, CONTRADICTION.name, VALIDITY.name), ("estimator",)),
     **dict.fromkeys((INTEGRITY.name, STATUS.name), ("estimator",)),
     COMMAND.name: ("guidance",),
-    IMU.name: ("chaser",),
+    IMU.name: ("chaser", "motion"),
     **dict.fromkeys((DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name), ("service",)),
 }  # fmt: skip
 """Who publishes a topic: the column "from" of the ICD's table, by the topic's name."""

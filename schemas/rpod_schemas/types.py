@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, field_validat
 
 from rpod_schemas.arrays import Matrix6, Vector3, VectorN
 from rpod_schemas.bounds import (
+    ACCELERATION_M_S2,
     DISTORTION,
     ELECTRONS_PER_COUNT,
     FOCAL_LENGTH_PX,
@@ -24,17 +25,19 @@ from rpod_schemas.bounds import (
     INTEGRATION_TIME_S,
     MODULATION_FREQUENCY_HZ,
     PRINCIPAL_POINT_PX,
+    RATE_RAD_S,
     SATURATION_COUNT,
     SCAN_DIRECTIONS,
     SCAN_TIME_S,
     SIGMA_RANGE_M,
+    VARIANCE,
     AzimuthsRad,
     ElevationsRad,
     Stamp,
     Text,
     bounded,
 )
-from rpod_schemas.poses import Pose
+from rpod_schemas.poses import Attitude, Pose
 
 Float32Array = NDArray[np.float32]
 SYNC = "sync/"
@@ -240,6 +243,21 @@ class Joints(Model):
     stamp_ns: int
     angle_rad: dict[str, float]
     rate_rad_s: dict[str, float]
+
+
+class ImuReading(Stamped):
+    """What the chaser's IMU has measured, chaser axes; None where it does not measure it."""
+
+    rate_rad_s: Annotated[Vector3, bounded(RATE_RAD_S)]
+    """Rate relative to inertial space, shape (3,)."""
+    rate_variance: Annotated[float, bounded(VARIANCE)] = 0.0
+    """Mean variance of the rate about the three axes, (rad/s)^2; 0 if it is not stated."""
+    force_m_s2: Annotated[Vector3, bounded(ACCELERATION_M_S2)] | None = None
+    """Specific force: acceleration without that of gravity, shape (3,)."""
+    R_orbit_chaser: Attitude | None = None
+    """Attitude in the orbital frame (ICD section 1)."""
+    attitude_variance: Annotated[float, bounded(VARIANCE)] = 0.0
+    """Mean variance of the attitude about the three axes, rad2; 0 if it is not stated."""
 
 
 class LidarInfo(Model):

@@ -17,7 +17,7 @@ from rpod_driver.check.surface import Surface
 from rpod_driver.scaffold import ScaffoldError, scaffold
 from rpod_runtime import BusError, Node
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
-from rpod_schemas.config.base import check, load, read_document
+from rpod_schemas.config.base import Config, Name, check, load, read_document
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.config.source import SourceConfig
@@ -25,6 +25,11 @@ from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.faults import FAULTS
 
 _STYLES = {Level.OK: "green", Level.NOTE: "cyan", Level.FAIL: "bold red", Level.UNCHECKED: "yellow"}
+
+
+class _Estimate(Config):
+    against: Name
+    """Prefix of an estimate."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,7 @@ class CheckOptions:
     connect: str | None
     rate_hz: float | None
     target: str | None
+    against: str | None = None
 
 
 def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) -> int:
@@ -48,6 +54,7 @@ def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) ->
             rate_hz=options.rate_hz,
             source=_source(options.source),
             surface=_surface(options.target) if options.target else None,
+            against=_prefix(options),
         )
     except ConfigurationError as error:
         return _refuse(error)
@@ -96,6 +103,16 @@ def _surface(name: str) -> Surface:
         return Surface.of(load_target(name))
     except TargetError as error:
         raise ConfigurationError("rpod driver check", "--target", str(error)) from error
+
+
+def _prefix(options: CheckOptions) -> str | None:
+    if options.against is None:
+        return None
+    if options.target is None:
+        raise ConfigurationError(
+            "rpod driver check", "--against", "needs --target, the target of the estimate"
+        )
+    return check(_Estimate, {"against": options.against}, source="rpod driver check").against
 
 
 def _document(driver: DriverConfig, duration_s: float, verdicts: list[Verdict]) -> dict[str, Any]:

@@ -57,13 +57,27 @@ def check(
             "--target", help="Target in view, to compare with truth: instant, range, mount, mirror."
         ),
     ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            "--against",
+            help="Prefix of the estimate of another sensor alone, to compare the mounts of both.",
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
     """Watch a live sensor and say what is wrong: exit 0 if nothing is, 1 if a line fails."""
     from rpod.command_driver_check import CheckOptions, check_command
 
     options = CheckOptions(
-        name, kind, config=config, source=source, connect=connect, rate_hz=rate, target=target
+        name,
+        kind,
+        config=config,
+        source=source,
+        connect=connect,
+        rate_hz=rate,
+        target=target,
+        against=against,
     )
     raise typer.Exit(check_command(options, duration_s=duration, as_json=as_json))
 

@@ -71,6 +71,7 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
         misleading = "-" if told.misleading is None else str(told.misleading)
         within = f"available {_percent(told.availability)}"
         rows.append(("integrity", f"{misleading} misleading, {told.alerts} alerts, {within}"))
+    rows += [(f"mounts of {pair}", found.text) for pair, found in summary.mounts.items()]
     rows.append(("messages", f"{published} published, {missed} missed by the log"))
     return rows
 
@@ -81,6 +82,11 @@ def _handover(handover: Handover) -> str:
         if handover.jump_m is None or handover.jump_deg is None
         else f"jump {1e3 * handover.jump_m:.1f} mm, {handover.jump_deg:.2f} deg"
     )
+    if handover.change_m is not None and handover.change_deg is not None:
+        jump = (
+            f"change {1e3 * handover.change_m:.1f} mm, {handover.change_deg:.2f} deg, "
+            f"beyond the covariance {jump}"
+        )
     return f"{handover.count} between sensors, gap {handover.gap_s:.2f} s, {jump}"
 
 

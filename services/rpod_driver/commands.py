@@ -2,18 +2,22 @@
 
 A query arrives in a thread of the bus, but a driver is used in one thread only, that of the host. So a
 request waits until the host has the next item of the driver, and the driver needs no lock.
+
+Settings are the query ``settings``, and parameters of the node, ``settings.<name>``, for the tools of ROS 2.
 """
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from rpod_driver.errors import NoAnswerError, NotSupportedError
 from rpod_driver.ports import Adjustable, Triggered
 from rpod_runtime import Node
+from rpod_runtime.errors import RefusedError
 from rpod_schemas.config.driver import DriverConfig, Setting
 from rpod_schemas.control import Accepted, SettingsReply, SettingsRequest
 from rpod_schemas.control import Empty as NoFields
@@ -33,7 +37,8 @@ class Commands:
         self._triggers_s: deque[float] = deque()
         self.trigger_missed = 0
         """Number of requested triggers without a frame in time."""
-        node.serve("settings", SettingsRequest, lambda request: self._ask(lambda: self._change(request)))
+        self._parameters = node.parameters
+        node.serve("settings", SettingsRequest, self._settings)
         node.serve("trigger", NoFields, lambda _: self._ask(self._trigger))
 
     def restore(self) -> None:
@@ -45,6 +50,8 @@ class Commands:
         self._triggers_s.clear()
         if self._wanted:
             self._adjustable().apply(dict(self._wanted))
+        if isinstance(self._driver, Adjustable):
+            self._offer(dict(self._driver.settings()))
 
     def serve(self, *, got_frame: bool) -> None:
         """Answer what was asked, and judge the triggers; called by the host between two items."""
@@ -85,6 +92,32 @@ class Commands:
             device.apply(request.settings)
             self._wanted |= request.settings
         return SettingsReply(settings=dict(device.settings()))
+
+    def _settings(self, request: SettingsRequest) -> SettingsReply:
+        reply: SettingsReply = self._ask(lambda: self._change(request))
+        self._offer(reply.settings)  # in this thread: one that sets a parameter may hold its lock and wait
+        return reply
+
+    def _offer(self, settings: Mapping[str, Setting]) -> None:
+        for name, value in settings.items():
+            self._parameters.offer(
+                f"settings.{name}",
+                value,
+                partial(self._set, name),
+                description=f"setting {name!r} of the device",
+                constraints="what the device takes",
+            )
+
+    def _set(self, name: str, value: Setting) -> None:
+        """Write one setting for a client of the parameter services.
+
+        Raises:
+            RefusedError: the device does not take it, or does not answer; the text is the device's.
+        """
+        try:
+            self._ask(lambda: self._change(SettingsRequest(settings={name: value})))
+        except Exception as error:  # drivers raise what their device's library raises
+            raise RefusedError(str(error) or type(error).__name__) from error
 
     def _trigger(self) -> Accepted:
         if not isinstance(self._driver, Triggered):

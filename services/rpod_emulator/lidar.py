@@ -30,7 +30,7 @@ class LidarChannel:
             surroundings=config.surroundings,
         )
         self._publisher = LidarPublisher(
-            node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
+            node, sensor.name, T_chaser_sensor=sensor.published_mount, info=sensor.info()
         )
 
     def show(self, target: Target) -> None:

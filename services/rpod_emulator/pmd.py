@@ -35,7 +35,7 @@ class PmdChannel:
         self._spare: list[PmdExposure] = []
         self._announced_s = sensor.integration_time_s
         self._publisher = CameraPublisher(
-            node, sensor.name, T_chaser_sensor=sensor.T_chaser_sensor, info=sensor.info()
+            node, sensor.name, T_chaser_sensor=sensor.published_mount, info=sensor.info()
         )
 
     def show(self, target: Target) -> None:

@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_estimator.frame_reader import Arrived
-from rpod_pose.navigation.state import Output
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import LidarScan, Mode, SensorFrame
+from rpod_schemas.types import LidarScan, SensorFrame
 
 PATIENCE_S = 10.0
 """Time of searches in vain before they rest."""
@@ -36,34 +34,28 @@ normal noise and 32 frames four sigma."""
 
 
 class Backoff:
-    """Decides which frames are searched."""
+    """Decides which frames of a sensor are searched."""
 
     def __init__(self) -> None:
         self._since_s: float | None = None
-        self._seen: dict[str, deque[FloatArray]] = {}
+        self._seen: deque[FloatArray] = deque(maxlen=_REMEMBERED)
         self._next_s = 0.0
         self.pause_s = 0.0
         """Time between two searches; 0 as long as every frame is searched."""
 
-    def rests(self, arrived: Arrived, now_s: float) -> bool:
+    def rests(self, frame: SensorFrame, now_s: float) -> bool:
         """Return whether a frame need not be searched."""
-        if not self.pause_s or arrived.measurement is None:
+        if not self.pause_s:
             return False
-        if self._differs(arrived.sensor, content(arrived.measurement.data)):
+        if self._differs(content(frame)):
             self.end()
             return False
         return now_s < self._next_s
 
-    def take(self, arrived: Arrived, output: Output, *, began_s: float, now_s: float) -> None:
-        """Note the result of a frame that was processed from ``began_s`` to ``now_s``."""
-        if arrived.measurement is None:
-            return
-        if output.status.accepted or output.status.mode not in (Mode.ACQUIRING, Mode.LOST):
-            self.end()
-            return
+    def take(self, frame: SensorFrame, *, began_s: float, now_s: float) -> None:
+        """Note that a frame was searched in vain from ``began_s`` to ``now_s``."""
         self._since_s = began_s if self._since_s is None else self._since_s
-        seen = self._seen.setdefault(arrived.sensor, deque(maxlen=_REMEMBERED))
-        seen.append(content(arrived.measurement.data))
+        self._seen.append(content(frame))
         if now_s - self._since_s >= PATIENCE_S:
             self.pause_s = (now_s - began_s) / SHARE
             self._next_s = began_s + self.pause_s
@@ -73,8 +65,8 @@ class Backoff:
         self._since_s, self.pause_s = None, 0.0
         self._seen.clear()
 
-    def _differs(self, sensor: str, now: FloatArray) -> bool:
-        seen = self._seen.get(sensor)
+    def _differs(self, now: FloatArray) -> bool:
+        seen = self._seen
         if not seen or seen[-1].shape != now.shape:
             return True
         low, high = np.min(seen, axis=0), np.max(seen, axis=0)

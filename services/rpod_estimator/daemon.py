@@ -1,13 +1,15 @@
 """The estimator daemon: connects the estimator to the bus and the clock."""
 
 import time
-from collections import defaultdict
+from contextlib import ExitStack
 from threading import Event
 
-from rpod_estimator.backoff import Backoff
 from rpod_estimator.estimator import TICK_S, Estimator
 from rpod_estimator.frame_reader import Arrived
+from rpod_estimator.imu_input import ImuInput
+from rpod_estimator.live_searches import LiveSearches, Worker
 from rpod_estimator.outputs import Outputs
+from rpod_estimator.search_process import SearchProcess
 from rpod_estimator.subscriptions import Subscriptions
 from rpod_estimator.validity import Beacon, Validity
 from rpod_pose.navigation.state import Output
@@ -17,19 +19,41 @@ from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest
 from rpod_schemas.errors import Reason
-from rpod_target import load_target
+from rpod_schemas.types import Mode
+from rpod_target import Target, load_target
 
 
 def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     """Estimate until stopped."""
-    target = load_target(config.target)
-    estimator = Estimator(config, target)
+    with ExitStack() as stack:
+        workers: dict[str, Worker] = {}
+        if config.time_source == "wall":  # in lockstep, results must not depend on the machine's speed
+            for sensor in config.sensors:
+                workers[sensor.name] = SearchProcess(config.target, sensor)
+                stack.callback(workers[sensor.name].end)
+        target = load_target(config.target)
+        live = LiveSearches(workers)
+        estimator = Estimator(config, target, live.of if workers else None)
+        live.await_workers(stop)
+        _serve(config, estimator, live, target, version=version, stop=stop)
+
+
+def _serve(
+    config: EstimatorConfig,
+    estimator: Estimator,
+    live: LiveSearches,
+    target: Target,
+    *,
+    version: str,
+    stop: Event,
+) -> None:
     with Node(config, version=version, stop=stop) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
+        imu = ImuInput(node, config, estimator.imu)
         validity = Validity(config.stale_after_s)
         with Beacon(validity, outputs.tell, node.clock) as beacon:
-            service = _Service(estimator, subscriptions, outputs, validity, beacon)
+            service = _Service(estimator, subscriptions, outputs, validity, beacon, searches=live)
             node.serve("reset", ResetRequest, service.reset, ros=RESET_SERVICE)
             node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
             while not stop.is_set():
@@ -38,14 +62,15 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
                 arrived = subscriptions.newest(TICK_S)
                 estimator.learn(subscriptions.infos)
                 if arrived is not None:
+                    imu.hear_up_to(arrived.stamp_ns)
                     if config.time_source == "clock":
                         for output in estimator.let_time_pass(arrived.stamp_ns):
                             service.publish(output)
-                    if not service.rests(arrived):
-                        service.process(arrived)
+                    service.process(arrived)
                 service.publish(estimator.tick(node.clock.settled_ns()))
                 subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted
+                imu.hear_up_to(arrived.stamp_ns)
                 service.process(arrived)
 
 
@@ -59,39 +84,27 @@ class _Service:
         outputs: Outputs,
         validity: Validity,
         beacon: Beacon,
+        *,
+        searches: LiveSearches,
     ) -> None:
         self._estimator, self._subscriptions = estimator, subscriptions
         self._outputs, self._validity, self._beacon = outputs, validity, beacon
-        self._backoffs = defaultdict[str, Backoff](Backoff)
+        self._searches = searches
 
     def reset(self, request: ResetRequest) -> Accepted:
         """Start again, with the sensors as they are set up now."""
         self._subscriptions.request_reset(request)
-        self._end_rests()
+        self._searches.end_rests()
         return self._estimator.request_reset(request)
-
-    def rests(self, arrived: Arrived) -> bool:
-        """Return whether a frame is passed over, because searches have been in vain for long."""
-        rests = self._backoffs[arrived.sensor].rests(arrived, time.monotonic())
-        pause_s = max(each.pause_s for each in self._backoffs.values())
-        self._subscriptions.health.rest(arrived.sensor if rests else "", pause_s)
-        return rests
-
-    def _end_rests(self) -> None:
-        for backoff in self._backoffs.values():
-            backoff.end()
 
     def process(self, arrived: Arrived) -> None:
         """Process a frame and publish the result."""
-        began_s = time.monotonic()
         output = self._estimator.process(arrived)
         self.publish(output, arrived)
-        now_s = time.monotonic()
-        self._subscriptions.health.judge(arrived, output.status, now_s)
-        if not self._beacon.is_silent:  # results must not depend on the machine's speed
-            self._backoffs[arrived.sensor].take(arrived, output, began_s=began_s, now_s=now_s)
-            if output.status.accepted:
-                self._end_rests()
+        self._subscriptions.health.judge(arrived, output.status, time.monotonic())
+        self._subscriptions.health.rest(self._searches.pause_s)
+        if output.status.accepted or output.status.mode not in (Mode.ACQUIRING, Mode.LOST):
+            self._searches.end_rests()
 
     def publish(self, output: Output | None, arrived: Arrived | None = None) -> None:
         """Publish a result, and with it whether it is valid."""

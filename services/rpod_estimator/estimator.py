@@ -4,7 +4,7 @@ The daemon passes frames from the bus to it, a replay passes frames from a log.
 """
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -12,6 +12,9 @@ from typing import Any
 from rpod_estimator.frame_reader import Arrived
 from rpod_pose.measurement import Tick
 from rpod_pose.methods import kind_methods, ready_methods
+from rpod_pose.navigation.dynamics.imu_track import ImuTrack
+from rpod_pose.navigation.dynamics.options import Dynamics
+from rpod_pose.navigation.first_pose.searches import InlineSearches, Searches
 from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
@@ -29,15 +32,23 @@ from rpod_target.topology import areas_m2
 
 log = logging.getLogger(__name__)
 
+OpenSearches = Callable[[Mapping[str, Methods], Mapping[str, Any]], Searches]
+"""Opens the port that makes searches, with methods and setups of the sensors, by name."""
 TICK_S = 0.1
 """Time between two ticks while no frame arrives."""
 _TICK_NS = round(TICK_S * NANOSECONDS)
 
 
 class Estimator:
-    """Holds the navigator and its state between frames; resets may come from another thread."""
+    """Holds the navigator and its state between frames; resets may come from another thread.
 
-    def __init__(self, config: EstimatorConfig, target: Target) -> None:
+    Args:
+        config: configuration.
+        target: the target to find and track.
+        searches: opens the port that makes the searches; None for searches inline.
+    """
+
+    def __init__(self, config: EstimatorConfig, target: Target, searches: OpenSearches | None = None) -> None:
         self._config, self._target = config, target
         self._sensors = {sensor.name: sensor for sensor in config.sensors}
         self._setups: dict[str, Any] = {}
@@ -45,12 +56,23 @@ class Estimator:
         self._known: dict[str, KnownParts] = {}
         self._tell_unreliable_parts()
         self.learn({})
+        self._dynamics = Dynamics.of(config.dynamics, target)
+        if self._dynamics.assumption:
+            log.warning("%s", self._dynamics.assumption)
+        delay_frames = config.navigator.tuning.search_delay_frames
+        self._searches: Searches = (
+            InlineSearches(self._methods, delay_frames)
+            if searches is None
+            else searches(self._methods, self._setups)
+        )
         self._navigator = Navigator(
             config,
             self._methods,
             centre_of_mass_m=target.centre_of_mass_m,
             alike=target.equivalence,
             joints=target.joints,
+            dynamics=self._dynamics,
+            searches=self._searches,
         )
         self._state: NavigatorState = self._navigator.start(config.initial_pose)
         self._monitor, self._memory = Monitor(config), Memory()
@@ -113,6 +135,11 @@ class Estimator:
             if kind_methods(sensor).masked is None:
                 log.warning("%s: sensors of kind %s cannot ignore them", sensor.name, sensor.kind)
 
+    @property
+    def imu(self) -> ImuTrack | None:
+        """Readings of the chaser's IMU, to which its receiver adds; None if it is not used."""
+        return self._dynamics.imu
+
     def request_reset(self, request: ResetRequest) -> Accepted:
         """Start again with the next frame, without a pose or from a given pose."""
         if request.pose is not None and request.frame_id != CHASER:
@@ -137,6 +164,7 @@ class Estimator:
             )
             self._state = replace(started, shown_ns=self._state.shown_ns)
             self._memory = Memory()
+            self._searches.keep(())
 
     def process(self, arrived: Arrived) -> Output:
         """Process a frame and return the result."""
@@ -152,6 +180,7 @@ class Estimator:
             except KnownSurroundingsError as error:
                 return self._rejected(arrived, str(error))
         self._state, output = self._navigator.step(self._state, measurement)
+        self._searches.keep(self._state.searches.values())
         self._log_change(before, output)
         return output
 

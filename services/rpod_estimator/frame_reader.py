@@ -5,7 +5,7 @@ processed are decoded.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,8 @@ class Arrived:
     """Kind of the reason, a ``Reason``; empty if there is a measurement."""
     repeats: int = 0
     """Number of frames in a row, up to this one, whose content is that of the frame before."""
+    evidence: Mapping[str, float] = field(default_factory=dict)
+    """Evidence in the status that a live run gave to this frame, in a replay of that run."""
 
 
 class FrameReader:

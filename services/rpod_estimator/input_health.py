@@ -6,6 +6,7 @@ from pydantic import ValidationError
 
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.input_book import OK, REJECTED, InputState, Loss, SensorBook, unpaired
+from rpod_pose.navigation.first_pose.searches import RESTING, WAITS
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.health import HealthBook
 from rpod_runtime.holders import Peer
@@ -46,6 +47,11 @@ class InputHealth:
         book = self.books[arrived.sensor]
         if arrived.refused == Reason.SECOND_PUBLISHER:
             return  # told of as a rival
+        if status.reason.startswith(WAITS):  # the frame in which nothing is found is told of
+            return
+        if status.reason == RESTING:
+            self._health.count(f"dropped/{arrived.sensor}")
+            return
         book.repeats = arrived.repeats
         if status.accepted:
             book.use(now_s)
@@ -60,10 +66,8 @@ class InputHealth:
         else:
             book.hear_others(now_s)
 
-    def rest(self, sensor: str, pause_s: float) -> None:
-        """Note how long searches rest, and the sensor of a frame that was passed over, if one was."""
-        if sensor:
-            self._health.count(f"dropped/{sensor}")
+    def rest(self, pause_s: float) -> None:
+        """Note how long searches rest."""
         self._pause_s = pause_s
 
     def hear(self, diagnostic: Diagnostic) -> None:

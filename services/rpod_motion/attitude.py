@@ -51,7 +51,7 @@ class Spin:
 
     def relative(self, time_s: float, chaser: TrajectoryState) -> tuple[FloatArray, FloatArray]:
         """Return R_chaser_target and the relative rate, target axes."""
-        turn = _rotation_about(self.axis, self.rate_rad_s * time_s)
+        turn = rotation_about(self.axis, self.rate_rad_s * time_s)
         return _seen_from(chaser, self.R_epoch_target @ turn, self.rate_rad_s * self.axis)
 
 
@@ -70,7 +70,7 @@ class Sway:
         phase = 2.0 * np.pi * time_s / self.period_s
         a, b, c = (self.amplitude_rad * np.sin(phase)).tolist()
         da, db, dc = (self.amplitude_rad * np.cos(phase) * 2.0 * np.pi / self.period_s).tolist()
-        turn = _rotation_about(_Z, c) @ _rotation_about(_Y, b) @ _rotation_about(_X, a)
+        turn = rotation_about(_Z, c) @ rotation_about(_Y, b) @ rotation_about(_X, a)
         rate = np.array(
             [
                 da - dc * sin(b),
@@ -169,7 +169,7 @@ def _seen_from(
     return R_chaser_target, target_angular_rad_s - R_chaser_target.T @ chaser.chaser_angular_rad_s
 
 
-def _rotation_about(axis: FloatArray, angle_rad: float) -> FloatArray:
+def rotation_about(axis: FloatArray, angle_rad: float) -> FloatArray:
     """Return Rodrigues' rotation matrix; scipy's Rotation takes ten times as long at this size."""
     x, y, z = axis
     c, s = cos(angle_rad), sin(angle_rad)

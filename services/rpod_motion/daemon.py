@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from threading import Event
 
 from rpod_motion.errors import MotionError
+from rpod_motion.imu import Imu
 from rpod_motion.lockstep import Lockstep
 from rpod_motion.motion import Motion, build_motion
 from rpod_motion.truth import TruthPublisher
@@ -14,6 +15,7 @@ from rpod_runtime import Node
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.notify import manager
 from rpod_runtime.ros import trigger
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import Accepted, StartRequest
 from rpod_schemas.errors import ConfigurationError
@@ -56,7 +58,7 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         epoch_ns = _epoch(node, config)
         if epoch_ns is None:
             return
-        truth = _truth(node, motion, config, epoch_ns)
+        truth = _truth(node, motion, config, epoch_ns, target.centre_of_mass_m)
         first, last = truth.tick(-config.preroll_s), truth.tick(config.duration_s + _tail_s(config))
         node.state = "running"
         node.health.report(Health.OK, f"playing {config.duration_s:g} s")
@@ -72,11 +74,15 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
             manager.attend(node.stop)  # the process that started it asks for its state, then stops it
 
 
-def _truth(node: Node, motion: Motion, config: MotionServiceConfig, epoch_ns: int) -> TruthPublisher:
-    error = None
+def _truth(
+    node: Node, motion: Motion, config: MotionServiceConfig, epoch_ns: int, centre_of_mass_m: FloatArray
+) -> TruthPublisher:
+    error = imu = None
     if config.truth_error is not None:
         error = TruthError(config.truth_error, seed=config.seed, rate_hz=config.rate_hz)
-    return TruthPublisher(node, motion, epoch_ns=epoch_ns, rate_hz=config.rate_hz, error=error)
+    if config.motion.imu is not None:
+        imu = Imu(config.motion.imu, motion, centre_of_mass_m=centre_of_mass_m, seed=config.seed)
+    return TruthPublisher(node, motion, epoch_ns=epoch_ns, rate_hz=config.rate_hz, error=error, imu=imu)
 
 
 def _tail_s(config: MotionServiceConfig) -> float:

@@ -11,7 +11,7 @@ from rpod_motion.attitude import FixedAttitude, Spin, Sway, TargetAttitude, inte
 from rpod_motion.errors import MotionError
 from rpod_motion.relative_orbit import cross
 from rpod_motion.station_keeping import StationKeeping
-from rpod_motion.synchronised import Synchronised
+from rpod_motion.synchronised import Slewing, Synchronised
 from rpod_motion.trajectory import Trajectory
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import (
@@ -20,6 +20,7 @@ from rpod_schemas.config.motion import (
     FixedAttitudeConfig,
     JointMotionConfig,
     MotionConfig,
+    SlewConfig,
     SpinConfig,
     SunConfig,
     SwayConfig,
@@ -42,6 +43,10 @@ class MotionState:
     """Rotation rate relative to the chaser, vee(R^T dR/dt), target axes, shape (3,)."""
     chaser_angular_rad_s: FloatArray
     """Rotation rate of the chaser relative to inertial space, chaser axes, shape (3,)."""
+    R_epoch_chaser: FloatArray
+    """Attitude of the chaser in the epoch axes, shape (3, 3)."""
+    R_orbit_chaser: FloatArray | None
+    """Attitude of the chaser in the orbital frame, shape (3, 3); None for a trajectory without an orbit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +79,8 @@ class Motion:
             linear_m_s=R_chaser_target.T @ chaser.velocity_m_s - cross(angular_rad_s, anchor_m),
             angular_rad_s=angular_rad_s,
             chaser_angular_rad_s=chaser.chaser_angular_rad_s,
+            R_epoch_chaser=chaser.R_epoch_chaser,
+            R_orbit_chaser=chaser.R_orbit_chaser,
         )
 
     def sun_W_m2(self, time_s: float) -> FloatArray:  # noqa: N802 - watt
@@ -101,7 +108,7 @@ def build_motion(
 
     Raises:
         MotionError: the duration is not positive, the inertia is not that of a rigid body, or an approach is
-            synchronised with a target that does not turn.
+            synchronised with a target that does not turn, or the chaser slews and the target turns with it.
     """
     if not (np.isfinite(duration_s) and duration_s > 0.0):
         raise MotionError(f"the duration is {duration_s:g} s; it must be positive")
@@ -113,6 +120,8 @@ def build_motion(
                 "synchronised has no effect where the attitude is fixed to the chaser; choose spin or tumble"
             )
         trajectory = Synchronised(trajectory, attitude)
+    if config.slew is not None:
+        trajectory = _slewing(config.slew, config.attitude, trajectory)
     return Motion(
         trajectory=trajectory,
         attitude=attitude,
@@ -149,6 +158,16 @@ def _attitude(config: AttitudeConfig, inertia_kg_m2: FloatArray, duration_s: flo
         inertia_kg_m2=inertia_kg_m2,
         span_s=(-MARGIN_S, duration_s + MARGIN_S),
     )
+
+
+def _slewing(config: SlewConfig, attitude: AttitudeConfig, path: Trajectory) -> Slewing:
+    if isinstance(attitude, FixedAttitudeConfig | SwayConfig):
+        raise MotionError(
+            f"slew has no effect where the attitude is relative to the chaser ({attitude.kind}); choose spin "
+            "or tumble"
+        )
+    amplitude_rad = np.deg2rad(config.amplitude_deg).item()
+    return Slewing(path, _unit(config.axis), amplitude_rad, config.period_s)
 
 
 def _sun(config: SunConfig | None) -> FloatArray:

@@ -82,6 +82,7 @@ class StationKeeping:
             chaser_angular_rad_s=turn + target.local_rate_rad_s @ R_local_chaser,
             position_m=np.array([0.0, 0.0, range_m]),
             velocity_m_s=np.array([0.0, 0.0, -across_m_s[2]]),
+            R_orbit_chaser=R_local_chaser,
         )
 
     def _looking_at_target(self, separation_m: FloatArray) -> FloatArray:

@@ -1,10 +1,12 @@
-"""A trajectory in target axes: the chaser turns with the target and flies around it."""
+"""Trajectories whose chaser turns: with the target, as it flies around it, or to and fro at its place."""
 
 from dataclasses import dataclass, field, replace
+from math import cos, pi, sin
 
 import numpy as np
 
-from rpod_motion.attitude import TargetAttitude
+from rpod_motion.attitude import TargetAttitude, rotation_about
+from rpod_motion.relative_orbit import cross
 from rpod_motion.trajectory import Trajectory, TrajectoryState
 from rpod_schemas.arrays import FloatArray
 
@@ -32,4 +34,39 @@ class Synchronised:
             state,
             R_epoch_chaser=R_epoch_target @ R_chaser_target.T,
             chaser_angular_rad_s=R_chaser_target @ rate_rad_s,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Slewing:
+    """A trajectory whose chaser turns to and fro beside it, by S(t) about an axis.
+
+    R_EC S is its attitude, S^T p the anchor's position.
+    """
+
+    path: Trajectory
+    axis: FloatArray
+    """Unit vector, chaser axes, shape (3,)."""
+    amplitude_rad: float
+    period_s: float
+
+    @property
+    def anchor_m(self) -> FloatArray:
+        """Point of the target that follows the path."""
+        return self.path.anchor_m
+
+    def state(self, time_s: float) -> TrajectoryState:
+        """Return the state at a time from the epoch."""
+        state = self.path.state(time_s)
+        frequency = 2.0 * pi / self.period_s
+        S = rotation_about(self.axis, self.amplitude_rad * sin(frequency * time_s))
+        own_rad_s = self.amplitude_rad * frequency * cos(frequency * time_s) * self.axis
+        position_m = S.T @ state.position_m
+        attitude = state.R_orbit_chaser
+        return TrajectoryState(
+            R_epoch_chaser=state.R_epoch_chaser @ S,
+            chaser_angular_rad_s=S.T @ state.chaser_angular_rad_s + own_rad_s,
+            position_m=position_m,
+            velocity_m_s=S.T @ state.velocity_m_s - cross(own_rad_s, position_m),
+            R_orbit_chaser=None if attitude is None else attitude @ S,
         )

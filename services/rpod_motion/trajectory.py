@@ -23,6 +23,9 @@ class TrajectoryState:
     """Position of the anchor, chaser axes, shape (3,)."""
     velocity_m_s: FloatArray
     """Time derivative of ``position_m``, shape (3,)."""
+    R_orbit_chaser: FloatArray | None = None
+    """Attitude of the chaser in the orbital frame, shape (3, 3), in free flight about the Earth; None for a
+    trajectory without an orbit."""
 
 
 class Trajectory(Protocol):

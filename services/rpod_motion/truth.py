@@ -3,6 +3,7 @@
 from math import radians
 from typing import NamedTuple
 
+from rpod_motion.imu import Imu
 from rpod_motion.motion import Motion
 from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
@@ -14,7 +15,7 @@ from rpod_schemas.messages import (
     write_transforms,
     write_vector_stamped,
 )
-from rpod_schemas.topics import CHASER, REFERENCE, SUN, TARGET, TF, TRUTH, TRUTH_JOINTS
+from rpod_schemas.topics import CHASER, IMU, REFERENCE, SUN, TARGET, TF, TRUTH, TRUTH_JOINTS
 from rpod_schemas.types import Joints, Odometry
 
 _TF_HZ = 25.0
@@ -41,15 +42,24 @@ class TruthPublisher:
     """Publishes the state of a motion, tick by tick; tick 0 is the epoch."""
 
     def __init__(
-        self, node: Node, motion: Motion, *, epoch_ns: int, rate_hz: float, error: TruthError | None = None
+        self,
+        node: Node,
+        motion: Motion,
+        *,
+        epoch_ns: int,
+        rate_hz: float,
+        error: TruthError | None = None,
+        imu: Imu | None = None,
     ) -> None:
-        self._motion, self._error = motion, error
+        self._motion, self._error, self._imu = motion, error, imu
         self._epoch_ns, self._rate_hz = epoch_ns, rate_hz
         self._tf_every = max(1, round(rate_hz / _TF_HZ))
         self._sun_every = max(1, round(rate_hz / _SUN_HZ))
         self._ahead = int(_AHEAD_S * rate_hz)
         self._truth, self._reference = node.publisher(TRUTH), node.publisher(REFERENCE)
         self._joints = node.publisher(TRUTH_JOINTS) if motion.joints else None
+        self._readings = node.publisher(IMU) if imu is not None else None
+        self._imu_every = max(1, round(rate_hz / imu.rate_hz)) if imu is not None else 0
         self._tf, self._sun = node.publisher(TF), node.publisher(SUN)
         self._made: dict[int, _Made] = {}
 
@@ -72,6 +82,8 @@ class TruthPublisher:
         if made.transform:
             self._tf.put(made.transform)
             self._publish_joints(tick)
+        if self._imu is not None and self._readings is not None and tick % self._imu_every == 0:
+            self._readings.publish(self._imu.message(self.stamp_ns(tick), tick / self._rate_hz))
         if not self._made:
             self._made = {later: self._make(later) for later in range(tick + 1, tick + 1 + self._ahead)}
 

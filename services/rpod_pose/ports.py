@@ -39,6 +39,35 @@ class Angle:
 
 
 @dataclass(frozen=True, eq=False)
+class ErrorParts:
+    """Errors of a measured pose by how long they last, as the frame, calibration and target's file say.
+
+    Each is a covariance of (dp, dtheta), sensor's fixed axes, shape (6, 6). Their sum may differ from the
+    registration's covariance, which contains assumptions that hold where nothing is declared.
+    """
+
+    white: FloatArray
+    """Errors by the frame's own noise: new in each frame."""
+    of_sensor: FloatArray
+    """Errors of the sensor's calibration: they stay in the sensor's axes."""
+    of_image: FloatArray
+    """Errors by where surfaces and edges lie on the pixels: they last until the image has moved by a part of
+    one."""
+    image_turn_rad: float
+    """Turn of the target, as seen, by which these errors have changed to other ones."""
+    of_model: FloatArray
+    """Errors of the target's model: they stay in the target's axes as long as the same parts are seen."""
+
+    @classmethod
+    def lasting_model(cls, white: FloatArray, of_model: FloatArray) -> Self:
+        """Return the parts of a pose with no other lasting errors than those of the target's model.
+
+        Of a scan, each ray meets another place in the next one: how it is sampled is new each time.
+        """
+        return cls(white, np.zeros((6, 6)), np.zeros((6, 6)), np.inf, of_model)
+
+
+@dataclass(frozen=True, eq=False)
 class Registration:
     """A pose measured from one frame, or the reason why there is none."""
 
@@ -60,6 +89,8 @@ class Registration:
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     """Covariance of (dp, dtheta), sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1), (6, 6). About
     a free axis of the target, angle and variance may be any; the navigator replaces both."""
+    parts: ErrorParts | None = None
+    """Its errors by how long they last; None for a method that does not tell."""
     iterations: int = 0
     angles: Mapping[str, Angle] = field(default_factory=dict)
     """Angles of the target's joints, by name."""

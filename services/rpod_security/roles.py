@@ -17,6 +17,7 @@ from rpod_schemas.topics import (
     ESTIMATE_FRAME,
     ESTIMATE_JOINTS,
     ESTIMATE_POSE,
+    IMU,
     INTEGRITY,
     PARAMETER_EVENTS,
     REFERENCE,
@@ -90,7 +91,7 @@ ROLES: dict[str, Role] = {
     "estimator": Role(
         "estimates poses; it reads nothing of the truth",
         sends_as=("estimator",),
-        reads=(TF_STATIC, DIAGNOSTICS, CLOCK),
+        reads=(TF_STATIC, IMU, DIAGNOSTICS, CLOCK),
         reads_sensors=True,
         watches=True,
         serves=("reset",),

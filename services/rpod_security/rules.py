@@ -17,6 +17,7 @@ import zenoh
 from rpod_schemas.topics import (
     CLOCK,
     DIAGNOSTICS,
+    IMU,
     PARAMETER_EVENTS,
     ROSOUT,
     SUN,
@@ -32,7 +33,7 @@ from rpod_security.roles import ANY, ROUTER, Member
 
 Flow = Literal["ingress", "egress"]
 _CACHES, _PUBLISHERS = "@adv/**", "@adv/pub/**"
-_SHARED = frozenset({TF, TF_STATIC, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS, TRUTH, SUN, CLOCK})
+_SHARED = frozenset({TF, TF_STATIC, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS, TRUTH, SUN, IMU, CLOCK})
 """Topics for which the ICD names several senders."""
 _WATCH = ("declare_liveliness_subscriber", "liveliness_query")
 

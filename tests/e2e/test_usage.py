@@ -16,6 +16,7 @@ SCENARIOS = {
     "mockup-approach",
     "mockup-calibration",
     "mockup-handover",
+    "mockup-mounts",
     "envisat-station",
     "envisat-mesh",
     "envisat-capture",

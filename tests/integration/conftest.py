@@ -3,6 +3,9 @@ from contextlib import ExitStack
 
 import pytest
 from live_bus import Bus, router
+from search_thread import SearchThread
+
+import rpod_estimator.daemon
 
 
 @pytest.fixture(scope="session")
@@ -15,3 +18,9 @@ def endpoint() -> Iterator[str]:
 def bus(endpoint: str) -> Iterator[Bus]:
     with ExitStack() as stack:
         yield Bus(endpoint, stack)
+
+
+@pytest.fixture(autouse=True)
+def searches_in_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let estimators search in threads of the test: each process would take seconds to start."""
+    monkeypatch.setattr(rpod_estimator.daemon, "SearchProcess", SearchThread)

@@ -13,6 +13,8 @@ from time import monotonic
 import numpy as np
 import pytest
 import yaml
+from facility_process import until
+from ros_client import RosClient, assignment, parameters
 
 import rpod_driver
 from rpod_driver import DriverError, Drops, run
@@ -322,6 +324,8 @@ class Adjusted(Scripted):
     def apply(self, settings):
         if unknown := settings.keys() - self.device.keys():
             raise DriverError(f"no setting {unknown.pop()!r}")
+        if settings.get("exposure_us", 0) > 2000:
+            raise DriverError(f"exposure_us is {settings['exposure_us']}, at most 2000")
         self.device |= settings
 
     def trigger(self):
@@ -360,6 +364,31 @@ def test_settings_are_written_while_it_runs_and_again_after_a_reconnection(bus):
         asked = node.ask("driver", "settings", SettingsReply)
     assert driver.opened == 2
     assert asked.settings == {"exposure_us": 500, "mode": "far"}
+
+
+def test_settings_are_parameters_that_ros_2_tools_set_while_it_runs(bus, endpoint):
+    node = bus.node("operator")
+    driver = Adjusted()
+    config = DriverConfig(bus=bus.config, kind="pmd", name="pmd", retry_s=0.05)
+    with hosted(driver, config), RosClient(endpoint) as client:
+        changed = SettingsRequest(settings={"mode": "far"})
+        assert node.ask("driver", "settings", SettingsReply, changed).settings["mode"] == "far"
+        wanted = [
+            assignment("settings.exposure_us", type=2, integer_value=700),
+            assignment("settings.exposure_us", type=2, integer_value=9000),
+            assignment("settings.exposure_us", type=4, string_value="long"),
+        ]
+        results = parameters(client, "driver", "set_parameters", parameters=wanted).results
+        assert [each.successful for each in results] == [True, False, False]
+        assert "at most 2000" in results[1].reason
+        assert "of type integer" in results[2].reason
+        assert driver.device == {"exposure_us": 700, "mode": "far"}
+        names = ["settings.exposure_us", "settings.mode"]
+        exposure, mode = parameters(client, "driver", "get_parameters", names=names).values
+        assert (exposure.integer_value, mode.string_value) == (700, "far")
+        driver.broken.set()
+        until(lambda: driver.opened == 2)
+        assert node.ask("driver", "settings", SettingsReply).settings == {"exposure_us": 700, "mode": "far"}
 
 
 def test_a_trigger_gives_one_frame_and_one_without_a_frame_is_counted(bus):

@@ -81,7 +81,8 @@ def config(bus, **changes) -> EstimatorConfig:
 
 def frames_until(camera: Sensor, listener: Listener, mode: Mode):
     """Expose frame after frame, each upon the status of the one before, until the mode is reached."""
-    for _ in range(100):
+    deadline_s = monotonic() + TIMEOUT_S
+    while monotonic() < deadline_s:  # a search takes as long as many frames
         stamp_ns = camera.expose()
         status = listener_status(listener, stamp_ns)
         if status is not None and status.mode == mode:

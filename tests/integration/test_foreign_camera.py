@@ -83,6 +83,7 @@ class RosCamera:
             ("depth/image_rect_raw", "infra1/image_rect_raw"), pictures(), ("16UC1", "mono8"), strict=True
         ):
             padded = np.pad(image, ((0, 0), (0, 4)))  # rows may be longer than their pixels
+            padded[0, -1] = self._frames % 250  # frames whose bytes repeat are refused as frozen
             data = padded.reshape(-1).view(np.uint8)
             message = types["sensor_msgs/msg/Image"](
                 **size, encoding=encoding, is_bigendian=0, step=padded[0].nbytes, data=data

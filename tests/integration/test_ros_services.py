@@ -12,7 +12,7 @@ import pytest
 import zenoh
 from facility_process import until
 from live_bus import Bus, daemon, first, router
-from ros_client import HASHES, NoReplyError, RosClient, message
+from ros_client import HASHES, NoReplyError, RosClient, assignment, message, parameters
 
 from rpod_logger.daemon import run as run_logger
 from rpod_runtime import Inbox, Node
@@ -45,22 +45,6 @@ def _level() -> Iterator[None]:
     before = logging.getLogger().level
     yield
     logging.getLogger().setLevel(before)
-
-
-def parameters(client, node, service, **fields):
-    camel = "".join(part.capitalize() for part in service.split("_"))
-    return client.call(f"/{node}/{service}", f"rcl_interfaces/srv/{camel}", **fields)
-
-
-def assignment(name, **value):
-    empty = {
-        "type": 0, "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
-        "byte_array_value": np.empty(0, np.uint8), "bool_array_value": np.empty(0, np.bool_),
-        "integer_array_value": np.empty(0, np.int64), "double_array_value": np.empty(0, np.float64),
-        "string_array_value": [],
-    }  # fmt: skip
-    whole = message("rcl_interfaces/msg/ParameterValue", **(empty | value))
-    return message("rcl_interfaces/msg/Parameter", name=name, value=whole)
 
 
 # --- services ---

@@ -37,7 +37,7 @@ SENDERS = {
     "LIDAR": {"emulator"},
     "estimator": {"estimator"},
     "the user's guidance": {"guidance"},
-    "the chaser": {"chaser"},
+    "the chaser, or motion": {"chaser", "motion"},
     "every service": {member.name for member in members()},
 }
 """Roles of the test's facility by the words of the ICD's column "from"."""
@@ -53,7 +53,7 @@ READERS = {
     "tf": SHOWN | {"operator"},
     "clock": SHOWN | {"emulator", "driver", "estimator", "operator", "guidance"},
     "guidance/command": {"logger"},
-    "chaser/imu": {"logger"},
+    "chaser/imu": {"logger", "estimator"},
     "rosout": {"logger"},
     "parameter_events": {"logger"},
     "diagnostics": SHOWN | {"estimator", "operator", "guidance"},

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from rpod_schemas.arrays import VectorN
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.config.depth_calibration import CalibrationSource
+from rpod_schemas.config.dynamics import DynamicsConfig
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.integrity import IntegrityConfig
 from rpod_schemas.config.lidar import LidarConfig
@@ -128,6 +129,12 @@ class NavigatorTuning(Tuning):
     search_pause_s: Annotated[NonNegative, BUDGET] = 1.0
     """Time between two searches of one sensor that find nothing, s, where there are several sensors. The
     frames of a sensor that is out of range would otherwise delay the others. One sensor is not affected."""
+    search_delay_frames: Annotated[
+        Annotated[int, Field(ge=0)],
+        Provenance("numerics", "0 is a search that takes no time: what a campaign of methods compares"),
+    ] = 0
+    """Number of frames of the same sensor after which the result of a search is applied, in lockstep,
+    campaigns and replay. A live estimator applies it at the first frame after the search has ended."""
     rivals_s: Annotated[Positive, BY_HAND] = 15.0
     """Time after which rivals of which none is believed are given up for a new search, s. Errors of the model
     that favour one of them count no longer than this."""
@@ -169,6 +176,8 @@ class EstimatorSettings(Config):
     """Configuration of the navigator's state machine."""
     filter: FilterConfig = Field(default_factory=FilterConfig)
     """The error-state Kalman filter."""
+    dynamics: DynamicsConfig = DynamicsConfig()
+    """Motion of target and chaser between measurements."""
     integrity: IntegrityConfig = IntegrityConfig()
     """Protection levels and alerts."""
 

@@ -1,6 +1,6 @@
 """Configuration of the error-state Kalman filter."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -16,6 +16,13 @@ class FilterTuning(Tuning):
     ] = 16.8
     """Largest accepted normalised innovation squared: the 99 % quantile of chi-squared with six degrees of
     freedom."""
+    model_turn_deg: Annotated[
+        Positive,
+        Provenance(
+            "physics", "after 57 deg, 1 rad, the cosines by which faces count have changed by their own size"
+        ),
+    ] = 57.0
+    """Turn of the view after which errors of the target's model are correlated by 1/e, deg."""
 
 
 class FilterConfig(Config):
@@ -41,6 +48,16 @@ class FilterConfig(Config):
     correlation_inflation: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 2.0
     """Factor on a measurement's covariance, because the errors of successive frames are correlated. Raise it
     with the sensor's rate, to 6 at 45 Hz; if it is too low, the filter is overconfident."""
+    errors: Literal["considered", "inflated"] = "inflated"
+    """How errors that last from frame to frame are treated. ``considered`` carries them as states, as large
+    as the sensor's method and the target's ``tolerance_m`` say; the three fields above then apply only to a
+    sensor whose method does not tell them apart. ``inflated`` uses these three fields for all."""
+    mount_sigma_deg: NonNegative = 0.0
+    """Standard deviation of the attitude of a sensor's mount about each axis, deg, for which the filter
+    estimates it. Set it where mounts are not calibrated well: two sensors that disagree then tell by how
+    much, and the covariance of the estimate contains what none of them can tell."""
+    mount_sigma_m: NonNegative = 0.0
+    """The same of the place of a sensor's mount along each axis, m."""
     initial_velocity_sigma_m_s: Positive = 1.0
     """Standard deviation of the velocity of each axis, m/s, when a filter starts without one. Set it to a
     third of the largest speed of the target relative to the chaser that the mission allows: at more, the

@@ -158,6 +158,35 @@ class TruthErrorConfig(Config):
     """Time after which errors are correlated by 1/e, s; 0 for errors that are independent."""
 
 
+class SlewConfig(Config):
+    """The chaser turns to and fro about an axis, by a sine of time, beside its trajectory."""
+
+    axis: Direction = Field(default_factory=lambda: np.array([0.0, 1.0, 0.0]))
+    """Axis, chaser axes, shape (3,)."""
+    amplitude_deg: Positive = 10.0
+    """Largest angle, deg."""
+    period_s: Positive = 60.0
+    """Period, s."""
+
+
+class ImuNoiseConfig(Config):
+    """The chaser's emulated IMU: noise, and biases that are drawn once for the run."""
+
+    rate_hz: Positive = 50.0
+    """Rate of the readings, Hz; a divisor of the truth's rate."""
+    gyro_noise_deg_sqrt_s: NonNegative = 0.0025
+    """Angular random walk, deg/sqrt(s); the default is 0.15 deg/sqrt(h), a tactical MEMS gyro."""
+    gyro_bias_sigma_deg_s: NonNegative = 0.003
+    """Standard deviation of the gyro's bias about each axis, deg/s; the default is 10 deg/h."""
+    star_tracker_sigma_deg: NonNegative | None = None
+    """Standard deviation of the attitude in the orbital frame about each axis, deg; none is stated if left
+    out."""
+    acceleration_noise_m_s_sqrt_s: NonNegative | None = None
+    """Velocity random walk of the accelerometer, m/s/sqrt(s); no accelerometer if left out."""
+    acceleration_bias_sigma_m_s2: NonNegative = 1e-4
+    """Standard deviation of the accelerometer's bias along each axis, m/s2."""
+
+
 class SunConfig(Config):
     """The sun, at rest in inertial space."""
 
@@ -197,3 +226,7 @@ class MotionConfig(Config):
     """The sun; darkness if left out."""
     joints: dict[str, JointMotionConfig] = Field(default_factory=dict)
     """Motion of the target's joints, by name; one that is left out stays at 0 deg."""
+    slew: SlewConfig | None = None
+    """Rotation of the chaser beside its trajectory; none if left out."""
+    imu: ImuNoiseConfig | None = None
+    """The chaser's IMU; it has none if left out."""

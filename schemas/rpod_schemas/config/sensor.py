@@ -14,6 +14,7 @@ from pydantic import (
 )
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
 from rpod_schemas.config.mount_calibration import Mount
@@ -46,6 +47,16 @@ class EmulatedSensor(Kinded):
     """Number of frames per second."""
     T_chaser_sensor: Pose = Field(default_factory=make_pose)
     """Mount: pose of the sensor's (optical) frame in the chaser."""
+
+    stated_T_chaser_sensor: Pose | None = None
+    """Mount that the sensor publishes. Set it to emulate one that is calibrated wrongly; if left out, it is
+    the true one."""
+
+    @property
+    def published_mount(self) -> RigidTransform:
+        """Mount that the sensor publishes."""
+        stated = self.stated_T_chaser_sensor
+        return self.T_chaser_sensor if stated is None else stated
 
     @property
     def latency_s(self) -> float:

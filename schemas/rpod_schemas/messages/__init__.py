@@ -36,6 +36,7 @@ from rpod_schemas.messages.images import (
     write_camera,
     write_image,
 )
+from rpod_schemas.messages.imu import read_imu, write_imu
 from rpod_schemas.messages.info import (
     read_lidar_info,
     read_pmd_info,
@@ -53,6 +54,7 @@ __all__ = [
     "read_depth",
     "read_diagnostics",
     "read_image",
+    "read_imu",
     "read_integrity",
     "read_joints",
     "read_lidar_info",
@@ -71,6 +73,7 @@ __all__ = [
     "write_diagnostics",
     "write_header",
     "write_image",
+    "write_imu",
     "write_integrity",
     "write_joints",
     "write_lidar_info",

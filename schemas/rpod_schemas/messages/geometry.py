@@ -23,16 +23,19 @@ from rpod_schemas.poses import covariance_at, make_pose, rotation_matrix, rotati
 from rpod_schemas.types import Odometry
 
 
-def _vector(value: NDArray[np.float64]) -> Any:
+def write_vector(value: NDArray[np.float64]) -> Any:
+    """Return a geometry_msgs/Vector3."""
     return message_class("geometry_msgs/msg/Vector3")(x=float(value[0]), y=float(value[1]), z=float(value[2]))
 
 
-def _numbers(value: Any, names: str = "xyz") -> NDArray[np.float64]:
+def read_vector(value: Any, names: str = "xyz") -> NDArray[np.float64]:
+    """Return the numbers of a vector or a quaternion, unchecked."""
     return np.array([getattr(value, name) for name in names])
 
 
-def _read_rotation(quaternion: Any) -> Rotation:
-    numbers = _numbers(quaternion, "xyzw")
+def read_rotation(quaternion: Any) -> Rotation:
+    """Read a geometry_msgs/Quaternion."""
+    numbers = read_vector(quaternion, "xyzw")
     if not np.isfinite(numbers).all():
         raise MessageRejectedError(Reason.NOT_FINITE, "orientation")
     if abs(np.linalg.norm(numbers) - 1.0) > 1e-3:
@@ -43,7 +46,7 @@ def _read_rotation(quaternion: Any) -> Rotation:
 
 
 def _read_translation(vector: Any) -> NDArray[np.float64]:
-    numbers = _numbers(vector)
+    numbers = read_vector(vector)
     if not np.isfinite(numbers).all():
         raise MessageRejectedError(Reason.NOT_FINITE, "position")
     return within(POSITION_M, "position", numbers)
@@ -56,7 +59,8 @@ def _read_covariance(field: str, values: NDArray[np.float64]) -> NDArray[np.floa
     return accepted(check_covariance, field, covariance)
 
 
-def _write_quaternion(rotation: Rotation) -> Any:
+def write_quaternion(rotation: Rotation) -> Any:
+    """Return a geometry_msgs/Quaternion."""
     x, y, z, w = rotation.as_quat()
     return message_class("geometry_msgs/msg/Quaternion")(x=float(x), y=float(y), z=float(z), w=float(w))
 
@@ -66,20 +70,20 @@ def write_pose(pose: RigidTransform) -> Any:
     x, y, z = pose.translation
     point = message_class("geometry_msgs/msg/Point")(x=float(x), y=float(y), z=float(z))
     return message_class("geometry_msgs/msg/Pose")(
-        position=point, orientation=_write_quaternion(rotation_of(pose))
+        position=point, orientation=write_quaternion(rotation_of(pose))
     )
 
 
 def read_pose(message: Any) -> RigidTransform:
     """Read a geometry_msgs/Pose."""
     return make_pose(
-        rotation=_read_rotation(message.orientation), translation_m=_read_translation(message.position)
+        rotation=read_rotation(message.orientation), translation_m=_read_translation(message.position)
     )
 
 
 def read_vector_stamped(message: Any) -> tuple[int, NDArray[np.float64]]:
     """Return stamp, ns, and vector, W/m2, shape (3,), of the Vector3Stamped of ``environment/sun``."""
-    vector = _numbers(message.vector)
+    vector = read_vector(message.vector)
     if not np.isfinite(vector).all():
         raise MessageRejectedError(Reason.NOT_FINITE, "irradiance")
     within(IRRADIANCE_W_M2, "irradiance", float(np.hypot.reduce(vector)))
@@ -89,7 +93,7 @@ def read_vector_stamped(message: Any) -> tuple[int, NDArray[np.float64]]:
 def write_vector_stamped(stamp_ns: int, frame_id: str, vector: NDArray[np.float64]) -> Any:
     """Return a geometry_msgs/Vector3Stamped."""
     return message_class("geometry_msgs/msg/Vector3Stamped")(
-        header=write_header(stamp_ns, frame_id), vector=_vector(vector)
+        header=write_header(stamp_ns, frame_id), vector=write_vector(vector)
     )
 
 
@@ -106,7 +110,7 @@ def write_transforms(stamp_ns: int, transforms: Iterable[tuple[str, str, RigidTr
                 header=write_header(stamp_ns, parent),
                 child_frame_id=child,
                 transform=message_class("geometry_msgs/msg/Transform")(
-                    translation=_vector(pose.translation), rotation=_write_quaternion(rotation_of(pose))
+                    translation=write_vector(pose.translation), rotation=write_quaternion(rotation_of(pose))
                 ),
             )
             for parent, child, pose in transforms
@@ -122,7 +126,7 @@ def read_transforms(message: Any) -> list[tuple[int, str, str, RigidTransform]]:
             read_text("frame_id", item.header.frame_id),
             read_text("child_frame_id", item.child_frame_id),
             make_pose(
-                rotation=_read_rotation(item.transform.rotation),
+                rotation=read_rotation(item.transform.rotation),
                 translation_m=_read_translation(item.transform.translation),
             ),
         )
@@ -139,8 +143,8 @@ def read_odometry(message: Any) -> Odometry:
         frame_id=message.header.frame_id,
         child_frame_id=message.child_frame_id,
         pose=read_pose(message.pose.pose),
-        linear_m_s=within(SPEED_M_S, "linear velocity", _numbers(twist.linear)),
-        angular_rad_s=within(RATE_RAD_S, "angular velocity", _numbers(twist.angular)),
+        linear_m_s=within(SPEED_M_S, "linear velocity", read_vector(twist.linear)),
+        angular_rad_s=within(RATE_RAD_S, "angular velocity", read_vector(twist.angular)),
         pose_covariance=_read_covariance("pose covariance", message.pose.covariance),
         twist_covariance=_read_covariance("twist covariance", message.twist.covariance),
     )
@@ -149,7 +153,7 @@ def read_odometry(message: Any) -> Odometry:
 def write_odometry(odometry: Odometry) -> Any:
     """Return a nav_msgs/Odometry."""
     twist = message_class("geometry_msgs/msg/Twist")(
-        linear=_vector(odometry.linear_m_s), angular=_vector(odometry.angular_rad_s)
+        linear=write_vector(odometry.linear_m_s), angular=write_vector(odometry.angular_rad_s)
     )
     return message_class("nav_msgs/msg/Odometry")(
         header=write_header(odometry.stamp_ns, odometry.frame_id),

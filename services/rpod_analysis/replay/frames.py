@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rpod_analysis.log import Logged
 from rpod_analysis.log.sensors import as_received
@@ -128,4 +128,6 @@ class FramesAsLive(Frames):
             return Tick(status.stamp_ns)
         if status.reason.startswith(_BY_ARRIVAL):
             return Arrived(status.sensor, status.stamp_ns, 0.0, None, status.reason)
-        return None if frame is None else self._arrived(status.sensor, frame)
+        if frame is None:
+            return None
+        return replace(self._arrived(status.sensor, frame), evidence=status.evidence)

@@ -16,6 +16,8 @@ from rpod_analysis.log.log_file import REPLAY, beside
 from rpod_analysis.log.unreadable import StampCheck
 from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
+from rpod_analysis.replay.imu import LoggedImu
+from rpod_analysis.replay.recorded_searches import RecordedSearches
 from rpod_analysis.replay.timeline import Timeline
 from rpod_analysis.scoring.run import estimate_prefix
 from rpod_estimator.estimator import Estimator
@@ -102,7 +104,9 @@ def replay(
     if new.resolve() in {path.resolve() for path in log.paths}:
         raise CannotWriteError(new, "is the log itself; give another name with --out")
     target = load_target(config.target)
-    estimator, intake = Estimator(config, target), FrameReader(config.sensors)
+    recorded = RecordedSearches() if as_live else None
+    estimator = Estimator(config, target, recorded.of if recorded else None)
+    intake = FrameReader(config.sensors)
     old = estimate_prefix(log)
     stamps = StampCheck(log)
     frames = (
@@ -110,7 +114,8 @@ def replay(
         if as_live
         else Frames(intake, stamps)
     )
-    feed = _Feed(estimator, intake, as_live=as_live)
+    imu = LoggedImu(log, config.dynamics, estimator.imu)
+    feed = _Feed(estimator, intake, imu, recorded)
     try:
         with EstimateLog(new, log, config, target) as written:
             for logged in _relevant(log, intake, old, start_s=start_s, end_s=end_s):
@@ -138,7 +143,9 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
         AnalysisError: the log cannot be read.
     """
     intake = FrameReader(config.sensors)
-    feed = _Feed(Estimator(config, load_target(config.target)), intake, as_live=False)
+    estimator = Estimator(config, load_target(config.target))
+    imu = LoggedImu(log, config.dynamics, estimator.imu)
+    feed = _Feed(estimator, intake, imu)
     frames = Frames(intake, StampCheck(log))
     for logged in log.messages(*(topic.name for topic in (*intake.latched, *intake.streams))):
         yield from feed.outputs(frames.take(logged))
@@ -172,21 +179,38 @@ def _relevant(
 
 
 class _Feed:
-    """Passes frames to the estimator, and advances its time between the frames."""
+    """Passes frames to the estimator, and advances its time between the frames.
 
-    def __init__(self, estimator: Estimator, intake: FrameReader, *, as_live: bool) -> None:
+    Args:
+        estimator: the estimator.
+        intake: reads the frames.
+        imu: the log's readings of the chaser's motion.
+        recorded: the searches of a live run, if its frames are repeated.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        intake: FrameReader,
+        imu: LoggedImu,
+        recorded: RecordedSearches | None = None,
+    ) -> None:
         self.processing_s: list[float] = []
-        self._estimator, self._intake, self._as_live = estimator, intake, as_live
+        self._imu = imu
+        self._estimator, self._intake, self._recorded = estimator, intake, recorded
 
     def outputs(self, events: Iterable[Event]) -> Iterator[Output]:
         """Yield the estimator's outputs."""
         for event in events:
             self._estimator.learn(self._intake.infos)
+            self._imu.hear_up_to(event.stamp_ns)
             if isinstance(event, Tick):
                 yield from self._tick(event.stamp_ns)
                 continue
-            if not self._as_live:  # as live, the statuses show which ticks changed the mode
+            if self._recorded is None:
                 yield from self._estimator.let_time_pass(event.stamp_ns)
+            else:  # the statuses show which ticks changed the mode
+                self._recorded.evidence = event.evidence
             started_s = time.perf_counter()
             output = self._estimator.process(event)
             self.processing_s.append(time.perf_counter() - started_s)

@@ -1,15 +1,20 @@
 """Handovers from one sensor to another: the time without a measurement, and how far the estimates jump.
 
 A handover is the first accepted frame of a sensor, or its first one after ``PAUSE_S`` without, while frames
-of another sensor were accepted less than ``PAUSE_S`` before. A jump is a change of the error between two
+of another sensor were accepted less than ``PAUSE_S`` before. A change is that of the error between two
 successive estimates, from the estimate before the last frame of the other sensor on. Motion does not count.
+A jump is the part of a change beyond the covariance of the earlier estimate: what is longer than the radius,
+in the direction of the change, of the ellipsoid that holds 95 % of its errors (ICD section 6).
 """
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rpod_analysis.scoring.run import Run
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.summary import Handover
 
@@ -17,8 +22,24 @@ PAUSE_S = 3.0
 """Time without an accepted frame after which a sensor is handed over to again, s."""
 _PAUSE_NS = round(PAUSE_S * NANOSECONDS)
 
-Offset = tuple[int, np.ndarray, np.ndarray]
-"""Stamp of an estimate, and its errors: R_est R_truth^T, shape (3, 3), and dp in chaser axes, shape (3,)."""
+WITHIN_95 = 7.815
+"""95 % quantile of chi squared with three degrees of freedom."""
+
+
+class Offset(NamedTuple):
+    """An estimate, and its errors in chaser axes."""
+
+    stamp_ns: int
+    turn: FloatArray
+    """R_est R_truth^T, shape (3, 3)."""
+    place_m: FloatArray
+    """dp, shape (3,)."""
+    covariance: FloatArray
+    """Covariance of (dp, dtheta), shape (6, 6)."""
+
+    def change_to(self, later: "Offset") -> tuple[FloatArray, FloatArray]:
+        """Return the changes of the errors: of dp, m, and of dtheta, rad, each of shape (3,)."""
+        return later.place_m - self.place_m, Rotation.from_matrix(later.turn @ self.turn.T).as_rotvec()
 
 
 class Handovers:
@@ -28,6 +49,8 @@ class Handovers:
         self._accepted_ns: dict[str, int] = {}
         self._before: list[Offset] = []
         self._gap_s: list[float] = []
+        self._change_m: list[float] = []
+        self._change_deg: list[float] = []
         self._jump_m: list[float] = []
         self._jump_deg: list[float] = []
 
@@ -38,8 +61,8 @@ class Handovers:
         used = statuses.accepted & (statuses.sensor != "")
         for sensor, stamp_ns in zip(statuses.sensor[used], statuses.stamp_ns[used].tolist(), strict=True):
             self._use(str(sensor), stamp_ns, offsets)
-        newest_ns = offsets[-1][0] if offsets else 0
-        self._before = [each for each in offsets if newest_ns - each[0] <= 2 * _PAUSE_NS]
+        newest_ns = offsets[-1].stamp_ns if offsets else 0
+        self._before = [each for each in offsets if newest_ns - each.stamp_ns <= 2 * _PAUSE_NS]
 
     def _use(self, sensor: str, stamp_ns: int, offsets: list[Offset]) -> None:
         own_ns = self._accepted_ns.get(sensor, stamp_ns - 2 * _PAUSE_NS)
@@ -49,12 +72,15 @@ class Handovers:
             return
         self._gap_s.append(max(stamp_ns - others_ns, 0) / NANOSECONDS)
         first_ns = min(stamp_ns, others_ns)
-        before = [each for each in offsets if each[0] < first_ns][-1:]
-        window = before + [each for each in offsets if first_ns <= each[0] <= max(stamp_ns, others_ns)]
-        for (_, turn, place_m), (_, next_turn, next_m) in pairwise(window):
-            cosine = np.clip(0.5 * (np.trace(next_turn @ turn.T) - 1.0), -1.0, 1.0)
-            self._jump_deg.append(float(np.degrees(np.arccos(cosine))))
-            self._jump_m.append(float(np.linalg.norm(next_m - place_m)))
+        last_ns = max(stamp_ns, others_ns)
+        before = [each for each in offsets if each.stamp_ns < first_ns][-1:]
+        window = before + [each for each in offsets if first_ns <= each.stamp_ns <= last_ns]
+        for one, other in pairwise(window):
+            change_m, change_rad = one.change_to(other)
+            self._change_m.append(float(np.linalg.norm(change_m)))
+            self._change_deg.append(float(np.degrees(np.linalg.norm(change_rad))))
+            self._jump_m.append(beyond(change_m, one.covariance[:3, :3]))
+            self._jump_deg.append(float(np.degrees(beyond(change_rad, one.covariance[3:, 3:]))))
 
     def summary(self) -> Handover | None:
         """Return the largest gap and jumps; None if there was no handover."""
@@ -65,7 +91,21 @@ class Handovers:
             gap_s=max(self._gap_s),
             jump_m=max(self._jump_m, default=None),
             jump_deg=max(self._jump_deg, default=None),
+            change_m=max(self._change_m, default=None),
+            change_deg=max(self._change_deg, default=None),
         )
+
+
+def beyond(change: FloatArray, covariance: FloatArray) -> float:
+    """Return how much longer a change is than a covariance lets it be; 0 if it is not, or nothing changes.
+
+    Args:
+        change: change of an error, shape (3,).
+        covariance: covariance of the error before, shape (3, 3), in the square of the change's unit.
+    """
+    length = float(np.linalg.norm(change))
+    squared = float(change @ np.linalg.solve(covariance, change)) if length else 0.0
+    return length * max(0.0, 1.0 - float(np.sqrt(WITHIN_95 / squared))) if squared > 0.0 else 0.0
 
 
 def _offsets(run: Run) -> list[Offset]:
@@ -74,11 +114,6 @@ def _offsets(run: Run) -> list[Offset]:
         return []
     estimate, truth = run.estimates.poses[scored], run.T_truth[scored]
     turns = (estimate.rotation * truth.rotation.inv()).as_matrix()
-    return list(
-        zip(
-            run.estimates.stamp_ns[scored].tolist(),
-            turns,
-            estimate.translation - truth.translation,
-            strict=True,
-        )
-    )
+    stamps_ns, places_m = run.estimates.stamp_ns[scored].tolist(), estimate.translation - truth.translation
+    found = zip(stamps_ns, turns, places_m, run.covariance[scored], strict=True)
+    return [Offset(*each) for each in found]

@@ -113,6 +113,8 @@ class StreamedRun:
         self.end_ns = max(store.last_ns for store in stores if store.last_ns is not None)
         """Last stamp of truth and estimator."""
         self.sensors, self.account = found.sensors, found.account
+        self.mounts = found.mounts
+        """Newest differences between the mounts of two sensors."""
         self.status_topic = found.status_topic
         self.clock = found.clock
         """Whether time comes from the topic ``clock``."""

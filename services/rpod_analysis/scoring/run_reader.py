@@ -11,9 +11,11 @@ from rpod_analysis.log.accounting import Account
 from rpod_analysis.log.message_checks import check_message, pose_numbers
 from rpod_analysis.log.sensors import Sensor
 from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.scoring.mounts import mount_differences
 from rpod_analysis.scoring.row_store import RowStore
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.messages import read_diagnostics, read_integrity, read_odometry, read_stamp, read_status
+from rpod_schemas.summary import MountDifference
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, INTEGRITY, STATUS, TRUTH
 
 
@@ -36,6 +38,8 @@ class Found:
     parents: set[str] = field(default_factory=set)
     """Frames of reference of truth and estimates."""
     account: Account = field(default_factory=Account)
+    mounts: dict[str, MountDifference] = field(default_factory=dict)
+    """Newest differences between the mounts of two sensors."""
     clock: bool = False
     """Whether time comes from the topic ``clock``."""
 
@@ -92,6 +96,7 @@ class Reader:
 
     def _take_integrity(self, logged: Logged) -> None:
         told = read_integrity(logged.decode())
+        self.found.mounts |= mount_differences(told.evidence)
         self.found.integrity.add(
             (
                 told.stamp_ns, int(told.state), told.attitude_level_deg, told.position_level_m,

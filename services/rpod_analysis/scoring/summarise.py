@@ -49,6 +49,7 @@ def summarise(
         innovation=totals.innovation(),
         handover=totals.handovers.summary(),
         integrity=totals.integrity.summary(),
+        mounts=run.mounts,
         completeness=check_log_completeness(log).summary(),
         unreadable=log.unreadable.by_topic(),
     )

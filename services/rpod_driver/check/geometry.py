@@ -9,27 +9,21 @@ standard deviations and are not judged.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_driver.check.observations import Observations
+from rpod_driver.check.sightings import Sighting, sightings_of
 from rpod_driver.check.surface import Surface
 from rpod_driver.check.verdict import Level, Verdict, fail, ok, unchecked
-from rpod_geometry.errors import DistortionError
-from rpod_geometry.lens import undistort
-from rpod_runtime.errors import ExtrinsicsError
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import chained, make_pose
-from rpod_schemas.types import Float32Array, LidarInfo, PmdFrame, PmdInfo, SensorFrame
+from rpod_schemas.types import LidarInfo, PmdInfo
 
-_FRAMES, _POINTS, _STEPS = 40, 400, 8
-_LEAST_FRAMES, _LEAST_POINTS = 6, 60
+_STEPS, _LEAST_POSES = 8, 3
 _GATES_M = (0.4, 0.4, 0.3, 0.2, 0.15, 0.1, 0.1, 0.1)
 """Farthest surface point that counts as a point's own, m, in each step."""
 _PRIOR = np.array([0.1, 0.3, 0.2, 0.2, 0.2, 0.1, 0.1, 0.1])
 """Prior standard deviations: s, m of range, m and rad of the mount; wider than any calibration error."""
-_EDGE_M = 0.05
-"""Step between two pixels that is an edge, m."""
 _FACING = -0.4
 """Cosine between ray and normal from which on a surface faces the sensor."""
 _SIGMAS = 4.0
@@ -38,18 +32,12 @@ _RANGE_M = 0.05
 _MOUNT_M, _MOUNT_DEG = 0.02, 1.0
 """Greatest error of a mount across the boresight. Robots state 1.6 mm and 0.2 deg of truth; the rest is what
 an uncalibrated lens makes of the edge of an image."""
+_TRUTH_GAP_S = 0.05
+"""Longest time between two poses of the truth between which it is interpolated."""
+OFF = _SIGMAS + 1.0
+"""Distance of a mount from the published one, over its standard deviation, from which on it is off."""
 _MIRROR_SHARE = 0.6
 """Residual of the mirrored over that of the plain points from which on they are mirrored."""
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """One frame's points on the target, and where truth has the target."""
-
-    points_m: FloatArray
-    """Sensor axes, shape (N, 3)."""
-    poses: tuple[RigidTransform, RigidTransform, RigidTransform]
-    """T_chaser_target 10 ms before the stamp, at it, and 10 ms after it."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +58,15 @@ class Fitted:
 
 def with_truth(seen: Observations, verdicts: list[Verdict]) -> list[Verdict]:
     """Return the verdicts with those that truth adds, in place of lines that were not checked without it."""
-    reason, sightings, T_chaser_sensor = _sightings(seen)
     surface = seen.options.surface
-    if reason or surface is None:
-        return [*verdicts, unchecked("range", reason), unchecked("mount_truth", reason)]
+    if surface is None or len(seen.truth) < _LEAST_POSES:
+        given = surface is not None
+        return _without_truth(
+            verdicts, "no truth came" if given else "needs the target's surface and truth: give --target"
+        )
+    reason, sightings, T_chaser_sensor = sightings_of(seen, surface, seen.truth, gap_s=_TRUTH_GAP_S)
+    if reason:
+        return _without_truth(verdicts, reason)
     plain = fitted(sightings, surface, T_chaser_sensor)
     mirror = fitted([_mirrored(each) for each in sightings], surface, T_chaser_sensor)
     ratio = mirror.residual_m / max(plain.residual_m, 1e-6)
@@ -94,80 +87,8 @@ def with_truth(seen: Observations, verdicts: list[Verdict]) -> list[Verdict]:
     return merged + [each for line, each in new.items() if line in ("range", "mount_truth")]
 
 
-def _sightings(seen: Observations) -> tuple[str, list[Sighting], RigidTransform]:
-    """Return why points cannot be compared with truth, or the points and the mount."""
-    nothing: list[Sighting] = []
-    away = make_pose()
-    if seen.options.surface is None:
-        return "needs the target's surface and truth: give --target", nothing, away
-    if len(seen.truth) < 3 or not seen.kept:
-        return "no truth came" if seen.kept else "no frame could be read", nothing, away
-    try:
-        mount = seen.extrinsics().mount(seen.name, seen.kept[-1].frame.frame_id)
-    except ExtrinsicsError as error:
-        return str(error), nothing, away
-    mount = seen.options.source.boresight_mount(mount)
-    times_ns = np.array([each.stamp_ns for each in seen.truth])
-    kept = seen.kept[:: len(seen.kept) // _FRAMES + 1]
-    for each in kept:
-        poses = tuple(_at(seen, times_ns, each.frame.stamp_ns + step) for step in (-(10**7), 0, 10**7))
-        if any(pose is None for pose in poses):
-            continue
-        points_m = _near(points_of(each.frame), poses[1], mount, seen.options.surface)  # type: ignore[arg-type]
-        if len(points_m) >= _LEAST_POINTS:
-            nothing.append(Sighting(points_m, poses))  # type: ignore[arg-type]
-    if len(nothing) < _LEAST_FRAMES:
-        return (
-            f"{len(nothing)} frames show the target where truth has it, {_LEAST_FRAMES} are needed",
-            [],
-            away,
-        )
-    return "", nothing, mount
-
-
-def _at(seen: Observations, times_ns: FloatArray, stamp_ns: int) -> RigidTransform | None:
-    """Return T_chaser_target at a time, interpolated over at most 50 ms; None in a gap."""
-    after = int(np.searchsorted(times_ns, stamp_ns))
-    if not 0 < after < len(times_ns) or times_ns[after] - times_ns[after - 1] > 50_000_000:
-        return None
-    first, second = seen.truth[after - 1].pose, seen.truth[after].pose
-    share = float(stamp_ns - times_ns[after - 1]) / float(times_ns[after] - times_ns[after - 1])
-    step = chained(first.inv(), second)
-    return chained(first, RigidTransform.from_exp_coords(share * step.as_exp_coords()))
-
-
-def points_of(frame: SensorFrame) -> FloatArray:
-    """Return the returns of a frame, sensor axes, shape (N, 3), m."""
-    if not isinstance(frame, PmdFrame):
-        return frame.returns_m.astype(np.float64)
-    camera = frame.camera
-    rows, columns = np.nonzero(_inner(frame.depth_m))
-    distorted = np.stack(((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy))
-    try:
-        x, y = undistort(distorted.astype(np.float64), camera)
-    except DistortionError:
-        return np.zeros((0, 3))
-    depth_m = frame.depth_m[rows, columns].astype(np.float64)
-    return np.stack((x * depth_m, y * depth_m, depth_m), axis=1)
-
-
-def _inner(depth_m: Float32Array) -> NDArray[np.bool_]:
-    """Return the pixels whose neighbours are as far: pixels at edges mix two distances."""
-    with np.errstate(invalid="ignore"):
-        valid = np.isfinite(depth_m) & (depth_m > 0.0)
-        for axis in (0, 1):
-            for step in (-1, 1):
-                valid = valid & (np.abs(np.roll(depth_m, step, axis) - depth_m) < _EDGE_M)
-    inner: NDArray[np.bool_] = valid
-    return inner
-
-
-def _near(points_m: FloatArray, pose: RigidTransform, mount: RigidTransform, surface: Surface) -> FloatArray:
-    """Return some of the points around the target."""
-    in_target = chained(pose.inv(), mount).apply(points_m)
-    found: FloatArray = points_m[np.linalg.norm(in_target, axis=1) < surface.radius_m + _GATES_M[0]]
-    random = np.random.default_rng(len(found))
-    return found[random.permutation(len(found))[:_POINTS]]
+def _without_truth(verdicts: list[Verdict], reason: str) -> list[Verdict]:
+    return [*verdicts, unchecked("range", reason), unchecked("mount_truth", reason)]
 
 
 def _mirrored(sighting: Sighting) -> Sighting:
@@ -292,22 +213,41 @@ def _range(range_m: float, along_m: float, sigmas: FloatArray) -> Verdict:
 
 
 def _mount(fit: Fitted) -> Verdict:
+    text, figures, distance = mount_error(fit)
+    if distance > OFF:
+        return fail("mount_truth", text, "mount_off", **figures)
+    if mount_is_hidden(fit):
+        return unchecked("mount_truth", f"{text}: the motion does not show more", **figures)
+    return ok("mount_truth", text, **figures)
+
+
+def mount_error(
+    fit: Fitted, sigma_m: float = 0.0, sigma_rad: float = 0.0
+) -> tuple[str, dict[str, float], float]:
+    """Return how far a mount is off, in words, in figures and over its standard deviation.
+
+    Args:
+        fit: result of the fit.
+        sigma_m: standard deviation of the position of the poses that the points are compared with, m.
+        sigma_rad: that of their attitude, rad.
+    """
     aside_m = float(np.linalg.norm(fit.values[2:4]))
     turned_deg = float(np.rad2deg(np.linalg.norm(fit.values[5:8])))
-    sigma_m = float(np.linalg.norm(fit.sigmas[2:4]))
-    sigma_deg = float(np.rad2deg(np.linalg.norm(fit.sigmas[5:8])))
     text = (
         f"{1e3 * aside_m:.1f} mm across the boresight and {turned_deg:.2f} deg off, standard deviations "
-        f"{1e3 * sigma_m:.1f} mm, {sigma_deg:.2f} deg"
+        f"{1e3 * float(np.linalg.norm(fit.sigmas[2:4])):.1f} mm, "
+        f"{float(np.rad2deg(np.linalg.norm(fit.sigmas[5:8]))):.2f} deg"
     )
-    figures = {"aside_m": aside_m, "turned_deg": turned_deg}
     # Across the boresight a shift and a turn look alike, so that only both together are judged.
     judged = [2, 3, 5, 6, 7]
     allowed = np.diag([_MOUNT_M] * 2 + [np.deg2rad(_MOUNT_DEG)] * 3) ** 2 / _SIGMAS**2
+    allowed += np.diag([sigma_m] * 2 + [sigma_rad] * 3) ** 2
     off = fit.values[judged]
     distance = float(np.sqrt(off @ np.linalg.solve(fit.covariance[np.ix_(judged, judged)] + allowed, off)))
-    if distance > _SIGMAS + 1.0:
-        return fail("mount_truth", text, "mount_off", **figures)
-    if _SIGMAS * sigma_m > 2.0 * _MOUNT_M and _SIGMAS * sigma_deg > 2.0 * _MOUNT_DEG:
-        return unchecked("mount_truth", f"{text}: the motion does not show more", **figures)
-    return ok("mount_truth", text, **figures)
+    return text, {"aside_m": aside_m, "turned_deg": turned_deg}, distance
+
+
+def mount_is_hidden(fit: Fitted) -> bool:
+    """Return whether the motion shows neither shift nor turn of the mount well enough to call it in order."""
+    shift_m, turn_rad = np.linalg.norm(fit.sigmas[2:4]), np.linalg.norm(fit.sigmas[5:8])
+    return bool(_SIGMAS * shift_m > 2.0 * _MOUNT_M and _SIGMAS * turn_rad > 2.0 * np.deg2rad(_MOUNT_DEG))

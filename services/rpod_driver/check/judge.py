@@ -1,6 +1,6 @@
 """The whole check: a pure function from the observations of a sensor to one verdict a line."""
 
-from rpod_driver.check import content, delivery, geometry, plane, setup, stamps
+from rpod_driver.check import content, delivery, geometry, plane, second_sensor, setup, stamps
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.verdict import Verdict
 
@@ -23,6 +23,7 @@ def judge(seen: Observations) -> list[Verdict]:
         content.partial(seen),
         content.unit(seen),
         setup.mount(seen),
+        second_sensor.mount_second(seen),
         setup.qos(seen),
         setup.instant(seen),
         setup.grid(seen),

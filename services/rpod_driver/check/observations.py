@@ -29,11 +29,12 @@ from rpod_schemas.messages import (
     read_image,
     read_odometry,
     read_points,
+    read_status,
     read_transforms,
 )
 from rpod_schemas.sensors import sensor_kind
-from rpod_schemas.topics import DIAGNOSTICS, TF_STATIC, TRUTH, Topic
-from rpod_schemas.types import Camera, Diagnostic, Float32Array, Odometry, SensorFrame
+from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, STATUS, TF_STATIC, TRUTH, Topic
+from rpod_schemas.types import Camera, Diagnostic, EstimatorStatus, Float32Array, Odometry, SensorFrame
 
 STAMP_END = 12
 """End of the encapsulation header and the stamp in a message's bytes."""
@@ -82,7 +83,9 @@ class Options:
     source: SourceConfig = ICD
     """How its driver publishes."""
     surface: Surface | None = None
-    """Surface of the target, for comparisons with truth."""
+    """Surface of the target, for comparisons with truth and with a second sensor."""
+    against: str | None = None
+    """Prefix of an estimate that follows the target with another sensor; None if there is none."""
 
 
 @dataclass
@@ -111,6 +114,10 @@ class Observations:
     qos: dict[str, set[str]] = field(default_factory=dict)
     """Qualities of service of the publishers' tokens, by topic."""
     truth: list[Odometry] = field(default_factory=list)
+    estimates: list[Odometry] = field(default_factory=list)
+    """Poses by the estimator of another sensor."""
+    statuses: list[EstimatorStatus] = field(default_factory=list)
+    """Statuses of this estimator."""
     diagnostics: dict[str, Diagnostic] = field(default_factory=dict)
 
     @property
@@ -168,7 +175,11 @@ class Observer:
         """Topics of the parts of frames."""
         self.latched: tuple[Topic, ...] = (TF_STATIC, *((self.info,) if self.info else ()))
         """Latched topics."""
-        self.others: tuple[Topic, ...] = (TRUTH, DIAGNOSTICS)
+        against = options.against
+        self._estimate = ESTIMATE.under(against).name if against else ""
+        self._status = STATUS.under(against).name if against else ""
+        estimator = (ESTIMATE.under(against), STATUS.under(against)) if against else ()
+        self.others: tuple[Topic, ...] = (TRUTH, DIAGNOSTICS, *estimator)
         """Topics of others, for comparison."""
         self._assembler = assembler_of(self._kind, options.source)
         self._reader = open_reader(self._kind, options.source)
@@ -187,6 +198,10 @@ class Observer:
                     self.seen.mounts.append((received.peer, parent, child, pose))
             elif name == TRUTH.name:
                 self._take_truth(received)
+            elif name == self._estimate:
+                self.seen.estimates.append(read_odometry(received.decode()))
+            elif name == self._status:
+                self.seen.statuses.append(read_status(received.decode()))
             elif name == DIAGNOSTICS.name:
                 self.seen.diagnostics |= {each.name: each for each in read_diagnostics(received.decode())}
             elif self.info is not None and name == self.info.name:

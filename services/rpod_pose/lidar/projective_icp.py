@@ -37,7 +37,7 @@ from rpod_pose.lidar.scan_registration import (
     tracked,
 )
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
-from rpod_pose.ports import Registration
+from rpod_pose.ports import ErrorParts, Registration
 from rpod_pose.registration.field_alignment import FieldProblem, Points
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.model_error import ModelError
@@ -174,7 +174,9 @@ class ProjectiveIcp:
     def placed(self, registration: Registration, pose: Placed, information: FloatArray) -> Registration:
         """Return a registration with another pose of the same scan, and the information about it, (6, 6)."""
         covariance = pose_covariance(information + self._weak, pose.R)
-        return replace(registration, T_sensor_target=pose_of(pose.R, pose.t), covariance=covariance)
+        return replace(
+            registration, T_sensor_target=pose_of(pose.R, pose.t), covariance=covariance, parts=None
+        )
 
     def _problem(self, seen: SeenScan) -> FaceProblem:
         return FaceProblem(
@@ -193,7 +195,7 @@ class ProjectiveIcp:
         if inliers < self._tuning.min_points:
             return _failed(f"{inliers} returns on faces, {self._tuning.min_points} needed")
         fit = ScanFit.of(found.statistics)
-        covariance = pose_covariance(found.information + self._weak, R)
+        white = covariance = pose_covariance(found.information + self._weak, R)
         if self._model_error.matters:
             covariance = self._considered(seen, found)
         return Registration(
@@ -206,6 +208,7 @@ class ProjectiveIcp:
             explained_share=fit.agreement.share,
             log_likelihood=fit.log_likelihood,
             covariance=covariance,
+            parts=ErrorParts.lasting_model(white, covariance - white),
             iterations=len(self._far) + len(self._near),
         )
 
@@ -246,7 +249,12 @@ def _uncertain_by(registration: Registration, spread: FloatArray) -> Registratio
         return registration
     covariance = registration.covariance.copy()
     covariance[3:, 3:] += spread
-    registration = replace(registration, covariance=covariance)
+    parts = registration.parts
+    if parts is not None:
+        white = parts.white.copy()
+        white[3:, 3:] += spread
+        parts = replace(parts, white=white)
+    registration = replace(registration, covariance=covariance, parts=parts)
     sigma_deg = float(np.degrees(worst_sigma(spread)))
     if sigma_deg <= VAGUE_DEG or not registration.belief.continues_track:
         return registration

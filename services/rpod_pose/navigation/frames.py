@@ -5,7 +5,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import FilterState
-from rpod_pose.navigation.history import PoseMeasurement
+from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement
 from rpod_pose.ports import Deskew, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import chained, rotation_matrix
@@ -32,7 +32,11 @@ def as_of_stamp(measurement: Measurement, predicted: FilterState, deskew: Deskew
 
 def as_measured(registration: Registration, event: Measurement) -> PoseMeasurement:
     """Return the pose of a registration in the chaser's axes, at the frame's stamp."""
-    return PoseMeasurement(event.stamp_ns, *in_chaser(registration, event.T_chaser_sensor))
+    return PoseMeasurement(
+        event.stamp_ns,
+        *in_chaser(registration, event.T_chaser_sensor),
+        Origin(event.sensor, event.T_chaser_sensor, registration.parts),
+    )
 
 
 def in_chaser(

@@ -9,21 +9,9 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from scipy.spatial.transform import RigidTransform
-
-from rpod_pose.navigation.filter import FilterState, Update, predict, update
-from rpod_schemas.arrays import FloatArray
+from rpod_pose.navigation.filter import FilterState, Update, predict
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
 from rpod_schemas.config.filter import FilterConfig
-
-
-@dataclass(frozen=True, eq=False)
-class PoseMeasurement:
-    """A pose measured at a time."""
-
-    stamp_ns: int
-    T_chaser_target: RigidTransform
-    covariance: FloatArray
-    """Covariance of (dp, dtheta), ICD section 1, shape (6, 6)."""
 
 
 class Applied(NamedTuple):
@@ -112,5 +100,4 @@ def apply(
 
 
 def _applied(measurement: PoseMeasurement, predicted: FilterState, config: FilterConfig) -> _Step:
-    outcome = update(predicted, measurement.T_chaser_target, measurement.covariance, config=config)
-    return _Step(measurement, outcome)
+    return _Step(measurement, updated(predicted, measurement, config))

@@ -9,14 +9,14 @@ TRACKING   --too many frames inconsistent with the pose-->  LOST
 LOST       --accepted near the prediction, or found-->      VERIFYING
 
 ``step(state, measurement) -> (state, output)`` knows neither bus nor clock: the daemon, a replay
-of a log and a Monte-Carlo campaign run the same function.
+of a log and a Monte-Carlo campaign run the same function. Searches are made behind a port (``Searches``):
+while one runs, the steps go on, and its result is applied at a later frame.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import overload
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import Record
@@ -24,10 +24,21 @@ from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.challenger import Outcome
 from rpod_pose.navigation.coasting import Coasting
 from rpod_pose.navigation.contest import challenged
-from rpod_pose.navigation.filter import FilterState, start
-from rpod_pose.navigation.frames import as_measured
-from rpod_pose.navigation.history import History, PoseMeasurement
-from rpod_pose.navigation.joints import tracked_joints
+from rpod_pose.navigation.dynamics.options import CONSTANT, Dynamics
+from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.first_pose.beginning import Beginning, first_state
+from rpod_pose.navigation.first_pose.results import SearchResults
+from rpod_pose.navigation.first_pose.searches import (
+    BEGUN,
+    SEARCHED,
+    SEARCHING,
+    Found,
+    InlineSearches,
+    Search,
+    Searches,
+)
+from rpod_pose.navigation.frames import as_measured, as_of_stamp
+from rpod_pose.navigation.history import History
 from rpod_pose.navigation.parallel import ParallelTracks
 from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
@@ -36,25 +47,18 @@ from rpod_pose.navigation.sensors.newcomers import LATE, Newcomers, applied
 from rpod_pose.navigation.sensors.ranges import Ranges
 from rpod_pose.navigation.sensors.streams import (
     RESTS,
-    begun,
     heard,
     rests,
-    searched,
     silent_since_s,
     supported,
 )
-from rpod_pose.navigation.state import GivenPose, NavigatorState, Output
+from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import Mode
 from rpod_target import NO_SYMMETRY, Equivalence, Joint
-
-BEGINNING = 0.5
-"""Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
-_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.26
-"""Standard deviations of a given first pose without a given covariance."""
 
 
 class Navigator:
@@ -67,6 +71,8 @@ class Navigator:
         alike: which attitudes of the target no measurement tells apart; each estimate lists the poses that
             the turns give, and leaves the angle about a free axis as it is.
         joints: joints of the target, whose angles are estimated.
+        dynamics: how tracks are predicted.
+        searches: makes the searches; by default inline, with the delay that is configured.
     """
 
     def __init__(
@@ -77,29 +83,29 @@ class Navigator:
         centre_of_mass_m: FloatArray,
         alike: Equivalence = NO_SYMMETRY,
         joints: Sequence[Joint] = (),
+        dynamics: Dynamics = CONSTANT,
+        searches: Searches | None = None,
     ) -> None:
-        self._settings = settings
-        self._alike = alike
-        self._centre_of_mass_m = centre_of_mass_m
+        self._settings, self._limits = settings, settings.navigator
+        self._methods, self._alike = methods, alike
         self._results = Results(settings.filter, alike)
         self._output = self._results.output
         self._coasting = Coasting(settings)
-        self._parallel = ParallelTracks(self._start_filter, settings.filter, alike)
-        self._limits = settings.navigator
+        self._beginning = Beginning(
+            settings, centre_of_mass_m=centre_of_mass_m, alike=alike, joints=joints, dynamics=dynamics
+        )
+        self._parallel = ParallelTracks(self._beginning.filter_at, settings.filter, alike)
         self._registrar = Registrar(methods, vague_deg=self._limits.tuning.vague_deg)
-        self._methods = methods
         self._newcomers = Newcomers(settings, self._registrar, self._output, self._accepting)
         self._ranges = Ranges(settings.sensors)
-        self._joints = {joint.name: joint for joint in joints}
-
-    def _start_filter(self, measured: PoseMeasurement) -> FilterState:
-        return start(
-            measured.T_chaser_target,
-            measured.covariance,
-            measured.stamp_ns,
-            config=self._settings.filter,
-            centre_of_mass_m=self._centre_of_mass_m,
-            alike=self._alike,
+        self._searches = searches or InlineSearches(methods, self._limits.tuning.search_delay_frames)
+        self._found = SearchResults(
+            settings,
+            methods,
+            beginning=self._beginning,
+            parallel=self._parallel,
+            output=self._output,
+            alike=alike,
         )
 
     def start(
@@ -110,11 +116,7 @@ class Navigator:
         stamp_ns: int | None = None,
     ) -> NavigatorState:
         """Return the first state: searching, or waiting for a frame to verify a given pose."""
-        if pose is None:
-            return NavigatorState()
-        if covariance is None:
-            covariance = np.diag([_GIVEN_SIGMA_M**2] * 3 + [_GIVEN_SIGMA_RAD**2] * 3)
-        return NavigatorState(mode=Mode.VERIFYING, given=GivenPose(pose, covariance, stamp_ns))
+        return first_state(pose, covariance, stamp_ns)
 
     @overload
     def step(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]: ...
@@ -124,7 +126,7 @@ class Navigator:
         """Return the next state and the output to publish; no output for a tick that changes nothing."""
         if isinstance(event, Tick):
             return self._let_time_pass(state, event)
-        state, why = self._coasting.aged(state, event.stamp_ns)
+        began, (state, why) = state.mode, self._coasting.aged(state, event.stamp_ns)
         why *= state.mode == Mode.LOST
         state = replace(state, streams=heard(state.streams, event.sensor, event.stamp_ns))
         state, output = self._take(state, event)
@@ -132,11 +134,25 @@ class Navigator:
             output = output.because(why)
         if output.odometry is not None:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
+        if state.mode == Mode.TRACKING and not began.has_track:  # it is offered to the other sensors
+            state = replace(state, searches={})
         return state, output
 
     def _take(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         if state.given is not None:
-            state = self._start_at_given(state, event)
+            state = self._beginning.at_given(state, state.given, event)
+        pending = state.searches.get(event.sensor)
+        if pending is None or self._verifies_another(state, event):
+            return self._look(state, event)
+        found = self._searches.result(pending)
+        if found is None:
+            return self._look(state.searching(replace(pending, waited=pending.waited + 1)), event)
+        state, then = self._conclude(state.not_searching(event.sensor), pending, found)
+        state, output = self._look(state, event)
+        return state, output.after_search(then, pending.age_s(event.stamp_ns))
+
+    def _look(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
+        """Take a measurement by what is known of the target."""
         if state.rivals is not None:
             return self._compare(state, state.rivals, event)
         if state.mode == Mode.ACQUIRING or state.history is None:
@@ -165,43 +181,54 @@ class Navigator:
         aged, _ = self._coasting.aged(state, stamp_ns)
         return self._results.silent(aged, stamp_ns, reason, sensor=sensor)
 
+    # --- searches ---
+
+    def _ask(self, state: NavigatorState, search: Search) -> tuple[NavigatorState, Output]:
+        """Let a frame be searched; take the result if it is there at once."""
+        found = self._searches.result(search)
+        if found is not None:
+            return self._conclude(state, search, found)
+        state = state.searching(replace(search, waited=1))
+        reason = f"{search.reason}; {SEARCHED}" if search.registration else SEARCHED
+        return state, self._output(state, search.event, search.registration, reason=reason).noting(BEGUN, 1.0)
+
+    def _conclude(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
+        """Take the result of a search, at the stamp of the searched frame."""
+        if state.rivals is not None:
+            return self._found.again(state, state.rivals, search, found)
+        if state.history is None or not (state.mode == Mode.VERIFYING or state.mode.has_track):
+            return self._found.first(state, search, found)
+        predicted = state.history.at(search.event.stamp_ns, self._settings.filter)
+        if predicted is None or search.registration is None:
+            return state, self._output(state, search.event, reason=LATE)
+        registration, reason = search.registration, search.reason
+        if found.acquisition.begins_track:
+            registration, reason = found.acquisition.registration, ""
+        return self._registered(state, state.history, predicted, search.event, registration, reason=reason)
+
     # --- ACQUIRING ---
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
-        """Search without a guess; begin a track if one pose explains the measurement."""
-        pause_s = self._limits.tuning.search_pause_s if len(self._methods) > 1 else 0.0
-        if rests(state.streams, event.sensor, event.stamp_ns, pause_s):
+        """Search without a guess."""
+        if waiting := self._waiting(state, event):
+            return state, self._output(state, event, reason=waiting)
+        if self._rests(state, event):
             return state, self._output(state, event, reason=RESTS)
-        found = self._registrar.methods_for(state.joints, event).acquirer.acquire(event.data)
-        state = replace(state, streams=searched(state.streams, event.sensor, event.stamp_ns))
-        if why := self._ranges.not_of(event.sensor, found):
-            return state, self._output(state, event, reason=why)
-        if found.begins_track:
-            return self._begin(state, event, found.registration)
-        if self._methods[event.sensor].likelihoods is not None:
-            tracks = self._parallel.started(event, found)
-            if 1 < len(tracks) <= self._limits.tuning.most_rivals:
-                rivals = Rivals(
-                    tracks, event.sensor, event.stamp_ns, event.stamp_ns, found.belief.needed_weight
-                )
-                state = replace(state, rivals=rivals)
-        return state, self._output(state, event, found.registration, reason=found.belief.refusal, found=found)
+        angles = self._registrar.angles(state.joints, event)
+        return self._ask(state, Search(event, event.data, angles=angles))
 
-    def _begin(
-        self, state: NavigatorState, event: Measurement, registration: Registration
-    ) -> tuple[NavigatorState, Output]:
-        unverified = self._limits.confirmations > 0 or not self._is_credible(state, event)
-        state = replace(
-            state,
-            mode=Mode.VERIFYING if unverified else Mode.TRACKING,
-            history=History(self._start_filter(as_measured(registration, event))),
-            streams=begun(state.streams, event.sensor, event.stamp_ns),
-            established=frozenset({event.sensor}),
-            separation=None,
-            confirmations=0,
-            joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
-        )
-        return state, self._output(state, event, registration)
+    def _rests(self, state: NavigatorState, event: Measurement) -> bool:
+        pause_s = self._limits.tuning.search_pause_s if len(self._methods) > 1 else 0.0
+        return rests(state.streams, event.sensor, event.stamp_ns, pause_s)
+
+    def _verifies_another(self, state: NavigatorState, event: Measurement) -> bool:
+        """Return whether the first pose of another sensor is being verified, so that a result can wait."""
+        return state.mode == Mode.VERIFYING and bool(state.established - {event.sensor})
+
+    def _waiting(self, state: NavigatorState, event: Measurement) -> str:
+        """Return that an earlier frame of the sensor is being searched; empty if none is."""
+        pending = state.searches.get(event.sensor)
+        return "" if pending is None else SEARCHING.format(pending.age_s(event.stamp_ns))
 
     # --- rivals ---
 
@@ -218,55 +245,19 @@ class Navigator:
         if tracked is None and event.sensor != rivals.sensor and not overdue:
             return state, self._output(state, event, reason=rivals.reason(self._alike))
         if tracked is None or overdue:
-            return self._acquire(replace(state, rivals=None), event)
+            return self._acquire(replace(state, rivals=None, searches={}), event)
         rivals, registration = tracked
+        state = replace(state, rivals=rivals)
         if (
-            rivals.decided
+            event.sensor not in state.searches
+            and rivals.decided
             and registration.begins_track
             and self._registrar.is_confident(rivals.tracks[0].state)
         ):
-            again = self._parallel.searched_again(rivals, event, methods)
-            rivals = again or rivals
-            if again and rivals.decided:
-                return self._begin_remaining(state, rivals, event, registration)
-        if len(rivals.tracks) > self._limits.tuning.most_rivals:
-            state = replace(state, rivals=None)
-        else:
-            state = replace(state, rivals=rivals)
-        return state, self._output(state, event, registration, reason=rivals.reason(self._alike))
-
-    def _begin_remaining(
-        self, state: NavigatorState, rivals: Rivals, event: Measurement, registration: Registration
-    ) -> tuple[NavigatorState, Output]:
-        verified = rivals.frames >= self._limits.confirmations and self._is_credible(state, event)
-        state = replace(
-            state,
-            mode=Mode.TRACKING if verified else Mode.VERIFYING,
-            rivals=None,
-            history=rivals.tracks[0].history,
-            streams=begun(state.streams, event.sensor, event.stamp_ns),
-            established=frozenset({event.sensor}),
-            separation=None,
-            confirmations=rivals.frames,
-        )
-        return state, self._output(state, event, registration)
-
-    def _start_at_given(self, state: NavigatorState, event: Measurement) -> NavigatorState:
-        given = state.given
-        assert given is not None  # noqa: S101 - guaranteed by the caller
-        stamp_ns = event.stamp_ns if given.stamp_ns is None else min(given.stamp_ns, event.stamp_ns)
-        return replace(
-            state,
-            mode=Mode.VERIFYING,
-            given=None,
-            history=History(
-                self._start_filter(PoseMeasurement(stamp_ns, given.T_chaser_target, given.covariance))
-            ),
-            streams=begun(state.streams),
-            established=frozenset(),
-            separation=None,
-            confirmations=self._limits.confirmations - 1,
-        )
+            frame = as_of_stamp(event, rivals.tracks[0].state, methods.deskew)
+            reason = rivals.reason(self._alike)
+            return self._ask(state, Search(event, frame, registration=registration, reason=reason))
+        return self._found.undecided(state, rivals, event, registration)
 
     # --- VERIFYING and TRACKING ---
 
@@ -275,7 +266,27 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, accept or reject the pose, update the filter."""
         tracked = state.mode.has_track
-        registration, reason = self._registrar.searched(state.joints, event, predicted, tracked=tracked)
+        registration, reason = self._registrar.offered(state.joints, event, predicted, tracked=tracked)
+        if reason and not (tracked and self._registrar.is_confident(predicted)):
+            # While no twist is known, or after a gap, the prediction may be far off.
+            if waiting := self._waiting(state, event):
+                return state, self._output(state, event, registration, reason=f"{reason}; {waiting}")
+            search = self._registrar.around(state.joints, event, predicted)
+            return self._ask(state, replace(search, registration=registration, reason=reason))
+        return self._registered(state, history, predicted, event, registration, reason=reason)
+
+    def _registered(
+        self,
+        state: NavigatorState,
+        history: History,
+        predicted: FilterState,
+        event: Measurement,
+        registration: Registration,
+        *,
+        reason: str,
+    ) -> tuple[NavigatorState, Output]:
+        """Take the registration of a frame from the prediction to its stamp."""
+        tracked = state.mode.has_track
         record = state.records.get(event.sensor, Record())
         if registration.T_sensor_target is not None:
             record = record.after(registration.belief)
@@ -290,13 +301,15 @@ class Navigator:
         state, nis, accepted = applied(state, history, measured, self._settings.filter)
         if not accepted:
             if tracked and registration.begins_track:
-                started = self._start_filter(measured)
+                started = self._beginning.filter_at(measured)
                 state, outcome = challenged(state, predicted, measured, started, self._settings.filter)
                 if outcome != Outcome.OPEN:
                     reason = outcome.value if outcome == Outcome.LOST else ""
                     return state, self._output(state, event, registration, reason=reason, nis=nis)
             return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
-        verified = state.confirmations >= self._limits.confirmations - 1 and self._is_credible(state, event)
+        verified = state.confirmations >= self._limits.confirmations - 1 and self._beginning.is_credible(
+            state, event.sensor
+        )
         state = replace(
             self._accepting(state, event, registration),
             mode=Mode.TRACKING if tracked or verified else Mode.VERIFYING,
@@ -308,11 +321,11 @@ class Navigator:
         self, state: NavigatorState, event: Measurement, registration: Registration
     ) -> NavigatorState:
         return replace(
-            state,
+            state.not_searching(event.sensor),
             streams=supported(state.streams, event.sensor, event.stamp_ns),
             confirmations=state.confirmations + 1,
             challenger=None,
-            joints=tracked_joints(state.joints, self._joints, registration.angles, event.stamp_ns),
+            joints=self._beginning.joints_after(state.joints, registration.angles, event.stamp_ns),
         )
 
     def _reject(
@@ -329,22 +342,23 @@ class Navigator:
             state = replace(state, mode=Mode.ACQUIRING, history=None)
         return state, self._output(state, event, registration, reason=reason, nis=nis)
 
-    def _is_credible(self, state: NavigatorState, event: Measurement) -> bool:
-        """Return whether a track may begin: few recent frames of the sensor were inconsistent."""
-        share = state.records.get(event.sensor, Record()).share
-        return share <= BEGINNING * self._limits.tuning.max_contradicted_share
-
     # --- LOST ---
 
     def _recover(
         self, state: NavigatorState, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Search near the prediction first, then everywhere."""
-        if (event.stamp_ns - state.lost_ns) / NANOSECONDS <= self._limits.near_search_s:
-            registration, why = self._registrar.searched(state.joints, event, predicted, tracked=False)
-            if not why:
-                return self._begin(state, event, registration)
-        return self._acquire(state, event)
+        if (event.stamp_ns - state.lost_ns) / NANOSECONDS > self._limits.near_search_s:
+            return self._acquire(state, event)
+        registration, why = self._registrar.offered(state.joints, event, predicted, tracked=False)
+        if not why:
+            state = self._beginning.at_found(state, event, registration)
+            return state, self._output(state, event, registration)
+        if waiting := self._waiting(state, event):
+            return state, self._output(state, event, reason=waiting)
+        search = self._registrar.around(state.joints, event, predicted)
+        everywhere = None if self._rests(state, event) else event.data
+        return self._ask(state, replace(search, frame=everywhere, reason=RESTS))
 
     def _let_time_pass(self, state: NavigatorState, tick: Tick) -> tuple[NavigatorState, Output | None]:
         """Publish the prediction of a track while no sensor sends anything, until it is lost."""

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.measurement import Measurement
-from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.filter import FilterState, predict
 from rpod_pose.navigation.frames import as_measured, as_of_stamp
-from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.history import History, apply
+from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.rivals import Rival, Rivals, distinct
 from rpod_pose.ports import Acquisition, Methods, Registration
 from rpod_schemas.arrays import FloatArray
@@ -88,14 +89,26 @@ class ParallelTracks:
             seen[of_best][2],
         )
 
-    def searched_again(self, rivals: Rivals, event: Measurement, methods: Methods) -> Rivals | None:
-        """Return the rivals with those that a search finds in a frame; None if it finds no pose.
+    def also_found(self, rivals: Rivals, event: Measurement, found: Acquisition) -> tuple[Rival, ...]:
+        """Return the poses that a search has found while rivals are tracked, at the rivals' newest stamp.
 
-        The first search may have missed the right pose, or its track may have been lost since.
+        The first search may have missed the right pose, or its track may have been lost since. Where frames
+        have come since the searched one, the target has moved in the meantime as the best rival says.
         """
-        data = as_of_stamp(event, rivals.tracks[0].state, methods.deskew)
-        found = self.started(event, methods.acquirer.acquire(data))
-        return rivals.joined_by(found, self._alike) if found else None
+        best = rivals.tracks[0].state
+        others = self.started(event, found)
+        if best.stamp_ns <= event.stamp_ns:
+            return others
+        return tuple(
+            replace(
+                other, history=History(predict(_moving_as(best, other.state), best.stamp_ns, self._config))
+            )
+            for other in others
+        )
+
+
+def _moving_as(best: FilterState, other: FilterState) -> FilterState:
+    return replace(other, velocity_m_s=best.velocity_m_s, rate_rad_s=best.rate_rad_s)
 
 
 def _likelihoods(

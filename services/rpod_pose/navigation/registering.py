@@ -7,9 +7,10 @@ import numpy as np
 
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import ATTITUDE, FilterState
+from rpod_pose.navigation.first_pose.searches import Near, Search, expecting
 from rpod_pose.navigation.frames import as_of_stamp
 from rpod_pose.navigation.joints import JointTrack
-from rpod_pose.ports import Methods, Registration
+from rpod_pose.ports import Angle, Methods, Registration
 from rpod_schemas.poses import chained
 
 
@@ -26,10 +27,11 @@ class Registrar:
 
     def methods_for(self, joints: Mapping[str, JointTrack], event: Measurement) -> Methods:
         """Return the sensor's methods, which expect the target's joints where their tracks predict them."""
-        methods = self._methods[event.sensor]
-        if methods.expecting is None or not joints:
-            return methods
-        return methods.expecting({name: track.at(event.stamp_ns).angle for name, track in joints.items()})
+        return expecting(self._methods[event.sensor], self.angles(joints, event))
+
+    def angles(self, joints: Mapping[str, JointTrack], event: Measurement) -> dict[str, Angle]:
+        """Return the angles that the tracks of the target's joints predict for a frame."""
+        return {name: track.at(event.stamp_ns).angle for name, track in joints.items()}
 
     def offered(
         self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState, *, tracked: bool
@@ -48,21 +50,12 @@ class Registrar:
         enough = registration.continues_track if tracked else registration.begins_track
         return registration, "" if enough else registration.belief.refusal
 
-    def searched(
-        self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState, *, tracked: bool
-    ) -> tuple[Registration, str]:
-        """Return the registration from the prediction, or from its surroundings where that fails.
-
-        They are not searched where a track predicts the attitude confidently: while no twist is known, or
-        after a gap, the prediction may be far off.
-        """
-        registration, reason = self.offered(joints, event, predicted, tracked=tracked)
-        if not reason or (tracked and self.is_confident(predicted)):
-            return registration, reason
-        methods = self.methods_for(joints, event)
+    def around(self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState) -> Search:
+        """Return the search of a frame around its prediction, and nowhere else."""
+        deskew = self.methods_for(joints, event).deskew
         T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
-        found = methods.acquirer.near(as_of_stamp(event, predicted, methods.deskew), T_sensor_target)
-        return (found.registration, "") if found.begins_track else (registration, reason)
+        near = Near(as_of_stamp(event, predicted, deskew), T_sensor_target)
+        return Search(event, near=near, angles=self.angles(joints, event))
 
     def is_confident(self, predicted: FilterState) -> bool:
         """Return whether the predicted attitude is known well enough not to be searched around."""

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import SYMMETRY
 from rpod_pose.measurement import Measurement
+from rpod_pose.navigation.dynamics.options import evidence_of
 from rpod_pose.navigation.filter import predict, to_odometry
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.state import NavigatorState, Output, RefusedPixels
@@ -74,6 +75,7 @@ class Results:
                 **measured.belief.evidence,
                 **(state.rivals.evidence if state.rivals else {}),
                 **_sigmas_deg(measured.angles),
+                **(evidence_of(state.history.state) if state.history else {}),
             },
         )
         marks = measured.belief.marks if reason else None

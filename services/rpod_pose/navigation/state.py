@@ -7,6 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.challenger import Challenger
+from rpod_pose.navigation.first_pose.searches import AGE_S, Search
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
@@ -14,7 +15,7 @@ from rpod_pose.navigation.sensors.joining import Separation
 from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import EstimatorStatus, Joints, Mode, Odometry
+from rpod_schemas.types import EstimatorStatus, Joints, Mode, Odometry, Source
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,17 @@ class NavigatorState:
     """Angles of the target's joints, by name; they outlast tracks."""
     records: Mapping[str, Record] = field(default_factory=dict)
     """Records of frames that did not support the tracked pose, by the sensor's name; they outlast tracks."""
+    searches: Mapping[str, Search] = field(default_factory=dict)
+    """Searches whose results are awaited, by the sensor's name."""
+
+    def searching(self, search: Search) -> "NavigatorState":
+        """Return this state while the result of a search is awaited."""
+        return replace(self, searches={**self.searches, search.sensor: search})
+
+    def not_searching(self, sensor: str) -> "NavigatorState":
+        """Return this state without the search of a sensor, if there is one."""
+        left = {name: search for name, search in self.searches.items() if name != sensor}
+        return replace(self, searches=left)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,3 +95,28 @@ class Output:
         """Return this output with a reason before its own."""
         reason = f"{why}; {self.status.reason}"
         return replace(self, status=self.status.model_copy(update={"reason": reason}))
+
+    def noting(self, name: str, value: float) -> "Output":
+        """Return this output with one more number in the status's evidence."""
+        return replace(
+            self, status=self.status.model_copy(update={"evidence": {**self.status.evidence, name: value}})
+        )
+
+    def after_search(self, then: "Output", age_s: float) -> "Output":
+        """Return this output of a frame at which the result of a search was applied.
+
+        Args:
+            then: the output of the search, at the stamp of the searched frame.
+            age_s: time since that frame.
+        """
+        status, earlier = self.status, then.status
+        if status.accepted or earlier.accepted:
+            return self.noting(AGE_S, age_s)
+        told = f"{earlier.reason}, in the frame {age_s:.2f} s ago; {status.reason}"
+        changes: dict[str, object] = {"reason": told}
+        if status.source == Source.NONE:  # nothing was found in this frame itself
+            kept = {"stamp_ns", "mode", "sensor", "frame_id"}
+            evidence = {**earlier.evidence, **status.evidence}
+            changes |= {name: getattr(status, name) for name in kept} | {"evidence": evidence}
+            status = earlier
+        return replace(self, status=status.model_copy(update=changes)).noting(AGE_S, age_s)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from checked_estimates import estimates_of
 from checked_sensors import (
     EPOCH_NS,
     INFO,
@@ -18,9 +19,11 @@ from checked_sensors import (
     wall_frames,
     watched,
 )
+from scipy.spatial.transform import Rotation
 
 from rpod_driver.check import Level, Options, Verdict, judge
 from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
+from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, PmdFrame
 
 SEEDS = range(int(os.environ.get("RPOD_FAULT_SEEDS", "1")))
@@ -66,6 +69,31 @@ def test_a_scanner_beside_truth_is_compared_with_it(fault, seed):
     assert fault in at(facility("lidar", fault, seed=seed), BY_NAME[fault].line).faults
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_beside_a_second_sensor_of_1_hz_a_mount_that_is_off_is_named(seed):
+    estimates = estimates_of("lidar", rate_hz=1.0, seed=seed)
+    named = at(ideal_camera("mount_off", seed=seed, estimates=estimates), "mount_second")
+    assert (named.level, named.faults) == (Level.FAIL, ("mount_off",)), named.text
+    assert "lidar" in named.text
+    good = at(ideal_camera(seed=seed, estimates=estimates), "mount_second")
+    assert good.level is Level.OK, good.text
+
+
+def test_the_mount_of_the_second_sensor_counts_as_well():
+    turned = make_pose(rotation=Rotation.from_euler("y", 5.0, degrees=True))
+    estimates = estimates_of("lidar", rate_hz=10.0, seed=0, off=turned)
+    named = at(ideal_camera(estimates=estimates), "mount_second")
+    assert named.faults == ("mount_off",)
+    assert named.figures["turned_deg"] == pytest.approx(5.0, abs=0.5)
+
+
+def test_an_estimate_that_uses_the_sensor_itself_does_not_judge_its_mount():
+    estimates = [*estimates_of("lidar", rate_hz=5.0, seed=0), *estimates_of("front", rate_hz=1.0, seed=1)]
+    verdict = at(ideal_camera("mount_off", estimates=estimates), "mount_second")
+    assert verdict.level is Level.UNCHECKED
+    assert "uses 'front' itself" in verdict.text
+
+
 def test_every_fault_of_the_catalogue_is_seen_by_one_of_these_tests():
     assert {*OF_CAMERA, *OF_SCANNER, *BESIDE_TRUTH} == set(BY_NAME)
 
@@ -84,7 +112,7 @@ def test_nothing_is_wrong_with_a_good_sensor(sensor, seed):
 
 def test_what_cannot_be_seen_is_not_called_in_order():
     verdicts = wall_camera()
-    for line in ("instant", "grid", "range", "mount_truth"):
+    for line in ("instant", "grid", "range", "mount_truth", "mount_second"):
         assert at(verdicts, line).level is Level.UNCHECKED
         assert "--target" in at(verdicts, line).text
     blind = judge(watched("pmd", wall_frames(0, 1.0), INFO, latency_s=0.01))

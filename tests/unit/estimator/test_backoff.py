@@ -2,13 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
 from rpod_estimator.backoff import Backoff
-from rpod_estimator.frame_reader import Arrived
-from rpod_pose.measurement import Measurement
-from rpod_pose.navigation.state import Output
-from rpod_schemas.types import Camera, EstimatorStatus, LidarScan, Mode, PmdFrame
+from rpod_schemas.types import Camera, LidarScan, PmdFrame
 
 CAMERA = Camera(width=88, height=72, fx=90.0, fy=90.0, cx=43.5, cy=35.5)
 SEARCH_S = 0.4
@@ -43,21 +39,18 @@ class Search:
         self.backoff, self.now_s, self.searches_s = Backoff(), 0.0, []
         self._frame, self._scene, self._rng = frame, scene, np.random.default_rng(1)
 
-    def arrive(self, *, accepted=False, valid=True, **scene):
+    def arrive(self, *, accepted=False, **scene):
         """Let a frame arrive; return whether it was searched."""
         self.now_s += 1 / 15
         data = self._frame(self._rng, **(self._scene | scene))
-        measurement = Measurement("s", data, RigidTransform.identity()) if valid else None
-        arrived = Arrived("s", 1, self.now_s, measurement)
-        if self.backoff.rests(arrived, self.now_s):
+        if self.backoff.rests(data, self.now_s):
             return False
-        status = EstimatorStatus(
-            stamp_ns=1, frame_id="chaser", mode=Mode.VERIFYING if accepted else Mode.ACQUIRING,
-            sensor="s", accepted=accepted, reason="" if accepted else "no target",
-        )  # fmt: skip
         began_s, self.now_s = self.now_s, self.now_s + SEARCH_S
         self.searches_s.append(began_s)
-        self.backoff.take(arrived, Output(status, None), began_s=began_s, now_s=self.now_s)
+        if accepted:
+            self.backoff.end()
+        else:
+            self.backoff.take(data, began_s=began_s, now_s=self.now_s)
         return True
 
     def until(self, end_s, **how):
@@ -94,9 +87,3 @@ def test_a_found_target_and_a_reset_end_the_rest():
     assert search.backoff.pause_s
     search.backoff.end()
     assert search.arrive()
-
-
-def test_frames_that_cannot_be_used_do_not_count():
-    search = Search(pmd).until(30.0, valid=False)
-    assert search.backoff.pause_s == 0.0
-    assert len(search.searches_s) > 40

@@ -16,7 +16,7 @@ from rpod_schemas.config.tuning import Provenance, Tuning, limits_in, public_fie
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import methods, sensor_kinds
 
-MOST_PUBLIC_FIELDS = 73
+MOST_PUBLIC_FIELDS = 83
 """For the whole estimator. A capability that needs more raises it, with a decision record."""
 MOST_BY_HAND = 81
 """Values that a hand fitted on emulated frames, mostly of the mock-up. It only ever falls."""
@@ -66,7 +66,7 @@ def tuning_roots() -> list[type[BaseModel]]:
     return sorted(roots, key=lambda model: model.__name__)
 
 
-def test_the_estimator_has_at_most_seventy_three_public_fields(
+def test_the_estimator_has_no_more_public_fields_than_decided(
     record_property: Callable[[str, object], None],
 ) -> None:
     names = estimator_fields()

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rpod_pose.navigation.filter import POSE, FilterState, innovation_of
-from rpod_pose.navigation.history import PoseMeasurement
+from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.integrity.levels import chi2_limit
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, compared
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.filter import FilterConfig
 
@@ -58,8 +58,8 @@ class Statistic:
 
 def residual_of(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Residual | None:
     """Return the residual of a measurement against the prediction to its stamp; None if it is not finite."""
-    y, noise = innovation_of(predicted, measured.T_chaser_target, measured.covariance, config=config)
-    S = predicted.covariance[POSE, POSE] + noise
+    found = compared(predicted, measured, config)
+    y, S = found.difference, found.covariance
     if not (np.isfinite(y).all() and np.isfinite(S).all()):
         return None
     try:

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from rpod_pose.navigation.filter import is_consistent
-from rpod_pose.navigation.history import Applied, History, PoseMeasurement, apply
+from rpod_pose.navigation.history import Applied, History, apply
+from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_schemas.config.filter import FilterConfig
 
 AGREEMENTS = 2

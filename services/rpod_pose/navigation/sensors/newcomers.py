@@ -6,7 +6,8 @@ from dataclasses import replace
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.frames import as_measured
-from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.history import History, apply
+from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.sensors.joining import Separation, probation, settled
 from rpod_pose.navigation.sensors.streams import is_supported

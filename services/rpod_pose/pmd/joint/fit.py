@@ -72,6 +72,11 @@ class DepthErrors(NamedTuple):
     """Standard deviation of range errors that differ across the target."""
     slack_m: float
     """Standard deviation of the model's own error, for edges too."""
+    white_m2: float = 0.0
+    """Variance of the points' weighted mean by the frame's own noise, times the sum of their weights."""
+    spread_m2: float = 0.0
+    """Expected mean square of the points' residuals, by their weights, if the frame's own noise is their only
+    error."""
 
 
 class EdgeErrors(NamedTuple):
@@ -112,6 +117,10 @@ class EdgeEvidence(NamedTuple):
     """Expected number of these within the scale at the right pose."""
     shifted: int
     """Number of inliers beside saturated pixels."""
+    noise_px2: float
+    """Sum of the inliers' variances by the image's own noise."""
+    shift: FloatArray
+    """Sums of the inliers beside saturated pixels, if each lies one pixel towards its darker side, (35,)."""
 
 
 class JointEvidence(NamedTuple):
@@ -119,6 +128,12 @@ class JointEvidence(NamedTuple):
 
     points: FieldEvidence
     edges: EdgeEvidence
+    parts: FloatArray
+    """Sums of points and edges, each times the variance by a kind of errors over the assumed one, shape
+    (3, 35): the frame's own noise; the sensor's calibration, and what else the points' residuals show;
+    what else those of the edges show."""
+    shift: FloatArray
+    """Sums by the shift that all edges beside saturated pixels share, of one standard deviation, (35,)."""
 
 
 class JointFit(NamedTuple):
@@ -153,8 +168,8 @@ def add_edge_points(
     edges, lens, patch, expected_edges = sight
     places, directions = edges.places_m, edges.directions
     R, t = pose.R, pose.t
-    squares, inliers, checked, found, expected, shifted = 0.0, 0, 0, 0, 0.0, 0
-    c2 = (SCALE * reach) ** 2
+    squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
+    c2, shift = (SCALE * reach) ** 2, no_sums()
     for m in range(len(expected_edges.sample)):
         n = expected_edges.sample[m]
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
@@ -187,9 +202,18 @@ def add_edge_points(
         if e2 < c2:
             inliers += 1
             squares += e2
-            if patch.saturated.size:
-                shifted += patch.saturated[int(row + place * down), int(column + place * across)]
-    return EdgeEvidence(squares, inliers, checked, found, expected, shifted)
+            noise_px2 += (BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)) ** 2
+            if (
+                patch.saturated.size
+                and patch.saturated[int(row + place * down), int(column + place * across)]
+            ):
+                shifted += 1
+                ahead = patch.image[int(row + (place + 2.0) * down), int(column + (place + 2.0) * across)]
+                behind = patch.image[int(row + (place - 2.0) * down), int(column + (place - 2.0) * across)]
+                darker = -1.0 if ahead < behind else 1.0
+                weight = geman_mcclure(e2, c2)
+                add_residual(shift, Vector(-kx, -ky, -kz), Vector(x, y, z), darker, weight)
+    return EdgeEvidence(squares, inliers, checked, found, expected, shifted, noise_px2, shift)
 
 
 @kernel
@@ -260,12 +284,28 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     points = add_field_points(of_points, problem.points, state, problem.field, scale, True)
     edges = add_edge_points(of_edges, problem.sight, pose, reach, problem.edge_errors.noise_px)
     shares = _shares(problem, points, edges, pose.t[2], reach)
-    total = shares.points * of_points + shares.edges * of_edges
+    of_points, of_edges = shares.points * of_points, shares.edges * of_edges
+    parts = np.zeros((3, SUMS))
+    if points.inliers > 0:
+        per_variance = shares.points * points.trusted
+        excess = max(0.0, points.squares_m2 / points.trusted - depth.spread_m2)
+        parts[0] += per_variance * depth.white_m2 / points.trusted * of_points
+        excess /= min(depth.most_points, points.trusted)
+        parts[1] += per_variance * (depth.uneven_m**2 + excess) * of_points
+    if edges.inliers > 0:
+        per_variance = shares.edges * edges.inliers
+        excess = max(0.0, edges.squares_px2 - edges.noise_px2) / edges.inliers
+        excess /= min(problem.edge_errors.most_edges, edges.inliers)
+        parts[0] += per_variance * edges.noise_px2 / edges.inliers**2 * of_edges
+        parts[2] += per_variance * excess * of_edges
+    total = of_points + of_edges
     total[SUMS - 2] += 1.0 / depth.bias_m**2
     total[SUMS - 1] += state.bias_m / depth.bias_m**2
     hold[:3] = REACH_M**-2
     hold[3:6] = REACH_RAD**-2
-    return Linear(total, hold, True, JointEvidence(points, edges))
+    return Linear(
+        total, hold, True, JointEvidence(points, edges, parts, SHIFT_PX * shares.edges * edges.shift)
+    )
 
 
 @kernel

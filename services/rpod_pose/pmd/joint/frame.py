@@ -67,6 +67,10 @@ class JointFrame:
     """Points of the depth, sensor axes, shape (N, 3)."""
     noise_m: float
     """Median standard deviation of the points' noise; 0 without points."""
+    white_m2: float
+    """Variance of the points' weighted mean by this noise, times the sum of their weights."""
+    spread_m2: float
+    """Mean variance of this noise, by the points' weights."""
     trust: FloatArray
     """Weight of each point, 0 to 1, smaller for dark and therefore noisy points, shape (N,)."""
     patch: Patch
@@ -118,8 +122,10 @@ class JointFrame:
         points_m = np.ascontiguousarray((rays * range_m.ravel()[measured]).T)
         strength = strengths.ravel()[measured]
         typical = float(np.median(strength)) if len(measured) else 1.0
-        noise_m = float(np.median(sigma_m.ravel()[measured])) if len(measured) else 0.0
-        trust = _trust(sigma_m.ravel()[measured], strength, tuning.depth.noise_m)
+        noise = sigma_m.ravel()[measured]
+        noise_m = float(np.median(noise)) if len(measured) else 0.0
+        trust = _trust(noise, strength, tuning.depth.noise_m)
+        whole = max(float(trust.sum()), 1e-12)
         typical = typical if len(measured) >= tuning.verdict.min_points else 0.0
         patch = _NO_PATCH
         if frame.amplitude is None:
@@ -142,6 +148,8 @@ class JointFrame:
             typical,
             points_m,
             noise_m,
+            float((trust * noise) @ (trust * noise)) / whole,
+            float(trust @ noise**2) / whole,
             trust,
             patch,
             pixels_around,

@@ -43,6 +43,7 @@ from rpod_pose.pmd.joint.fit import (
     joint_shares,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.joint.uncertainty import Uncertainty, uncertainty
 from rpod_pose.pmd.joint.wiggling import wiggling
 from rpod_pose.pmd.reflections import reflected_m
 from rpod_pose.pmd.rendering import FineRanges, Rendering
@@ -186,16 +187,19 @@ class JointTracker:
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
         if len(first):
             sight = self._sight_at(seen, sight, state.pose)
-            state = align(self._problem(points, sight, first), state).state
-        return align(self._problem(points, self._sight_at(seen, sight, state.pose), last), state)
+            state = align(self._problem(seen, points, sight, first), state).state
+        return align(self._problem(seen, points, self._sight_at(seen, sight, state.pose), last), state)
 
     def _least_scale_m(self, seen: JointFrame) -> float:
         """Return the least Geman-McClure scale: an error that the noise explains is no outlier."""
         depth = self._tuning.depth
         return depth.scale_sigmas * max(seen.noise_m, depth.noise_m)
 
-    def _problem(self, points: Points, sight: EdgeSight, schedule: FloatArray) -> JointProblem:
-        return JointProblem(points, self._field, sight, self._depth_errors, self._edge_errors, schedule)
+    def _problem(
+        self, seen: JointFrame, points: Points, sight: EdgeSight, schedule: FloatArray
+    ) -> JointProblem:
+        errors = self._depth_errors._replace(white_m2=seen.white_m2, spread_m2=seen.spread_m2)
+        return JointProblem(points, self._field, sight, errors, self._edge_errors, schedule)
 
     def _sight_at(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> EdgeSight:
         """Return the edges that the image should show at a pose: those given if it is near enough."""
@@ -205,7 +209,7 @@ class JointTracker:
     def _registered(self, seen: JointFrame, fit: JointFit, steps: int) -> Registration:
         """Return the registration of an aligned pose, with its belief."""
         tuning = self._tuning
-        ((R, t), bias), information, (depth, found) = fit
+        ((R, t), bias), _, (depth, found, _, _) = fit
         points, squares = depth.inliers, depth.squares_m2
         edges, checked, expected = found.inliers, found.checked, found.expected
         if points < tuning.verdict.min_points and checked < tuning.verdict.min_edges:
@@ -218,13 +222,7 @@ class JointTracker:
             marks = PixelMarks(inconsistent.marked, seen.view.stride)
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
-        to_sensor = np.zeros((6, 6))
-        to_sensor[:3, :3] = to_sensor[3:, 3:] = R
-        covariance: FloatArray = np.linalg.inv(information + self._weak).astype(np.float64)
-        if self._model_error.matters:
-            covariance = self._considered(seen, fit, covariance)
-        covariance = covariance[:6, :6]
-        covariance *= max(1.0, self._fills(seen, t)) ** 2  # with fewer parts in view, errors average out less
+        covariance, parts = self._uncertainty(seen, fit)
         return Registration(
             self._source(points, checked),
             T_sensor_target=pose_of(R, t),
@@ -233,8 +231,23 @@ class JointTracker:
             inliers=points + edges,
             inlier_share=(points + found.found) / max(len(seen.points_m) + checked, 1),
             explained_share=inconsistent.explained_share,
-            covariance=to_sensor @ covariance @ to_sensor.T,
+            covariance=covariance,
+            parts=parts,
             iterations=steps,
+        )
+
+    def _uncertainty(self, seen: JointFrame, fit: JointFit) -> Uncertainty:
+        """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
+        alone: FloatArray = np.linalg.inv(fit.information + self._weak).astype(np.float64)
+        whole = self._considered(seen, fit, alone) if self._model_error.matters else alone
+        camera = seen.view.camera
+        return uncertainty(
+            fit,
+            alone,
+            whole,
+            bias_m=self._depth_errors.bias_m,
+            radius_px=camera.fx * self._target.radius_m / max(float(fit.state.pose.t[2]), NEAREST_M),
+            wider=max(1.0, self._fills(seen, fit.state.pose.t)) ** 2,
         )
 
     def _considered(self, seen: JointFrame, fit: JointFit, covariance: FloatArray) -> FloatArray:
@@ -245,12 +258,12 @@ class JointTracker:
         places_m = np.concatenate((points_m, sight.edges.places_m[sight.expected.sample]))
         cells = self._model_error.cells(places_m)
         parts, centres_m = [], []
-        shares = joint_shares(self._problem(Points(seen.points_m, seen.trust), sight, last), fit.state)
+        shares = joint_shares(self._problem(seen, Points(seen.points_m, seen.trust), sight, last), fit.state)
         for cell in range(int(cells.max(initial=-1)) + 1):
             of_points, of_edges = np.split(cells == cell, [len(points_m)])
             points = Points(np.ascontiguousarray(seen.points_m[of_points]), seen.trust[of_points])
             expected = sight.expected.only(of_edges)
-            problem = self._problem(points, sight._replace(expected=expected), last)
+            problem = self._problem(seen, points, sight._replace(expected=expected), last)
             parts.append(cell_information(problem, fit.state, shares))
             centres_m.append(places_m[cells == cell].mean(axis=0))
         if not parts:

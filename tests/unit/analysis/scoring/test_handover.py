@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_analysis.scoring.handover import Handovers
+from rpod_analysis.scoring.handover import WITHIN_95, Handovers, beyond
 
 SECOND_NS = 1_000_000_000
 
 
-def run(frames, *, jump_m=0.0, jump_deg=0.0, at_s=5.0, scored=True):
+def run(frames, *, jump_m=0.0, jump_deg=0.0, at_s=5.0, scored=True, sigma=1e-9):
     """A minute of frames (stamp, s; sensor; accepted) with an estimate each, whose error jumps at a time."""
     stamp_ns = np.array([round(time_s * SECOND_NS) for time_s, _, _ in frames])
     time_s = stamp_ns / SECOND_NS
@@ -29,6 +29,7 @@ def run(frames, *, jump_m=0.0, jump_deg=0.0, at_s=5.0, scored=True):
         estimates=SimpleNamespace(
             stamp_ns=stamp_ns, poses=RigidTransform.from_components(places_m, turn * spin)
         ),
+        covariance=np.tile(sigma**2 * np.eye(6), (len(frames), 1, 1)),
         T_truth=RigidTransform.from_components(truth_m, spin),
         errors=SimpleNamespace(scored=np.full(len(frames), scored)),
     )
@@ -49,6 +50,20 @@ def test_a_camera_that_takes_over_from_a_lidar_is_a_handover_with_gap_and_jump()
     found = of(run([*LIDAR, *CAMERA], jump_m=0.02, jump_deg=0.5, at_s=5.05))
     assert (found.count, found.gap_s) == (1, pytest.approx(0.1))
     assert (found.jump_m, found.jump_deg) == (pytest.approx(0.02), pytest.approx(0.5, abs=1e-4))
+
+
+def test_a_jump_is_what_is_beyond_the_covariance_of_the_estimate_before():
+    found = of(run([*LIDAR, *CAMERA], jump_m=0.02, jump_deg=0.5, at_s=5.05, sigma=0.005))
+    assert (found.change_m, found.change_deg) == (pytest.approx(0.02), pytest.approx(0.5, abs=1e-4))
+    assert found.jump_m == pytest.approx(0.02 - 0.005 * np.sqrt(WITHIN_95), rel=1e-6)
+    assert found.jump_deg == 0.0, "0.5 deg lie within an uncertainty of 0.3 deg"
+
+
+def test_a_change_is_compared_with_the_covariance_along_its_own_direction():
+    covariance = np.diag([1.0, 0.01, 0.01]) ** 2
+    assert beyond(np.array([2.0, 0.0, 0.0]), covariance) == 0.0
+    assert beyond(np.array([0.0, 2.0, 0.0]), covariance) == pytest.approx(2.0 - 0.01 * np.sqrt(WITHIN_95))
+    assert beyond(np.zeros(3), covariance) == 0.0
 
 
 def test_the_minutes_of_a_run_give_the_same():

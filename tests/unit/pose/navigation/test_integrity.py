@@ -7,10 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_pose.navigation.filter import POSE, start
-from rpod_pose.navigation.history import History, PoseMeasurement, apply
+from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.integrity.levels import Solution, protection_levels
 from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
+from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
 from rpod_schemas.config.filter import FilterConfig

@@ -526,7 +526,7 @@ def test_whatever_happens_the_outputs_keep_their_promises(events):
         if output is None:
             continue
         assert output.status.accepted == (output.status.reason == "")
-        assert (output.odometry is not None) == (output.status.mode == Mode.TRACKING)
+        assert (output.odometry is not None) == output.status.mode.has_track
         if output.odometry is not None:
             assert output.odometry.stamp_ns >= newest_ns
             newest_ns = output.odometry.stamp_ns

@@ -8,9 +8,11 @@ from navigator_rig import MOUNT, SECOND_NS, START_S, Method, View, blind, good, 
 
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.navigation.sensors.mounts import mount_offsets
 from rpod_pose.ports import Methods
 from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, NavigatorConfig, PmdInput
+from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.poses import pose_error
 from rpod_schemas.types import BeliefLevel, Mode
 
@@ -18,9 +20,11 @@ from rpod_schemas.types import BeliefLevel, Mode
 class Desk:
     """A navigator with a LIDAR and a camera."""
 
-    def __init__(self, *, range_m=None, **limits: float) -> None:
+    def __init__(self, *, range_m=None, mount_sigma_deg: float = 0.0, **limits: float) -> None:
         settings = EstimatorSettings(
-            sensors=(LidarInput(), PmdInput(range_m=range_m)), navigator=NavigatorConfig(**limits)
+            sensors=(LidarInput(), PmdInput(range_m=range_m)),
+            navigator=NavigatorConfig(**limits),
+            filter=FilterConfig(mount_sigma_deg=mount_sigma_deg, mount_sigma_m=0.1 * mount_sigma_deg),
         )
         self.asked: dict[str, Method] = {"lidar": Method(), "pmd": Method()}
         methods = {
@@ -113,6 +117,18 @@ def test_a_camera_whose_poses_lie_off_never_joins_and_moves_nothing():
         one, other = (each.see("lidar", good(START_S + second + 1.0)) for each in (desk, alone))
         assert one.status.accepted
         np.testing.assert_array_equal(one.odometry.pose.as_matrix(), other.odometry.pose.as_matrix())
+
+
+def test_a_camera_whose_mount_may_be_as_far_off_joins_and_the_offset_is_known():
+    desk = tracking(mount_sigma_deg=2.0)
+    for second in range(3, 9):
+        for number in range(1, 10):
+            output = desk.see("pmd", turned(START_S + second + 0.1 * number, 2.0))
+        assert desk.see("lidar", good(START_S + second + 1.0)).status.accepted
+    assert output.status.accepted
+    assert desk.state.history is not None
+    (offset,) = mount_offsets(desk.state.history.state, ["lidar", "pmd"])
+    assert np.degrees(np.linalg.norm(offset.error[3:])) == pytest.approx(2.0, abs=0.1)
 
 
 def test_a_camera_that_agrees_at_first_and_then_pulls_its_filter_away_does_not_join():

@@ -1,0 +1,1 @@
+"""How well tracks are predicted through gaps, on synthetic pose measurements."""

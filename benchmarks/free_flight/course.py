@@ -1,0 +1,201 @@
+"""One track: a tumbling target, measured poses with white noise, a gap, and the error at its end.
+
+The measurements have the stated standard deviations and nothing else: no sensor, no target's model, no
+correlation. So the figures are those of the filter and its models of motion alone.
+"""
+
+from dataclasses import dataclass, field, replace
+from math import radians
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_motion.approach import Approach
+from rpod_motion.attitude import integrate_tumble
+from rpod_motion.imu import Imu
+from rpod_motion.motion import MARGIN_S, Motion
+from rpod_motion.station_keeping import StationKeeping
+from rpod_motion.synchronised import Slewing
+from rpod_motion.trajectory import Trajectory
+from rpod_pose.navigation.dynamics.options import Dynamics
+from rpod_pose.navigation.filter import FilterState, predict, start, update
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.dynamics import DynamicsConfig
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.motion import ImuNoiseConfig
+from rpod_schemas.poses import make_pose, rotation_of
+from rpod_target import Target
+
+EPOCH_NS = 10**18
+SLEW_RAD, SLEW_PERIOD_S = radians(10.0), 63.0
+"""A slew with a rate of up to 1 deg/s."""
+ORBIT_M = 7.144e6
+AT_THEIR_WORD = FilterConfig(correlation_inflation=1.0, position_floor_m=0.0, attitude_floor_deg=0.0)
+FREE_FLIGHT = AT_THEIR_WORD.model_copy(update={"acceleration_density_m2_s3": 1e-9})
+"""For a chaser that does not thrust."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """What happens, and what the filter knows of it."""
+
+    target: Target
+    rate_deg_s: float
+    """Rate of the target, about a random axis."""
+    dynamics: dict[str, Any]
+    """The estimator's section ``dynamics``."""
+    range_m: float = 5.0
+    scans_hz: float = 15.0
+    sigma_m: float = 0.003
+    sigma_deg: float = 0.15
+    tracked_s: float = 60.0
+    gap_s: float = 30.0
+    moments: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Factors on the principal moments that the filter assumes, in rising order."""
+    centre_off_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Error of the centre of mass that the filter assumes, target axes."""
+    axis: tuple[float, float, float] | None = None
+    """Axis of the rate, target axes; random if left out."""
+    slews: bool = False
+    in_orbit: bool = False
+    """Whether the chaser is on a safety ellipse about the target; otherwise both drift apart on a line."""
+    imu: ImuNoiseConfig | None = None
+    filter: FilterConfig = FREE_FLIGHT
+
+    def assumed(self) -> Target:
+        """Return the target as the filter assumes it."""
+        moments, axes = np.linalg.eigh(self.target.inertia_kg_m2)
+        return replace(
+            self.target,
+            inertia_kg_m2=(axes * (moments * np.array(self.moments))) @ axes.T,
+            centre_of_mass_m=self.target.centre_of_mass_m + np.array(self.centre_off_m),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Errors of a track."""
+
+    attitude_deg: float
+    """At the end of the gap."""
+    position_m: float
+    sigma_deg: float
+    """Standard deviation of the attitude there, root of the sum over the axes."""
+    sigma_m: float
+    nees: float
+    refused: int
+    """Number of measurements that the gate refused."""
+    tracked_deg: float
+    """RMS over the second half of the track."""
+    tracked_m: float
+    state: FilterState = field(repr=False)
+    """State after the last measurement."""
+    imu: Imu | None = None
+
+
+def fly(course: Course, seed: int) -> Result:
+    """Return the errors of a track; the seed chooses attitude, axis, noise and biases."""
+    generator = np.random.default_rng((seed, 17))
+    motion = _motion(course, generator)
+    imu = None
+    if course.imu is not None:
+        centre_m = course.target.centre_of_mass_m
+        imu = Imu(course.imu, motion, centre_of_mass_m=centre_m, seed=seed)
+    dynamics = Dynamics.of(DynamicsConfig.model_validate(course.dynamics), course.assumed())
+    feed = _Feed(dynamics, imu)
+    state, offs, refused = None, [], 0
+    for number in range(round(course.tracked_s * course.scans_hz) + 1):
+        time_s = number / course.scans_hz
+        feed.up_to(time_s)
+        truth = motion.state(time_s).T_chaser_target
+        measured, covariance = _measured(course, truth, generator)
+        if state is None:
+            state = start(
+                measured, covariance, _stamp(time_s), config=course.filter,
+                centre_of_mass_m=course.assumed().centre_of_mass_m,
+                blocks=dynamics.blocks_at(_stamp(time_s)), model=dynamics.model,
+            )  # fmt: skip
+            continue
+        outcome = update(
+            predict(state, _stamp(time_s), course.filter), measured, covariance, config=course.filter
+        )
+        state, refused = outcome.state, refused + (not outcome.accepted)
+        offs.append(_error(state, truth))
+    assert state is not None  # noqa: S101 - there is a first measurement
+    end_s = course.tracked_s + course.gap_s
+    feed.up_to(end_s)
+    after = predict(state, _stamp(end_s), course.filter)
+    off, P = _error(after, motion.state(end_s).T_chaser_target), after.covariance[:6, :6]
+    late = np.array(offs[len(offs) // 2 :])
+    return Result(
+        attitude_deg=float(np.degrees(np.linalg.norm(off[3:]))),
+        position_m=float(np.linalg.norm(off[:3])),
+        sigma_deg=float(np.degrees(np.sqrt(P[3:, 3:].trace()))),
+        sigma_m=float(np.sqrt(P[:3, :3].trace())),
+        nees=float(off @ np.linalg.solve(P, off)),
+        refused=refused,
+        tracked_deg=float(np.degrees(np.sqrt((late[:, 3:] ** 2).sum(axis=1).mean()))),
+        tracked_m=float(np.sqrt((late[:, :3] ** 2).sum(axis=1).mean())),
+        state=state,
+        imu=imu,
+    )
+
+
+class _Feed:
+    """Passes the readings of the IMU to the track, as far as time has come."""
+
+    def __init__(self, dynamics: Dynamics, imu: Imu | None) -> None:
+        self._dynamics, self._imu, self._next = dynamics, imu, 0
+
+    def up_to(self, time_s: float) -> None:
+        while self._imu is not None and self._dynamics.imu is not None:
+            at_s = self._next / self._imu.rate_hz
+            if at_s > time_s:
+                break
+            self._dynamics.imu.hear(self._imu.reading(_stamp(at_s), at_s))
+            self._next += 1
+
+
+def _motion(course: Course, generator: np.random.Generator) -> Motion:
+    """Return the motion: the centre of mass drifts on a line, or is circled in orbit."""
+    duration_s, centre_m = course.tracked_s + course.gap_s + 1.0, course.target.centre_of_mass_m
+    drawn = generator.standard_normal(3)
+    axis = np.array(course.axis if course.axis is not None else drawn)
+    path: Trajectory
+    if course.in_orbit:
+        path = StationKeeping.on_safety_ellipse(
+            centre_m, least_range_m=20.0, greatest_range_m=50.0, phase_rad=radians(20.0),
+            semi_major_axis_m=ORBIT_M, inclination_rad=radians(98.5),
+        )  # fmt: skip
+    else:
+        end_m = np.array([0.05, 0.0, course.range_m - 0.3])
+        path = Approach(np.array([0.0, 0.0, course.range_m]), end_m, duration_s, 0.0, anchor_m=centre_m)
+    if course.slews:
+        path = Slewing(path, np.array([0.0, 1.0, 0.0]), SLEW_RAD, SLEW_PERIOD_S)
+    attitude = integrate_tumble(
+        quaternion_xyzw=Rotation.random(random_state=generator).as_quat(),
+        rate_rad_s=radians(course.rate_deg_s) * axis / np.linalg.norm(axis),
+        inertia_kg_m2=course.target.inertia_kg_m2,
+        span_s=(-MARGIN_S, duration_s + MARGIN_S),
+    )
+    return Motion(path, attitude, np.zeros(3), duration_s)
+
+
+def _measured(
+    course: Course, truth: RigidTransform, generator: np.random.Generator
+) -> tuple[RigidTransform, FloatArray]:
+    sigma = np.repeat([course.sigma_m, radians(course.sigma_deg)], 3)
+    error = sigma * generator.standard_normal(6)
+    rotation = Rotation.from_rotvec(error[3:]) * rotation_of(truth)
+    return make_pose(rotation=rotation, translation_m=truth.translation + error[:3]), np.diag(sigma**2)
+
+
+def _error(state: FilterState, truth: RigidTransform) -> FloatArray:
+    """Return (dp, dtheta) of a state, shape (6,)."""
+    turn = rotation_of(state.T_chaser_target) * rotation_of(truth).inv()
+    return np.concatenate([state.T_chaser_target.translation - truth.translation, turn.as_rotvec()])
+
+
+def _stamp(time_s: float) -> int:
+    return EPOCH_NS + round(time_s * 1e9)

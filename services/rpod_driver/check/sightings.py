@@ -1,0 +1,113 @@
+"""A sensor's points on the target, with the target's poses around the time of each frame."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from rpod_driver.check.observations import Observations
+from rpod_driver.check.surface import Surface
+from rpod_geometry.errors import DistortionError
+from rpod_geometry.lens import undistort
+from rpod_runtime.errors import ExtrinsicsError
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.poses import chained, make_pose
+from rpod_schemas.types import Float32Array, Odometry, PmdFrame, SensorFrame
+
+_FRAMES, _POINTS = 40, 400
+_LEAST_FRAMES, _LEAST_POINTS = 6, 60
+_AROUND_M = 0.4
+"""Distance from the target's sphere within which a point may be its own, m: the fit's first gate."""
+_EDGE_M = 0.05
+"""Step between two pixels that is an edge, m."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One frame's points on the target, and where truth has the target."""
+
+    points_m: FloatArray
+    """Sensor axes, shape (N, 3)."""
+    poses: tuple[RigidTransform, RigidTransform, RigidTransform]
+    """T_chaser_target 10 ms before the stamp, at it, and 10 ms after it."""
+
+
+def sightings_of(
+    seen: Observations, surface: Surface, poses: list[Odometry], *, gap_s: float
+) -> tuple[str, list[Sighting], RigidTransform]:
+    """Return why points cannot be compared with a target's poses, or the points and the published mount.
+
+    Args:
+        seen: what came of the sensor.
+        surface: surface of the target.
+        poses: poses T_chaser_target, by rising stamps.
+        gap_s: longest time between two poses between which they are interpolated.
+    """
+    nothing: list[Sighting] = []
+    if not seen.kept:
+        return "no frame could be read", nothing, make_pose()
+    try:
+        mount = seen.extrinsics().mount(seen.name, seen.kept[-1].frame.frame_id)
+    except ExtrinsicsError as error:
+        return str(error), nothing, make_pose()
+    mount = seen.options.source.boresight_mount(mount)
+    times_ns = np.array([each.stamp_ns for each in poses])
+    found = []
+    for each in seen.kept[:: len(seen.kept) // _FRAMES + 1]:
+        stamps_ns = [each.frame.stamp_ns + step for step in (-(10**7), 0, 10**7)]
+        before, now, after = (_at(poses, times_ns, stamp_ns, gap_s) for stamp_ns in stamps_ns)
+        if before is None or now is None or after is None:
+            continue
+        points_m = _near(points_of(each.frame), now, mount, surface)
+        if len(points_m) >= _LEAST_POINTS:
+            found.append(Sighting(points_m, (before, now, after)))
+    if len(found) < _LEAST_FRAMES:
+        reason = f"{len(found)} frames show the target where its pose is known, {_LEAST_FRAMES} are needed"
+        return reason, nothing, mount
+    return "", found, mount
+
+
+def _at(poses: list[Odometry], times_ns: FloatArray, stamp_ns: int, gap_s: float) -> RigidTransform | None:
+    """Return T_chaser_target at a time, interpolated between two poses; None in a gap or beyond the ends."""
+    after = int(np.searchsorted(times_ns, stamp_ns))
+    if not 0 < after < len(times_ns) or times_ns[after] - times_ns[after - 1] > 1e9 * gap_s:
+        return None
+    first, second = poses[after - 1].pose, poses[after].pose
+    share = float(stamp_ns - times_ns[after - 1]) / float(times_ns[after] - times_ns[after - 1])
+    step = chained(first.inv(), second)
+    return chained(first, RigidTransform.from_exp_coords(share * step.as_exp_coords()))
+
+
+def points_of(frame: SensorFrame) -> FloatArray:
+    """Return the returns of a frame, sensor axes, shape (N, 3), m."""
+    if not isinstance(frame, PmdFrame):
+        return frame.returns_m.astype(np.float64)
+    camera = frame.camera
+    rows, columns = np.nonzero(_inner(frame.depth_m))
+    distorted = np.stack(((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy))
+    try:
+        x, y = undistort(distorted.astype(np.float64), camera)
+    except DistortionError:
+        return np.zeros((0, 3))
+    depth_m = frame.depth_m[rows, columns].astype(np.float64)
+    return np.stack((x * depth_m, y * depth_m, depth_m), axis=1)
+
+
+def _inner(depth_m: Float32Array) -> NDArray[np.bool_]:
+    """Return the pixels whose neighbours are as far: pixels at edges mix two distances."""
+    with np.errstate(invalid="ignore"):
+        valid = np.isfinite(depth_m) & (depth_m > 0.0)
+        for axis in (0, 1):
+            for step in (-1, 1):
+                valid = valid & (np.abs(np.roll(depth_m, step, axis) - depth_m) < _EDGE_M)
+    inner: NDArray[np.bool_] = valid
+    return inner
+
+
+def _near(points_m: FloatArray, pose: RigidTransform, mount: RigidTransform, surface: Surface) -> FloatArray:
+    """Return some of the points around the target."""
+    in_target = chained(pose.inv(), mount).apply(points_m)
+    found: FloatArray = points_m[np.linalg.norm(in_target, axis=1) < surface.radius_m + _AROUND_M]
+    random = np.random.default_rng(len(found))
+    return found[random.permutation(len(found))[:_POINTS]]

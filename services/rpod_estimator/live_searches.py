@@ -1,0 +1,124 @@
+"""Searches of a live estimator: in workers beside it, one for each sensor.
+
+A search begins when the navigator asks for it, and its result is handed out at the first frame of the sensor
+after its end. Searches in vain rest (``backoff.py``): this module measures how long each one takes.
+"""
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from threading import Event
+from typing import Any, Protocol, Self
+
+from rpod_estimator.backoff import Backoff
+from rpod_pose.navigation.first_pose.searches import RESTING, Found, Search
+from rpod_pose.ports import Methods
+
+READY_S = 60.0
+"""Longest time for which a start waits for the workers; searches that come before they are ready wait."""
+
+
+class Worker(Protocol):
+    """Searches for one sensor, one search at a time, and never makes the caller wait."""
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether a search would begin at once."""
+        ...
+
+    def begin(self, search: Search, setup: Any) -> None:
+        """Search a frame of a sensor that is set up so."""
+        ...
+
+    def result(self) -> Found | None:
+        """Return the result of the search that was begun last; None while it runs."""
+        ...
+
+    def cancel(self) -> None:
+        """Drop the result of the search that was begun last."""
+        ...
+
+    def end(self) -> None:
+        """End at once."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Running:
+    stamp_ns: int
+    began_s: float
+
+
+class LiveSearches:
+    """Searches in workers, and lets searches in vain rest.
+
+    Args:
+        workers: worker of each sensor, by its name.
+        now_s: monotonic clock, s.
+    """
+
+    def __init__(
+        self,
+        workers: Mapping[str, Worker],
+        *,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._workers, self._now_s = workers, now_s
+        self._setups: Mapping[str, Any] = {}
+        self._running: dict[str, _Running] = {}
+        self._backoffs = defaultdict[str, Backoff](Backoff)
+
+    def of(self, _methods: Mapping[str, Methods], setups: Mapping[str, Any]) -> Self:
+        """Return this port for an estimator whose sensors have these setups; the workers have methods."""
+        self._setups = setups
+        return self
+
+    def result(self, search: Search) -> Found | None:
+        """Return the result of a search, which begins when it is asked for first; None while it runs."""
+        running = self._running.get(search.sensor)
+        if running is None or running.stamp_ns != search.event.stamp_ns:
+            return self._begin(search)
+        found = self._workers[search.sensor].result()
+        if found is not None:
+            del self._running[search.sensor]
+            if not found.acquisition.begins_track:
+                data, now_s = search.event.data, self._now_s()
+                self._backoffs[search.sensor].take(data, began_s=running.began_s, now_s=now_s)
+        return found
+
+    def _begin(self, search: Search) -> Found | None:
+        worker, now_s = self._workers[search.sensor], self._now_s()
+        if self._running.pop(search.sensor, None):
+            worker.cancel()
+        if self._backoffs[search.sensor].rests(search.event.data, now_s):
+            return Found.nothing(RESTING)
+        worker.begin(search, self._setups[search.sensor])
+        self._running[search.sensor] = _Running(search.event.stamp_ns, now_s)
+        return None
+
+    def keep(self, searches: Collection[Search]) -> None:
+        """Cancel all searches but these."""
+        wanted = {(search.sensor, search.event.stamp_ns) for search in searches}
+        for sensor, worker in self._workers.items():
+            running = self._running.get(sensor)
+            if running is None or (sensor, running.stamp_ns) not in wanted:
+                self._running.pop(sensor, None)
+                worker.cancel()
+
+    @property
+    def pause_s(self) -> float:
+        """Longest time between two searches; 0 as long as none rests."""
+        return max((backoff.pause_s for backoff in self._backoffs.values()), default=0.0)
+
+    def end_rests(self) -> None:
+        """Search every frame again: something has changed."""
+        for backoff in self._backoffs.values():
+            backoff.end()
+
+    def await_workers(self, stop: Event) -> None:
+        """Wait until the workers are ready, or until stopped."""
+        deadline_s = self._now_s() + READY_S
+        while not all(worker.is_ready for worker in self._workers.values()):
+            if self._now_s() > deadline_s or stop.wait(0.02):
+                return

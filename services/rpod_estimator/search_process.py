@@ -1,0 +1,167 @@
+"""A process that searches for one sensor, so that tracking waits neither for its turn nor for a lock.
+
+It makes the sensor's methods anew, from the configuration. It runs at a lower priority than the estimator,
+and ends with it. A search that nobody waits for any more is left running for about the time of a restart,
+since most searches end before; then the process is replaced.
+"""
+
+import io
+import logging
+import os
+import pickle
+import signal
+import time
+from contextlib import suppress
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_pose.methods import kind_methods, ready_methods
+from rpod_pose.navigation.first_pose.searches import Found, Search, find
+from rpod_pose.ports import Methods
+from rpod_schemas.config.sensor import SensorInput
+from rpod_target import load_target
+
+log = logging.getLogger(__name__)
+
+NICENESS = 10
+"""Lower priority of a search: a tracked frame on a loaded machine does not wait for it."""
+RESTART_S = 3.0
+"""About the time in which a process starts, imports and warms up, s."""
+_READY = b"ready"
+_ENDED = "the process of the search has ended; it is started again"
+
+
+class SearchProcess:
+    """Searches for one sensor, one search at a time.
+
+    Args:
+        target: name or file of the target.
+        sensor: configuration of the sensor.
+    """
+
+    def __init__(self, target: str, sensor: SensorInput) -> None:
+        self._target, self._sensor = target, sensor
+        self._start()
+
+    def _start(self) -> None:
+        context = get_context("spawn")  # the bus has threads, which a fork would not survive
+        self._connection, theirs = context.Pipe()
+        arguments = theirs, self._target, self._sensor
+        name = f"search-{self._sensor.name}"
+        self._process = context.Process(target=serve, args=arguments, name=name, daemon=True)
+        self._process.start()
+        theirs.close()
+        self._is_ready = self._is_busy = False
+        self._next: bytes | None = None
+        self._unwanted_s: float | None = None
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether its methods are warmed up."""
+        self._hear()
+        return self._is_ready
+
+    def begin(self, search: Search, setup: Any) -> None:
+        """Search a frame, as soon as the process can; the search before must have ended or be cancelled."""
+        self._next = packed((search.sent, setup))
+        self._hear()
+
+    def result(self) -> Found | None:
+        """Return the result of the search that was begun last; None while it runs."""
+        return self._hear()
+
+    def cancel(self) -> None:
+        """Drop the result of the search that was begun last."""
+        self._next = None
+        if self._is_busy and self._unwanted_s is None:
+            self._unwanted_s = time.monotonic()
+        self._hear()
+
+    def end(self) -> None:
+        """End the process at once."""
+        self._process.kill()
+        self._process.join()
+        self._connection.close()
+
+    def _hear(self) -> Found | None:
+        """Take what the process says, and give it the next search if it is free."""
+        found = None
+        try:
+            while self._connection.poll():
+                said = self._connection.recv_bytes()
+                self._is_ready = True
+                if said == _READY:
+                    continue
+                self._is_busy = False
+                if self._unwanted_s is None:
+                    found = pickle.loads(said)  # noqa: S301 - of our own process
+                self._unwanted_s = None
+            if self._is_ready and not self._is_busy and self._next is not None:
+                self._connection.send_bytes(self._next)
+                self._next, self._is_busy = None, True
+        except (EOFError, OSError):
+            code = self._process.exitcode
+            log.error("%s: the process of the search has ended, code %s", self._sensor.name, code)
+            self.end()
+            self._start()
+            return Found.nothing(_ENDED)
+        if self._unwanted_s is not None and time.monotonic() - self._unwanted_s > RESTART_S:
+            waiting = self._next
+            self.end()
+            self._start()
+            self._next = waiting
+        return found
+
+
+def serve(connection: Connection, target_name: str, sensor: SensorInput) -> None:
+    """Search as long as the estimator lives."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the estimator ends this process
+    os.nice(NICENESS)
+    target = load_target(target_name)
+    made: dict[str, Methods] = {}
+    setup = kind_methods(sensor).setup(sensor, None)
+    known = None
+    if setup is not None:
+        made[sensor.name], known = ready_methods(sensor, target, setup), pickle.dumps(setup)
+    with suppress(EOFError, OSError):
+        connection.send_bytes(_READY)
+        while True:
+            search, setup = pickle.loads(connection.recv_bytes())  # noqa: S301 - of our own process
+            if pickle.dumps(setup) != known:
+                made[sensor.name], known = ready_methods(sensor, target, setup), pickle.dumps(setup)
+            connection.send_bytes(packed(find(search, made[sensor.name])))
+
+
+class _Pickler(pickle.Pickler):
+    """Keeps arrays read-only: kernels are compiled separately for those."""
+
+    def reducer_override(self, thing: object) -> Any:
+        if type(thing) is np.ndarray and not thing.flags.writeable:
+            return _read_only, (thing.copy(order="K"),)
+        return NotImplemented
+
+
+def packed(thing: object) -> bytes:
+    """Return an object as bytes for ``pickle.loads``; read-only arrays stay so."""
+    stream = io.BytesIO()
+    _Pickler(stream, pickle.HIGHEST_PROTOCOL).dump(thing)
+    return stream.getvalue()
+
+
+def found_as_in_process(search: Search, methods: Methods) -> Found:
+    """Return the result of a search as a process gives it, to the last bit.
+
+    Poses are normalised once more on each way, which changes their last digits.
+    """
+    sent: Search = pickle.loads(packed(search.sent))  # noqa: S301 - our own
+    result: Found = pickle.loads(packed(find(sent, methods)))  # noqa: S301 - our own
+    return result
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,227 @@
+"""What the chaser's IMU has measured, integrated once, so that any step is a difference of two integrals.
+
+With G the attitude of the chaser in axes that are at rest, dG/dt = G [w]x for the measured rate w. The turn
+of a step from 0 to 1 is G1^T G0. An error d of the bias turns it by G1^T (S1 - S0) d to first order, where S
+is the integral of G. The same holds for the measured specific force: its integrals are those of G f, and the
+derivatives by its bias those of -G. Where a star tracker tells the attitude, the gyro's bias is taken out of
+the rates as far as it is known (``gyro_bias``); the bias of a step is then what is left of it.
+"""
+
+from bisect import bisect_right
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rpod_pose.navigation.dynamics.chaser import ChaserStep
+from rpod_pose.navigation.dynamics.gyro_bias import GyroBias
+from rpod_pose.navigation.filter.rotations import exponential
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import ImuReading
+
+_GAP_S = 0.1
+"""Time between two readings beyond which the rotation between them is not known: a spacecraft's attitude
+control reacts within some tenths of a second."""
+_KEPT_S = 300.0
+"""Time for which readings are kept; no track coasts for longer."""
+_RATE_S = 0.2
+"""Time before a stamp over which readings give the rate at the stamp: its noise is then 5 times the angular
+random walk over a second. Attitude control changes the rate little in this time."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Sum:
+    """Integrals up to a reading; force and way are those of the specific force."""
+
+    stamp_ns: int
+    rate_rad_s: FloatArray
+    """As it was measured."""
+    force_m_s2: FloatArray
+    G: FloatArray
+    S: FloatArray
+    SS: FloatArray
+    """Integral of S."""
+    speed_m_s: FloatArray
+    way_m: FloatArray
+    variance: float
+    """Variance of the turn about each axis."""
+    unknown_s: float
+    angle_rad: FloatArray
+    """Integral of the rate without the known bias, component by component, for its mean."""
+    R_orbit_chaser: FloatArray | None
+    bias: GyroBias
+
+
+class ImuTrack:
+    """Readings of the chaser's IMU in the order of their stamps, and their integrals.
+
+    Readings after a stamp do not count for it: a step is the same whenever it is asked for, once all readings
+    up to its end are there. Between readings the last rate is assumed. More than 0.1 s after a reading, the
+    time counts as unknown.
+
+    Args:
+        noise_rad_sqrt_s: angular random walk of a gyro whose readings do not state their variance.
+        R_orbit_chaser: attitude in the orbital frame that holds where readings state none; None for unknown.
+        orbit_rate_rad_s: rate of the orbit; None where attitudes do not tell the gyro's bias.
+        bias_sigma_rad_s: standard deviation of the gyro's bias before any attitude.
+        bias_walk_rad_s_sqrt_s: random walk of the gyro's bias.
+    """
+
+    def __init__(
+        self,
+        noise_rad_sqrt_s: float = 0.0,
+        R_orbit_chaser: FloatArray | None = None,
+        *,
+        orbit_rate_rad_s: float | None = None,
+        bias_sigma_rad_s: float = 0.0,
+        bias_walk_rad_s_sqrt_s: float = 0.0,
+    ) -> None:
+        self._noise, self._walk = noise_rad_sqrt_s**2, bias_walk_rad_s_sqrt_s**2
+        self._attitude, self._orbit_rate_rad_s = R_orbit_chaser, orbit_rate_rad_s
+        self._unknown = GyroBias.unknown(bias_sigma_rad_s)
+        self._begin_ns = 0
+        self._sums: list[_Sum] = []
+
+    def bias_at(self, stamp_ns: int) -> GyroBias:
+        """Return what the star tracker has told of the gyro's bias up to a stamp."""
+        return self._at(stamp_ns).bias if self._sums else self._unknown
+
+    def covers(self, stamp_ns: int) -> bool:
+        """Return whether all readings up to a stamp are there, if they go on as before."""
+        if len(self._sums) < 2:
+            return False
+        newest_ns = self._sums[-1].stamp_ns
+        return 2 * newest_ns - self._sums[-2].stamp_ns > stamp_ns
+
+    def hear(self, reading: ImuReading) -> bool:
+        """Add a reading; return whether it is newer than all before, otherwise it is not used."""
+        last = self._sums[-1] if self._sums else None
+        if last is not None and reading.stamp_ns <= last.stamp_ns:
+            return False
+        attitude = self._attitude if reading.R_orbit_chaser is None else reading.R_orbit_chaser.as_matrix()
+        force = np.zeros(3) if reading.force_m_s2 is None else reading.force_m_s2
+        if last is None:
+            self._begin_ns = reading.stamp_ns
+            nothing, none = np.zeros((3, 3)), np.zeros(3)
+            found = _Sum(
+                reading.stamp_ns, reading.rate_rad_s, force, np.eye(3), nothing, nothing, none, none, 0.0,
+                0.0, none, attitude, self._unknown,
+            )  # fmt: skip
+        else:
+            step_s = (reading.stamp_ns - last.stamp_ns) * 1e-9
+            density = reading.rate_variance * step_s if reading.rate_variance else self._noise
+            found = _extended(
+                last,
+                stamp_ns=reading.stamp_ns,
+                rate_rad_s=reading.rate_rad_s,
+                force_m_s2=force,
+                density=density,
+                attitude=attitude,
+            )
+            bias = last.bias.after(
+                found.S - last.S, step_s=step_s, noise_rad2_s=density, walk_rad2_s3=self._walk
+            )
+            found = replace(found, bias=bias)
+        self._sums.append(self._told(found, reading))
+        self._prune()
+        return True
+
+    def _told(self, found: _Sum, reading: ImuReading) -> _Sum:
+        """Return the integrals with what the reading's attitude tells of the bias."""
+        if self._orbit_rate_rad_s is None or reading.R_orbit_chaser is None or not reading.attitude_variance:
+            return found
+        angle_rad = self._orbit_rate_rad_s * (reading.stamp_ns - self._begin_ns) * 1e-9
+        measured = exponential(np.array([0.0, 0.0, angle_rad])) @ reading.R_orbit_chaser.as_matrix()
+        return replace(found, bias=found.bias.told(measured, found.G, reading.attitude_variance))
+
+    def _prune(self) -> None:
+        oldest_ns = self._sums[-1].stamp_ns - round(_KEPT_S * 1e9)
+        if len(self._sums) % 4096 == 0:
+            self._sums = self._sums[bisect_right(self._sums, oldest_ns, key=lambda each: each.stamp_ns) :]
+
+    def step(self, begin_ns: int, end_ns: int) -> ChaserStep:
+        """Return the motion between two stamps."""
+        if not self._sums:
+            nothing, none = np.zeros((3, 3)), np.zeros(3)
+            step_s = (end_ns - begin_ns) * 1e-9
+            return ChaserStep(
+                np.eye(3), nothing, none, none, 0.0, step_s, none, none, nothing, nothing, self._attitude
+            )
+        a, b = self._at(begin_ns), self._at(end_ns)
+        step_s = (end_ns - begin_ns) * 1e-9
+        back = a.G.T
+        kept = 1.0
+        if b.bias.variance < a.bias.variance:
+            kept = b.bias.variance / a.bias.variance
+        return ChaserStep(
+            turn=b.G.T @ a.G,
+            turn_by_bias=b.G.T @ (b.S - a.S),
+            rate_before_rad_s=self._mean_rate(a),
+            rate_after_rad_s=self._mean_rate(b),
+            turn_variance=max(b.variance - a.variance, 0.0),
+            unknown_s=b.unknown_s - a.unknown_s,
+            speed_m_s=back @ (b.speed_m_s - a.speed_m_s),
+            way_m=back @ (b.way_m - a.way_m - step_s * a.speed_m_s),
+            speed_by_bias=-back @ (b.S - a.S),
+            way_by_bias=-back @ (b.SS - a.SS - step_s * a.S),
+            R_orbit_chaser=a.R_orbit_chaser,
+            bias_kept=kept,
+            bias_noise=b.bias.variance * (1.0 - kept),
+        )
+
+    def _at(self, stamp_ns: int) -> _Sum:
+        """Return the integrals at any stamp, by the readings up to it."""
+        place = bisect_right(self._sums, stamp_ns, key=lambda each: each.stamp_ns)
+        before = self._sums[max(place - 1, 0)]
+        if before.stamp_ns == stamp_ns:
+            return before
+        return _extended(
+            before,
+            stamp_ns=stamp_ns,
+            rate_rad_s=before.rate_rad_s,
+            force_m_s2=before.force_m_s2,
+            density=self._noise,
+            attitude=before.R_orbit_chaser,
+        )
+
+    def _mean_rate(self, at: _Sum) -> FloatArray:
+        """Return the rate at a stamp, by a line through two means over a short time before it."""
+        stamp_ns = at.stamp_ns - round(_RATE_S * 1e9)
+        if stamp_ns <= self._sums[0].stamp_ns:
+            return at.rate_rad_s - at.bias.bias_rad_s
+        before, middle = self._at(stamp_ns), self._at(at.stamp_ns - round(0.5e9 * _RATE_S))
+        late = (at.angle_rad - middle.angle_rad) / (0.5 * _RATE_S)
+        early = (middle.angle_rad - before.angle_rad) / (0.5 * _RATE_S)
+        # the means are those at 3/4 and 1/4 of this time before the stamp
+        return 1.5 * late - 0.5 * early
+
+
+def _extended(
+    last: _Sum,
+    *,
+    stamp_ns: int,
+    rate_rad_s: FloatArray,
+    force_m_s2: FloatArray,
+    density: float,
+    attitude: FloatArray | None,
+) -> _Sum:
+    """Return the integrals at another stamp, with the mean of both ends' readings; it may lie in the past."""
+    step_s = (stamp_ns - last.stamp_ns) * 1e-9
+    mean_rad_s = 0.5 * (last.rate_rad_s + rate_rad_s) - last.bias.bias_rad_s
+    G = last.G @ exponential(mean_rad_s * step_s)
+    middle = 0.5 * (last.G + G)
+    force = 0.5 * (last.G @ last.force_m_s2 + G @ force_m_s2)
+    return _Sum(
+        stamp_ns=stamp_ns,
+        rate_rad_s=rate_rad_s,
+        force_m_s2=force_m_s2,
+        G=G,
+        S=last.S + step_s * middle,
+        SS=last.SS + step_s * last.S + 0.5 * step_s**2 * middle,
+        speed_m_s=last.speed_m_s + step_s * force,
+        way_m=last.way_m + step_s * last.speed_m_s + 0.5 * step_s**2 * force,
+        variance=last.variance + abs(step_s) * density,
+        unknown_s=last.unknown_s + (step_s if abs(step_s) > _GAP_S else 0.0),
+        angle_rad=last.angle_rad + step_s * mean_rad_s,
+        R_orbit_chaser=attitude,
+        bias=last.bias,
+    )

@@ -1,0 +1,227 @@
+"""Rotation of a rigid body without torque, with its derivatives.
+
+Euler's equations in body axes read J dw/dt = -w x J w, the attitude follows from dM/dt = M [w]x, M(0) = 1.
+They and their derivatives by the rate at the start and by the inertia are integrated together, by the
+classical method of Runge and Kutta (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential
+Equations I, section II.1).
+
+Without torque the scale of the inertia does not matter, and its principal axes are believed, so that two
+ratios are left. With the principal moments J_i of the declared inertia they are the coefficients c of
+J_i exp(S_i), where S is the sum of two orthogonal vectors of norm 1 and sum 0. So each c leaves the moments
+positive, and c = 0 is the declared inertia. One moment that is wrong by a share e has |c| of about 0.8 e.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian
+from rpod_schemas.arrays import FloatArray
+
+RATIOS = 2
+"""Number of coefficients of an inertia's ratios."""
+_BASIS = np.array([[1.0, -1.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[2.0], [6.0]])
+_STEP_RAD = 0.1
+"""Largest turn in a step of the integration: the error of a step is about 1e-7 rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """The declared inertia of a body, and what its ratios may be instead.
+
+    Args:
+        declared_kg_m2: inertia about the centre of mass, target axes, shape (3, 3).
+    """
+
+    declared_kg_m2: FloatArray
+
+    @cached_property
+    def _principal(self) -> tuple[FloatArray, FloatArray]:
+        """Principal moments by their sum, shape (3,), and axes, in the columns, shape (3, 3)."""
+        moments, axes = np.linalg.eigh(self.declared_kg_m2 / np.trace(self.declared_kg_m2))
+        return moments, axes
+
+    def shaped(self, coefficients: FloatArray) -> "Shape":
+        """Return the inertia of coefficients, shape (2,), or (0,) for the declared one."""
+        moments, axes = self._principal
+        used = _BASIS[: len(coefficients)]
+        shaped: FloatArray = moments * np.exp(coefficients @ used)
+        return Shape((axes * shaped) @ axes.T, (axes * (used * shaped)[:, None]) @ axes.T)
+
+
+class Shape(NamedTuple):
+    """An inertia of any scale, and its derivatives by the coefficients."""
+
+    J: FloatArray
+    """Inertia, shape (3, 3)."""
+    by_coefficient: FloatArray
+    """Derivatives of J, shape (2, 3, 3), or (0, 3, 3) where the ratios are no
+    states."""
+
+
+class Turned(NamedTuple):
+    """Rotation of a body in a time, and its derivatives, all in body axes.
+
+    The errors of the turn are right ones: M_estimated = M_true Exp(error), in axes at the end.
+    """
+
+    turn: FloatArray
+    """M, shape (3, 3): coordinates in body axes at the end to those in body axes at the start."""
+    rate_rad_s: FloatArray
+    """Rate relative to inertial space at the end, shape (3,)."""
+    turn_by_rate: FloatArray
+    """Derivatives of the turn by the rate at the start, shape (3, 3)."""
+    rate_by_rate: FloatArray
+    """Derivatives of the rate by the rate at the start, shape (3, 3)."""
+    turn_by_shape: FloatArray
+    """Derivatives of the turn by the coefficients of the inertia, shape (3, K)."""
+    rate_by_shape: FloatArray
+    """Derivatives of the rate by the coefficients of the inertia, shape (3, K)."""
+
+
+@dataclass
+class _Integration:
+    """State of the integration; ``slope`` is its derivative by time."""
+
+    shape: Shape
+    inverse: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.inverse = np.linalg.inv(self.shape.J).astype(np.float64)
+
+    def slope(self, y: FloatArray) -> FloatArray:
+        """Return dy/dt of y = (quaternion x y z w, rate, [rate by] and [turn by] all, row by row)."""
+        quaternion, w = y[:4], y[4:7]
+        by_all = y[7:].reshape(2, 3, -1)
+        J, parts = self.shape
+        spin, momentum = cross_matrix(w), J @ w
+        w_slope = -self.inverse @ (spin @ momentum)
+        rate_slope = self.inverse @ (cross_matrix(momentum) - spin @ J) @ by_all[0]
+        if len(parts):
+            forced = parts @ w_slope + (parts @ w) @ spin.T
+            rate_slope[:, 3:] -= self.inverse @ forced.T
+        turn_slope = by_all[0] - spin @ by_all[1]
+        x, y_, z = w
+        turning = np.array([[0.0, z, -y_, x], [-z, 0.0, x, y_], [y_, -x, 0.0, z], [-x, -y_, -z, 0.0]])
+        return np.concatenate([0.5 * turning @ quaternion, w_slope, rate_slope.ravel(), turn_slope.ravel()])
+
+
+def torque_free(rate_rad_s: FloatArray, shape: Shape, step_s: float) -> Turned:
+    """Return the rotation without torque in a time.
+
+    Args:
+        rate_rad_s: rate relative to inertial space at the start, body axes, shape (3,).
+        shape: inertia, of any scale.
+        step_s: time, s.
+    """
+    count = 3 + len(shape.by_coefficient)
+    start = np.zeros((2, 3, count))
+    start[0, :, :3] = np.eye(3)
+    y = np.concatenate([[0.0, 0.0, 0.0, 1.0], rate_rad_s, start.ravel()])
+    steps = max(1, int(np.ceil(float(np.linalg.norm(rate_rad_s)) * step_s / _STEP_RAD)))
+    h, slope = step_s / steps, _Integration(shape).slope
+    for _ in range(steps):
+        k1 = slope(y)
+        k2 = slope(y + 0.5 * h * k1)
+        k3 = slope(y + 0.5 * h * k2)
+        k4 = slope(y + h * k3)
+        y = y + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+    by_all = y[7:].reshape(2, 3, count)
+    return Turned(
+        turn=_matrix(y[:4]),
+        rate_rad_s=y[4:7],
+        turn_by_rate=by_all[1, :, :3],
+        rate_by_rate=by_all[0, :, :3],
+        turn_by_shape=by_all[1, :, 3:],
+        rate_by_shape=by_all[0, :, 3:],
+    )
+
+
+class Curvature(NamedTuple):
+    """What the second order of the motion adds to a turn and a rate, body axes at the end."""
+
+    mean: FloatArray
+    """Mean of turn, as a vector, and rate, shape (6,)."""
+    spread: FloatArray
+    """Matrix whose product with its transpose is the covariance, shape (6, K)."""
+
+
+FLAT = Curvature(np.zeros(6), np.zeros((6, 0)))
+"""No second order."""
+
+
+def curvature(
+    rate_rad_s: FloatArray, coefficients: FloatArray, inertia: Inertia, root: FloatArray, step_s: float
+) -> Curvature:
+    """Return the second order of the motion over a normal distribution of rate and inertia.
+
+    With second differences D over h = sqrt(3) standard deviations along the columns i and j of a root of the
+    covariance, D_ij = h^2 H_ij, the mean is sum H_ii / 2, the covariance sum H_ij H_ij^T / 2 over all i, j
+    (M. Norgaard, N. K. Poulsen, O. Ravn, New developments in state estimation for nonlinear systems,
+    Automatica 36 (2000) 1627-1638). The mixed ones count: those of Euler's equations along principal axes are
+    the only ones.
+
+    Args:
+        rate_rad_s: rate at the start, body axes, shape (3,).
+        coefficients: those of the inertia's ratios, shape (2,) or (0,).
+        inertia: the declared inertia.
+        root: root of the covariance of (rate, coefficients), shape (D, D), D = 5 or 3.
+        step_s: time, s.
+    """
+    count, steps = root.shape[1], np.sqrt(3.0) * root.T
+    first, second = np.triu_indices(count, 1)
+    pairs = steps[first] + steps[second]
+    points = np.concatenate([np.zeros((1, len(root))), steps, -steps, pairs, -pairs])
+    J = np.array([inertia.shaped(coefficients + point[3:]).J for point in points])
+    turns, rates = _turned(rate_rad_s + points[:, :3], J, step_s)
+    off = Rotation.from_matrix(turns[0].T @ turns).as_rotvec()
+    change = np.hstack([off, rates - rates[0]])[1:]
+    own = change[:count] + change[count : 2 * count]
+    mixed = change[2 * count :].reshape(2, -1, 6).sum(axis=0) - own[first] - own[second]
+    return Curvature(own.sum(axis=0) / 6.0, np.concatenate([own / np.sqrt(18.0), mixed / 6.0]).T)
+
+
+def _turned(rates_rad_s: FloatArray, J: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return turns, shape (P, 3, 3), and rates, shape (P, 3), of bodies after a time, by the same method."""
+    inverse = np.linalg.inv(J)
+
+    def slope(q: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        momentum = np.einsum("pij,pj->pi", J, w)
+        torque = -np.cross(w, momentum)
+        vector = q[:, 3:] * w + np.cross(q[:, :3], w)
+        scalar = -np.einsum("pi,pi->p", q[:, :3], w)
+        return 0.5 * np.hstack([vector, scalar[:, None]]), np.einsum("pij,pj->pi", inverse, torque)
+
+    q, w = np.tile([0.0, 0.0, 0.0, 1.0], (len(J), 1)), rates_rad_s
+    steps = max(1, int(np.ceil(float(np.linalg.norm(w, axis=1).max()) * step_s / _STEP_RAD)))
+    h = step_s / steps
+    for _ in range(steps):
+        a = slope(q, w)
+        b = slope(q + 0.5 * h * a[0], w + 0.5 * h * a[1])
+        c = slope(q + 0.5 * h * b[0], w + 0.5 * h * b[1])
+        d = slope(q + h * c[0], w + h * c[1])
+        q = q + h / 6.0 * (a[0] + 2.0 * (b[0] + c[0]) + d[0])
+        w = w + h / 6.0 * (a[1] + 2.0 * (b[1] + c[1]) + d[1])
+    return Rotation.from_quat(q).as_matrix(), w
+
+
+def constant_rate(rate_rad_s: FloatArray, step_s: float) -> Turned:
+    """Return the rotation of a body whose rate is constant, which is that of a sphere without torque."""
+    phi = rate_rad_s * step_s
+    empty = np.zeros((3, 0))
+    return Turned(exponential(phi), rate_rad_s, step_s * left_jacobian(phi).T, np.eye(3), empty, empty)
+
+
+def _matrix(quaternion_xyzw: FloatArray) -> FloatArray:
+    """Return the rotation matrix of a quaternion of any norm."""
+    x, y, z, w = (quaternion_xyzw / np.linalg.norm(quaternion_xyzw)).tolist()
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,71 @@
+"""Error-state Kalman filter of pose, twist and further states, with measurements that may come late.
+
+State: position p and attitude R of the target in chaser axes, v = dp/dt, and w with dR/dt = [w]x R. Error,
+all in chaser axes: (dp, dtheta, dv, dw), estimate minus truth, dtheta = Log(R_est R^T): the pose block of
+the covariance is the one that the ICD publishes (section 1). Behind these twelve there may be named blocks
+of further states (``blocks``), whose errors are estimate minus truth too. Values are immutable, functions
+are pure.
+
+After an update by delta the attitude error is left-multiplied by J_l(delta). Source: J. Sola, Quaternion
+kinematics for the error-state Kalman filter, arXiv:1711.02508, section 7 (errors in global axes), with J_l
+in place of its first-order terms.
+
+Where every turn about an axis of the target is a symmetry, the angle about this free axis is a convention. No
+prediction and no update turns the target about it. Its variance is 0 inside the filter, and that of an
+unknown angle in the published covariance. The rate about the axis is 0, with the variance of an unknown rate.
+A sphere has three such axes: its position alone is estimated.
+"""
+
+from rpod_pose.navigation.filter.blocks import Block
+from rpod_pose.navigation.filter.correction import (
+    NOTHING,
+    Innovation,
+    Sensitivities,
+    Update,
+    grown,
+    innovation_of,
+    is_consistent,
+    separation_of,
+    update,
+)
+from rpod_pose.navigation.filter.first_state import start
+from rpod_pose.navigation.filter.odometry import to_odometry
+from rpod_pose.navigation.filter.prediction import StampOrderError, predict
+from rpod_pose.navigation.filter.rotations import exponential, left_jacobian
+from rpod_pose.navigation.filter.state import (
+    ATTITUDE,
+    POSE,
+    POSITION,
+    RATE,
+    TWIST,
+    VELOCITY,
+    FilterState,
+    MotionModel,
+)
+
+__all__ = [
+    "ATTITUDE",
+    "NOTHING",
+    "POSE",
+    "POSITION",
+    "RATE",
+    "TWIST",
+    "VELOCITY",
+    "Block",
+    "FilterState",
+    "Innovation",
+    "MotionModel",
+    "Sensitivities",
+    "StampOrderError",
+    "Update",
+    "exponential",
+    "grown",
+    "innovation_of",
+    "is_consistent",
+    "left_jacobian",
+    "predict",
+    "separation_of",
+    "start",
+    "to_odometry",
+    "update",
+]

@@ -1,0 +1,203 @@
+"""Update of a state with a measured pose, and comparison of states."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.transform import RigidTransform
+from scipy.special import gammainc, gammaincinv
+
+from rpod_pose.navigation.filter.blocks import Block, placed, variances
+from rpod_pose.navigation.filter.rotations import left_jacobian, symmetric
+from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSE, FilterState, unturned
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.poses import rotation_matrix, rotation_of
+from rpod_target import Equivalence
+
+Sensitivities = Mapping[str, FloatArray]
+"""Derivatives of a measured pose's (dp, dtheta) by the states of blocks, shape (6, size), by the block's
+name. A block that is not named does not move the measurement."""
+NOTHING: Sensitivities = MappingProxyType({})
+"""Sensitivities of a pose that depends on no block."""
+
+
+class Update(NamedTuple):
+    """Result of an update with a measurement."""
+
+    state: FilterState
+    """State after the update; unchanged if the measurement was rejected."""
+    nis: float
+    """Normalised innovation squared; NaN if the measurement is not finite."""
+    accepted: bool
+
+
+class Innovation(NamedTuple):
+    """Difference between a measured and a predicted pose, and its covariance."""
+
+    difference: FloatArray
+    """(dp, dtheta) from the predicted measurement to the measured pose, shape (6,)."""
+    covariance: FloatArray
+    """Covariance of the difference, shape (6, 6)."""
+    noise: FloatArray
+    """Part of it that is the measurement's own noise, shape (6, 6)."""
+    H: FloatArray
+    """Derivatives of the measurement by the states, shape (6, 12 + n)."""
+    cross: FloatArray
+    """Covariance of the predicted measurement with the states, shape (6, 12 + n)."""
+
+
+def innovation_of(
+    state: FilterState,
+    T_chaser_target: RigidTransform,
+    covariance: FloatArray,
+    *,
+    config: FilterConfig,
+    sensitivities: Sensitivities = NOTHING,
+    white: bool = False,
+) -> Innovation:
+    """Return the innovation of a measured pose at the state's stamp; arguments as for ``update``."""
+    noise = covariance if white else measurement_noise(covariance, config)
+    R = rotation_matrix(T_chaser_target)
+    # no innovation is left about a free axis; any variance keeps the matrix regular and leaves the gain at 0
+    noise = state.alike.with_free_variance(noise, R, 1.0)
+    difference = pose_difference(T_chaser_target, state.T_chaser_target, state.alike)
+    H, P = np.zeros((6, state.size)), state.covariance
+    H[:, POSE], cross = np.eye(6), P[POSE]
+    moving = [
+        (block, place, told(sensitivities[block.name], R, state.alike))
+        for block, place in placed(state.blocks, MOTION.stop)
+        if block.name in sensitivities
+    ]
+    for block, place, by in moving:
+        H[:, place], cross = by, cross + by @ P[place]
+        difference = difference - by @ block.value
+    predicted = cross[:, POSE]
+    for _, place, by in moving:
+        predicted = predicted + cross[:, place] @ by.T
+    return Innovation(difference, predicted + noise, noise, H, cross)
+
+
+def grown(state: FilterState, blocks: Sequence[Block]) -> FilterState:
+    """Return a state with further blocks, as before any measurement.
+
+    Those that the state has are kept, with the constants that are given now.
+    """
+    given = {block.name: block for block in blocks}
+    old = tuple(
+        replace(given.pop(block.name), value=block.value) if block.name in given else block
+        for block in state.blocks
+    )
+    if not given:
+        return replace(state, blocks=old) if blocks else state
+    new = tuple(given.values())
+    covariance = block_diag(state.covariance, np.diag(variances(new)))
+    return replace(state, covariance=covariance, blocks=(*old, *new))
+
+
+def separation_of(state: FilterState, other: FilterState) -> FloatArray:
+    """Return (dp, dtheta) from another filter's pose to a state's, at the same stamp, shape (6,)."""
+    return pose_difference(state.T_chaser_target, other.T_chaser_target, state.alike)
+
+
+def update(
+    state: FilterState,
+    T_chaser_target: RigidTransform,
+    covariance: FloatArray,
+    *,
+    config: FilterConfig,
+    sensitivities: Sensitivities = NOTHING,
+    white: bool = False,
+) -> Update:
+    """Return the state after a pose measured at the state's stamp, unless the gate rejects it.
+
+    The measured attitude stands for all that no measurement tells from it: the nearest counts, and the angle
+    about a free axis is ignored. Considered blocks have no gain; the covariance is that of the gain which is
+    used (Joseph's form).
+
+    Args:
+        state: state predicted to the measurement's stamp.
+        T_chaser_target: the measured pose.
+        covariance: covariance of its (dp, dtheta), ICD section 1, shape (6, 6), without what comes from the
+            states of blocks; rejected if not finite.
+        config: noise floor, inflation and gate.
+        sensitivities: how the measured pose depends on the states of blocks.
+        white: whether the covariance is that of the frame's own noise alone: without floors and inflation.
+    """
+    found = innovation_of(
+        state, T_chaser_target, covariance, config=config, sensitivities=sensitivities, white=white
+    )
+    innovation, S, noise, H, cross = found
+    if not (np.isfinite(innovation).all() and np.isfinite(noise).all()):
+        return Update(state, float("nan"), accepted=False)
+
+    nis = float(innovation @ np.linalg.solve(S, innovation))
+    gate_nis = _gate(config.tuning.gate_nis, state.alike.dof)
+    if not 0.0 <= nis <= gate_nis:  # negative: the covariance is not positive definite
+        return Update(state, nis, accepted=False)
+
+    gain = np.linalg.solve(S, cross).T
+    for block, place in placed(state.blocks, MOTION.stop):
+        if block.considered:
+            gain[place] = 0.0
+    correction = gain @ innovation
+    reset = np.eye(state.size)
+    reset[ATTITUDE, ATTITUDE] = left_jacobian(correction[ATTITUDE])
+    keep = np.eye(state.size) - gain @ H
+    joseph = keep @ state.covariance @ keep.T + gain @ noise @ gain.T
+    corrected = replace(state.corrected(correction), covariance=symmetric(reset @ joseph @ reset.T))
+    return Update(unturned(corrected, config), nis, accepted=True)
+
+
+def is_consistent(state: FilterState, other: FilterState, config: FilterConfig) -> bool:
+    """Return whether another filter's pose at the same stamp lies within the gate of a state.
+
+    The other filter has used the same measurements and more, so that the covariance of the difference is at
+    most the state's own.
+    """
+    difference = pose_difference(other.T_chaser_target, state.T_chaser_target, state.alike)
+    R = rotation_matrix(state.T_chaser_target)
+    covariance = state.alike.with_free_variance(state.covariance[POSE, POSE].copy(), R, 1.0)
+    nis = float(difference @ np.linalg.solve(covariance, difference))
+    return 0.0 <= nis <= _gate(config.tuning.gate_nis, state.alike.dof)
+
+
+def measurement_noise(covariance: FloatArray, config: FilterConfig) -> FloatArray:
+    """Return the covariance of a measured pose with the floors and the inflation, shape (6, 6)."""
+    floor = np.repeat([config.position_floor_m**2, np.deg2rad(config.attitude_floor_deg) ** 2], 3)
+    return config.correlation_inflation * (covariance + np.diag(floor))
+
+
+def told(sensitivity: FloatArray, R: FloatArray, alike: Equivalence) -> FloatArray:
+    """Return the part of a sensitivity, shape (6, size), that turns the target about no free axis.
+
+    Args:
+        sensitivity: derivatives of (dp, dtheta).
+        R: rotation matrix of the target, shape (3, 3).
+        alike: which attitudes no measurement tells apart.
+    """
+    if not len(alike.free_axes):
+        return sensitivity
+    axes, kept = alike.free_axes @ R.T, sensitivity.copy()
+    kept[ATTITUDE] -= axes.T @ (axes @ sensitivity[ATTITUDE])
+    return kept
+
+
+def pose_difference(
+    T_measured: RigidTransform, T_estimated: RigidTransform, alike: Equivalence
+) -> FloatArray:
+    """Return (dp, dtheta) from the estimated to the nearest measured pose, shape (6,), m and rad."""
+    estimated = rotation_of(T_estimated)
+    measured = alike.nearest(rotation_of(T_measured), estimated)
+    turn_rad = (measured * estimated.inv()).as_rotvec()
+    return np.concatenate([T_measured.translation - T_estimated.translation, turn_rad])
+
+
+@cache
+def _gate(gate_nis: float, dof: int) -> float:
+    """Return the quantile of chi-squared that is as probable as the gate is with six degrees of freedom."""
+    return gate_nis if dof == 6 else 2.0 * float(gammaincinv(dof / 2.0, float(gammainc(3.0, gate_nis / 2.0))))

@@ -1,0 +1,89 @@
+"""The first state of the filter, from a measured pose."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.navigation.filter.blocks import Block, placed, variances
+from rpod_pose.navigation.filter.correction import NOTHING, Sensitivities, measurement_noise, told
+from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
+from rpod_pose.navigation.filter.state import MOTION, POSE, RATE, VELOCITY, FilterState, MotionModel, unturned
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.poses import rotation_matrix
+from rpod_target import NO_SYMMETRY, Equivalence
+
+
+def start(
+    T_chaser_target: RigidTransform,
+    covariance: FloatArray,
+    stamp_ns: int,
+    *,
+    config: FilterConfig,
+    centre_of_mass_m: FloatArray | None = None,
+    alike: Equivalence = NO_SYMMETRY,
+    blocks: Sequence[Block] = (),
+    sensitivities: Sensitivities = NOTHING,
+    white: bool = False,
+    model: MotionModel | None = None,
+) -> FilterState:
+    """Return the state after a first measured pose, with an unknown twist.
+
+    Args:
+        T_chaser_target: measured pose.
+        covariance: covariance of its (dp, dtheta), ICD section 1, shape (6, 6).
+        stamp_ns: time of the measurement.
+        config: noise of the filter.
+        centre_of_mass_m: centre of mass of the target, target axes, shape (3,); by default its origin.
+            Of a target with a free axis, the part along this axis counts, and of a sphere none.
+        alike: which attitudes of the target no measurement tells apart.
+        blocks: further states, as before any measurement.
+        sensitivities: how the measured pose depends on them, as in ``update``.
+        white: as in ``update``.
+        model: model of the motion; None for constant velocity and rate.
+    """
+    centre_m = np.zeros(3) if centre_of_mass_m is None else centre_of_mass_m
+    if len(alike.free_axes) == 1:
+        centre_m = alike.free_axes[0] * (alike.free_axes[0] @ centre_m)
+    elif len(alike.free_axes):
+        centre_m = np.zeros(3)
+    covariance = block_diag(
+        covariance if white else measurement_noise(covariance, config),
+        config.initial_velocity_sigma_m_s**2 * np.eye(3),
+        np.deg2rad(config.initial_rate_sigma_deg_s) ** 2 * np.eye(3),
+    )
+    R = rotation_matrix(T_chaser_target)
+    if blocks:
+        told_apart = {name: told(by, R, alike) for name, by in sensitivities.items()}
+        covariance = _with_blocks(covariance, blocks, told_apart)
+    from_centre = np.eye(len(covariance))
+    from_centre[VELOCITY, RATE] = cross_matrix(R @ centre_m)
+    state = FilterState(
+        stamp_ns=stamp_ns,
+        T_chaser_target=T_chaser_target,
+        velocity_m_s=np.zeros(3),
+        rate_rad_s=np.zeros(3),
+        covariance=symmetric(from_centre @ covariance @ from_centre.T),
+        centre_of_mass_m=centre_m,
+        alike=alike,
+        blocks=tuple(blocks),
+        model=model,
+    )
+    return unturned(state, config)
+
+
+def _with_blocks(covariance: FloatArray, blocks: Sequence[Block], sensitivities: Sensitivities) -> FloatArray:
+    """Return the covariance of pose, twist and blocks, shape (12 + n, 12 + n).
+
+    The measured pose is the true one moved by H b and noise. If it is taken for the pose, whose states b are
+    then 0, the errors of the pose are -H times those of b, and noise.
+    """
+    whole = block_diag(covariance, np.diag(variances(blocks)))
+    moved = np.eye(len(whole))
+    for block, place in placed(blocks, MOTION.stop):
+        if block.name in sensitivities:
+            moved[POSE, place] = -sensitivities[block.name]
+    found: FloatArray = moved @ whole @ moved.T
+    return found

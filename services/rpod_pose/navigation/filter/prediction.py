@@ -1,0 +1,141 @@
+"""Prediction of a state to a later time, by a model of motion.
+
+A model of motion (``MotionModel``) gives the state after a step, and how its errors move. The errors after
+the step are A (F e + q): F moves them, q is noise of covariance Q, and A applies to both. All three are of
+shape (12 + n, 12 + n); a model with states of its own fills their rows and columns, and leaves those of other
+blocks to ``of_blocks``.
+"""
+
+from dataclasses import replace
+from math import hypot
+
+import numpy as np
+
+from rpod_pose.errors import PoseError
+from rpod_pose.navigation.filter.blocks import faded, step_of
+from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian, symmetric
+from rpod_pose.navigation.filter.state import (
+    ATTITUDE,
+    MOTION,
+    POSE,
+    POSITION,
+    RATE,
+    TWIST,
+    VELOCITY,
+    FilterState,
+    Motion,
+    unturned,
+)
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.poses import pose_of, rotation_matrix
+
+
+class StampOrderError(PoseError):
+    """The prediction would go back in time."""
+
+    def __init__(self, state_ns: int, asked_ns: int) -> None:
+        super().__init__(f"the state is of {state_ns} ns and cannot be predicted back to {asked_ns} ns")
+
+
+def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterState:
+    """Return the state at a later stamp.
+
+    Raises:
+        StampOrderError: the stamp is earlier than the state's.
+    """
+    if stamp_ns < state.stamp_ns:
+        raise StampOrderError(state.stamp_ns, stamp_ns)
+    if stamp_ns == state.stamp_ns:
+        return state
+    step_s = (stamp_ns - state.stamp_ns) * 1e-9
+    moved, F, noise, after = (state.model or constant_twist)(state, step_s, config)
+    covariance = after @ (F @ state.covariance @ F.T + noise) @ after.T
+    return unturned(replace(moved, stamp_ns=stamp_ns, covariance=symmetric(covariance)), config)
+
+
+def constant_twist(state: FilterState, step_s: float, config: FilterConfig) -> Motion:
+    """Return the motion with a constant velocity of the centre of mass and a constant rate.
+
+    Both are random walks. With phi = w dt the error propagates, to first order in itself and exactly in phi,
+    as dtheta+ = Exp(phi) dtheta + J_l(phi) dt dw (J_l is the left Jacobian of SO(3)). The origin's rotation
+    about the centre of mass, at R r from it, is kinematics, not noise: the state is transformed to the centre
+    by p + R r and v + w x R r, propagated, and transformed back.
+    """
+    spin, R = cross_matrix(state.rate_rad_s), rotation_matrix(state.T_chaser_target)
+    phi = state.rate_rad_s * step_s
+    turn = exponential(phi)
+    arm_m = R @ state.centre_of_mass_m
+    arm_after_m = turn @ arm_m
+    centre_m_s = state.velocity_m_s + spin @ arm_m
+
+    F, Q = of_blocks(state, step_s)
+    F[POSITION, VELOCITY] = step_s * np.eye(3)
+    F[ATTITUDE, ATTITUDE] = turn
+    F[ATTITUDE, RATE] = step_s * left_jacobian(phi)
+    Q[MOTION, MOTION] = process_noise(
+        step_s, config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3
+    )
+    from_centre = np.eye(state.size)
+    from_centre[MOTION, MOTION] -= _swing(arm_after_m, spin)
+    to_centre = np.eye(state.size)
+    to_centre[MOTION, MOTION] += _swing(arm_m, spin)
+    moved = replace(
+        state,
+        T_chaser_target=pose_of(
+            turn @ R, state.T_chaser_target.translation + arm_m + centre_m_s * step_s - arm_after_m
+        ),
+        velocity_m_s=centre_m_s - spin @ arm_after_m,
+        blocks=faded(state.blocks, step_s, turn_of_view_rad(state, step_s)),
+    )
+    return Motion(moved, F @ to_centre, Q, from_centre)
+
+
+def of_blocks(state: FilterState, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return F and Q of a step, shape (12 + n, 12 + n), with the entries of the blocks alone.
+
+    The twelve states of pose and twist stand still in this F, and have no noise.
+    """
+    F, Q = np.eye(state.size), np.zeros((state.size, state.size))
+    if state.blocks:
+        kept, noise = step_of(state.blocks, step_s, turn_of_view_rad(state, step_s))
+        own = np.arange(MOTION.stop, state.size)
+        F[own, own], Q[own, own] = kept, noise
+    return F, Q
+
+
+def turn_of_view_rad(state: FilterState, step_s: float) -> float:
+    """Return by how much the view of the target changes in a step, rad.
+
+    The line of sight is that from the chaser's origin. The target turns against it by w less the line's own
+    rate p x v / p^2. It also grows, by the share p . v / p^2: at its rim that moves the image as much as a
+    turn by that angle.
+    """
+    place_m = state.T_chaser_target.translation
+    squared = max(float(place_m @ place_m), 1e-12)
+    line_rad_s = np.cross(place_m, state.velocity_m_s) / squared
+    growth = float(place_m @ state.velocity_m_s) / squared
+    return hypot(float(np.linalg.norm(state.rate_rad_s - line_rad_s)), growth) * step_s
+
+
+def _swing(arm_m: FloatArray, spin: FloatArray) -> FloatArray:
+    """Return N, shape (12, 12): errors at the end of an arm on the target are 1 + N times those here.
+
+    From p + a and v + w x a with da = dtheta x a, where ``spin`` is [w]x. N N = 0, so the way back is 1 - N.
+    """
+    cross = cross_matrix(arm_m)
+    N = np.zeros((12, 12))
+    N[POSITION, ATTITUDE] = N[VELOCITY, RATE] = -cross
+    N[VELOCITY, ATTITUDE] = -spin @ cross
+    return N
+
+
+def process_noise(step_s: float, acceleration_m2_s3: float, angular_rad2_s3: float) -> FloatArray:
+    """Return the noise that white accelerations of two densities cause in a step, shape (12, 12)."""
+    densities = (acceleration_m2_s3, angular_rad2_s3)
+    density = np.diag(np.repeat(densities, 3))
+    Q = np.empty((12, 12))
+    Q[POSE, POSE] = step_s**3 / 3.0 * density
+    Q[POSE, TWIST] = Q[TWIST, POSE] = step_s**2 / 2.0 * density
+    Q[TWIST, TWIST] = step_s * density
+    return Q

@@ -1,0 +1,100 @@
+"""State of the filter at one time."""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.navigation.filter.blocks import Block, placed
+from rpod_pose.navigation.filter.rotations import exponential, orthonormal
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.poses import pose_of, rotation_matrix
+from rpod_target import NO_SYMMETRY, Equivalence
+from rpod_target.equivalence import with_variance_about
+
+POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+POSE, TWIST = slice(0, 6), slice(6, 12)
+MOTION = slice(0, 12)
+"""Pose and twist; the states of blocks follow."""
+
+
+class Motion(NamedTuple):
+    """A state after a step, and how its errors move in the step."""
+
+    state: "FilterState"
+    """State after the step, with the covariance and the stamp of before."""
+    F: FloatArray
+    """Derivatives of the errors by those before, but for ``after``, shape (12 + n, 12 + n)."""
+    noise: FloatArray
+    """Covariance of the noise that comes in addition, but for ``after``, shape (12 + n, 12 + n)."""
+    after: FloatArray
+    """What the errors and the noise are multiplied with, shape (12 + n, 12 + n)."""
+
+
+class MotionModel(Protocol):
+    """A model of the motion of target and chaser."""
+
+    def __call__(self, state: "FilterState", step_s: float, config: FilterConfig) -> Motion:
+        """Return the motion of a state in a step, s."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class FilterState:
+    """State of the filter at one time."""
+
+    stamp_ns: int
+    T_chaser_target: RigidTransform
+    velocity_m_s: FloatArray
+    """dp/dt of the target's origin, chaser axes, shape (3,)."""
+    rate_rad_s: FloatArray
+    """Rate of the target relative to the chaser, chaser axes, shape (3,)."""
+    covariance: FloatArray
+    """Covariance of (dp, dtheta, dv, dw), chaser axes, and of the n states of the blocks, in their order,
+    shape (12 + n, 12 + n)."""
+    centre_of_mass_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Centre of mass r of the target, target axes, shape (3,)."""
+    alike: Equivalence = NO_SYMMETRY
+    """Which attitudes no measurement tells apart."""
+    blocks: tuple[Block, ...] = ()
+    """Further states; their names differ."""
+    model: MotionModel | None = None
+    """Model of the motion between measurements; None for constant velocity and rate."""
+
+    @property
+    def size(self) -> int:
+        """Number of states, 12 + n."""
+        return len(self.covariance)
+
+    def places(self) -> dict[str, slice]:
+        """Return the places of the blocks' states in the covariance, by the block's name."""
+        return {block.name: place for block, place in placed(self.blocks, MOTION.stop)}
+
+    def corrected(self, correction: FloatArray) -> "FilterState":
+        """Return the state moved by a correction of its errors, shape (12 + n,); its covariance is kept."""
+        pose = self.T_chaser_target
+        R = exponential(correction[ATTITUDE]) @ rotation_matrix(pose)
+        return replace(
+            self,
+            T_chaser_target=pose_of(orthonormal(R), pose.translation + correction[POSITION]),
+            velocity_m_s=self.velocity_m_s + correction[VELOCITY],
+            rate_rad_s=self.rate_rad_s + correction[RATE],
+            blocks=tuple(
+                block if block.considered else replace(block, value=block.value + correction[place])
+                for block, place in placed(self.blocks, MOTION.stop)
+            ),
+        )
+
+
+def unturned(state: FilterState, config: FilterConfig) -> FilterState:
+    """Return a state with no error of the angles about free axes, and with unknown rates about them."""
+    if not len(state.alike.free_axes):
+        return state
+    axes = state.alike.free_axes @ rotation_matrix(state.T_chaser_target).T
+    sigma_rad_s = np.deg2rad(config.initial_rate_sigma_deg_s)
+    covariance = with_variance_about(state.covariance, axes, 0.0, first=ATTITUDE.start)
+    covariance = with_variance_about(covariance, axes, sigma_rad_s**2, first=RATE.start)
+    rate_rad_s = state.rate_rad_s - axes.T @ (axes @ state.rate_rad_s)
+    return replace(state, rate_rad_s=rate_rad_s, covariance=covariance)

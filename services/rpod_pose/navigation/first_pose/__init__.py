@@ -1,0 +1,1 @@
+"""A first pose: searches, what their results begin, and given poses."""

@@ -1,0 +1,134 @@
+"""How a track begins: at a pose that was found, at the rival that remains, or at a given pose."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.belief import Record
+from rpod_pose.measurement import Measurement
+from rpod_pose.navigation.dynamics.options import Dynamics
+from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.frames import as_measured
+from rpod_pose.navigation.history import History
+from rpod_pose.navigation.joints import JointTrack, tracked_joints
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
+from rpod_pose.navigation.rivals import Rivals
+from rpod_pose.navigation.sensors.streams import begun
+from rpod_pose.navigation.state import GivenPose, NavigatorState
+from rpod_pose.ports import Angle, Registration
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.types import Mode
+from rpod_target import Equivalence, Joint
+
+BEGINNING = 0.5
+"""Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
+_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.26
+"""Standard deviations of a given first pose without a given covariance."""
+
+
+class Beginning:
+    """Begins tracks; its only state is its configuration and data of the target.
+
+    Args:
+        settings: settings of the estimator.
+        centre_of_mass_m: centre of mass of the target, target axes, shape (3,).
+        alike: which attitudes of the target no measurement tells apart.
+        joints: joints of the target, whose angles are estimated.
+        dynamics: how tracks are predicted.
+    """
+
+    def __init__(
+        self,
+        settings: EstimatorSettings,
+        *,
+        centre_of_mass_m: FloatArray,
+        alike: Equivalence,
+        joints: Sequence[Joint],
+        dynamics: Dynamics,
+    ) -> None:
+        self._config, self._limits = settings.filter, settings.navigator
+        self._centre_of_mass_m, self._alike, self._dynamics = centre_of_mass_m, alike, dynamics
+        self._joints = {joint.name: joint for joint in joints}
+
+    def filter_at(self, measured: PoseMeasurement) -> FilterState:
+        """Return a filter that starts at a measured pose."""
+        return started(
+            measured,
+            config=self._config,
+            centre_of_mass_m=self._centre_of_mass_m,
+            alike=self._alike,
+            blocks=self._dynamics.blocks_at(measured.stamp_ns),
+            model=self._dynamics.model,
+        )
+
+    def joints_after(
+        self, tracks: Mapping[str, JointTrack], angles: Mapping[str, Angle], stamp_ns: int
+    ) -> Mapping[str, JointTrack]:
+        """Return the tracks of the target's joints after a frame that shows their angles."""
+        return tracked_joints(tracks, self._joints, angles, stamp_ns)
+
+    def is_credible(self, state: NavigatorState, sensor: str) -> bool:
+        """Return whether a track may begin: few recent frames of the sensor were inconsistent."""
+        share = state.records.get(sensor, Record()).share
+        return share <= BEGINNING * self._limits.tuning.max_contradicted_share
+
+    def at_found(
+        self, state: NavigatorState, event: Measurement, registration: Registration
+    ) -> NavigatorState:
+        """Return the state with a track that begins at the pose of a frame."""
+        unverified = self._limits.confirmations > 0 or not self.is_credible(state, event.sensor)
+        return replace(
+            state.not_searching(event.sensor),
+            mode=Mode.VERIFYING if unverified else Mode.TRACKING,
+            history=History(self.filter_at(as_measured(registration, event))),
+            streams=begun(state.streams, event.sensor, event.stamp_ns),
+            established=frozenset({event.sensor}),
+            separation=None,
+            confirmations=0,
+            joints=self.joints_after(state.joints, registration.angles, event.stamp_ns),
+        )
+
+    def at_remaining(self, state: NavigatorState, rivals: Rivals, event: Measurement) -> NavigatorState:
+        """Return the state with the track of the best rival, which has been tracked all the time."""
+        verified = rivals.frames >= self._limits.confirmations and self.is_credible(state, event.sensor)
+        return replace(
+            state,
+            mode=Mode.TRACKING if verified else Mode.VERIFYING,
+            rivals=None,
+            history=rivals.tracks[0].history,
+            streams=begun(state.streams, event.sensor, event.stamp_ns),
+            established=frozenset({event.sensor}),
+            separation=None,
+            confirmations=rivals.frames,
+            searches={},
+        )
+
+    def at_given(self, state: NavigatorState, given: GivenPose, event: Measurement) -> NavigatorState:
+        """Return the state with a track that begins at a given pose, which is to be verified."""
+        stamp_ns = event.stamp_ns if given.stamp_ns is None else min(given.stamp_ns, event.stamp_ns)
+        measured = PoseMeasurement(stamp_ns, given.T_chaser_target, given.covariance)
+        return replace(
+            state,
+            mode=Mode.VERIFYING,
+            given=None,
+            history=History(self.filter_at(measured)),
+            streams=begun(state.streams),
+            established=frozenset(),
+            separation=None,
+            confirmations=self._limits.confirmations - 1,
+            searches={},
+        )
+
+
+def first_state(
+    pose: RigidTransform | None, covariance: FloatArray | None, stamp_ns: int | None
+) -> NavigatorState:
+    """Return the first state: searching, or waiting for a frame to verify a given pose."""
+    if pose is None:
+        return NavigatorState()
+    if covariance is None:
+        covariance = np.diag([_GIVEN_SIGMA_M**2] * 3 + [_GIVEN_SIGMA_RAD**2] * 3)
+    return NavigatorState(mode=Mode.VERIFYING, given=GivenPose(pose, covariance, stamp_ns))

@@ -1,0 +1,183 @@
+"""A measured pose, and what its errors have in common with those of other poses.
+
+Errors of successive frames are correlated: those of a sensor's mount, of its calibration, of where edges lie
+on the pixels, of the target's model. Where the configuration says so (``FilterConfig.errors``), they are
+states of the filter, so that they do not average out. Mounts are estimated; the others are considered.
+
+The method states three covariances of errors that last (``ports.ErrorParts``). The error is L b, with L the
+symmetric root of the covariance in the axes to which the error is fixed, and b six states of variance 1. The
+symmetric root changes steadily with the covariance, so that b keeps its meaning from frame to frame.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, radians
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.navigation.filter import (
+    NOTHING,
+    Block,
+    FilterState,
+    Innovation,
+    MotionModel,
+    Sensitivities,
+    Update,
+    grown,
+    innovation_of,
+    start,
+    update,
+)
+from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
+from rpod_pose.ports import ErrorParts
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.poses import rotation_matrix
+from rpod_target import NO_SYMMETRY, Equivalence
+
+MOUNT = "mount of {}"
+"""Name of the block with the error of a sensor's mount: (dp, dtheta) of the stated mount, chaser axes."""
+_CALIBRATION, _IMAGE, _MODEL = "calibration of {}", "image of {}", "model as {} sees it"
+
+
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """Where a measured pose comes from."""
+
+    sensor: str
+    T_chaser_sensor: RigidTransform
+    """Mount of the sensor, as stated."""
+    parts: ErrorParts | None = None
+    """The pose's errors by how long they last, sensor axes; None if the method does not tell."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseMeasurement:
+    """A pose measured at a time."""
+
+    stamp_ns: int
+    T_chaser_target: RigidTransform
+    covariance: FloatArray
+    """Covariance of (dp, dtheta), ICD section 1, shape (6, 6), but for the error of the mount."""
+    origin: Origin | None = None
+    """Where it comes from; None for a pose that no sensor has measured, as a given one."""
+
+
+class Shared(NamedTuple):
+    """What a measured pose has in common with others."""
+
+    white: FloatArray | None
+    """Covariance of its noise alone, shape (6, 6); None if the method does not tell it."""
+    blocks: tuple[Block, ...]
+    """The states that move it, as before any measurement."""
+    sensitivities: Sensitivities
+
+
+def started(
+    measured: PoseMeasurement,
+    *,
+    config: FilterConfig,
+    centre_of_mass_m: FloatArray | None = None,
+    alike: Equivalence = NO_SYMMETRY,
+    blocks: Sequence[Block] = (),
+    model: MotionModel | None = None,
+) -> FilterState:
+    """Return the state after a first measured pose, with an unknown twist; arguments as for ``start``."""
+    shared = shared_errors(measured, config)
+    known = {block.name for block in blocks}
+    return start(
+        measured.T_chaser_target,
+        measured.covariance if shared.white is None else shared.white,
+        measured.stamp_ns,
+        config=config,
+        centre_of_mass_m=centre_of_mass_m,
+        alike=alike,
+        blocks=(*blocks, *(block for block in shared.blocks if block.name not in known)),
+        sensitivities=shared.sensitivities,
+        white=shared.white is not None,
+        model=model,
+    )
+
+
+def updated(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Update:
+    """Return the update of a prediction to the stamp of a measured pose."""
+    shared = shared_errors(measured, config)
+    return update(
+        grown(predicted, shared.blocks),
+        measured.T_chaser_target,
+        measured.covariance if shared.white is None else shared.white,
+        config=config,
+        sensitivities=shared.sensitivities,
+        white=shared.white is not None,
+    )
+
+
+def compared(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Innovation:
+    """Return the innovation of a measured pose against a prediction to its stamp."""
+    shared = shared_errors(measured, config)
+    return innovation_of(
+        grown(predicted, shared.blocks),
+        measured.T_chaser_target,
+        measured.covariance if shared.white is None else shared.white,
+        config=config,
+        sensitivities=shared.sensitivities,
+        white=shared.white is not None,
+    )
+
+
+def shared_errors(measured: PoseMeasurement, config: FilterConfig) -> Shared:
+    """Return which states of blocks move a measured pose, and how, chaser axes."""
+    origin = measured.origin
+    if origin is None:
+        return Shared(None, (), NOTHING)
+    blocks: list[Block] = []
+    by: dict[str, FloatArray] = {}
+    if config.mount_sigma_deg or config.mount_sigma_m:
+        mount = mount_of(origin.sensor, config)
+        blocks.append(mount)
+        by[mount.name] = _by_mount(measured.T_chaser_target, origin.T_chaser_sensor)
+    if config.errors == "inflated" or origin.parts is None:
+        return Shared(None, tuple(blocks), by)
+    parts = origin.parts
+    to_chaser = _turn(rotation_matrix(origin.T_chaser_sensor))
+    to_target = _turn(rotation_matrix(measured.T_chaser_target).T)
+    for name, covariance, axes, turn_rad in (
+        (_CALIBRATION, parts.of_sensor, np.eye(6), inf),
+        (_IMAGE, parts.of_image, to_target @ to_chaser, parts.image_turn_rad),
+        (_MODEL, parts.of_model, to_target @ to_chaser, radians(config.tuning.model_turn_deg)),
+    ):
+        if covariance.any():
+            block = Block(
+                name.format(origin.sensor), np.zeros(6), np.ones(6), turn_rad=turn_rad, considered=True
+            )
+            blocks.append(block)
+            by[block.name] = to_chaser @ axes.T @ _root(axes @ covariance @ axes.T)
+    return Shared(symmetric(to_chaser @ parts.white @ to_chaser.T), tuple(blocks), by)
+
+
+def mount_of(sensor: str, config: FilterConfig) -> Block:
+    """Return the block of the error of a sensor's mount, as before any measurement."""
+    sigma = np.repeat([config.mount_sigma_m, radians(config.mount_sigma_deg)], 3)
+    return Block(MOUNT.format(sensor), np.zeros(6), sigma)
+
+
+def _by_mount(T_chaser_target: RigidTransform, T_chaser_sensor: RigidTransform) -> FloatArray:
+    """Return the derivatives of a pose by the error of the mount: it moves as a body with the sensor."""
+    by = np.eye(6)
+    by[:3, 3:] = -cross_matrix(T_chaser_target.translation - T_chaser_sensor.translation)
+    return by
+
+
+def _turn(R: FloatArray) -> FloatArray:
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = R
+    return turn
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return the symmetric root of a covariance, shape (6, 6); eigenvalues below 0 count as 0."""
+    values, vectors = np.linalg.eigh(covariance)
+    root: FloatArray = (vectors * np.sqrt(values.clip(0.0))) @ vectors.T
+    return root

@@ -1,0 +1,137 @@
+"""Searches beside a live estimator: one a sensor, cancelled when nobody waits, resting when in vain."""
+
+import numpy as np
+import pytest
+from pmd_frames import depth_frame, frame_of
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_estimator.live_searches import LiveSearches
+from rpod_estimator.search_process import SearchProcess, found_as_in_process, packed
+from rpod_pose.measurement import Measurement
+from rpod_pose.methods import methods_of
+from rpod_pose.navigation.first_pose.searches import RESTING, Found, Search
+from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Camera
+from rpod_target import load_target
+
+WALL = frame_of(5.0, camera=Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5))
+NOTHING = Found.nothing("no target")
+
+
+class Worker:
+    """A worker whose searches end when the test says so."""
+
+    def __init__(self) -> None:
+        self.began: list[int] = []
+        self.found: Found | None = None
+        self.cancelled = 0
+        self.is_ready = True
+
+    def begin(self, search, _setup) -> None:
+        self.began.append(search.event.stamp_ns)
+
+    def result(self):
+        found, self.found = self.found, None
+        return found
+
+    def cancel(self) -> None:
+        self.cancelled += 1
+
+    def end(self) -> None:
+        pass
+
+
+def search(stamp_ns: int, frame=WALL) -> Search:
+    event = Measurement("pmd", frame.model_copy(update={"stamp_ns": stamp_ns}), RigidTransform.identity())
+    return Search(event, event.data)
+
+
+class Desk:
+    def __init__(self) -> None:
+        self.worker, self.now_s = Worker(), 0.0
+        self.live = LiveSearches({"pmd": self.worker}, now_s=lambda: self.now_s).of({}, {"pmd": ()})
+
+
+def test_a_search_begins_once_and_its_result_is_handed_out_when_it_is_there():
+    desk, asked = Desk(), search(1)
+    assert [desk.live.result(asked) for _ in range(3)] == [None] * 3
+    desk.worker.found = NOTHING
+    assert desk.live.result(asked) is NOTHING
+    assert desk.worker.began == [1]
+
+
+def test_a_search_that_nobody_waits_for_is_cancelled():
+    desk = Desk()
+    desk.live.result(search(1))
+    desk.live.keep([search(1)])
+    assert desk.worker.cancelled == 0
+    desk.live.keep([])
+    assert desk.worker.cancelled == 1
+    assert desk.live.result(search(2)) is None
+    assert desk.worker.began == [1, 2]
+
+
+def test_another_search_takes_the_place_of_the_one_that_runs():
+    desk = Desk()
+    desk.live.result(search(1))
+    desk.live.result(search(2))
+    assert (desk.worker.cancelled, desk.worker.began) == (1, [1, 2])
+
+
+def test_searches_in_vain_take_a_tenth_of_the_time_after_ten_seconds():
+    desk, searched_s, number = Desk(), 0.0, 0
+    while desk.now_s < 110.0:
+        number += 1
+        asked = search(number)
+        if desk.live.result(asked) is None:
+            desk.now_s += 0.5
+            desk.worker.found = NOTHING
+            assert desk.live.result(asked) is NOTHING
+            searched_s += 0.5 if desk.now_s > 10.5 else 0.0
+        desk.now_s += 0.02
+    assert searched_s == pytest.approx(10.0, abs=1.0)
+    assert desk.live.pause_s == pytest.approx(5.0)
+    assert desk.live.result(search(number + 1)).acquisition.belief.refusal == RESTING
+    desk.live.end_rests()
+    assert desk.live.result(search(number + 2)) is None
+
+
+def test_arrays_stay_read_only_on_their_way_to_a_process():
+    import pickle  # noqa: PLC0415 - the way back
+
+    image = np.zeros((3, 4), np.float32)
+    image.setflags(write=False)
+    frozen, free = pickle.loads(packed((image, np.ones(2))))  # noqa: S301 - our own
+    assert (frozen.flags.writeable, free.flags.writeable) == (False, True)
+
+
+def test_a_process_finds_what_a_search_in_this_process_finds_and_replaces_itself():
+    camera = Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5)
+    pose = make_pose(
+        rotation=Rotation.from_euler("ZYX", [12.0, 25.0, 5.0], degrees=True), translation_m=[0.05, 0.0, 4.0]
+    )
+    target, sensor = load_target("mockup"), PmdInput()
+    frame = depth_frame(target, pose, noise_m=0.01, camera=camera)
+    asked = search(7, frame)
+    process = SearchProcess("mockup", sensor)
+    try:
+        process.begin(asked, ())
+        found = awaited(process)
+        expected = found_as_in_process(asked, methods_of(sensor, target))
+        one, other = (each.acquisition.pose.as_matrix() for each in (found, expected))
+        np.testing.assert_array_equal(one, other)
+        process.begin(asked, ())
+        process.cancel()
+        process.begin(search(8, frame), ())
+        assert awaited(process).acquisition.pose is not None, "the dropped result is not this one's"
+    finally:
+        process.end()
+
+
+def awaited(process: SearchProcess) -> Found:
+    for _ in range(600):
+        if (found := process.result()) is not None:
+            return found
+        process._connection.poll(0.1)
+    raise AssertionError("no result")

@@ -1,0 +1,149 @@
+"""Errors that last: what a measured pose shares with others, and offsets between two sensors' mounts."""
+
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_pose.navigation.filter import POSE, FilterState, predict
+from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement, shared_errors, started, updated
+from rpod_pose.navigation.sensors.mounts import mount_offsets
+from rpod_pose.ports import ErrorParts
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.poses import make_pose
+
+SECOND_NS = 1_000_000_000
+CONSIDERED = FilterConfig(errors="considered")
+MOUNTS = FilterConfig(errors="considered", mount_sigma_deg=0.3, mount_sigma_m=0.02)
+FRONT = make_pose(rotation=Rotation.from_rotvec([0.1, 0.2, -0.1]), translation_m=[0.3, 0.0, 0.5])
+BESIDE = make_pose(translation_m=[-0.3, 0.1, 0.4])
+
+
+def diagonal(m: float, rad: float) -> FloatArray:
+    return np.diag(np.repeat([m, rad], 3) ** 2)
+
+
+PARTS = ErrorParts(
+    white=diagonal(1e-3, 1e-3),
+    of_sensor=np.diag([0.0, 0.0, 9e-6, 0.0, 0.0, 0.0]),
+    of_image=diagonal(2e-3, 2e-3),
+    image_turn_rad=radians(0.5),
+    of_model=diagonal(3e-3, 4e-3),
+)
+
+
+def measured(
+    pose: RigidTransform, mount: RigidTransform, *, sensor: str = "pmd", stamp_ns: int = 0
+) -> PoseMeasurement:
+    return PoseMeasurement(stamp_ns, pose, diagonal(5e-3, 5e-3), Origin(sensor, mount, PARTS))
+
+
+def target(stamp_s: float) -> RigidTransform:
+    turn = Rotation.from_euler("x", 3.0 * stamp_s, degrees=True)
+    return make_pose(rotation=turn, translation_m=[0.1, 0.0, 6.0 - 0.1 * stamp_s])
+
+
+def test_the_parts_of_a_pose_together_are_the_covariance_of_a_first_state():
+    state = started(measured(target(0.0), FRONT), config=CONSIDERED)
+    R = np.kron(np.eye(2), FRONT.rotation.as_matrix())
+    whole = PARTS.white + PARTS.of_sensor + PARTS.of_image + PARTS.of_model
+    np.testing.assert_allclose(state.covariance[POSE, POSE], R @ whole @ R.T, atol=1e-12)
+    assert [block.considered for block in state.blocks] == [True, True, True]
+
+
+def test_many_frames_leave_the_errors_of_calibration_and_model_and_average_the_noise_out():
+    config = CONSIDERED.model_copy(
+        update={"acceleration_density_m2_s3": 1e-10, "angular_acceleration_density_rad2_s3": 1e-10}
+    )
+    at = target(0.0)
+    state = started(measured(at, FRONT), config=config)
+    for frame in range(1, 150):
+        stamp_ns = frame * SECOND_NS // 15
+        state = updated(
+            predict(state, stamp_ns, config), measured(at, FRONT, stamp_ns=stamp_ns), config
+        ).state
+    lasting = PARTS.of_sensor + PARTS.of_model + PARTS.of_image  # a resting image does not move
+    R = np.kron(np.eye(2), FRONT.rotation.as_matrix())
+    left = state.covariance[POSE, POSE] - R @ lasting @ R.T
+    assert 0.0 < np.linalg.eigvalsh(left).max() < 0.2e-6
+
+
+def test_with_inflation_nothing_is_shared_and_without_an_origin_neither():
+    assert shared_errors(measured(target(0.0), FRONT), FilterConfig()).blocks == ()
+    alone = replace(measured(target(0.0), FRONT), origin=None)
+    assert shared_errors(alone, MOUNTS).blocks == ()
+
+
+def as_stated(pose: RigidTransform, error: FloatArray, mount: RigidTransform) -> RigidTransform:
+    """Return where a target at a pose appears if the stated mount is the true one moved by an error."""
+    turn, place = Rotation.from_rotvec(error[3:]), mount.translation
+    stated = make_pose(rotation=turn * mount.rotation, translation_m=place + error[:3])
+    return stated * mount.inv() * pose
+
+
+@pytest.fixture(scope="module")
+def tracked() -> tuple[FilterState, FloatArray]:
+    """Return a state after 30 s of a LIDAR and a camera, and the error of the camera's stated mount."""
+    rng = np.random.default_rng(4)
+    error = np.concatenate([[0.012, -0.016, 0.0], np.radians([0.18, 0.0, 0.24])])
+
+    def noisy(pose: RigidTransform) -> RigidTransform:
+        off = 1e-3 * rng.normal(size=6)
+        turn = Rotation.from_rotvec(off[3:]) * pose.rotation
+        return make_pose(rotation=turn, translation_m=pose.translation + off[:3])
+
+    no_parts = ErrorParts.lasting_model(diagonal(1e-3, 1e-3), np.zeros((6, 6)))
+    state = None
+    for stamp_s in np.arange(0.0, 30.0, 0.5):
+        stamp_ns, truth = round(stamp_s * SECOND_NS), target(stamp_s)
+        for sensor, mount, off in (("lidar", BESIDE, np.zeros(6)), ("pmd", FRONT, error)):
+            pose = noisy(as_stated(truth, off, mount))
+            # the stated mount is what the pose was computed with
+            stated = as_stated(mount, off, mount)
+            each = PoseMeasurement(stamp_ns, pose, diagonal(1e-3, 1e-3), Origin(sensor, stated, no_parts))
+            if state is None:
+                state = started(each, config=MOUNTS)
+            else:
+                state = updated(predict(state, stamp_ns, MOUNTS), each, MOUNTS).state
+    assert state is not None
+    return state, error
+
+
+def test_the_offset_between_two_mounts_is_found_with_its_sigma(tracked: tuple[FilterState, FloatArray]):
+    state, error = tracked
+    (offset,) = mount_offsets(state, ["pmd", "lidar", "other"])
+    assert (offset.one, offset.other) == ("lidar", "pmd")
+    off = offset.error - error
+    assert np.degrees(np.linalg.norm(off[3:])) < 0.05
+    assert np.linalg.norm(off[:3]) < 3e-3
+    sigmas = np.sqrt(np.diag(offset.covariance))
+    assert (np.abs(off) < 3.5 * sigmas).all()
+    assert sigmas[:3].max() < 3e-3
+    assert offset.evidence["mount_of_pmd_from_lidar_about_z_deg"] == pytest.approx(0.24, abs=0.05)
+    assert offset.evidence["mount_of_pmd_from_lidar_sigma_x_m"] == pytest.approx(sigmas[0])
+
+
+def test_what_both_mounts_have_in_common_stays_in_the_covariance(tracked: tuple[FilterState, FloatArray]):
+    state, _ = tracked
+    sigma = np.sqrt(np.linalg.eigvalsh(state.covariance[3:6, 3:6]))
+    assert sigma.min() > 0.99 * radians(0.3) / np.sqrt(2.0)
+
+
+@pytest.mark.parametrize(("declared_deg", "declared_m", "fails"), [(0.02, 0.001, True), (0.3, 0.02, False)])
+def test_an_offset_is_too_large_only_where_the_mounts_are_declared_better(
+    tracked: tuple[FilterState, FloatArray], declared_deg: float, declared_m: float, fails: bool
+):
+    (offset,) = mount_offsets(tracked[0], ["lidar", "pmd"])
+    config = IntegrityConfig(mount_sigma_deg=declared_deg, mount_sigma_m=declared_m)
+    assert (offset.excess(config) > 38.3) is fails  # chi squared of 6 degrees of freedom at 1e-6
+    assert offset.told().startswith("the mounts of lidar and pmd disagree by 0.3")
+
+
+def test_one_sensor_tells_no_offset_and_keeps_the_whole_uncertainty_of_its_mount():
+    state = started(measured(target(0.0), FRONT), config=MOUNTS)
+    assert mount_offsets(state, ["pmd", "lidar"]) == []
+    assert np.linalg.eigvalsh(state.covariance[3:6, 3:6]).min() > radians(0.3) ** 2
