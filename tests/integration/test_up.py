@@ -6,16 +6,21 @@ import subprocess
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from random import Random
 
 import psutil
 import pytest
 import yaml
 from facility_process import DEADLINE_S, Lines, until
+from live_bus import Bus, first
 
-from endurance.facility import SERVICES, kept_facility
-from endurance.kills import desk
+from rpod_runtime import Inbox
 from rpod_runtime.session import free_endpoint
+from rpod_schemas.messages import read_status
+from rpod_schemas.topics import STATUS
+from rpod_schemas.types import Mode
+
+TARGET = {"target": "mockup"}
+APPROACH = {"trajectory": {"kind": "approach", "start_m": [0, 0, 4.0], "end_m": [0, 0, 3.9]}}
 
 
 class Facility:
@@ -77,16 +82,32 @@ def up(tmp_path):
         yield start
 
 
-def test_each_service_is_killed_comes_back_tracks_again_and_the_logs_say_so(tmp_path):
-    rnd = Random(1)
-    with kept_facility(tmp_path, rate_hz=5.0) as facility, desk(facility) as at:
-        assert at.settle() == ()
-        for name in SERVICES:
-            assert at.kill(name, rnd).wrong == ()
-        asked = [sys.executable, "-m", "rpod", "ps", str(tmp_path / "hall.yaml"), "--json"]
-        told = json.loads(subprocess.run(asked, capture_output=True, text=True, check=True).stdout)
-        assert [each["restarts"] for each in told["services"]] == [1] * len(SERVICES)
-        assert {each["last_end"] for each in told["services"]} == {"was killed by SIGKILL"}
+def test_a_killed_estimator_comes_back_tracks_again_and_ps_says_so(up):
+    facility = up(
+        {
+            "router": {"verb": "router"},
+            "estimator": {"verb": "estimator", "config": TARGET | {"sensors": [{"kind": "pmd"}]}},
+            "emulator": {"verb": "emulator", "config": TARGET | {"sensors": [{"kind": "pmd", "rate_hz": 5}]}},
+            "motion": {"verb": "motion", "config": TARGET | {"duration_s": 3600, "motion": APPROACH}},
+        }
+    )
+    before = facility.service("estimator")
+    with ExitStack() as stack:
+        statuses = Inbox()
+        Bus(facility.endpoint, stack).node("listener").subscribe(STATUS, statuses.put)
+        tracks = lambda one: read_status(one.decode()).mode is Mode.TRACKING and one.attachment.gid  # noqa: E731
+        first_gid = first(statuses, tracks, DEADLINE_S)
+        psutil.Process(before["pid"]).kill()
+        again = lambda one: tracks(one) not in (False, first_gid)  # noqa: E731 - of another process
+        assert first(statuses, again, DEADLINE_S)
+    after = facility.service("estimator", restarts=1)
+    assert after["pid"] != before["pid"]
+    assert after["last_end"] == "was killed by SIGKILL"
+    code, told = facility.ask("ps")
+    assert code == 0
+    assert [each["restarts"] for each in told["services"]] == [0, 1, 0, 0]
+    facility.process.send_signal(signal.SIGTERM)
+    assert facility.process.wait(DEADLINE_S) == 0
 
 
 def test_a_router_that_hangs_is_killed_and_started_again(up):
