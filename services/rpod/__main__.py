@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from pkgutil import resolve_name
 from threading import Event
 from typing import Annotated, Any, NoReturn, TypeVar
 
@@ -149,102 +150,42 @@ def router(
     raise typer.Exit(run_reloading("router", body, checked, read if config else None))
 
 
-@app.command()
-def motion(
-    config: ConfigOption = None,
-    connect: ConnectOption = None,
-    wait: WaitOption = False,
-    credentials: CredentialsOption = None,
-) -> None:
-    """Publish the truth: the trajectory of the target."""
-    from rpod_motion import daemon
-    from rpod_schemas.config.emulator import MotionServiceConfig
+def _add_service(verb: str, model: str, does: str) -> None:
+    """Add the verb of a service, whose code is loaded when it is called."""
 
-    _serve(
-        "motion",
-        MotionServiceConfig,
-        daemon.run,
-        config=config,
-        connect=connect,
-        wait=wait,
-        credentials=credentials,
-    )
+    def serve(
+        config: ConfigOption = None,
+        connect: ConnectOption = None,
+        wait: WaitOption = False,
+        credentials: CredentialsOption = None,
+    ) -> None:
+        body, configuration = (resolve_name(name) for name in (f"rpod_{verb}.daemon:run", model))
+        _serve(verb, configuration, body, config=config, connect=connect, wait=wait, credentials=credentials)
+
+    app.command(verb, help=does)(serve)
 
 
-@app.command()
-def emulator(
-    config: ConfigOption = None,
-    connect: ConnectOption = None,
-    wait: WaitOption = False,
-    credentials: CredentialsOption = None,
-) -> None:
-    """Emulate the sensors: publish their messages from the truth."""
-    from rpod_emulator import daemon
-    from rpod_schemas.config.emulator import EmulatorConfig
-
-    _serve(
-        "emulator",
-        EmulatorConfig,
-        daemon.run,
-        config=config,
-        connect=connect,
-        wait=wait,
-        credentials=credentials,
-    )
-
-
-@app.command()
-def estimator(
-    config: ConfigOption = None,
-    connect: ConnectOption = None,
-    wait: WaitOption = False,
-    credentials: CredentialsOption = None,
-) -> None:
-    """Estimate poses from sensor messages."""
-    from rpod_estimator import daemon
-    from rpod_schemas.config.estimator import EstimatorConfig
-
-    _serve(
-        "estimator",
-        EstimatorConfig,
-        daemon.run,
-        config=config,
-        connect=connect,
-        wait=wait,
-        credentials=credentials,
-    )
-
-
-@app.command()
-def logger(
-    config: ConfigOption = None,
-    connect: ConnectOption = None,
-    wait: WaitOption = False,
-    credentials: CredentialsOption = None,
-) -> None:
-    """Record everything on the bus into MCAP files."""
-    from rpod_logger import daemon
-    from rpod_schemas.config.logger import LoggerConfig
-
-    _serve(
-        "logger", LoggerConfig, daemon.run, config=config, connect=connect, wait=wait, credentials=credentials
-    )
-
-
-@app.command()
-def proxy(
-    config: ConfigOption = None,
-    connect: ConnectOption = None,
-    wait: WaitOption = False,
-    credentials: CredentialsOption = None,
-) -> None:
-    """Pass links of services on to the router, with faults on request."""
-    from rpod_proxy import daemon
-    from rpod_schemas.config.proxy import ProxyConfig
-
-    _serve(
-        "proxy", ProxyConfig, daemon.run, config=config, connect=connect, wait=wait, credentials=credentials
-    )
+_add_service(
+    "motion",
+    "rpod_schemas.config.emulator:MotionServiceConfig",
+    "Publish the truth: the trajectory of the target.",
+)
+_add_service(
+    "emulator",
+    "rpod_schemas.config.emulator:EmulatorConfig",
+    "Emulate the sensors: publish their messages from the truth.",
+)
+_add_service(
+    "estimator", "rpod_schemas.config.estimator:EstimatorConfig", "Estimate poses from sensor messages."
+)
+_add_service(
+    "logger", "rpod_schemas.config.logger:LoggerConfig", "Record everything on the bus into MCAP files."
+)
+_add_service(
+    "proxy",
+    "rpod_schemas.config.proxy:ProxyConfig",
+    "Pass links of services on to the router, with faults on request.",
+)
 
 
 @app.command()
