@@ -11,6 +11,7 @@ import os
 import pickle
 import signal
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -32,7 +33,9 @@ NICENESS = 10
 RESTART_S = 3.0
 """About the time in which a process starts, imports and warms up, s."""
 _READY = b"ready"
-_ENDED = "the process of the search has ended; it is started again"
+_ENDED = "the process of the search has ended; it is started again after {:.0f} s"
+_LONGEST_PAUSE_S = 60.0
+"""Longest pause before a process that has ended is started again."""
 
 
 class SearchProcess:
@@ -41,10 +44,15 @@ class SearchProcess:
     Args:
         target: name or file of the target.
         sensor: configuration of the sensor.
+        now_s: monotonic clock, s.
     """
 
-    def __init__(self, target: str, sensor: SensorInput) -> None:
-        self._target, self._sensor = target, sensor
+    def __init__(
+        self, target: str, sensor: SensorInput, *, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._target, self._sensor, self._now_s = target, sensor, now_s
+        self._pause_s = RESTART_S
+        self._again_s: float | None = None
         self._start()
 
     def _start(self) -> None:
@@ -78,7 +86,7 @@ class SearchProcess:
         """Drop the result of the search that was begun last."""
         self._next = None
         if self._is_busy and self._unwanted_s is None:
-            self._unwanted_s = time.monotonic()
+            self._unwanted_s = self._now_s()
         self._hear()
 
     def end(self) -> None:
@@ -89,6 +97,10 @@ class SearchProcess:
 
     def _hear(self) -> Found | None:
         """Take what the process says, and give it the next search if it is free."""
+        if self._again_s is not None:
+            if self._now_s() < self._again_s:
+                return None
+            self._restart()
         found = None
         try:
             while self._connection.poll():
@@ -96,7 +108,7 @@ class SearchProcess:
                 self._is_ready = True
                 if said == _READY:
                     continue
-                self._is_busy = False
+                self._is_busy, self._pause_s = False, RESTART_S
                 if self._unwanted_s is None:
                     found = pickle.loads(said)  # noqa: S301 - of our own process
                 self._unwanted_s = None
@@ -104,17 +116,27 @@ class SearchProcess:
                 self._connection.send_bytes(self._next)
                 self._next, self._is_busy = None, True
         except (EOFError, OSError):
-            code = self._process.exitcode
-            log.error("%s: the process of the search has ended, code %s", self._sensor.name, code)
+            return self._give_up()
+        if self._unwanted_s is not None and self._now_s() - self._unwanted_s > RESTART_S:
             self.end()
-            self._start()
-            return Found.nothing(_ENDED)
-        if self._unwanted_s is not None and time.monotonic() - self._unwanted_s > RESTART_S:
-            waiting = self._next
-            self.end()
-            self._start()
-            self._next = waiting
+            self._restart()
         return found
+
+    def _restart(self) -> None:
+        """Start the process again, with the search that waits."""
+        waiting, self._again_s = self._next, None
+        self._start()
+        self._next = waiting
+
+    def _give_up(self) -> Found:
+        """Return why there is no result: the process has ended. It is started again after a pause."""
+        self._process.join(1.0)
+        self.end()
+        told = _ENDED.format(self._pause_s)
+        log.error("%s: exit code %s: %s", self._sensor.name, self._process.exitcode, told)
+        self._again_s = self._now_s() + self._pause_s
+        self._pause_s = min(2.0 * self._pause_s, _LONGEST_PAUSE_S)
+        return Found.nothing(told)
 
 
 def serve(connection: Connection, target_name: str, sensor: SensorInput) -> None:

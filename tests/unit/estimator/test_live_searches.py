@@ -129,6 +129,21 @@ def test_a_process_finds_what_a_search_in_this_process_finds_and_replaces_itself
         process.end()
 
 
+def test_a_process_that_ends_is_told_and_started_again_after_pauses_that_grow(caplog):
+    now_s = 0.0
+    process = SearchProcess("no such target", PmdInput(), now_s=lambda: now_s)
+    try:
+        for begin_s, pause_s in ((0.0, 3.0), (4.0, 6.0)):
+            now_s = begin_s
+            process.begin(search(1), ())
+            found = awaited(process)
+            assert f"started again after {pause_s:.0f} s" in found.acquisition.belief.refusal
+            assert process.result() is None
+    finally:
+        process.end()
+    assert [record.levelname for record in caplog.records] == ["ERROR"] * 2
+
+
 def awaited(process: SearchProcess) -> Found:
     for _ in range(600):
         if (found := process.result()) is not None:
