@@ -57,24 +57,6 @@ class _Task:
         return Acquisition(nothing, templates=len(self.attitudes))
 
 
-def settled(tracker: Tracker[PmdFrame], frame: PmdFrame, start: RigidTransform) -> Registration:
-    """Return the registration from a pose of a search, which the tracker has aligned twice if it believes it.
-
-    The bias of the ranges and a search's error may be too large for the edges to find their places in one
-    alignment: the second starts from the first one's result. It is dropped if no track may begin at it.
-
-    Args:
-        tracker: aligns and judges.
-        frame: the frame.
-        start: T_sensor_target of the search.
-    """
-    found = tracker.track(frame, start)
-    if found.T_sensor_target is None or not found.begins_track:
-        return found
-    again = tracker.track(frame, found.T_sensor_target)
-    return again if again.begins_track else found
-
-
 class ViewSearch:
     """Finds the target in a frame: ports.Acquirer[PmdFrame].
 
@@ -163,6 +145,6 @@ class ViewSearch:
 
     def _registered(self, task: _Task, pose: Pose) -> Registration:
         """Return a pose that the search found, refined and judged by the tracker."""
-        found = settled(self._tracker, task.frame, pose_of(pose.R, pose.t))
+        found = self._tracker.track(task.frame, pose_of(pose.R, pose.t))
         evidence = {"mean_loss": pose.fit.mean_loss, **found.belief.evidence}
         return replace(found, belief=replace(found.belief, evidence=evidence))

@@ -7,9 +7,9 @@ import pytest
 from pmd_frames import depth_frame, frame_of, strange_frames
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.belief import Belief, contradicted
+from rpod_pose.belief import contradicted
 from rpod_pose.pmd.joint.tracker import JointTracker
-from rpod_pose.pmd.view_search import ViewSearch, settled
+from rpod_pose.pmd.view_search import ViewSearch
 from rpod_pose.ports import Outcome, Registration
 from rpod_pose.search.attitude_grid import even_directions
 from rpod_schemas.config.motion import FACING
@@ -285,23 +285,3 @@ def test_a_body_of_another_size_is_judged_alike_as_far_away_as_its_size(share):
     assert_right(
         OBLIQUE, make_pose(rotation=acquired.pose.rotation, translation_m=acquired.pose.translation / share)
     )
-
-
-@pytest.mark.parametrize(
-    ("believed", "result_m", "calls"), [((True, True), 0.25, 2), ((True, False), 0.5, 2), ((False,), 0.5, 1)]
-)
-def test_a_believed_pose_is_aligned_a_second_time(believed, result_m, calls):
-    """The tracker halves the distance; a second result that begins no track is dropped."""
-    left, starts_m = list(believed), []
-
-    class Halving:
-        def track(self, _frame, start):
-            starts_m.append(start.translation[2])
-            belief = Belief() if left.pop(0) else contradicted("no")
-            return Registration(
-                Source.PMD_JOINT, make_pose(translation_m=start.translation / 2), belief=belief
-            )
-
-    found = settled(Halving(), None, make_pose(translation_m=(0.0, 0.0, 1.0)))
-    assert found.T_sensor_target.translation[2] == pytest.approx(result_m)
-    assert starts_m == [1.0, 0.5][:calls]
