@@ -57,7 +57,7 @@ class DepthPreparation:
     """Unwraps and calibrates the distances of a camera, by its configuration and by the info in the frame."""
 
     def __init__(self, sensor: PmdInput, target: Target) -> None:
-        self._sensor, self.radius_m, self.equivalence = sensor, target.radius_m, target.equivalence
+        self._sensor, self.radius_m = sensor, target.radius_m
         self._corrections_m = corrections(sensor.calibration)
 
     def refusal(self, frame: PmdFrame) -> str:
@@ -121,22 +121,6 @@ class DepthPreparation:
         spread = np.hypot(np.std(column[near]) / frame.camera.fx, np.std(row[near]) / frame.camera.fy)
         return float(np.angle(mean) % (2.0 * np.pi) / (2.0 * np.pi) * interval_m), float(spread)
 
-    def determined(self, registration: Registration) -> Registration:
-        """Return a registration whose belief says whether the frame alone determines the pose well enough.
-
-        A wall that fills the image fits any flat face of the target: such a pose must not begin a track. An
-        angle about a free axis of the target need not be determined.
-        """
-        pose = registration.T_sensor_target
-        if pose is None or not registration.begins_track:
-            return registration
-        free_motion = undetermined(
-            self.equivalence.with_free_variance(registration.covariance, pose.rotation.as_matrix(), 0.0),
-            max_sigma_m=_MOST_SIGMA * self.radius_m,
-            max_sigma_deg=_MOST_SIGMA_DEG,
-        )
-        return replace(registration, belief=replace(registration.belief, insufficient=free_motion))
-
     def _applied(self, frame: PmdFrame, range_m: float, reach_m: float) -> PmdFrame:
         cosine, interval_m = _cosines_of(frame.camera), self._interval_m(frame)
         if cosine is None or (self._sensor.calibration is None and not interval_m):
@@ -157,7 +141,8 @@ class PreparedTracker:
         if why := self._preparation.refusal(measurement):
             return Registration.none(Source.NONE, why)
         prepared = self._preparation.predicted(measurement, T_sensor_target)
-        return self._preparation.determined(self._tracker.track(prepared, T_sensor_target))
+        most_m = _MOST_SIGMA * self._preparation.radius_m
+        return _determined(self._tracker.track(prepared, T_sensor_target), max_sigma_m=most_m)
 
 
 class PreparedAcquirer:
@@ -172,7 +157,7 @@ class PreparedAcquirer:
             return _refused(why)
         failed: Acquisition | None = None
         for prepared in self._preparation.possible(measurement):
-            found = self._determined(self._acquirer.acquire(prepared))
+            found = self._acquirer.acquire(prepared)
             if found.outcome is not Outcome.FAILED:
                 return found
             failed = failed or found
@@ -183,11 +168,7 @@ class PreparedAcquirer:
         """Search around a pose, which determines the multiple."""
         if why := self._preparation.refusal(measurement):
             return _refused(why)
-        prepared = self._preparation.predicted(measurement, T_sensor_target)
-        return self._determined(self._acquirer.near(prepared, T_sensor_target))
-
-    def _determined(self, found: Acquisition) -> Acquisition:
-        return replace(found, registration=self._preparation.determined(found.registration))
+        return self._acquirer.near(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
 
 
 def prepared_likelihoods(likelihoods: Likelihoods, preparation: DepthPreparation) -> Likelihoods:
@@ -221,6 +202,19 @@ def _mhz(hertz: tuple[float, ...]) -> str:
 
 def _refused(why: str) -> Acquisition:
     return Acquisition(Registration.none(Source.NONE, why))
+
+
+def _determined(registration: Registration, *, max_sigma_m: float) -> Registration:
+    """Return a registration whose belief says whether the frame alone determines the pose well enough.
+
+    A wall that fills the image fits any flat face of the target: such a pose must not begin a track.
+    """
+    if not registration.begins_track:
+        return registration
+    free_motion = undetermined(
+        registration.covariance, max_sigma_m=max_sigma_m, max_sigma_deg=_MOST_SIGMA_DEG
+    )
+    return replace(registration, belief=replace(registration.belief, insufficient=free_motion))
 
 
 def _cosines_of(camera: Camera) -> Float32Array | None:
