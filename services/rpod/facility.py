@@ -16,8 +16,6 @@ from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
 
 Speed = Literal["1", "max"]
-_SPARE_IDS = 8
-"""Number of times that a run's estimator can be killed and started again."""
 _ROUTER_POLL_S = 0.5
 """Interval at which the supervisor checks that the router still runs while it tries to reach it."""
 
@@ -34,19 +32,17 @@ class Facility:
     """Configuration of the live view, if one is wanted."""
     proxy: ProxyConfig | None = None
     """Configuration of the proxy, if the scenario has faults of links."""
-    spare_ids: tuple[str, ...] = ()
-    """Zenoh identities of the estimator for the times after it was killed."""
 
 
 def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
     """Return the configurations of a run's services; each run has its own endpoint and estimator identity."""
     endpoint = free_endpoint()
     bus = BusConfig(connect=endpoint, wait=True, link=scenario.link)
-    estimator_id, *spare_ids = (secrets.token_hex(8).lstrip("0") or "e" for _ in range(1 + _SPARE_IDS))
+    estimator_id = secrets.token_hex(8).lstrip("0") or "e"
     _check_faults(scenario, speed)
     time_source: Literal["wall", "clock"] = "clock" if speed == "max" else "wall"
     facility = Facility(
-        router=RouterConfig(listen=endpoint, estimators=(estimator_id, *spare_ids), link=scenario.link),
+        router=RouterConfig(listen=endpoint, estimators=(estimator_id,), link=scenario.link),
         services={
             "motion": MotionServiceConfig(
                 bus=bus,
@@ -89,7 +85,6 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
             instance="supervisor", bus=BusConfig(connect=endpoint, connect_timeout_s=_ROUTER_POLL_S)
         ),
         view=ViewConfig(bus=bus, target=scenario.target, truth="tf"),
-        spare_ids=tuple(spare_ids),
     )
     return _with_proxy(facility, scenario)
 

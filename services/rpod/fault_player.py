@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Event, Lock, Thread
 
-from rpod.facility import Facility
 from rpod.supervisor import Supervisor
 from rpod_runtime import Node, QueryFailedError
 from rpod_runtime.errors import RefusedError
@@ -58,9 +57,8 @@ class _Playing:
 class FaultPlayer:
     """Plays faults in a thread of its own."""
 
-    def __init__(self, node: Node, services: Supervisor, scenario: Scenario, facility: Facility) -> None:
+    def __init__(self, node: Node, services: Supervisor, scenario: Scenario) -> None:
         self._node, self._services, self._scenario = node, services, scenario
-        self._spare_ids = list(facility.spare_ids)
         self._book = FaultBook(node)
         self._lock = Lock()
         self._faults: list[_Playing] = []
@@ -184,8 +182,7 @@ class FaultPlayer:
                 time.sleep(10 * _TURN_S)
 
     def _restart(self, service: str) -> None:
-        changes = {"zenoh_id": self._spare_ids.pop(0)} if service == "estimator" and self._spare_ids else {}
-        self._services.restart(service, **changes)
+        self._services.restart(service)
         if service == "emulator":
             Thread(target=self._start_emulator, name="restart", daemon=True).start()
 

@@ -101,7 +101,7 @@ def play(
         with _client(services, facility, interrupted) as node:
             progress.watch(node, scenario)
             _await_ready(node, services, facility, interrupted, progress)
-            player = FaultPlayer(node, services, scenario, facility)
+            player = FaultPlayer(node, services, scenario)
             epoch_ns = _start(node, scenario, speed)
             with player.playing(epoch_ns):
                 _await_end(node, services, interrupted, progress)

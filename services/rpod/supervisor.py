@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from pydantic import BaseModel
 
@@ -111,13 +111,12 @@ class Supervisor:
             service.process.kill()
             service.process.wait()
 
-    def restart(self, verb: str, **changes: Any) -> None:
-        """Start a service that was killed on purpose, with changes to its configuration."""
+    def restart(self, verb: str) -> None:
+        """Start a service again that was killed on purpose."""
         service = self._services.get(verb)
         if service is not None and service.down:
             service.close()
-            config = service.config.model_copy(update=changes)
-            self.start(verb, config, optional=service.optional, again=True)
+            self.start(verb, service.config, optional=service.optional, again=True)
 
     def stop(self, verb: str) -> None:
         """Ask a service to finish, wait, and kill it if it does not.

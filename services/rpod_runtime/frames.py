@@ -30,6 +30,7 @@ from rpod_schemas.messages import (
     read_points,
     time_field,
 )
+from rpod_schemas.messages.header import read_text
 from rpod_schemas.registry import resolve
 from rpod_schemas.sensors import SensorKind
 from rpod_schemas.topics import COMPRESSED_IMAGE
@@ -107,7 +108,10 @@ class PmdReader:
         size = (camera.height, camera.width)
         frame_id, depth_m = read_part(
             frame.parts["depth"],
-            lambda message: (str(message.header.frame_id), sized(read_depth(_plain(message)), size)),
+            lambda message: (
+                read_text("frame_id", message.header.frame_id),
+                sized(read_depth(_plain(message)), size),
+            ),
         )
         if self._source.depth == "radial":
             depth_m = self._along_boresight(frame.parts["camera_info"], camera, depth_m)

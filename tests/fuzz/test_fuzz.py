@@ -5,7 +5,7 @@ from random import Random
 import pytest
 from fuzz.cases import CASES, Case
 from fuzz.subjects import subjects
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 SLOW = "log"
@@ -20,6 +20,7 @@ def test_hostile_input_is_read_or_refused(name):
 
     @settings(
         max_examples=5 if SLOW in name else 40,
+        phases=(Phase.generate,) if SLOW in name else (Phase.generate, Phase.shrink),
         derandomize=True,
         database=None,
         suppress_health_check=(

@@ -20,7 +20,7 @@ from rpod_schemas.messages import (
     write_vector_stamped,
 )
 from rpod_schemas.poses import make_pose
-from rpod_schemas.topics import CLOCK, COMMAND, DIAGNOSTICS, SUN, TRUTH, Namespace, Topic
+from rpod_schemas.topics import CLOCK, COMMAND, DIAGNOSTICS, SMALL_CACHE, SUN, TRUTH, Namespace, Topic
 from rpod_schemas.types import Health, Odometry
 from rpod_schemas.wire import Attachment, topic_of_token
 
@@ -98,12 +98,12 @@ def test_who_comes_late_gets_the_last_message_of_a_latched_topic(bus):
 
 def test_who_comes_late_gets_the_past_of_a_stream_only_if_asked_for(bus):
     publisher, late = bus.node("sender").publisher(STREAM), bus.node("late")
-    for number in range(1, 101):
+    for number in range(1, SMALL_CACHE + 11):
         publisher.publish(vector(number))
     past, present = Inbox(), Inbox()
     late.subscribe(STREAM, past.put, history=True)
     bus.node("later").subscribe(STREAM, present.put)
-    assert numbers(collect(past, 90)) == list(range(11, 101))
+    assert numbers(collect(past, SMALL_CACHE)) == list(range(11, SMALL_CACHE + 11))
     heard_from_the_first(publisher, present)
     assert late.account.counts[KEYS.key(STREAM)].missed == 0
 

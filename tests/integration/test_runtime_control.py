@@ -77,7 +77,7 @@ def test_a_command_that_was_accepted_is_in_the_diagnostics_and_one_that_was_refu
     with pytest.raises(QueryFailedError, match="too long"):
         asker.ask("server", "fault", Accepted, FaultRequest(fault="blackout", duration_s=5.0))
     said = first(heard, lambda received: commands(received.decode()))
-    asked = {"fault": "blackout", "sensor": None, "start_s": 0.0, "duration_s": 0.5}
+    asked = FaultRequest(fault="blackout", duration_s=0.5).model_dump(mode="json")
     assert json.loads(said["command/fault"]) == asked
     assert said["commands/fault"] == "1"
 

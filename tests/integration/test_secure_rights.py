@@ -38,6 +38,7 @@ SENDERS = {
     "estimator": {"estimator"},
     "the user's guidance": {"guidance"},
     "the chaser, or motion": {"chaser", "motion"},
+    "emulator, proxy, supervisor, logger": {"emulator", "proxy", "operator", "logger"},
     "every service": {member.name for member in members()},
 }
 """Roles of the test's facility by the words of the ICD's column "from"."""
@@ -54,6 +55,7 @@ READERS = {
     "clock": SHOWN | {"emulator", "driver", "estimator", "operator", "guidance"},
     "guidance/command": {"logger"},
     "chaser/imu": {"logger", "estimator"},
+    "faults": {"logger"},
     "rosout": {"logger"},
     "parameter_events": {"logger"},
     "diagnostics": SHOWN | {"estimator", "operator", "guidance"},

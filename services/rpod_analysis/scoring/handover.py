@@ -104,7 +104,9 @@ def beyond(change: FloatArray, covariance: FloatArray) -> float:
         covariance: covariance of the error before, shape (3, 3), in the square of the change's unit.
     """
     length = float(np.linalg.norm(change))
-    squared = float(change @ np.linalg.solve(covariance, change)) if length else 0.0
+    variances, axes = np.linalg.eigh(covariance)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a direction without variance allows no change
+        squared = float(np.nansum((axes.T @ change) ** 2 / variances.clip(0.0)))
     return length * max(0.0, 1.0 - float(np.sqrt(WITHIN_95 / squared))) if squared > 0.0 else 0.0
 
 

@@ -19,6 +19,8 @@ from rpod_schemas.messages import read_diagnostics, read_integrity, read_odometr
 from rpod_schemas.summary import MountDifference
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, FAULTS, INTEGRITY, STATUS, TRUTH
 
+_LATEST_NS = 2**63 - 1
+"""Latest arrival that a table holds, ns; a log may say later ones."""
 _MOST_FAULTS = 500
 """Largest number of faults that are kept."""
 
@@ -127,6 +129,6 @@ class Reader:
     def _frame_taker(self, sensor: str) -> Callable[[Logged], None]:
         def take(logged: Logged) -> None:
             check_message(logged)
-            self.found.frames.add((peek_stamp(logged.payload), sensor, logged.log_ns))
+            self.found.frames.add((peek_stamp(logged.payload), sensor, min(logged.log_ns, _LATEST_NS)))
 
         return take

@@ -81,15 +81,20 @@ def _all_sources(trial_module: str) -> list[tuple[str, Traversable]]:
 
 
 def _trials(trial_module: str) -> list[str]:
-    """Return the modules of a trial: its own, those of its folder that it uses, and other trials."""
-    folder = trial_module.rpartition(".")[0]
-    made_in = {str(getattr(value, "__module__", "")) for value in vars(import_module(trial_module)).values()}
-    others = {
-        name
-        for name in made_in
-        if name.startswith(f"{_OURS}.") and (name.endswith(".trial") or name.rpartition(".")[0] == folder)
-    }
-    return sorted({trial_module, *others})
+    """Return the modules of a trial and those of campaigns that it uses, without reports and options."""
+    found, left = set(), {trial_module}
+    while left:
+        module = left.pop()
+        found.add(module)
+        made_in = {str(getattr(value, "__module__", "")) for value in vars(import_module(module)).values()}
+        left |= {
+            name
+            for name in made_in
+            if name.startswith(f"{_OURS}.")
+            and not name.startswith(_DECISIVE)
+            and name.rpartition(".")[2] not in ("report", "options")
+        } - found
+    return sorted(found)
 
 
 def _sources_of(top: str) -> list[tuple[str, Traversable]]:
