@@ -21,6 +21,7 @@ from rpod_schemas.topics import (
     DEPTH_SIGMA,
     ESTIMATE_FRAME,
     ESTIMATE_JOINTS,
+    FAULTS,
     IMU,
     TOPICS,
     TRUTH_JOINTS,
@@ -57,8 +58,8 @@ def test_every_message_of_every_topic_is_decoded_as_we_decode_it(read, log, ours
 
 def test_the_log_with_every_sensor_holds_every_topic_that_the_facility_publishes(every_sensor):
     reserved = {COMMAND, IMU}
-    # The mock-up has no frames and joints, and its camera states no noise.
-    of_other_runs = {ESTIMATE_FRAME, ESTIMATE_JOINTS, TRUTH_JOINTS, DEPTH_SIGMA}
+    # The mock-up has no frames and joints, its camera states no noise, and the run has no faults.
+    of_other_runs = {ESTIMATE_FRAME, ESTIMATE_JOINTS, FAULTS, TRUTH_JOINTS, DEPTH_SIGMA}
     sensors = {"<camera>": "pmd", "<lidar>": "lidar"}
     names = [topic.name.split("/") for topic in TOPICS if topic not in reserved | of_other_runs]
     expected = {"/" + "/".join(sensors.get(part, part) for part in parts) for parts in names}

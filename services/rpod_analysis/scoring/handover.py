@@ -39,7 +39,9 @@ class Offset(NamedTuple):
 
     def change_to(self, later: "Offset") -> tuple[FloatArray, FloatArray]:
         """Return the changes of the errors: of dp, m, and of dtheta, rad, each of shape (3,)."""
-        return later.place_m - self.place_m, Rotation.from_matrix(later.turn @ self.turn.T).as_rotvec()
+        return later.place_m - self.place_m, Rotation.from_matrix(
+            later.turn @ self.turn.T, assume_valid=True
+        ).as_rotvec()
 
 
 class Handovers:
@@ -77,6 +79,8 @@ class Handovers:
         window = before + [each for each in offsets if first_ns <= each.stamp_ns <= last_ns]
         for one, other in pairwise(window):
             change_m, change_rad = one.change_to(other)
+            if not np.isfinite([*change_m, *change_rad]).all():
+                continue
             self._change_m.append(float(np.linalg.norm(change_m)))
             self._change_deg.append(float(np.degrees(np.linalg.norm(change_rad))))
             self._jump_m.append(beyond(change_m, one.covariance[:3, :3]))

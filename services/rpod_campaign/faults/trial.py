@@ -188,7 +188,9 @@ def run(cell: FaultCell, seed: int, trial: int) -> list[dict[str, Any]]:
 def _outputs(cell: FaultCell, course: Course, seed: int, begin_ns: int, end_ns: int) -> Iterator[Output]:
     settings = settings_of(cell.course)
     config = EstimatorConfig(target=cell.target, initial_pose=course.truth(0.0), **_fields(settings))
-    target, sensor = cached_target(cell.target), None
+    target = cached_target(cell.target)
+    sensor: _Sensor | None = None
+    latched: list[Received] = []
     estimator, reader = Estimator(config, target), FrameReader(config.sensors)
     fresh = True
     for shown in course.frames():
