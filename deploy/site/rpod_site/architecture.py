@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[3]
 PICTURE = ROOT / "docs" / "images" / "architecture.svg"
 Edges = dict[str, frozenset[str]]
 
-_BOX, _GAP, _ROW = (132, 34), 16, 74
+_BOX, _GAP, _ROW = (126, 34), 14, 74
 _WIDTH = 1000
 _POSE = "rpod_pose"
 _COLOURS = {
