@@ -48,7 +48,7 @@ class Soak:
     """What was seen."""
 
     processes: Mapping[str, FloatArray]
-    """Of each service: time, s; resident memory, MiB; threads; descriptors; processor time, s."""
+    """Samples of each service: time, s; resident memory, MiB; threads; descriptors; processor time, s."""
     latency: FloatArray
     """Time, s, and latency from a frame's stamp to its status, s."""
     echo: FloatArray

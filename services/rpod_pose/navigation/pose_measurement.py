@@ -68,8 +68,10 @@ class PoseMeasurement:
 class Shared(NamedTuple):
     """What a measured pose has in common with others."""
 
-    white: FloatArray | None
-    """Covariance of its noise alone, shape (6, 6); None if the method does not tell it."""
+    covariance: FloatArray
+    """Covariance of its errors that are in no block, shape (6, 6)."""
+    white: bool
+    """Whether this is its noise alone; else errors that last are in it, since the method tells no parts."""
     blocks: tuple[Block, ...]
     """The states that move it, as before any measurement."""
     sensitivities: Sensitivities
@@ -89,14 +91,14 @@ def started(
     known = {block.name for block in blocks}
     return start(
         measured.T_chaser_target,
-        measured.covariance if shared.white is None else shared.white,
+        shared.covariance,
         measured.stamp_ns,
         config=config,
         centre_of_mass_m=centre_of_mass_m,
         alike=alike,
         blocks=(*blocks, *(block for block in shared.blocks if block.name not in known)),
         sensitivities=shared.sensitivities,
-        white=shared.white is not None,
+        white=shared.white,
         model=model,
     )
 
@@ -107,10 +109,10 @@ def updated(predicted: FilterState, measured: PoseMeasurement, config: FilterCon
     return update(
         grown(predicted, shared.blocks),
         measured.T_chaser_target,
-        measured.covariance if shared.white is None else shared.white,
+        shared.covariance,
         config=config,
         sensitivities=shared.sensitivities,
-        white=shared.white is not None,
+        white=shared.white,
     )
 
 
@@ -120,10 +122,10 @@ def compared(predicted: FilterState, measured: PoseMeasurement, config: FilterCo
     return innovation_of(
         grown(predicted, shared.blocks),
         measured.T_chaser_target,
-        measured.covariance if shared.white is None else shared.white,
+        shared.covariance,
         config=config,
         sensitivities=shared.sensitivities,
-        white=shared.white is not None,
+        white=shared.white,
     )
 
 
@@ -131,7 +133,7 @@ def shared_errors(measured: PoseMeasurement, config: FilterConfig) -> Shared:
     """Return which states of blocks move a measured pose, and how, chaser axes."""
     origin = measured.origin
     if origin is None:
-        return Shared(None, (), NOTHING)
+        return Shared(measured.covariance, white=False, blocks=(), sensitivities=NOTHING)
     blocks: list[Block] = []
     by: dict[str, FloatArray] = {}
     if config.mount_sigma_deg or config.mount_sigma_m:
@@ -139,7 +141,7 @@ def shared_errors(measured: PoseMeasurement, config: FilterConfig) -> Shared:
         blocks.append(mount)
         by[mount.name] = _by_mount(measured.T_chaser_target, origin.T_chaser_sensor)
     if config.errors == "inflated" or origin.parts is None:
-        return Shared(None, tuple(blocks), by)
+        return Shared(measured.covariance, white=False, blocks=tuple(blocks), sensitivities=by)
     parts = origin.parts
     to_chaser = _turn(rotation_matrix(origin.T_chaser_sensor))
     to_target = _turn(rotation_matrix(measured.T_chaser_target).T)
@@ -154,7 +156,8 @@ def shared_errors(measured: PoseMeasurement, config: FilterConfig) -> Shared:
             )
             blocks.append(block)
             by[block.name] = to_chaser @ axes.T @ _root(axes @ covariance @ axes.T)
-    return Shared(symmetric(to_chaser @ parts.white @ to_chaser.T), tuple(blocks), by)
+    white = symmetric(to_chaser @ parts.white @ to_chaser.T)
+    return Shared(white, white=True, blocks=tuple(blocks), sensitivities=by)
 
 
 def mount_of(sensor: str, config: FilterConfig) -> Block:
