@@ -26,6 +26,7 @@ from rpod_pose.belief import Belief, PixelMarks, contradicted, doubtful
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.edge_consistency import bias_sigmas, edges_in_place, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.edge_lines import Lines, line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
 from rpod_pose.pmd.joint.fit import (
@@ -52,7 +53,7 @@ from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
-from rpod_pose.registration.model_error import ModelError
+from rpod_pose.registration.model_error import ModelError, Parts
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
@@ -114,6 +115,7 @@ class JointTracker:
             tuning.edges.sigma_px, float(tuning.edges.effective_edges), tuning.edges.final_search_px
         )
         self._model_error = ModelError.of(target)
+        self._parts, self._edge_parts, self._lines = Parts.of(target), edges.parts, edges.lines
         self._reflected_m = reflected_m(target)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}
         self._nothing = Registration.none(Source.PMD_JOINT, "nothing to see")
@@ -245,18 +247,27 @@ class JointTracker:
             fit,
             alone,
             whole,
+            lines=self._line_sums(seen, fit),
             bias_m=self._depth_errors.bias_m,
             radius_px=camera.fx * self._target.radius_m / max(float(fit.state.pose.t[2]), NEAREST_M),
             wider=max(1.0, self._fills(seen, fit.state.pose.t)) ** 2,
         )
+
+    def _line_sums(self, seen: JointFrame, fit: JointFit) -> Lines:
+        """Return the sums of the lines of edges in the last step."""
+        sight, points = self._sight(seen, fit.state.pose), Points(seen.points_m, seen.trust)
+        problem = self._problem(seen, points, sight, self._near[-1:])
+        return line_sums(problem, fit.state, joint_shares(problem, fit.state), self._lines)
 
     def _considered(self, seen: JointFrame, fit: JointFit, covariance: FloatArray) -> FloatArray:
         """Return the covariance of (dtau, dtheta, bias), (7, 7), with the errors of the target's model."""
         pose, last = fit.state.pose, self._near[-1:]
         sight = self._sight(seen, pose)
         points_m = (seen.points_m - pose.t) @ pose.R
-        places_m = np.concatenate((points_m, sight.edges.places_m[sight.expected.sample]))
-        cells = self._model_error.cells(places_m)
+        samples = sight.expected.sample
+        places_m = np.concatenate((points_m, sight.edges.places_m[samples]))
+        of_place = np.concatenate((self._parts.at(points_m), self._edge_parts[samples]))
+        cells = self._parts.cells(places_m, of_place)
         parts, centres_m = [], []
         shares = joint_shares(self._problem(seen, Points(seen.points_m, seen.trust), sight, last), fit.state)
         for cell in range(int(cells.max(initial=-1)) + 1):
