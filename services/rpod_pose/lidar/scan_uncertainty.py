@@ -8,7 +8,6 @@ What changes from scan to scan is told by the residuals themselves, each with it
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rpod_pose.lidar.scan_alignment import (
     INFLUENTIAL,
@@ -52,7 +51,7 @@ class FaceRows(NamedTuple):
         evidence = add_face_points(no_sums(), problem, found.pose, problem.scales_m[-1])
         on_face = evidence.rows[:, 6] > 0.0
         rows, points_m = evidence.rows[on_face], problem.points_m[on_face]
-        face: NDArray[np.intp] = problem.buffers.triangle.reshape(-1)[problem.rays[on_face]]
+        face = problem.buffers.triangle.reshape(-1)[problem.rays[on_face]]
         normals, places_m = rows[:, :3], (points_m - t) @ R
         along = np.einsum("ij,ij->i", normals, points_m @ R)
         cosine2 = along**2 / np.einsum("ij,ij->i", points_m, points_m)
@@ -74,7 +73,8 @@ def noise_information(rows: FaceRows, found: ScanRegistration, weak: FloatArray)
 
     With the weights w, their sum M = sum of w J^T J, and variances v of the residuals, the pose has the
     covariance M^-1 (sum of w^2 v J^T J) M^-1 (H. White, Econometrica 48, 1980). A residual's variance is
-    estimated by its own square; the fit takes off its leverage's share, which the assumed variance replaces.
+    estimated by its own square; the fit takes off its leverage's share, which the assumed variance replaces,
+    scaled to all residuals.
     A robust weight answers less to a change than its own size (P. J. Huber, Robust Statistics, 1981, section
     7.6). What the outline adds stays as it is.
 
@@ -90,7 +90,9 @@ def noise_information(rows: FaceRows, found: ScanRegistration, weak: FloatArray)
     slopes = rows.fading * (4.0 * np.sqrt(rows.fading) - 3.0)
     response = max(float(slopes.sum()) / max(float(rows.fading.sum()), 1e-12), LEAST_RESPONSE)
     assumed = rows.fading / np.maximum(w, 1e-300)
-    variance = rows.residuals_m**2 + leverages * assumed
+    left = max(float((1.0 - leverages)[kept].sum()), 1.0)
+    scale = float((rows.residuals_m**2 / np.maximum(assumed, 1e-300))[kept].sum()) / left
+    variance = rows.residuals_m**2 + leverages * scale * assumed
     J, w, variance = J[kept], w[kept], variance[kept]
     answer = (J * w[:, None]).T @ J * response + weak
     scatter = (J * (w**2 * variance)[:, None]).T @ J + weak
