@@ -304,6 +304,8 @@ class Sight:
     unexplained: int
     """Greatest number of connected rays that end within the target's reach and not on it, of a thing that
     does not extend beyond this reach: a detail of the target itself."""
+    passed: int
+    """Greatest number of connected rays inside the target's outline that end beyond all of its surface."""
     continued_share: float
     """Share of the rays beside its outline at which the surface inside goes on outside."""
 
@@ -331,13 +333,18 @@ def _unexplained(
     """Return ``Sight.unexplained`` without the thin lines of rays that end between two surfaces."""
     away_m = np.linalg.norm(image.points_m - T_sensor_target.translation, axis=-1)
     around = (image.range_m > 0.0) & ~explained & (away_m < AROUND * radius_m)
-    around = np.asarray(cv2.erode(around.view(np.uint8), NEIGHBOURS), np.uint8).view(np.bool_)
-    count, numbers = cv2.connectedComponents(around.view(np.uint8), connectivity=8)
-    number = np.asarray(numbers, np.intp).ravel()
+    count, number = _patches(around)
     farthest_m = np.zeros(count)
     np.maximum.at(farthest_m, number, np.where(around, away_m, 0.0).ravel())
     sizes = np.bincount(number, minlength=count)
     return int(sizes[1:][farthest_m[1:] < radius_m].max(initial=0))
+
+
+def _patches(rays: NDArray[np.bool_]) -> tuple[int, NDArray[np.intp]]:
+    """Return the number of connected patches of rays without thin lines, and each ray's patch, 0 for none."""
+    inner = np.asarray(cv2.erode(rays.view(np.uint8), NEIGHBOURS), np.uint8)
+    count, numbers = cv2.connectedComponents(inner, connectivity=8)
+    return count, np.asarray(numbers, np.intp).ravel()
 
 
 def _widened(rays: NDArray[np.bool_], shape: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -386,5 +393,6 @@ def with_target_at(
         inside,
         1.0 - _share(hidden, met),
         _unexplained(image, labels == Label.KEPT, target.radius_m, T_sensor_target),
+        int(np.bincount(_patches(inside & (labels == Label.BEYOND))[1])[1:].max(initial=0)),
         _share(continued, ring),
     )
