@@ -28,6 +28,7 @@ def last_key() -> str:
 SENDERS = {
     "motion": {"motion"},
     "motion, or the robots' driver": {"motion", "robots"},
+    "the robots' driver": {"robots"},
     "motion, or the lamp's driver": {"motion", "lamp"},
     "each sensor, all its transforms in one message": {"emulator", "driver"},
     "latched": {"emulator", "driver"},
@@ -55,6 +56,7 @@ READERS = {
     "clock": SHOWN | {"emulator", "driver", "estimator", "operator", "guidance"},
     "guidance/command": {"logger"},
     "chaser/imu": {"logger", "estimator"},
+    "bodies/<frame>/odometry": {"logger", "estimator"},
     "faults": {"logger"},
     "rosout": {"logger"},
     "parameter_events": {"logger"},

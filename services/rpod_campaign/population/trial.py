@@ -93,10 +93,10 @@ SCHEMA: dict[str, Any] = {
 """Columns of a row.
 
 kind: kind of the satellite's body; empty for a target of a file. triangles: of its mesh file, or of a target.
-returns: number of returns of the target alone, or of its pixels with depth. seen: whether these are enough to count the
-trial; a frame with fewer than 200 pixels is counted apart. accepted: a track may begin at the pose, or the
-tracker's pose is believed. ambiguous: the acquisition names rivals and begins no track. truth_among: one of
-its hypotheses is right.
+returns: number of returns of the target alone, or of its pixels with depth. seen: whether these are enough to
+count the trial; a frame with fewer than 200 pixels is counted apart. accepted: a track may begin at the pose,
+or the tracker's pose is believed. ambiguous: the acquisition names rivals and begins no track. truth_among:
+one of its hypotheses is right.
 """
 
 

@@ -45,7 +45,8 @@ class PmdFrames:
         grid = view.rays(1) if stride == 1 else view.coarse
         depth_m = frame.depth_m[view.offset :: stride, view.offset :: stride]
         depth_m = np.where((depth_m > NEAR_M) & (depth_m < FARTHEST_M), depth_m, np.float32(0.0))
-        return RangeImage(grid, (depth_m / grid.components[2]).astype(np.float32))
+        hidden = None if frame.hidden is None else frame.hidden[view.offset :: stride, view.offset :: stride]
+        return RangeImage(grid, (depth_m / grid.components[2]).astype(np.float32), hidden)
 
     def separated(self, frame: PmdFrame, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> PmdFrame:
         """Return a frame that is dark beside the target, and saturated where something hides it.
@@ -64,6 +65,13 @@ class PmdFrames:
         for image in images.values():
             image.setflags(write=False)  # as from the bus
         return frame.model_copy(update=images)
+
+    def behind_bodies(self, frame: PmdFrame, hides: NDArray[np.bool_]) -> PmdFrame:
+        """Return a frame without the pixels on known bodies, given by the rays of its fine image."""
+        labels = np.where(hides, Label.HIDING, Label.KEPT).astype(np.uint8)
+        hidden = upsampled(hides, frame.depth_m.shape)
+        separated = self.separated(frame, labels, np.zeros(hides.shape, np.bool_))
+        return separated.model_copy(update={"hidden": hidden})
 
     def part_of(self, part: PmdFrame, whole: PmdFrame) -> PmdFrame:
         """Return a part of a frame with the whole one."""

@@ -40,8 +40,8 @@ from its near-symmetries."""
 LEAST_IN_VIEW = 0.5
 """Least share of the target in the field of view for a track to begin: other things resemble a small part."""
 LEAST_OUTLINE = 0.5
-"""Least share of the target's whole outline at which it is seen to end for a track to begin: an edge of a wall
-or a plate has the shape of a target's side, but it does not go around a half of the target."""
+"""Least share of the target's whole outline at which it is seen to end for a track to begin: an edge of a
+wall or a plate has the shape of a target's side, but it does not go around a half of the target."""
 RIVAL = 0.5
 """Least number of rays on another surface that is searched too, over that on the one with the target."""
 OUTLINE = "seen_outline_share"
@@ -64,6 +64,15 @@ class Frames(Protocol):
             frame: the frame.
             labels: ``Label`` of each ray of its fine image, shape (rows, columns).
             inside: rays that must meet the target, same shape.
+        """
+        ...
+
+    def behind_bodies(self, frame: Any, hides: NDArray[np.bool_]) -> Any:
+        """Return a frame that tells nothing where known bodies are.
+
+        Args:
+            frame: the frame.
+            hides: rays of its fine image on known bodies, shape (rows, columns).
         """
         ...
 
@@ -94,7 +103,9 @@ class TrackerAmongThings:
     def cluttered(self, frame: Any) -> RangeImage | None:
         """Return the ranges of few rays of a frame that shows more than the target; None for any other."""
         image = self.frames.image(frame, fine=False)
-        return image if image is not None and image.shows_more_than(self.target.radius_m) else None
+        if image is None or (image.hidden is None and not image.shows_more_than(self.target.radius_m)):
+            return None
+        return image
 
     def track(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the frame gives none."""

@@ -1,8 +1,8 @@
 """How much of the target's outline a frame shows: where the target is seen to end.
 
-Separation by a pose makes everything beside the rendered target dark. On a plane that goes on there, such as a
-wall or a plate, the outline of any pose then seems to be in its place. Only where the measured surface ends is
-the outline evidence. The outline outside of the field of view and behind other things is unknown too.
+Separation by a pose makes everything beside the rendered target dark. On a plane that goes on there, such as
+a wall or a plate, the outline of any pose then seems to be in its place. Only where the measured surface ends
+is the outline evidence. The outline outside of the field of view and behind other things is unknown too.
 """
 
 import cv2
@@ -52,9 +52,7 @@ def seen_outline(
     return float(np.count_nonzero(ends)) / len(row) * _outline_in_view(image, target, T_sensor_target)
 
 
-def _outwards(
-    met: NDArray[np.bool_], row: NDArray[np.intp], column: NDArray[np.intp]
-) -> FloatArray:
+def _outwards(met: NDArray[np.bool_], row: NDArray[np.intp], column: NDArray[np.intp]) -> FloatArray:
     """Return the direction out of the target at rays of its outline, rows and columns, shape (2, N)."""
     smooth = cv2.GaussianBlur(met.astype(np.float32), (0, 0), _SMOOTH, borderType=cv2.BORDER_REPLICATE)
     down, across = (cv2.Sobel(smooth, cv2.CV_32F, *order) for order in ((0, 1), (1, 0)))

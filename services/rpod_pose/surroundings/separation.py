@@ -75,6 +75,9 @@ class RangeImage:
     grid: RayGrid
     range_m: Float32Array
     """Range of each ray, shape (rows, columns), 0 without one."""
+    hidden: NDArray[np.bool_] | None = None
+    """Rays that tell nothing of the target, because a known body is there, same shape; None if no body is
+    known."""
 
     @property
     def points_m(self) -> FloatArray:
@@ -262,7 +265,12 @@ def around_place(
     labels = np.full(fine.range_m.shape, Label.BEYOND, np.uint8)
     labels[towards & unknown] = Label.HIDING
     labels[mine | (towards & ~measured)] = Label.KEPT
-    return labels
+    return _with_bodies(labels, fine)
+
+
+def _with_bodies(labels: NDArray[np.uint8], image: RangeImage) -> NDArray[np.uint8]:
+    """Return the labels with those of the rays on known bodies."""
+    return labels if image.hidden is None else np.where(image.hidden, np.uint8(Label.HIDING), labels)
 
 
 def _bounds(
@@ -385,6 +393,7 @@ def with_target_at(
     labels[~around] = Label.BEYOND
     labels[measured & around & (measured_m > farthest_m)] = Label.BEYOND
     labels[measured & around & (measured_m < nearest_m)] = Label.HIDING
+    labels = _with_bodies(labels, image)
     hidden = met & (labels == Label.HIDING)
     ring, outside_m = _beside(image, met, rendered_m, target.radius_m)
     continued = ring & measured & (np.abs(measured_m - outside_m) < max(margin_m, BESIDE * target.radius_m))
