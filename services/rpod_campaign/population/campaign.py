@@ -13,7 +13,7 @@ from rpod_target.population.names import name_of
 
 
 def cells(options: Options) -> list[PopulationCell]:
-    """Return a cell for each satellite, world and surroundings. Raises ConfigurationError, with the option."""
+    """Return a cell for each satellite, world and surroundings. Raises ConfigurationError."""
     camera = options.sensor == "pmd"
     names = targets(options.target) or tuple(
         name_of(options.population, options.seed, index, small=camera) for index in range(options.bodies)

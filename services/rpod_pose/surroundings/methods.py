@@ -10,12 +10,11 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
 from rpod_pose.surroundings.outline import seen_outline
+from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import (
     Margin,
     RangeImage,
     Sight,
-    around_place,
-    places,
     with_target_at,
 )
 from rpod_schemas.types import Float32Array, Source

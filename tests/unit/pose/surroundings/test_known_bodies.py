@@ -33,9 +33,8 @@ ACROSS = make_pose(rotation=Rotation.from_euler("z", 70, degrees=True), translat
 @cache
 def limb_file(folder) -> str:
     """Write the limb in millimetres, along the file's own z."""
-    limb = trimesh.creation.cylinder(
-        radius=1e3 * LIMB["radius_m"], height=1e3 * LIMB["length_m"], sections=64
-    )
+    radius_mm, length_mm = 1e3 * LIMB["radius_m"], 1e3 * LIMB["length_m"]
+    limb = trimesh.creation.cylinder(radius=radius_mm, height=length_mm, sections=64)
     limb.apply_translation((0.0, 0.0, 0.5 * length_mm))
     limb.export(folder / "limb.stl")
     return "limb.stl"
