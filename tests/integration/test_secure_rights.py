@@ -56,7 +56,7 @@ READERS = {
     "clock": SHOWN | {"emulator", "driver", "estimator", "operator", "guidance"},
     "guidance/command": {"logger"},
     "chaser/imu": {"logger", "estimator"},
-    "bodies/<frame>/odometry": {"logger", "estimator"},
+    "bodies/grapple/odometry": {"logger", "estimator"},
     "faults": {"logger"},
     "rosout": {"logger"},
     "parameter_events": {"logger"},
