@@ -142,8 +142,8 @@ class KnownBodies:
 def _hidden_by(image: RangeImage, surface: Surface, pose: RigidTransform) -> NDArray[np.bool_]:
     """Return the rays on which a body is: those that end at its surface, or that must have met it.
 
-    The surface may be off by its tolerance in each direction. Rays beside these see the body and what is next
-    to it, so that their ranges are neither's.
+    The surface may be off by its tolerance in each direction. Pixels beside these see the body and what is
+    next to it, so that their ranges are neither's.
     """
     rendered_m = cast(image.grid, surface.triangles_m, pose).range_m
     met = np.isfinite(rendered_m)
@@ -158,6 +158,8 @@ def _hidden_by(image: RangeImage, surface: Surface, pose: RigidTransform) -> NDA
     before = measured & (image.range_m < nearest_m)
     beyond = measured & (image.range_m > farthest_m) & ~surely
     on_body = around & ~before & ~beyond
+    if reach == 1:  # rays are farther apart than the tolerance: each sees one surface
+        return on_body
     beside = cv2.dilate(on_body.view(np.uint8), NEIGHBOURS).view(np.bool_)
     hidden: NDArray[np.bool_] = on_body | (beside & ~before)
     return hidden
