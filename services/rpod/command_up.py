@@ -94,11 +94,23 @@ def _print(status: FacilityStatus) -> None:
         print(f"{status.name} is not up; start it with 'rpod up'")
         return
     table = Table(title=f"{status.name}, process {status.pid}", title_justify="left")
-    for heading in ("service", "state", "process", "age", "memory", "restarts", "last end", "says"):
+    for heading in (
+        "service",
+        "state",
+        "process",
+        "age",
+        "memory",
+        "reserve",
+        "restarts",
+        "last end",
+        "says",
+    ):
         table.add_column(heading)
     for each in status.services:
         memory = f"{each.memory_bytes / 2**20:.0f} MiB" if each.memory_bytes else ""
-        table.add_row(each.name, each.state, str(each.pid or ""), f"{each.up_s:.0f} s", memory,
+        held = f"{each.reserve_bytes / 2**20:.0f} MiB" if each.reserve_bytes else ""
+        reserve = "" if each.reserve == "none" else f"{each.reserve} {held}"
+        table.add_row(each.name, each.state, str(each.pid or ""), f"{each.up_s:.0f} s", memory, reserve,
                       str(each.restarts), each.last_end, each.message)  # fmt: skip
     Console(width=None if sys.stdout.isatty() else 160).print(table)
 

@@ -31,6 +31,10 @@ class DaemonStatus(Config):
     """What the service says of itself."""
     memory_bytes: int | None = None
     """Resident memory of the process."""
+    reserve: str = "none"
+    """Its process in reserve: none, starting, ready."""
+    reserve_bytes: int | None = None
+    """Resident memory of the process in reserve."""
     log: str
     """File of its log lines."""
 

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 
 from rpod.daemon import Daemon, DaemonState
 from rpod.host_state import DaemonStatus, FacilityStatus, held, write_status
+from rpod.reserve import ReserveState
 from rpod.resolved import ResolvedFacility, resolve_facility
 from rpod_schemas.errors import ConfigurationError
 
@@ -40,7 +41,7 @@ class Keeper:
             Daemon(service, state=facility.state, sockets=sockets, backoff=facility.file.backoff)
             for service in facility.services
         ]
-        self._shown: list[tuple[DaemonState, int | None]] = []
+        self._shown: list[tuple[DaemonState, int | None, ReserveState]] = []
         self._next_s = 0.0
 
     def keep(self, asked: Asked, tell: Callable[[FacilityStatus], None]) -> None:
@@ -74,6 +75,8 @@ class Keeper:
                 last_end=each.last_end,
                 message=each.message,
                 memory_bytes=_memory_bytes(each.pid),
+                reserve=each.reserve.state,
+                reserve_bytes=_memory_bytes(each.reserve.pid),
                 log=str(each.log),
             )
             for each in self._daemons
@@ -97,7 +100,7 @@ class Keeper:
 
     def _write(self, tell: Callable[[FacilityStatus], None]) -> None:
         """Write the state at each change, and once a second."""
-        shown: list[tuple[DaemonState, int | None]] = [(each.state, each.pid) for each in self._daemons]
+        shown = [(each.state, each.pid, each.reserve.state) for each in self._daemons]
         changed = shown != self._shown
         if not changed and time.monotonic() < self._next_s:
             return
