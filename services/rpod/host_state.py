@@ -33,6 +33,8 @@ class DaemonStatus(Config):
     """Resident memory of the process."""
     reserve: str = "none"
     """Its process in reserve: none, starting, ready."""
+    reserve_pid: int | None = None
+    """Its process identifier."""
     reserve_bytes: int | None = None
     """Resident memory of the process in reserve."""
     log: str

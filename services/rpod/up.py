@@ -76,6 +76,7 @@ class Keeper:
                 message=each.message,
                 memory_bytes=_memory_bytes(each.pid),
                 reserve=each.reserve.state,
+                reserve_pid=each.reserve.pid,
                 reserve_bytes=_memory_bytes(each.reserve.pid),
                 log=str(each.log),
             )
