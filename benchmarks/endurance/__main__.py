@@ -54,7 +54,8 @@ def kills(
                 done.setdefault(name, []).append(kill)
                 console.print(
                     f"{number:3} {name:9} TRACKING {kill.tracking_s:.2f} s, at work {kill.ready_s:.2f} s, "
-                    f"echo {kill.echo_s:.2f} s, processor {kill.processor_s:.2f} s, lost {kill.lost_s:.3f} s {'; '.join(kill.wrong)}"
+                    f"echo {kill.echo_s:.2f} s, processor {kill.processor_s:.2f} s, lost {kill.lost_s:.3f} s "
+                    f"{'; '.join(kill.wrong)}"
                 )
             quiet = at.settle()
             for wrong in quiet:

@@ -57,7 +57,7 @@ class Kill:
 
 
 class Watch:
-    """The newest tracked frame, and the first truth of its present publisher, as others on the bus see them."""
+    """The newest tracked frame, and the first truth of its present publisher, as others see them."""
 
     def __init__(self, node: Node) -> None:
         self._lock = Lock()
