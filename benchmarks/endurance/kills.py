@@ -3,12 +3,13 @@
 import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from threading import Event, Lock
+from typing import Any
 
 import psutil
 from mcap.exceptions import McapError
@@ -138,22 +139,25 @@ class Desk:
         spent_s = processor_s(told.get("reserve_pid"))
         killed_s, killed_ns = time.monotonic(), time.time_ns()
         os.kill(told["pid"], signal.SIGKILL)
-        after_ns = killed_ns
-        if name == "motion":  # it publishes ahead of time: the killed one's truth gives frames after the kill
-            begins_ns = until(lambda: self._watch.truth_since_ns(truth_gid), "another truth", _RECOVERY_S)
-            after_ns = max(killed_ns, begins_ns)
-        tracked_s = until(lambda: self._watch.tracked(after_ns, gid), f"{name}: a track", _RECOVERY_S)
+        restarts = told["restarts"] + 1
+
+        def tracked() -> float | None:
+            """Motion publishes ahead of time: the killed one's truth gives frames after the kill."""
+            begins_ns = self._watch.truth_since_ns(truth_gid) if name == "motion" else 0
+            return None if begins_ns is None else self._watch.tracked(max(killed_ns, begins_ns), gid)
+
+        def at_work() -> tuple[float, float] | None:
+            new = self._facility.ready(name, restarts)
+            return (time.monotonic(), processor_s(new["pid"]) - spent_s) if new else None
+
+        tracked_s, (ready_s, spent_s) = both(tracked, at_work, f"{name}: a track, and at work")
         if echo_s is None:
             echo_s = until(lambda: self._echo.first_after(killed_s), "an echo", _RECOVERY_S) - killed_s
-        restarts = told["restarts"] + 1
-        new = until(lambda: self._facility.ready(name, restarts), f"{name} at work", _RECOVERY_S)
-        ready_s = time.monotonic() - killed_s
-        spent_s = processor_s(new["pid"]) - spent_s
         self._node.stop.wait(_SETTLE_S)
         self._split()
         lost_s = self._lost_s() if name == "logger" else 0.0
         wrong = tuple(self._judge(killed=name))
-        return Kill(name, tracked_s - killed_s, ready_s, echo_s, spent_s, lost_s, wrong)
+        return Kill(name, tracked_s - killed_s, ready_s - killed_s, echo_s, spent_s, lost_s, wrong)
 
     def _kill_echo(self) -> float:
         """Kill the echo's process and start it again as ``rpod up`` would; return how long that took, s."""
@@ -190,6 +194,22 @@ class Desk:
                 self._judged.add(path)
                 yield from judge(path, killed=killed)
                 path.unlink() if killed != "logger" else None
+
+
+def both(
+    one: Callable[[], float | None], other: Callable[[], tuple[float, float] | None], what: str
+) -> tuple[float, tuple[float, float]]:
+    """Wait until two functions have returned something, in any order; return what each returned first."""
+    found: dict[str, Any] = {}
+
+    def seen() -> bool:
+        for key, function in (("one", one), ("other", other)):
+            if key not in found and (value := function()):
+                found[key] = value
+        return len(found) == 2
+
+    until(seen, what, _RECOVERY_S)
+    return found["one"], found["other"]
 
 
 def processor_s(pid: int | None) -> float:
