@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from rpod.daemon import Daemon, DaemonState
-from rpod.host_state import DaemonStatus, FacilityStatus, held, write_status
+from rpod.host_state import STOP_TIMEOUT_S, DaemonStatus, FacilityStatus, held, write_status
 from rpod.reserve import ReserveState
 from rpod.resolved import ResolvedFacility, resolve_facility
 from rpod_schemas.errors import ConfigurationError
@@ -20,8 +20,6 @@ log = logging.getLogger(__name__)
 _TURN_S = 0.05
 """Time between two looks at the processes: the longest time until an end is noticed."""
 _STATUS_S = 1.0
-STOP_TIMEOUT_S = 20.0
-"""Longest time that one service may take to finish."""
 
 
 @dataclass
