@@ -218,7 +218,7 @@ def processor_s(pid: int | None) -> float:
         return 0.0
     process = psutil.Process(pid)
     times = [each.cpu_times() for each in (process, *process.children(recursive=True))]
-    return sum(each.user + each.system for each in times)
+    return float(sum(each.user + each.system for each in times))
 
 
 def truth_numbers(path: Path) -> Sequence[int]:
