@@ -23,7 +23,7 @@ from functools import cache
 from math import degrees, hypot
 
 import numpy as np
-from scipy.stats import chi, chi2
+from scipy.special import chdtri, gammainccinv
 
 from rpod_pose.belief import worst_sigma
 from rpod_pose.navigation.filter import ATTITUDE, POSE, POSITION, FilterState, separation_of
@@ -106,10 +106,10 @@ def _greatest(solutions: Sequence[Solution], part: slice, unseen: float, risk: f
 @cache
 def _length_quantile(probability: float) -> float:
     """Return the length that a standard normal vector of three components exceeds with a probability."""
-    return float(chi.isf(probability, 3))
+    return float(np.sqrt(2.0 * gammainccinv(1.5, probability)))
 
 
 @cache
 def chi2_limit(probability: float, dof: float) -> float:
     """Return the value that chi-squared exceeds with a probability."""
-    return float(chi2.isf(probability, dof))
+    return float(chdtri(dof, probability))
