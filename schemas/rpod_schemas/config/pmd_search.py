@@ -101,6 +101,13 @@ class PmdAcquisitionTuning(Tuning):
     """Number of best distinct poses that are refined to the end."""
     rival_loss: Annotated[Positive, BY_HAND] = 200.0
     """Largest difference of loss from the best pose with which one of these is refined on the outline too."""
+    settling: Annotated[int, Field(ge=0), BUDGET] = 6
+    """Greatest number of further alignments of a first pose, each from the last one's result, until it
+    settles."""
+    settled_px: Annotated[
+        Positive, Provenance("numerics", "a third of the least standard deviation of an edge's position")
+    ] = 0.1
+    """Motion of the target in the image by an alignment, px, below which a first pose has settled."""
     distinct_deg: Annotated[NonNegative, GRID] = 8.0
     """Angle between two attitudes, deg, below which their poses are the same."""
     near_attitudes: Annotated[Count, BUDGET] = 12000

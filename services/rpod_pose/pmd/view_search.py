@@ -9,8 +9,9 @@
    axes. Only small details and materials distinguish them.
 4. The best distinct poses are refined on more points and on the frame's outline.
 
-The search only ranks poses. The tracker refines the best on depth and edges, and whether it is believed is
-the tracker's decision: it compares every pixel within the frame's own noise. The weights of the hypotheses
+The search only ranks poses. The tracker refines the best on depth and edges, and again from its own result
+until the pose settles: the edges that it expects are those of a rendering at the pose from which it starts.
+Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise. The weights of the hypotheses
 follow from their losses. If no hypothesis outweighs the others, the tracker checks each: its edges may show
 which of them the frame contradicts. If it refuses the best, the next ones are tried in turn.
 
@@ -29,8 +30,10 @@ from scipy.special import softmax
 
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
+from rpod_pose.pmd.joint.expected_edges import moved_px
 from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
 from rpod_schemas.arrays import FloatArray
@@ -145,6 +148,31 @@ class ViewSearch:
 
     def _registered(self, task: _Task, pose: Pose) -> Registration:
         """Return a pose that the search found, refined and judged by the tracker."""
-        found = self._tracker.track(task.frame, pose_of(pose.R, pose.t))
+        found = self._settled(task.frame, self._tracker.track(task.frame, pose_of(pose.R, pose.t)))
         evidence = {"mean_loss": pose.fit.mean_loss, **found.belief.evidence}
         return replace(found, belief=replace(found.belief, evidence=evidence))
+
+    def _settled(self, frame: PmdFrame, found: Registration) -> Registration:
+        """Return a registration that is aligned again from its own pose, until the pose hardly moves.
+
+        An alignment finds edges that are a pixel from their place only slowly, since they count as outliers
+        first. The steps of one alignment suffice in a stream of frames, but not from the pose of a search. A
+        pose that the frame contradicts is not continued, nor is one that is believed less than before.
+        """
+        tuning = self._tuning
+        for _ in range(tuning.settling):
+            if found.T_sensor_target is None or not found.continues_track:
+                break
+            again = self._tracker.track(frame, found.T_sensor_target)
+            if again.T_sensor_target is None or _standing(again) < _standing(found):
+                break
+            before, after = (PoseArrays.of(each.T_sensor_target) for each in (found, again))
+            found = again
+            if moved_px(before, after, self._model.target.radius_m, frame.camera.fx) < tuning.settled_px:
+                break
+        return found
+
+
+def _standing(found: Registration) -> tuple[bool, bool]:
+    """Return how far a registration is believed; a greater value is more."""
+    return found.begins_track, found.continues_track
