@@ -27,6 +27,8 @@ _RATES: dict[str, pl.Expr] = {
     "ambiguous": pl.col("ambiguous"),
     "accepted": pl.col("accepted"),
     "wrong_accepted": pl.col("accepted") & ~pl.col("right"),
+    "wrong_accepted_coarse": pl.col("accepted") & ~pl.col("right") & pl.col("coarse"),
+    "coarse": pl.col("accepted") & pl.col("coarse"),
     "right_rejected": pl.col("right") & ~pl.col("accepted") & ~pl.col("ambiguous"),
 }
 """Conditions whose trials are counted, by name."""
@@ -56,6 +58,7 @@ def summarise(cell: PopulationCell, rows: pl.DataFrame) -> dict[str, Any]:
         "ambiguous": _count(seen, _RATES["ambiguous"]).count,
         "ambiguous_rate": _count(seen, _RATES["ambiguous"]).value,
         "wrong_accepted": _count(seen, _RATES["wrong_accepted"]).count,
+        "wrong_accepted_coarse": _count(seen, _RATES["wrong_accepted_coarse"]).count,
         "right_rejected": _count(seen, _RATES["right_rejected"]).count,
         **_accuracy(seen),
         "median_s": quantile(seen["took_s"], 0.5),
@@ -125,7 +128,8 @@ def sections(results: Results) -> list[Section]:
     note = (
         f"Right: within {angle_deg:g} deg and {100.0 * share:g} % of the longest side, modulo exact "
         "symmetries. Success: right, or ambiguous with the truth among the hypotheses. Errors and NEES are "
-        "those of right poses, accepted or not. Shares have their 95 % Wilson intervals. "
+        "those of right poses, accepted or not. Coarse: accepted, with a position whose covariance exceeds "
+        "the limit at three standard deviations. Shares have their 95 % Wilson intervals. "
     )
     apart = "" if lidar else "Frames with fewer than 200 of the target's pixels with depth are counted apart."
     return [
@@ -147,14 +151,15 @@ def _totals_table(results: Results) -> Table:
     ]
     columns = (
         *("trials", "counted", "too few pixels", "success", "ambiguous", "wrong accepted"),
+        *("wrong accepted and coarse", "coarse"),
         *("right that are accepted", "accepted more than 10 deg off", *_ACCURACY),
     )
     return Table("Totals", columns, tuple(rows))
 
 
 _SHARES = (
-    *("success", "ambiguous", "wrong_accepted", "right_that_are_accepted"),
-    "accepted_more_than_10_deg_off",
+    *("success", "ambiguous", "wrong_accepted", "wrong_accepted_coarse", "coarse"),
+    *("right_that_are_accepted", "accepted_more_than_10_deg_off"),
 )
 _ACCURACY = ("RMS, deg", "RMS, mm", "mean NEES", "of", "inside 95 %", "median, ms")
 

@@ -26,6 +26,7 @@ from rpod_campaign.pmd.framing import LEAST_PIXELS, framed, lit, range_filling, 
 from rpod_campaign.pmd.methods import DEFAULT, pmd_input
 from rpod_campaign.pmd.scene import Stage, camera_of, scenario_of, still
 from rpod_campaign.pmd.world import World
+from rpod_pose.belief import worst_sigma
 from rpod_pose.methods import ready_methods
 from rpod_pose.ports import Acquisition, Methods, Outcome, Registration
 from rpod_schemas.config.emulator import WorldName
@@ -43,6 +44,8 @@ LIDAR_OFF_DEG, LIDAR_OFF = 5.0, 0.03
 """Error of the prediction of a LIDAR's tracker: angle, deg, and distance over the longest side."""
 PMD_OFF_DEG, PMD_OFF = 2.0, 0.02
 """Error of the prediction of a camera's tracker: angle, deg, and distance over the range."""
+SURE_SIGMAS = 3.0
+"""Standard deviations within which an error is expected: one normal error in 370 is larger."""
 _DRAW, _START, _SUN = 0, 1, 2
 """Streams of random numbers."""
 
@@ -81,6 +84,7 @@ SCHEMA: dict[str, Any] = {
     "attitude_deg": pl.Float64,
     "position_m": pl.Float64,
     "right": pl.Boolean,
+    "coarse": pl.Boolean,
     "accepted": pl.Boolean,
     "ambiguous": pl.Boolean,
     "truth_among": pl.Boolean,
@@ -94,9 +98,10 @@ SCHEMA: dict[str, Any] = {
 
 kind: kind of the satellite's body; empty for a target of a file. triangles: of its mesh file, or of a target.
 returns: number of returns of the target alone, or of its pixels with depth. seen: whether these are enough to
-count the trial; a frame with fewer than 200 pixels is counted apart. accepted: a track may begin at the pose,
-or the tracker's pose is believed. ambiguous: the acquisition names rivals and begins no track. truth_among:
-one of its hypotheses is right.
+count the trial; a frame with fewer than 200 pixels is counted apart. coarse: the pose's own covariance does
+not promise a right position, since three of its standard deviations in the worst direction exceed the limit.
+accepted: a track may begin at the pose, or the tracker's pose is believed. ambiguous: the acquisition names
+rivals and begins no track. truth_among: one of its hypotheses is right.
 """
 
 
@@ -185,6 +190,7 @@ def _scored(limits: Limits, found: Registration, truth: RigidTransform, target: 
         "attitude_deg": attitude_deg,
         "position_m": position_m,
         "right": limits.are_met(attitude_deg, position_m),
+        "coarse": SURE_SIGMAS * worst_sigma(found.covariance[:3, :3]) > limits.position_m,
         "nees": nees_of(truth, found.T_sensor_target, found.covariance, target),
         "nees_dof": target.equivalence.dof,
     }

@@ -175,4 +175,4 @@ class ViewSearch:
 
 def _standing(found: Registration) -> tuple[bool, bool]:
     """Return how far a registration is believed; a greater value is more."""
-    return found.begins_track, found.continues_track
+    return found.belief.level is BeliefLevel.ACCEPTED, found.continues_track

@@ -159,6 +159,14 @@ def test_a_pose_is_right_below_both_limits():
     assert not limits.are_met(None, None)
 
 
+def test_a_pose_is_coarse_where_its_covariance_does_not_promise_a_right_position():
+    truth = make_pose(translation_m=(0.0, 0.0, 9.0))
+    for sigma_m, coarse in ((0.3, True), (0.2, False), (math.nan, False)):
+        covariance = np.diag([1e-6, 1e-6, sigma_m**2, 1e-6, 1e-6, 1e-6])
+        found = Registration(Source.LIDAR, truth, Belief(BeliefLevel.ACCEPTED), covariance=covariance)
+        assert counted(Acquisition(found))["coarse"] is coarse
+
+
 def answer(level, best, *rivals):
     belief = Belief(level, "", {}, tuple(Rival("turned", rival, 0.0) for rival in rivals))
     return Acquisition(Registration(Source.LIDAR, best, belief))
@@ -194,6 +202,7 @@ def test_an_ambiguous_answer_is_a_success_only_with_the_truth_among_several_hypo
 
 def test_shares_are_over_frames_that_show_enough_and_the_others_are_counted_apart(rows):
     right = rows[0] | {"seen": True, "right": True, "accepted": True, "ambiguous": False, "returns": 100}
+    right["coarse"] = True
     answers = [
         right,
         right | {"accepted": False},
@@ -214,6 +223,7 @@ def test_shares_are_over_frames_that_show_enough_and_the_others_are_counted_apar
     assert t["returns_60_or_more"]["trials"] == 8
     assert t["returns_6_to_60"]["trials"] == 2
     assert t["all"]["accepted_more_than_10_deg_off"]["count"] == 2
+    assert (t["all"]["wrong_accepted_coarse"]["count"], t["all"]["coarse"]["count"]) == (2, 4)
     for section in sections([result, result]):
         for table in section.tables:
             assert all(len(row) == len(table.columns) for row in table.rows)

@@ -1,5 +1,6 @@
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from pmd_frames import depth_frame, frame_of, strange_frames
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.belief import contradicted
+from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.pmd.view_search import ViewSearch
 from rpod_pose.ports import Outcome, Registration
@@ -91,6 +92,49 @@ def test_what_the_tracker_does_not_believe_is_refused():
     result = search.acquire(seen("mockup", OBLIQUE))
     assert (result.outcome, result.belief.reason) == (Outcome.FAILED, "edges are elsewhere")
     assert result.pose is None
+
+
+class HalfTheWay:
+    """A tracker whose every alignment leaves half of the pose's error."""
+
+    def __init__(self, *beliefs: Belief) -> None:
+        self._beliefs, self.poses = iter(beliefs), []
+
+    def track(self, _, T_sensor_target):
+        off_m = T_sensor_target.translation - OBLIQUE.translation
+        T = make_pose(rotation=OBLIQUE.rotation, translation_m=OBLIQUE.translation + 0.5 * off_m)
+        self.poses.append(T)
+        belief = next(self._beliefs, Belief())
+        return Registration(Source.PMD_JOINT, T, belief, covariance=1e-6 * np.eye(6))
+
+
+def settled(*beliefs: Belief) -> tuple[RigidTransform | None, list[RigidTransform]]:
+    """Return the pose of a search, and those of the alignments of its first pose."""
+    tracker = HalfTheWay(*beliefs)
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), tracker)
+    return search.acquire(seen("mockup", OBLIQUE)).pose, tracker.poses
+
+
+def test_a_first_pose_is_aligned_again_until_it_settles():
+    pose, aligned = settled()
+    tuning = PmdAcquisitionConfig().tuning
+    px_per_m = PmdConfig().camera.fx / OBLIQUE.translation[2]
+    moves_px = [px_per_m * np.linalg.norm((b * a.inv()).translation) for a, b in pairwise(aligned)]
+    assert pose is aligned[-1]
+    assert 2 <= len(aligned) <= 1 + tuning.settling
+    assert moves_px[-1] < tuning.settled_px or len(aligned) == 1 + tuning.settling
+    assert all(move >= tuning.settled_px for move in moves_px[:-1])
+
+
+@pytest.mark.parametrize("belief", [contradicted, doubtful])
+def test_an_alignment_that_is_believed_less_than_the_one_before_is_not_used(belief):
+    pose, aligned = settled(Belief(), belief("edges are elsewhere"))
+    assert pose is aligned[0]
+
+
+def test_an_alignment_may_be_believed_more_than_the_one_before():
+    pose, aligned = settled(doubtful("few edges are in their place"), Belief())
+    assert pose is aligned[-1]
 
 
 def test_a_frame_without_amplitude_does():
