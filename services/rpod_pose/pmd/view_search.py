@@ -11,9 +11,10 @@
 
 The search only ranks poses. The tracker refines the best on depth and edges, and again from its own result
 until the pose settles: the edges that it expects are those of a rendering at the pose from which it starts.
-Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise. The weights of the hypotheses
-follow from their losses. If no hypothesis outweighs the others, the tracker checks each: its edges may show
-which of them the frame contradicts. If it refuses the best, the next ones are tried in turn.
+Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise.
+The weights of the hypotheses follow from their losses. If no hypothesis outweighs the others, the tracker
+checks each: its edges may show which of them the frame contradicts. If it refuses the best, the next ones are
+tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
 that are best with the file's materials, the search is repeated with the shape alone. Then the shape alone
@@ -159,16 +160,18 @@ class ViewSearch:
         first. The steps of one alignment suffice in a stream of frames, but not from the pose of a search. A
         pose that the frame contradicts is not continued, nor is one that is believed less than before.
         """
-        tuning = self._tuning
+        tuning, radius_m = self._tuning, self._model.target.radius_m
         for _ in range(tuning.settling):
-            if found.T_sensor_target is None or not found.continues_track:
+            before = found.T_sensor_target
+            if before is None or not found.continues_track:
                 break
-            again = self._tracker.track(frame, found.T_sensor_target)
-            if again.T_sensor_target is None or _standing(again) < _standing(found):
+            again = self._tracker.track(frame, before)
+            after = again.T_sensor_target
+            if after is None or _standing(again) < _standing(found):
                 break
-            before, after = (PoseArrays.of(each.T_sensor_target) for each in (found, again))
             found = again
-            if moved_px(before, after, self._model.target.radius_m, frame.camera.fx) < tuning.settled_px:
+            moved = moved_px(PoseArrays.of(before), PoseArrays.of(after), radius_m, frame.camera.fx)
+            if moved < tuning.settled_px:
                 break
         return found
 
