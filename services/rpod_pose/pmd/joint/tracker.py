@@ -16,7 +16,7 @@ of the pose names it.
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from math import radians
+from math import hypot, radians
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -47,7 +47,7 @@ from rpod_pose.pmd.joint.uncertainty import Uncertainty, uncertainty
 from rpod_pose.pmd.joint.wiggling import wiggling
 from rpod_pose.pmd.reflections import reflected_m
 from rpod_pose.pmd.rendering import FineRanges, Rendering
-from rpod_pose.ports import Registration
+from rpod_pose.ports import PartSolution, Registration
 from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.gauss_newton import State
@@ -234,7 +234,19 @@ class JointTracker:
             covariance=covariance,
             parts=parts,
             iterations=steps,
+            by_part=self._by_distances(points, checked, bias, t),
         )
+
+    def _by_distances(self, points: int, edges: int, bias_m: float, t: FloatArray) -> PartSolution | None:
+        """Return the position by the measured distances alone, without the size that the edges show.
+
+        Edges tell the distance by the size of the target as its model has it; a model of another size is
+        seen in the fitted bias of the distances only. Without edges or distances nothing is compared.
+        """
+        if self._source(points, edges) is not Source.PMD_JOINT:
+            return None
+        sigma_m = hypot(self._ranges.bias_m, self._model_error.scale * float(np.linalg.norm(t)))
+        return PartSolution("measured distances alone", bias_m * t / np.linalg.norm(t), sigma_m)
 
     def _uncertainty(self, seen: JointFrame, fit: JointFit) -> Uncertainty:
         """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
