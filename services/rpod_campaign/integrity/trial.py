@@ -24,6 +24,7 @@ from rpod_campaign.pmd.scene import camera_of, scenario_of
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.dynamics.options import Dynamics
+from rpod_pose.navigation.integrity.levels import declared_covariance
 from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
@@ -31,6 +32,7 @@ from rpod_pose.ports import Methods
 from rpod_schemas.config.dynamics import DynamicsConfig
 from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
 from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.integrity import IntegrityConfig
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.errors import Reason
 from rpod_schemas.messages import NANOSECONDS
@@ -110,7 +112,7 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
                 "faulty": injector.is_active(time_s),
                 "mode": state.mode.name,
                 "seed": seed,
-                **_scored(course, output, integrity, cached_target(cell.target)),
+                **_scored(course, output, integrity, cached_target(cell.target), settings.integrity),
             }
         )
     return rows
@@ -127,8 +129,13 @@ def _refused(measurement: Measurement, state: NavigatorState) -> Output:
     return Output(status, None)
 
 
-def _scored(course: Course, output: Output, integrity: Integrity, target: Target) -> dict[str, Any]:
-    """Return errors, levels and state of an output; errors are those at the stamp that it states."""
+def _scored(
+    course: Course, output: Output, integrity: Integrity, target: Target, config: IntegrityConfig
+) -> dict[str, Any]:
+    """Return errors, levels and state of an output; errors are those at the stamp that it states.
+
+    The NEES is that of the estimate's covariance and the declared errors together.
+    """
     found = None if output.odometry is None else output.odometry.pose
     row: dict[str, Any] = {
         "state": integrity.state.name.lower(),
@@ -153,12 +160,15 @@ def _scored(course: Course, output: Output, integrity: Integrity, target: Target
     }
     if output.odometry is None or angle_deg is None or distance_m is None:
         return row
+    twist = (output.odometry.linear_m_s, output.odometry.angular_rad_s)
+    moving = [output.odometry.pose.rotation.apply(each) for each in twist]
+    covariance = output.odometry.pose_covariance + declared_covariance(config, truth.translation, *moving)
     above_level = angle_deg > integrity.attitude_level_deg or distance_m > integrity.position_level_m
     above_limit = angle_deg > integrity.attitude_limit_deg or distance_m > integrity.position_limit_m
     return row | {
         "harmful": above_limit,
         "misleading": integrity.state.is_usable and above_level,
-        "nees": nees_of(truth, found, output.odometry.pose_covariance, target),
+        "nees": nees_of(truth, found, covariance, target),
     }
 
 

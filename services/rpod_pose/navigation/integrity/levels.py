@@ -6,9 +6,9 @@ is right, the error of x_0 is at most its separation from x_k and the error of x
 
     max over k of |x_0 - x_k| + K(p_k) sigma_k,
 
-where p_k is the part of the risk over the probability of the hypothesis, sigma_k the standard deviation of x_k
-in its worst direction, and K sigma_k the quantile of the length of a normal vector with its covariance. So
-the level is a sphere's radius, and K depends on the shape of the covariance: for p = 1e-6 it is 4.89 if
+where p_k is the part of the risk over the probability of the hypothesis, sigma_k the standard deviation of
+x_k in its worst direction, and K sigma_k the quantile of the length of a normal vector with its covariance.
+So the level is a sphere's radius, and K depends on the shape of the covariance: for p = 1e-6 it is 4.89 if
 the error lies along one axis only, and 5.54 if it is alike along all three.
 
 What no test of one sensor can see adds its covariance, in the direction in which it acts: an error of the
@@ -32,6 +32,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi, chi2, norm
 
 from rpod_pose.navigation.filter import ATTITUDE, POSE, POSITION, FilterState, separation_of
+from rpod_pose.navigation.filter.rotations import cross_matrix
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.integrity import IntegrityConfig
 
@@ -90,18 +91,29 @@ def protection_levels(
         velocity_m_s: its velocity, by which an error of the clock moves it, shape (3,).
         rate_rad_s: rate of the target, by which an error of the clock turns it, shape (3,).
     """
-    mount_rad = np.deg2rad(config.mount_sigma_deg)
-    along = np.outer(place_m, place_m)
-    unseen_m2 = (
-        config.mount_sigma_m**2 * np.eye(3)
-        + mount_rad**2 * (float(place_m @ place_m) * np.eye(3) - along)
-        + config.clock_sigma_s**2 * np.outer(velocity_m_s, velocity_m_s)
-        + config.tuning.range_share**2 * along
-    )
-    unseen_rad2 = mount_rad**2 * np.eye(3) + config.clock_sigma_s**2 * np.outer(rate_rad_s, rate_rad_s)
-    position_m, position_by = _greatest(solutions, POSITION, unseen_m2, 0.5 * config.risk)
-    attitude_rad, attitude_by = _greatest(solutions, ATTITUDE, unseen_rad2, 0.5 * config.risk)
+    unseen = declared_covariance(config, place_m, velocity_m_s, rate_rad_s)
+    position_m, position_by = _greatest(solutions, POSITION, unseen, 0.5 * config.risk)
+    attitude_rad, attitude_by = _greatest(solutions, ATTITUDE, unseen, 0.5 * config.risk)
     return Levels(min(degrees(attitude_rad), 180.0), position_m, attitude_by, position_by)
+
+
+def declared_covariance(
+    config: IntegrityConfig, place_m: FloatArray, velocity_m_s: FloatArray, rate_rad_s: FloatArray
+) -> FloatArray:
+    """Return the covariance of (dp, dtheta) by the declared errors of mount, clock and ranges, shape (6, 6).
+
+    Arguments as for ``protection_levels``.
+    """
+    mount_rad = np.deg2rad(config.mount_sigma_deg)
+    turned = np.vstack([-cross_matrix(place_m), np.eye(3)])
+    late, along = np.concatenate([velocity_m_s, rate_rad_s]), np.concatenate([place_m, np.zeros(3)])
+    covariance: FloatArray = (
+        mount_rad**2 * turned @ turned.T
+        + config.clock_sigma_s**2 * np.outer(late, late)
+        + config.tuning.range_share**2 * np.outer(along, along)
+    )
+    covariance[POSITION, POSITION] += config.mount_sigma_m**2 * np.eye(3)
+    return covariance
 
 
 def _greatest(
@@ -115,7 +127,7 @@ def _greatest(
     return max(
         (
             float(np.linalg.norm(each.separation[part]))
-            + length_quantile(each.covariance[part, part] + unseen, min(share / each.probability, 1.0)),
+            + length_quantile((each.covariance + unseen)[part, part], min(share / each.probability, 1.0)),
             each.name,
         )
         for each, share in zip(solutions, shares, strict=True)
