@@ -142,7 +142,7 @@ class ScanModel:
         hits = self._view.hits
         cast_faces(self._view.grid.arrays, self._rays.faces, R, t, hits.arrays)
         met, limit_m = hits.triangle >= 0, _LIMIT * self.sigma_range_m
-        beside = ~binary_dilation(met, np.ones((3, 3)))
+        beside = ~binary_dilation(met, np.ones((3, 3), np.bool_))
         off_m = np.where(met, seen.range_m - hits.range_m, limit_m).clip(-limit_m, limit_m)
         returned = (seen.range_m > 0.0) & (met | beside)
         residual_m = np.where(returned, off_m, 0.0)
