@@ -51,4 +51,7 @@ if ! problem=$("$venv/bin/python" -c 'import open3d' 2>&1); then
     fail "Open3D lacks system libraries (${problem##*$'\n'}). Run, as root: $install"
   fi
 fi
+
+echo "setup: the numerical code is compiled, once (about two minutes)"
+"$venv/bin/python" -m rpod compile
 echo "setup: ready"

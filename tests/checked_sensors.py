@@ -252,6 +252,7 @@ def room_scanner(*faults: str, seed: int = 0, duration_s: float = 12.0) -> list[
 TARGET = "mockup"
 
 
+@cache
 def tumbling(time_s: float) -> RigidTransform:
     """Return T_chaser_target of a motion whose rates change: it shows time, range and mount apart."""
     turn = Rotation.from_euler(

@@ -293,6 +293,14 @@ def run(
     raise typer.Exit(code)
 
 
+@app.command("compile")
+def compile_kernels() -> None:
+    """Compile the numerical code before the first run: minutes on a new machine, seconds afterwards."""
+    from rpod.command_compile import compile_command
+
+    raise typer.Exit(compile_command())
+
+
 @app.command()
 def bench(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperGroup
@@ -80,40 +80,35 @@ def background(
     raise typer.Exit(background_command(logs, out=out, as_json=as_json))
 
 
-@calibrate_verbs.command()
-def mount(
-    log: LogArgument,
-    sensor: SensorOption = None,
-    config: ConfigOption = None,
-    depth_sigma_mm: DepthSigmaOption = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-    _no_limits: NoLimits = False,
-) -> None:
-    """Find the mount of a sensor in the chaser (hand-eye calibration); writes <sensor>-mount.yaml."""
-    from rpod.command_hand_eye import mount_command
+def _add_hand_eye(verb: Literal["mount", "clock"], does: str) -> None:
+    """Add a verb that compares the poses that a sensor measured with the truth."""
 
-    raise typer.Exit(
-        mount_command(log, sensor, config=config, depth_sigma_mm=depth_sigma_mm, out=out, as_json=as_json)
-    )
+    def find(
+        log: LogArgument,
+        sensor: SensorOption = None,
+        config: ConfigOption = None,
+        depth_sigma_mm: DepthSigmaOption = None,
+        out: OutOption = None,
+        as_json: JsonOption = False,
+        _no_limits: NoLimits = False,
+    ) -> None:
+        from rpod.command_hand_eye import hand_eye_command
+
+        raise typer.Exit(
+            hand_eye_command(
+                verb, log, sensor, config=config, depth_sigma_mm=depth_sigma_mm, out=out, as_json=as_json
+            )
+        )
+
+    calibrate_verbs.command(verb, help=does)(find)
 
 
-@calibrate_verbs.command()
-def clock(
-    log: LogArgument,
-    sensor: SensorOption = None,
-    config: ConfigOption = None,
-    depth_sigma_mm: DepthSigmaOption = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-    _no_limits: NoLimits = False,
-) -> None:
-    """Find offset and drift of a sensor's clock against the truth's; writes <sensor>-source.yaml."""
-    from rpod.command_hand_eye import clock_command
-
-    raise typer.Exit(
-        clock_command(log, sensor, config=config, depth_sigma_mm=depth_sigma_mm, out=out, as_json=as_json)
-    )
+_add_hand_eye(
+    "mount", "Find the mount of a sensor in the chaser (hand-eye calibration); writes <sensor>-mount.yaml."
+)
+_add_hand_eye(
+    "clock", "Find offset and drift of a sensor's clock against the truth's; writes <sensor>-source.yaml."
+)
 
 
 @calibrate_verbs.command()

@@ -22,7 +22,7 @@ from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import ConfigurationError
-from rpod_schemas.faults import FAULTS
+from rpod_schemas.faults import ALL_FAULTS
 
 _STYLES = {Level.OK: "green", Level.NOTE: "cyan", Level.FAIL: "bold red", Level.UNCHECKED: "yellow"}
 
@@ -155,13 +155,14 @@ def new_command(template: str, name: str, *, out: Path) -> int:
 def faults_command(*, as_json: bool) -> int:
     """Print the catalogue of faults."""
     if as_json:
-        print(json.dumps([asdict(fault) for fault in FAULTS], indent=2))
+        print(json.dumps([asdict(fault) for fault in ALL_FAULTS], indent=2))
         return EXIT_OK
     table = Table(box=None, pad_edge=False)
-    for column in ("fault", "line", "cause"):
+    for column in ("fault", "of", "size", "line", "cause"):
         table.add_column(column, overflow="fold")
-    for fault in FAULTS:
-        table.add_row(fault.name, fault.line, fault.cause)
+    for fault in ALL_FAULTS:
+        size = "" if fault.size is None else str(fault.size)
+        table.add_row(fault.name, fault.subject, size, fault.line, fault.cause)
     Console(width=None if sys.stdout.isatty() else 160).print(table)
     return EXIT_OK
 

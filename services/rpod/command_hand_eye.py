@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 
@@ -41,97 +41,24 @@ class _Found:
     default: Path
 
 
-def mount_command(
-    log: Path,
-    sensor: str | None,
-    *,
-    config: Path | None,
-    depth_sigma_mm: float | None,
-    out: Path | None,
-    as_json: bool,
-) -> int:
-    """Find a sensor's mount from a log; return the exit code."""
-
-    def find(poses: LoggedPoses) -> _Found:
-        found = fit_hand_eye(poses.measured, poses.truth, _assumed(poses, depth_sigma_mm))
-        calibration = mount_calibration(found, poses, log=log.name)
-        lines = [*mount_findings(found, poses), *holder_findings(found), *clock_findings(found)]
-        return _Found(
-            [*lines, *warnings_of(found, poses)],
-            calibration.model_dump(mode="json"),
-            calibration.write,
-            Path(f"{poses.sensor.name}-mount.yaml"),
-        )
-
-    return _run("mount", find, log, sensor, config=config, out=out, as_json=as_json)
-
-
-def clock_command(
-    log: Path,
-    sensor: str | None,
-    *,
-    config: Path | None,
-    depth_sigma_mm: float | None,
-    out: Path | None,
-    as_json: bool,
-) -> int:
-    """Find the offset and drift of a sensor's clock from a log; return the exit code."""
-
-    def find(poses: LoggedPoses) -> _Found:
-        assumed = _assumed(poses, depth_sigma_mm)
-        kept = ""
-        try:
-            found = fit_hand_eye(poses.measured, poses.truth, assumed)
-        except CalibrationError as error:
-            if poses.sensor.T_chaser_sensor is None:
-                raise
-            mount = poses.sensor.T_chaser_sensor
-            held = Assumptions(assumed.depth_sigma_m, mount=(rotation_matrix(mount), mount.translation))
-            found = fit_hand_eye(poses.measured, poses.truth, held)
-            kept = f"the mount is kept as in the log, since {error}"
-        source = clock_source(found, poses)
-        told = [*clock_findings(found), *warnings_of(found, poses), *([kept] if kept else [])]
-        comment = "".join(f"# {line}\n" for line in told)
-        text = comment + yaml.safe_dump(
-            source.model_dump(mode="json", exclude_defaults=True), sort_keys=False
-        )
-        document = {
-            "clock_offset_s": source.clock_offset_s,
-            "found_offset_s": found.state.offset_s,
-            "sigma_s": found.offset_sigma_s,
-            "drift_ppm": 1e6 * found.state.drift,
-            "drift_sigma_ppm": 1e6 * found.drift_sigma,
-            "at_stamp_ns": found.middle_ns,
-            "source": source.model_dump(mode="json"),
-        }
-        return _Found(
-            told,
-            document,
-            lambda path: path.write_text(text, encoding="utf-8"),
-            Path(f"{poses.sensor.name}-source.yaml"),
-        )
-
-    return _run("clock", find, log, sensor, config=config, out=out, as_json=as_json)
-
-
-def _assumed(poses: LoggedPoses, depth_sigma_mm: float | None) -> Assumptions:
-    return Assumptions(poses.depth_sigma_m if depth_sigma_mm is None else 1e-3 * depth_sigma_mm)
-
-
-def _run(
-    verb: str,
-    find: Callable[[LoggedPoses], _Found],
+def hand_eye_command(
+    verb: Literal["mount", "clock"],
     path: Path,
     sensor: str | None,
     *,
     config: Path | None,
+    depth_sigma_mm: float | None,
     out: Path | None,
     as_json: bool,
 ) -> int:
+    """Find the mount or the clock of a log's sensor by hand-eye calibration; return the exit code."""
     try:
         measuring = load(EstimatorConfig, config) if config else None
         with open_log(path) as log:
-            found = find(poses_of(log, sensor, measuring))
+            poses = poses_of(log, sensor, measuring)
+            depth_sigma_m = poses.depth_sigma_m if depth_sigma_mm is None else 1e-3 * depth_sigma_mm
+            find = _mount if verb == "mount" else _clock
+            found = find(poses, Assumptions(depth_sigma_m), path.name)
             tell_unreadable(f"rpod calibrate {verb}", log)
         file = out or found.default
         found.write(file)
@@ -146,3 +73,47 @@ def _run(
     else:
         print("\n".join([*found.lines, f"{verb:13} {file}"]))
     return EXIT_OK
+
+
+def _mount(poses: LoggedPoses, assumed: Assumptions, log: str) -> _Found:
+    found = fit_hand_eye(poses.measured, poses.truth, assumed)
+    calibration = mount_calibration(found, poses, log=log)
+    lines = [*mount_findings(found, poses), *holder_findings(found), *clock_findings(found)]
+    return _Found(
+        [*lines, *warnings_of(found, poses)],
+        calibration.model_dump(mode="json"),
+        calibration.write,
+        Path(f"{poses.sensor.name}-mount.yaml"),
+    )
+
+
+def _clock(poses: LoggedPoses, assumed: Assumptions, _log: str) -> _Found:
+    kept = ""
+    try:
+        found = fit_hand_eye(poses.measured, poses.truth, assumed)
+    except CalibrationError as error:
+        if poses.sensor.T_chaser_sensor is None:
+            raise
+        mount = poses.sensor.T_chaser_sensor
+        held = Assumptions(assumed.depth_sigma_m, mount=(rotation_matrix(mount), mount.translation))
+        found = fit_hand_eye(poses.measured, poses.truth, held)
+        kept = f"the mount is kept as in the log, since {error}"
+    source = clock_source(found, poses)
+    told = [*clock_findings(found), *warnings_of(found, poses), *([kept] if kept else [])]
+    comment = "".join(f"# {line}\n" for line in told)
+    text = comment + yaml.safe_dump(source.model_dump(mode="json", exclude_defaults=True), sort_keys=False)
+    document = {
+        "clock_offset_s": source.clock_offset_s,
+        "found_offset_s": found.state.offset_s,
+        "sigma_s": found.offset_sigma_s,
+        "drift_ppm": 1e6 * found.state.drift,
+        "drift_sigma_ppm": 1e6 * found.drift_sigma,
+        "at_stamp_ns": found.middle_ns,
+        "source": source.model_dump(mode="json"),
+    }
+    return _Found(
+        told,
+        document,
+        lambda path: path.write_text(text, encoding="utf-8"),
+        Path(f"{poses.sensor.name}-source.yaml"),
+    )

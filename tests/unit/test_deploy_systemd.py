@@ -72,4 +72,4 @@ def test_kernels_may_be_compiled_and_nothing_else_is_allowed_that_the_others_are
 def test_the_target_is_there_and_every_service_of_the_command_line_has_a_unit():
     assert read(UNITS / "rpod.target")["Install"]["WantedBy"] == ["multi-user.target"]
     verbs = {read(unit)["Service"]["ExecStart"][0].split()[1] for unit in SERVICES}
-    assert verbs == {"router", "logger", "estimator", "emulator", "motion", "driver"}
+    assert verbs == {"router", "logger", "estimator", "emulator", "motion", "proxy", "driver"}

@@ -22,6 +22,11 @@ class Size:
     low: float
     high: float
 
+    def __str__(self) -> str:
+        """Return the bounds with their unit, and the default."""
+        default = "drawn by the seed" if self.default is None else f"default {self.default:g}"
+        return f"{self.low:g} to {self.high:g} {self.unit}, {default}"
+
 
 @dataclass(frozen=True)
 class Fault:

@@ -81,6 +81,8 @@ class _View:
     """What a sensor measures in one emulated frame."""
 
     condition: Condition
+    look: "_Look"
+    """What its rays meet."""
     measured: int
     """Number of rays with a range."""
     sigma_m: float
@@ -105,7 +107,8 @@ def _lidar(target: Target) -> _Sensor:
     for number, condition, emulated in _conditions("lidar", target):
         frame = emulated.frame(condition.T_sensor_target, sun_W_m2=condition.sun_W_m2, number=number)
         if frame is not None and len(frame.returns_m) >= _FEWEST:
-            views.append(_View(condition, len(frame.returns_m), config.noise.sigma_range_m, 0.0))
+            look = _Look.of(target, grid, condition.T_sensor_target)
+            views.append(_View(condition, look, len(frame.returns_m), config.noise.sigma_range_m, 0.0))
     return _Sensor("lidar", grid, tuple(views), sees_brightness=False)
 
 
@@ -117,15 +120,15 @@ def _pmd(target: Target) -> _Sensor:
             frame = emulated.frame(condition.T_sensor_target, sun_W_m2=condition.sun_W_m2, number=one)
             if frame is not None:
                 depths_m.append(frame.images[0].values)
-        hits = cast(grid, target.triangles_m, condition.T_sensor_target, cull_back_faces=True)
-        true_m = hits.range_m * grid.components[2]
+        look = _Look.of(target, grid, condition.T_sensor_target)
+        true_m = look.range_m * grid.components[2]
         both = np.isfinite([*depths_m, true_m]).all(axis=0) if len(depths_m) == 2 else np.zeros(0, bool)
         if both.sum() >= _FEWEST_PIXELS:
             first_m, second_m, at_m = (depth_m[both] for depth_m in (*depths_m, true_m))
             sigma_m = max(_spread(first_m - second_m) / np.sqrt(2.0), 1e-6)
             error_m = _spread(0.5 * (first_m + second_m) - at_m)
             systematic_m = float(np.sqrt(max(error_m**2 - 0.5 * sigma_m**2, 0.0)))
-            views.append(_View(condition, int(both.sum()), sigma_m, systematic_m))
+            views.append(_View(condition, look, int(both.sum()), sigma_m, systematic_m))
     return _Sensor("pmd", grid, tuple(views), sees_brightness=True)
 
 
@@ -148,9 +151,8 @@ def _likeness(target: Target, sensor: _Sensor, one: FoundSymmetry) -> list[Liken
     seen: dict[str, list[tuple[float, float]]] = {}
     for view in sensor.views:
         pose = view.condition.T_sensor_target
-        at = _Look.of(target, sensor, pose)
-        measured = min(view.measured / max(int(at.hit.sum()), 1), 1.0)
-        won = measured * max(_log_likelihood(target, sensor, at, pose * turn, view) for turn in turned)
+        measured = min(view.measured / max(int(view.look.hit.sum()), 1), 1.0)
+        won = measured * max(_log_likelihood(target, sensor, pose * turn, view) for turn in turned)
         seen.setdefault(view.condition.name, []).append((float(np.linalg.norm(pose.translation)), won))
     return [
         Likeness(
@@ -183,12 +185,12 @@ class _Look:
     """Step of brightness of the surface, shape (rows, columns)."""
 
     @classmethod
-    def of(cls, target: Target, sensor: _Sensor, pose: RigidTransform) -> "_Look":
-        hits = cast(sensor.grid, target.triangles_m, pose, cull_back_faces=True)
+    def of(cls, target: Target, grid: RayGrid, pose: RigidTransform) -> "_Look":
+        hits = cast(grid, target.triangles_m, pose, cull_back_faces=True)
         triangle = np.maximum(hits.triangle, 0)
         steps = np.array([_BRIGHTNESS[material.looks] for material in target.materials])
-        normals = pose.rotation.apply(target.normals[triangle.ravel()]).reshape(*triangle.shape, 3)
-        return cls(hits.range_m.astype(np.float64), normals, steps[target.triangle_material[triangle]])
+        normals, brightness = pose.rotation.apply(target.normals), steps[target.triangle_material]
+        return cls(hits.range_m.astype(np.float64), normals[triangle], brightness[triangle])
 
     def rim(self, limit_m: float) -> NDArray[np.bool_]:
         """Return the rays beside which the range jumps, or bends, by more than a limit."""
@@ -204,15 +206,13 @@ class _Look:
         return np.isfinite(self.range_m)
 
 
-def _log_likelihood(
-    target: Target, sensor: _Sensor, right: _Look, turned: RigidTransform, view: _View
-) -> float:
+def _log_likelihood(target: Target, sensor: _Sensor, turned: RigidTransform, view: _View) -> float:
     """Return the expected log likelihood by which the right pose wins over a turned one."""
     size_m = float(np.ptp(target.triangles_m, axis=(0, 1)).max())
     slack_m, sigma_m = _MODEL_ERROR * size_m + view.systematic_m, view.sigma_m
-    first = _Look.of(target, sensor, turned)
+    right, first = view.look, _Look.of(target, sensor.grid, turned)
     aligned = _aligned(sensor, right, first, turned, limit_m=_MOST_SIGMAS * sigma_m + slack_m)
-    tried = (first, _Look.of(target, sensor, aligned))
+    tried = (first, _Look.of(target, sensor.grid, aligned))
     return min(_difference(sensor, right, other, sigma_m=sigma_m, slack_m=slack_m) for other in tried)
 
 

@@ -107,14 +107,17 @@ class _Tried:
     trials: list[_Trial] = field(default_factory=list)
 
 
-def try_methods(target: Target, *, trials: int | None = None) -> tuple[MethodFacts, ...]:
-    """Return what the methods of all installed sensor kinds make of a target; frames are seeded.
+def try_methods(
+    target: Target, *, trials: int | None = None, kinds: Sequence[SensorKind] | None = None
+) -> tuple[MethodFacts, ...]:
+    """Return what the methods of sensor kinds make of a target; frames are seeded.
 
     Args:
         target: the target to find and track.
         trials: number of frames of each sensor; by default ``TRIALS``, fewer if they take too long.
+        kinds: kinds of sensors; by default all that are installed.
     """
-    kinds = sensor_kinds()
+    kinds = sensor_kinds() if kinds is None else kinds
     until_s = np.inf if trials else time.process_time() + _LONGEST_S
     found: list[MethodFacts] = []
     for number, kind in enumerate(kinds):

@@ -90,17 +90,16 @@ def _noise_m(depth_m: Points) -> float:
 
 def _largest_plane(points_m: Points, within_m: float) -> NDArray[np.bool_]:
     """Return which points are within a distance of the plane that holds most of them (RANSAC)."""
-    random = np.random.default_rng(0)
-    best = np.zeros(len(points_m), bool)
-    for chosen in random.integers(len(points_m), size=(_TRIALS, 3)):
-        first, second, third = points_m[chosen]
-        normal = np.cross(second - first, third - first)
-        length = float(np.linalg.norm(normal))
-        if length < 1e-9:
-            continue
-        inside = np.abs((points_m - first) @ (normal / length)) < within_m
-        if np.count_nonzero(inside) > np.count_nonzero(best):
-            best = inside
+    chosen = np.random.default_rng(0).integers(len(points_m), size=(_TRIALS, 3))
+    first, second, third = points_m[chosen].swapaxes(0, 1)
+    normals = np.cross(second - first, third - first)
+    lengths = np.linalg.norm(normals, axis=1)
+    plane = lengths >= 1e-9
+    normals, first = normals[plane] / lengths[plane, None], first[plane]
+    if not len(normals):
+        return np.zeros(len(points_m), bool)
+    inside = np.abs(points_m @ normals.T - np.einsum("ij,ij->i", normals, first)) < within_m
+    best: NDArray[np.bool_] = inside[:, np.count_nonzero(inside, axis=0).argmax()]
     return best
 
 
