@@ -1,6 +1,8 @@
 """``make kills`` and ``make soak``: what a facility under ``rpod up`` stands."""
 
 import os
+import signal
+import sys
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -25,6 +27,8 @@ _GROWTH_MIB = 0.05
 @app.callback()
 def endurance() -> None:
     """What a facility under 'rpod up' stands."""
+    for number in (signal.SIGTERM, signal.SIGHUP):  # ends what was started, as Ctrl-C does
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
 
 
 @app.command()
@@ -33,13 +37,14 @@ def kills(
     service: Annotated[list[str] | None, typer.Option(help="Only this service; may be repeated.")] = None,
     rate: Annotated[float, typer.Option(help="Frames of the camera a second.")] = 20.0,
     seed: Annotated[int, typer.Option(help="Seed of the times between kills.")] = 1,
+    reserve: Annotated[bool, typer.Option(help="Services have a process in reserve.")] = False,
 ) -> None:
     """Kill each service so often, in turn; the exit code is 1 where an aim is missed."""
     rnd, console, done = Random(seed), Console(highlight=False, width=160), dict[str, list[Kill]]()
     with (
         TemporaryDirectory() as folder,
-        kept_facility(Path(folder), rate_hz=rate) as facility,
-        desk(facility) as at,
+        kept_facility(Path(folder), rate_hz=rate, reserve=reserve) as facility,
+        desk(facility, reserve=reserve) as at,
     ):
         for wrong in at.settle():
             console.print(f"before any kill: {wrong}")
@@ -49,7 +54,8 @@ def kills(
                 done.setdefault(name, []).append(kill)
                 console.print(
                     f"{number:3} {name:9} TRACKING {kill.tracking_s:.2f} s, at work {kill.ready_s:.2f} s, "
-                    f"echo {kill.echo_s:.2f} s, lost {kill.lost_s:.3f} s {'; '.join(kill.wrong)}"
+                    f"echo {kill.echo_s:.2f} s, processor {kill.processor_s:.2f} s, lost {kill.lost_s:.3f} s "
+                    f"{'; '.join(kill.wrong)}"
                 )
             quiet = at.settle()
             for wrong in quiet:
@@ -83,7 +89,7 @@ def soak(
 def _table(done: dict[str, list[Kill]]) -> Table:
     table = Table(
         "killed", "times", "TRACKING after, s: min, median, p90, most", "at work after, s",
-        "bare echo after, s",        "log lost, s: most", "statement right",
+        "bare echo after, s", "processor time, s: most", "log lost, s: most", "statement right",
     )  # fmt: skip
     for name, found in done.items():
         table.add_row(
@@ -92,6 +98,7 @@ def _table(done: dict[str, list[Kill]]) -> Table:
             _spread([kill.tracking_s for kill in found]),
             _spread([kill.ready_s for kill in found]),
             _spread([kill.echo_s for kill in found]),
+            f"{max(kill.processor_s for kill in found):.2f}",
             f"{max(kill.lost_s for kill in found):.3f}",
             f"{sum(not kill.wrong for kill in found)} of {len(found)}",
         )

@@ -59,6 +59,10 @@ class KeptFacility:
             return {}
         return next(each for each in told if each["name"] == name)
 
+    def in_reserve(self, name: str) -> bool:
+        """Return whether a service has a warm process in reserve."""
+        return bool(self.service(name).get("reserve") == "ready")
+
     def ready(self, name: str, restarts: int = 0) -> dict[str, Any] | None:
         """Return a service that is at work after so many restarts, or more; None if it is not yet."""
         told = self.service(name)
@@ -67,18 +71,24 @@ class KeptFacility:
 
 @contextmanager
 def kept_facility(
-    folder: Path, *, rate_hz: float, logger: dict[str, Any] | None = None
+    folder: Path, *, rate_hz: float, logger: dict[str, Any] | None = None, reserve: bool = False
 ) -> Iterator[KeptFacility]:
     """Run router, motion, emulator, estimator and logger under ``rpod up``, until all are at work.
 
     The wait before a restart is always the first one, 0.1 s: kills follow each other more closely than
     accidents do.
+
+    Args:
+        folder: empty folder of its files.
+        rate_hz: frames of the camera a second.
+        logger: more fields of the logger's configuration.
+        reserve: whether all services but the router have a process in reserve.
     """
     endpoint = free_endpoint()
     target = {"target": "mockup"}
     files = {"directory": str(folder / "logs"), "name": "hall"}
     motion = {"duration_s": 10 * _DAY_S, "motion": _TUMBLING, "epoch_ns": time.time_ns()}
-    document = {
+    document: dict[str, Any] = {
         "name": "hall",
         "bus": {"connect": endpoint},
         "backoff": {"first_s": 0.1, "max_s": 0.1},
@@ -93,6 +103,8 @@ def kept_facility(
             "motion": {"verb": "motion", "config": target | motion},
         },
     }  # fmt: skip
+    for service in document["services"].values():
+        service |= {"reserve": reserve and service["verb"] != "router"}
     path = folder / "hall.yaml"
     path.write_text(yaml.safe_dump(document, sort_keys=False), "utf-8")
     with (folder / "up.log").open("wb") as said:

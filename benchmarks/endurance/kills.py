@@ -3,13 +3,15 @@
 import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from threading import Event, Lock
+from typing import Any
 
+import psutil
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
 from pydantic import TypeAdapter
@@ -21,7 +23,7 @@ from rpod_runtime import Node, QueryFailedError, Received
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.control import LogReply
 from rpod_schemas.logs import COMPLETENESS, PUBLISHERS, Completeness, Numbers
-from rpod_schemas.messages import read_status
+from rpod_schemas.messages import read_odometry, read_status
 from rpod_schemas.topics import STATUS, TRUTH
 from rpod_schemas.types import Mode
 
@@ -40,11 +42,15 @@ class Kill:
 
     service: str
     tracking_s: float
-    """Time from the kill to the first accepted frame in TRACKING whose stamp is later than the kill."""
+    """Time from the kill to the first accepted frame in TRACKING whose stamp is later than the kill; where
+    motion was killed, no earlier than the first truth of its next process."""
     ready_s: float
     """Time from the kill until the service says that it is at work."""
     echo_s: float
     """The same for the bare echo: its own process killed, or, of the router, its link."""
+    processor_s: float
+    """Processor time of the new process and its own processes from the kill until it was at work, s: it does
+    not depend on what else the machine does."""
     lost_s: float
     """Truth that no file holds, s, where the logger was killed; 0 of the others."""
     wrong: tuple[str, ...]
@@ -52,12 +58,25 @@ class Kill:
 
 
 class Watch:
-    """The newest tracked frame, as somebody else on the bus sees it."""
+    """The newest tracked frame, and the first truth of its present publisher, as others see them."""
 
     def __init__(self, node: Node) -> None:
         self._lock = Lock()
         self._stamp_ns, self._arrival_s, self.gid = 0, 0.0, b""
+        self.truth_gid, self._truth_ns = b"", 0
         node.subscribe(STATUS, self._take)
+        node.subscribe(TRUTH, self._take_truth)
+
+    def _take_truth(self, received: Received) -> None:
+        if received.attachment.gid != self.truth_gid:
+            with self._lock:
+                self._truth_ns = read_odometry(received.decode()).stamp_ns
+                self.truth_gid = received.attachment.gid
+
+    def truth_since_ns(self, not_gid: bytes) -> int | None:
+        """Return the stamp of the first truth of another publisher; None before it has come."""
+        with self._lock:
+            return self._truth_ns if self.truth_gid != not_gid else None
 
     def _take(self, received: Received) -> None:
         status = read_status(received.decode())
@@ -74,8 +93,13 @@ class Watch:
 
 
 @contextmanager
-def desk(facility: KeptFacility) -> Iterator["Desk"]:
-    """Open the harness's own node and echo, and wait until the target is tracked."""
+def desk(facility: KeptFacility, *, reserve: bool = False) -> Iterator["Desk"]:
+    """Open the harness's own node and echo, and wait until the target is tracked.
+
+    Args:
+        facility: the facility.
+        reserve: whether its services have processes in reserve, which must be warm before a kill.
+    """
     bus = BusConfig(connect=facility.endpoint, wait=True)
     with (
         Node(ServiceConfig(instance="kills", bus=bus), version=__version__, stop=Event()) as node,
@@ -85,13 +109,16 @@ def desk(facility: KeptFacility) -> Iterator["Desk"]:
         now_ns, now_s = time.time_ns(), time.monotonic()
         until(lambda: watch.tracked(now_ns), "the first track")
         until(lambda: echo.first_after(now_s), "the first echo")
-        yield Desk(facility, node, echo, watch)
+        yield Desk(facility, node, echo, watch, reserve=reserve)
 
 
 class Desk:
     """Kills services one after the other; the log is split after each kill, so that a file is about one."""
 
-    def __init__(self, facility: KeptFacility, node: Node, echo: Echo, watch: Watch) -> None:
+    def __init__(
+        self, facility: KeptFacility, node: Node, echo: Echo, watch: Watch, *, reserve: bool
+    ) -> None:
+        self._reserve = reserve
         self._facility, self._node, self._echo, self._watch = facility, node, echo, watch
         self._judged = set[Path]()
 
@@ -102,23 +129,35 @@ class Desk:
 
     def kill(self, name: str, rnd: Random) -> Kill:
         """Kill a service and wait until everything works again."""
+        if self._reserve and name != "router":
+            until(lambda: self._facility.in_reserve(name), f"{name}: a process in reserve")
         self._node.stop.wait(rnd.uniform(*_QUIET_S))
         echo_s = None if name == "router" else self._kill_echo()
         told = self._facility.service(name)
+        truth_gid = self._watch.truth_gid
         gid = self._watch.gid if name == "estimator" else b""
+        spent_s = processor_s(told.get("reserve_pid"))
         killed_s, killed_ns = time.monotonic(), time.time_ns()
         os.kill(told["pid"], signal.SIGKILL)
-        tracked_s = until(lambda: self._watch.tracked(killed_ns, gid), f"{name}: a track", _RECOVERY_S)
+        restarts = told["restarts"] + 1
+
+        def tracked() -> float | None:
+            """Motion publishes ahead of time: the killed one's truth gives frames after the kill."""
+            begins_ns = self._watch.truth_since_ns(truth_gid) if name == "motion" else 0
+            return None if begins_ns is None else self._watch.tracked(max(killed_ns, begins_ns), gid)
+
+        def at_work() -> tuple[float, float] | None:
+            new = self._facility.ready(name, restarts)
+            return (time.monotonic(), processor_s(new["pid"]) - spent_s) if new else None
+
+        tracked_s, (ready_s, spent_s) = both(tracked, at_work, f"{name}: a track, and at work")
         if echo_s is None:
             echo_s = until(lambda: self._echo.first_after(killed_s), "an echo", _RECOVERY_S) - killed_s
-        restarts = told["restarts"] + 1
-        until(lambda: self._facility.ready(name, restarts), f"{name} at work", _RECOVERY_S)
-        ready_s = time.monotonic() - killed_s
         self._node.stop.wait(_SETTLE_S)
         self._split()
         lost_s = self._lost_s() if name == "logger" else 0.0
         wrong = tuple(self._judge(killed=name))
-        return Kill(name, tracked_s - killed_s, ready_s, echo_s, lost_s, wrong)
+        return Kill(name, tracked_s - killed_s, ready_s - killed_s, echo_s, spent_s, lost_s, wrong)
 
     def _kill_echo(self) -> float:
         """Kill the echo's process and start it again as ``rpod up`` would; return how long that took, s."""
@@ -155,6 +194,31 @@ class Desk:
                 self._judged.add(path)
                 yield from judge(path, killed=killed)
                 path.unlink() if killed != "logger" else None
+
+
+def both(
+    one: Callable[[], float | None], other: Callable[[], tuple[float, float] | None], what: str
+) -> tuple[float, tuple[float, float]]:
+    """Wait until two functions have returned something, in any order; return what each returned first."""
+    found: dict[str, Any] = {}
+
+    def seen() -> bool:
+        for key, function in (("one", one), ("other", other)):
+            if key not in found and (value := function()):
+                found[key] = value
+        return len(found) == 2
+
+    until(seen, what, _RECOVERY_S)
+    return found["one"], found["other"]
+
+
+def processor_s(pid: int | None) -> float:
+    """Return the processor time of a process and those that it started, s; 0 without a process."""
+    if pid is None:
+        return 0.0
+    process = psutil.Process(pid)
+    times = [each.cpu_times() for each in (process, *process.children(recursive=True))]
+    return float(sum(each.user + each.system for each in times))
 
 
 def truth_numbers(path: Path) -> Sequence[int]:

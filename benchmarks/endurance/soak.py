@@ -30,6 +30,9 @@ _SAMPLE_S = 1.0
 _MINUTE_S = 60.0
 _SETTLED = 0.2
 """Share of the time, from the beginning, that slopes leave out: caches, queues and the allocator fill."""
+_FILLED_S = 540.0
+"""Least time that slopes leave out: each node keeps its last 500 diagnostics, one a second, for receivers
+that missed them. Until then its memory grows by their size, 0.2 MiB a minute in the logger."""
 _LEAST_MINUTES = 4
 _MEBI = 1 << 20
 
@@ -143,7 +146,7 @@ def slope(rows: FloatArray, column: int) -> Slope | None:
     The interval is that of a straight line by least squares (Student's t), with fewer degrees of freedom
     where the residuals follow each other: n (1 - r) / (1 + r) for a correlation r of successive ones.
     """
-    begin_s = _SETTLED * rows[-1, 0]
+    begin_s = max(_FILLED_S, _SETTLED * rows[-1, 0])
     late = rows[rows[:, 0] >= begin_s]
     minute = ((late[:, 0] - begin_s) // _MINUTE_S).astype(int)
     x = np.unique(minute)

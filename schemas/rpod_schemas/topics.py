@@ -77,7 +77,7 @@ class Topic:
         return Topic(f"{prefix}/{self.name.split('/', 1)[1]}", self.type, self.latched)
 
     def at(self, frame: str) -> "Topic":
-        """Return this topic for a frame of the target: ``estimate/frames/<frame>``, with the frame's name."""
+        """Return this topic for a frame of the target or of a body, with the frame's name for ``<frame>``."""
         return Topic(self.name.replace("<frame>", frame), self.type, self.latched)
 
     def covers(self, other: "Topic") -> bool:
@@ -167,6 +167,7 @@ INTEGRITY = Topic("estimate/integrity", "rpod_msgs/msg/Integrity")
 STATUS = Topic("estimate/status", "rpod_msgs/msg/EstimatorStatus")
 COMMAND = Topic("guidance/command", "geometry_msgs/msg/TwistStamped")
 IMU = Topic("chaser/imu", "sensor_msgs/msg/Imu")
+BODY = Topic("bodies/<frame>/odometry", "nav_msgs/msg/Odometry")
 FAULTS = Topic("faults", "diagnostic_msgs/msg/DiagnosticArray", latched=True)
 DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 ROSOUT = Topic("rosout", "rcl_interfaces/msg/Log", absolute=True, profile=qos.ROSOUT)
@@ -177,7 +178,7 @@ PARAMETER_EVENTS = Topic(
 TOPICS: tuple[Topic, ...] = (
     TRUTH, TRUTH_JOINTS, REFERENCE, SUN, TF_STATIC, TF, CLOCK, DEPTH, AMPLITUDE, DEPTH_SIGMA,
     CAMERA_INFO, PHASE, PMD_INFO, POINTS, LIDAR_INFO, ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME,
-    ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, INTEGRITY, STATUS, COMMAND, IMU, FAULTS, DIAGNOSTICS,
+    ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, INTEGRITY, STATUS, COMMAND, IMU, BODY, FAULTS, DIAGNOSTICS,
     ROSOUT, PARAMETER_EVENTS,
 )  # fmt: skip
 """All topics, in the order of the ICD's table."""
@@ -198,6 +199,7 @@ SENT_BY: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((INTEGRITY.name, STATUS.name), ("estimator",)),
     COMMAND.name: ("guidance",),
     IMU.name: ("chaser", "motion"),
+    BODY.name: ("robots",),
     FAULTS.name: ("emulator", "proxy", "supervisor", "logger"),
     **dict.fromkeys((DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name), ("service",)),
 }  # fmt: skip

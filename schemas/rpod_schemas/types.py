@@ -175,6 +175,9 @@ class PmdFrame(SensorFrame):
     depth_sigma_m: Image | None = None
     """Standard deviation of each pixel's depth as the camera states it, m, float32, shape (height, width);
     None if it states none."""
+    hidden: Image | None = None
+    """Pixels that tell nothing of the target, because a known body is there, bool, shape (height, width);
+    None if no body is known."""
 
     @property
     def lens(self) -> Camera:
@@ -198,6 +201,7 @@ class PmdFrame(SensorFrame):
             ("amplitude", self.amplitude),
             ("saturation", self.saturated),
             ("depth sigma", self.depth_sigma_m),
+            ("hidden", self.hidden),
         ):
             if image is not None and image.shape != size:
                 raise ValueError(f"{name} image is {image.shape}, camera_info says {size}")
@@ -213,6 +217,9 @@ class LidarScan(SensorFrame):
     """Intensities, shape of ``points_m`` without its last axis."""
     time_s: Floats | None = None
     """Times from the stamp, s, shape of ``points_m`` without its last axis."""
+    hidden: Image | None = None
+    """Rays of the scan pattern that tell nothing of the target, because a known body is there, bool, shape
+    (rows, columns); None if no body is known."""
 
     @model_validator(mode="after")
     def _shapes_agree(self) -> Self:

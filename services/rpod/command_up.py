@@ -5,22 +5,27 @@ import signal
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 
 from rpod.errors import RunError
-from rpod.host_state import FacilityStatus, holder, read_status
-from rpod.resolved import read_facility, resolve_facility
-from rpod.up import STOP_TIMEOUT_S, Asked, keep_up
+from rpod.host_state import STOP_TIMEOUT_S, FacilityStatus, holder, read_facility, read_status
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
 from rpod_schemas.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rpod.up import Asked
 
 _POLL_S = 0.1
 
 
 def up_command(path: Path, *, as_json: bool) -> int:
     """Keep a facility up until a signal; return the exit code."""
+    from rpod.resolved import resolve_facility  # noqa: PLC0415 - 'ps' needs no service's configuration
+    from rpod.up import Asked, keep_up  # noqa: PLC0415 - as above
+
     configure_logging("up")
     asked = Asked()
     before = {
@@ -40,7 +45,7 @@ def up_command(path: Path, *, as_json: bool) -> int:
     return EXIT_OK
 
 
-def _take(number: int, asked: Asked) -> None:
+def _take(number: int, asked: "Asked") -> None:
     """Stop at the first signal, end at once at the second: the services end when their pipes close."""
     if number == signal.SIGHUP:
         asked.reload = True
@@ -94,11 +99,23 @@ def _print(status: FacilityStatus) -> None:
         print(f"{status.name} is not up; start it with 'rpod up'")
         return
     table = Table(title=f"{status.name}, process {status.pid}", title_justify="left")
-    for heading in ("service", "state", "process", "age", "memory", "restarts", "last end", "says"):
+    for heading in (
+        "service",
+        "state",
+        "process",
+        "age",
+        "memory",
+        "reserve",
+        "restarts",
+        "last end",
+        "says",
+    ):
         table.add_column(heading)
     for each in status.services:
         memory = f"{each.memory_bytes / 2**20:.0f} MiB" if each.memory_bytes else ""
-        table.add_row(each.name, each.state, str(each.pid or ""), f"{each.up_s:.0f} s", memory,
+        held = f"{each.reserve_bytes / 2**20:.0f} MiB" if each.reserve_bytes else ""
+        reserve = "" if each.reserve == "none" else f"{each.reserve} {held}"
+        table.add_row(each.name, each.state, str(each.pid or ""), f"{each.up_s:.0f} s", memory, reserve,
                       str(each.restarts), each.last_end, each.message)  # fmt: skip
     Console(width=None if sys.stdout.isatty() else 160).print(table)
 

@@ -7,13 +7,18 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
+from rpod.reserve import Reserve
 from rpod.resolved import ResolvedService
 from rpod_runtime.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
+from rpod_runtime.notify import IN_RESERVE
+from rpod_runtime.reserve import RESERVE
 from rpod_schemas.config.facility import BackoffConfig
 
 log = logging.getLogger(__name__)
@@ -22,6 +27,8 @@ _STARTING_S = 1.0
 """Time that a service that is not ready yet has for its end; nothing interrupts a compilation."""
 _LOG_BYTES = 16 << 20
 """Size of a file of log lines at which a restart begins a new one; the one before is kept."""
+
+NO_MORE: Mapping[str, str] = MappingProxyType({})
 
 DaemonState = Literal["starting", "ready", "waiting", "ended", "refused", "stopping", "stopped"]
 """``waiting`` is the wait before a restart, ``ended`` is over for good, ``refused`` has a wrong
@@ -61,6 +68,7 @@ class Daemon:
         self.log = state / "logs" / f"{service.name}.log"
         self._config = state / "config" / f"{service.name}.json"
         self._backoff = Backoff(backoff)
+        self.reserve = Reserve(service.name, lambda: self._spawn({RESERVE: "1"}))
         self._process: subprocess.Popen[bytes] | None = None
         self._started_s = self._ready_s = self._heard_s = 0.0
         self._due_s = 0.0
@@ -81,9 +89,9 @@ class Daemon:
         return time.monotonic() - self._started_s if self._process else 0.0
 
     def start(self) -> None:
-        """Start a process; where the machine has no room for one, try again later."""
+        """Start a process, or call the one in reserve; where the machine has no room, try again later."""
         try:
-            self._process = self._spawn()
+            self._process = self.reserve.take() or self._spawn()
         except OSError as error:
             self.last_end = f"could not be started: {error}"
             self._wait(0.0)
@@ -93,7 +101,8 @@ class Daemon:
         self.state, self.message, self._reason = "starting", "", ""
         log.info("%s: started, process %d", self.name, self._process.pid)
 
-    def _spawn(self) -> subprocess.Popen[bytes]:
+    def _spawn(self, more: Mapping[str, str] = NO_MORE) -> subprocess.Popen[bytes]:
+        """Start a process, with more variables in its environment."""
         self._write_config()
         self.log.parent.mkdir(parents=True, exist_ok=True)
         if self.log.exists() and self.log.stat().st_size > _LOG_BYTES:
@@ -104,6 +113,7 @@ class Daemon:
             "WATCHDOG_USEC": str(round(1e6 * self.service.settings.hang_s)),
         }
         environment.pop("WATCHDOG_PID", None)
+        environment |= more
         with self.log.open("ab") as stream:
             return subprocess.Popen(
                 [sys.executable, "-m", "rpod", *self.service.arguments(self._config)],
@@ -123,12 +133,16 @@ class Daemon:
                 self._bury(code)
             elif self.state in ("starting", "ready"):
                 self._judge()
+                if self.state == "ready" and self.service.settings.reserve:
+                    self.reserve.tend(time.monotonic() - self._ready_s)
         elif self.state == "waiting" and time.monotonic() >= self._due_s:
             self.restarts += 1
             self.start()
 
     def reload(self, service: ResolvedService) -> None:
         """Take another configuration: at once what may change, and all of it at the next start."""
+        if service != self.service:
+            self.reserve.drop()
         self.service = service
         try:
             self._write_config()
@@ -148,6 +162,7 @@ class Daemon:
 
     def stop(self, timeout_s: float) -> None:
         """Ask the process to finish, wait, and kill it if it does not; one that still starts has no work."""
+        self.reserve.drop()
         if self._process is not None:
             timeout_s = min(timeout_s, _STARTING_S) if self.state == "starting" else timeout_s
             self.state = "stopping"
@@ -174,6 +189,9 @@ class Daemon:
                     self._take(dict(line.split("=", 1) for line in told if "=" in line))
 
     def _take(self, told: dict[str, str]) -> None:
+        if IN_RESERVE in told:
+            self.reserve.warm()
+            return
         self._heard_s = time.monotonic()
         self.message = told.get("STATUS", self.message)
         if "READY" in told and self.state == "starting":

@@ -7,8 +7,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rpod.errors import AlreadyUpError
-from rpod_schemas.config.base import Config
+from rpod_schemas.config.base import Config, check, read_document
+from rpod_schemas.config.facility import FacilityFile
 
+STOP_TIMEOUT_S = 20.0
+"""Longest time that one service may take to finish."""
 _LOCK, _STATUS = "keeper.pid", "status.json"
 
 
@@ -31,6 +34,12 @@ class DaemonStatus(Config):
     """What the service says of itself."""
     memory_bytes: int | None = None
     """Resident memory of the process."""
+    reserve: str = "none"
+    """Its process in reserve: none, starting, ready."""
+    reserve_pid: int | None = None
+    """Its process identifier."""
+    reserve_bytes: int | None = None
+    """Resident memory of the process in reserve."""
     log: str
     """File of its log lines."""
 
@@ -51,6 +60,17 @@ class FacilityStatus(Config):
     def healthy(self) -> bool:
         """Whether every service is at work, or has come to its end."""
         return self.up and all(service.state in ("ready", "ended") for service in self.services)
+
+
+def state_folder(path: Path, file: FacilityFile) -> Path:
+    """Return the folder of a facility's state."""
+    return (path.parent / (file.state or path.with_suffix(".state").name)).resolve()
+
+
+def read_facility(path: Path) -> tuple[FacilityFile, Path]:
+    """Return a facility's file and the folder of its state. Raises ``ConfigurationError``."""
+    file = check(FacilityFile, read_document(path), source=path)
+    return file, state_folder(path, file)
 
 
 @contextmanager

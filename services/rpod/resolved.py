@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from rpod.host_state import read_facility
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig
@@ -51,17 +52,6 @@ class ResolvedFacility:
     state: Path
     """Folder of configurations, log lines and the state."""
     services: tuple[ResolvedService, ...]
-
-
-def state_folder(path: Path, file: FacilityFile) -> Path:
-    """Return the folder of a facility's state."""
-    return (path.parent / (file.state or path.with_suffix(".state").name)).resolve()
-
-
-def read_facility(path: Path) -> tuple[FacilityFile, Path]:
-    """Return a facility's file and the folder of its state. Raises ``ConfigurationError``."""
-    file = check(FacilityFile, read_document(path), source=path)
-    return file, state_folder(path, file)
 
 
 def resolve_facility(path: Path) -> ResolvedFacility:

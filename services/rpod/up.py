@@ -10,7 +10,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from rpod.daemon import Daemon, DaemonState
-from rpod.host_state import DaemonStatus, FacilityStatus, held, write_status
+from rpod.host_state import STOP_TIMEOUT_S, DaemonStatus, FacilityStatus, held, write_status
+from rpod.reserve import ReserveState
 from rpod.resolved import ResolvedFacility, resolve_facility
 from rpod_schemas.errors import ConfigurationError
 
@@ -19,8 +20,6 @@ log = logging.getLogger(__name__)
 _TURN_S = 0.05
 """Time between two looks at the processes: the longest time until an end is noticed."""
 _STATUS_S = 1.0
-STOP_TIMEOUT_S = 20.0
-"""Longest time that one service may take to finish."""
 
 
 @dataclass
@@ -40,7 +39,7 @@ class Keeper:
             Daemon(service, state=facility.state, sockets=sockets, backoff=facility.file.backoff)
             for service in facility.services
         ]
-        self._shown: list[tuple[DaemonState, int | None]] = []
+        self._shown: list[tuple[DaemonState, int | None, ReserveState]] = []
         self._next_s = 0.0
 
     def keep(self, asked: Asked, tell: Callable[[FacilityStatus], None]) -> None:
@@ -74,6 +73,9 @@ class Keeper:
                 last_end=each.last_end,
                 message=each.message,
                 memory_bytes=_memory_bytes(each.pid),
+                reserve=each.reserve.state,
+                reserve_pid=each.reserve.pid,
+                reserve_bytes=_memory_bytes(each.reserve.pid),
                 log=str(each.log),
             )
             for each in self._daemons
@@ -97,7 +99,7 @@ class Keeper:
 
     def _write(self, tell: Callable[[FacilityStatus], None]) -> None:
         """Write the state at each change, and once a second."""
-        shown: list[tuple[DaemonState, int | None]] = [(each.state, each.pid) for each in self._daemons]
+        shown = [(each.state, each.pid, each.reserve.state) for each in self._daemons]
         changed = shown != self._shown
         if not changed and time.monotonic() < self._next_s:
             return

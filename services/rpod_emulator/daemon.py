@@ -14,6 +14,7 @@ from rpod_emulator.channels import Channel, Showing, open_channel
 from rpod_emulator.errors import TruthGapError
 from rpod_emulator.faults import Faults, FaultyNode, turned
 from rpod_emulator.joints import MovingJoints
+from rpod_emulator.rehearsal import rehearse
 from rpod_emulator.truth_buffer import TruthBuffer
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.errors import RefusedError
@@ -42,6 +43,7 @@ _SUN_PERIOD_NS = NANOSECONDS
 def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
     """Emulate until stopped."""
     target = load_target(config.target)
+    rehearse(config, target)
     with Node(config, version=version, stop=stop) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         joints = MovingJoints(config, target)

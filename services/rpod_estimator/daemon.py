@@ -4,6 +4,7 @@ import time
 from contextlib import ExitStack
 from threading import Event
 
+from rpod_estimator.body_input import BodyInput
 from rpod_estimator.estimator import TICK_S, Estimator
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.imu_input import ImuInput
@@ -50,7 +51,7 @@ def _serve(
     with Node(config, version=version, stop=stop) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
-        imu = ImuInput(node, config, estimator.imu)
+        inputs = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
         validity = Validity(config.stale_after_s)
         with Beacon(validity, outputs.tell, node.clock) as beacon:
             service = _Service(estimator, subscriptions, outputs, validity, beacon, searches=live)
@@ -62,7 +63,8 @@ def _serve(
                 arrived = subscriptions.newest(TICK_S)
                 estimator.learn(subscriptions.infos)
                 if arrived is not None:
-                    imu.hear_up_to(arrived.stamp_ns)
+                    for heard in inputs:
+                        heard.hear_up_to(arrived.stamp_ns)
                     if config.time_source == "clock":
                         for output in estimator.let_time_pass(arrived.stamp_ns):
                             service.publish(output)
@@ -70,7 +72,8 @@ def _serve(
                 service.publish(estimator.tick(node.clock.settled_ns()))
                 subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted
-                imu.hear_up_to(arrived.stamp_ns)
+                for heard in inputs:
+                    heard.hear_up_to(arrived.stamp_ns)
                 service.process(arrived)
 
 

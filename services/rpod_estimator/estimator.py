@@ -19,7 +19,13 @@ from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
-from rpod_pose.surroundings.known import KnownParts, KnownSurroundingsError, known_parts
+from rpod_pose.surroundings.bodies import KnownBodies, KnownBodiesError
+from rpod_pose.surroundings.known import (
+    KnownParts,
+    KnownSurroundingsError,
+    known_bodies,
+    known_parts,
+)
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.control import Accepted, ResetRequest
@@ -54,6 +60,8 @@ class Estimator:
         self._setups: dict[str, Any] = {}
         self._methods: dict[str, Methods] = {}
         self._known: dict[str, KnownParts] = {}
+        self.bodies = self._known_bodies()
+        """Known bodies beside the target, whose poses a receiver adds; None for none."""
         self._tell_unreliable_parts()
         self.learn({})
         self._dynamics = Dynamics.of(config.dynamics, target)
@@ -108,12 +116,20 @@ class Estimator:
             self._methods[name] = ready_methods(sensor, self._target, setup)
             self._learn_surroundings(sensor, setup)
 
+    def _known_bodies(self) -> KnownBodies | None:
+        path = self._config.surroundings
+        try:
+            return known_bodies(path)
+        except KnownBodiesError as error:
+            raise ConfigurationError(str(path), "bodies", str(error)) from error
+
     def _learn_surroundings(self, sensor: SensorInput, setup: Any) -> None:
         path, separation = self._config.surroundings, kind_methods(sensor).separation
         if path is None:
             return
         try:
-            known = known_parts(path, sensor.name, None if separation is None else separation(sensor, setup))
+            frames = None if separation is None else separation(sensor, setup)
+            known = known_parts(path, sensor.name, frames, self.bodies)
         except KnownSurroundingsError as error:
             raise ConfigurationError(path, sensor.name, str(error)) from error
         if known is not None:
@@ -176,7 +192,8 @@ class Estimator:
         before, measurement = self._state.mode, arrived.measurement
         if known := self._known.get(arrived.sensor):
             try:
-                measurement = replace(measurement, data=known.without(measurement.data))
+                left = known.of_target(measurement.data, measurement.stamp_ns, measurement.T_chaser_sensor)
+                measurement = replace(measurement, data=left)
             except KnownSurroundingsError as error:
                 return self._rejected(arrived, str(error))
         self._state, output = self._navigator.step(self._state, measurement)

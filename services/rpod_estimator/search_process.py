@@ -1,8 +1,10 @@
 """A process that searches for one sensor, so that tracking waits neither for its turn nor for a lock.
 
-It makes the sensor's methods anew, from the configuration. It runs at a lower priority than the estimator,
-and ends with it. A search that nobody waits for any more is left running for about the time of a restart,
-since most searches end before; then the process is replaced.
+It makes the sensor's methods anew, from the configuration. It searches at a lower priority than the
+estimator, and ends with it. The estimator waits until the process is warm, which therefore starts at the
+usual priority; one that is started later, beside the tracking, has the lower one from the beginning. A search
+that nobody waits for any more is left running for about the time of a restart, since most searches end
+before; then the process is replaced.
 """
 
 import io
@@ -53,12 +55,12 @@ class SearchProcess:
         self._target, self._sensor, self._now_s = target, sensor, now_s
         self._pause_s = RESTART_S
         self._again_s: float | None = None
-        self._start()
+        self._start(beside_tracking=False)
 
-    def _start(self) -> None:
+    def _start(self, *, beside_tracking: bool) -> None:
         context = get_context("spawn")  # the bus has threads, which a fork would not survive
         self._connection, theirs = context.Pipe()
-        arguments = theirs, self._target, self._sensor
+        arguments = theirs, self._target, self._sensor, beside_tracking
         name = f"search-{self._sensor.name}"
         self._process = context.Process(target=serve, args=arguments, name=name, daemon=True)
         self._process.start()
@@ -125,7 +127,7 @@ class SearchProcess:
     def _restart(self) -> None:
         """Start the process again, with the search that waits."""
         waiting, self._again_s = self._next, None
-        self._start()
+        self._start(beside_tracking=True)
         self._next = waiting
 
     def _give_up(self) -> Found:
@@ -139,16 +141,28 @@ class SearchProcess:
         return Found.nothing(told)
 
 
-def serve(connection: Connection, target_name: str, sensor: SensorInput) -> None:
-    """Search as long as the estimator lives."""
+def serve(
+    connection: Connection, target_name: str, sensor: SensorInput, beside_tracking: bool = True
+) -> None:
+    """Search as long as the estimator lives.
+
+    Args:
+        connection: connection to the estimator.
+        target_name: name or file of the target.
+        sensor: configuration of the sensor.
+        beside_tracking: whether the start has the lower priority too.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the estimator ends this process
-    os.nice(NICENESS)
+    if beside_tracking:
+        os.nice(NICENESS)
     target = load_target(target_name)
     made: dict[str, Methods] = {}
     setup = kind_methods(sensor).setup(sensor, None)
     known = None
     if setup is not None:
         made[sensor.name], known = ready_methods(sensor, target, setup), pickle.dumps(setup)
+    if not beside_tracking:
+        os.nice(NICENESS)
     with suppress(EOFError, OSError):
         connection.send_bytes(_READY)
         while True:

@@ -8,6 +8,7 @@ import zenoh
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import sensor_kinds
 from rpod_schemas.topics import (
+    BODY,
     CONTRADICTION,
     ESTIMATE,
     ESTIMATE_FRAME,
@@ -39,6 +40,8 @@ _ESTIMATES = ESTIMATE, ESTIMATE_POSE, ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, 
 def _pattern(topic: Topic) -> Topic:
     if topic.name.startswith("<"):
         return topic.of("*")
+    if topic == BODY:
+        return topic.at("*")
     if topic == ESTIMATE_FRAME:
         return topic.under("*").at("*")
     return topic.under("*") if topic in _ESTIMATES else topic

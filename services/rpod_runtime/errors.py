@@ -20,6 +20,13 @@ class NoRouterError(BusError):
         )
 
 
+class NotNeededError(BusError):
+    """A process in reserve was stopped before its turn came."""
+
+    def __init__(self) -> None:
+        super().__init__("stopped in reserve")
+
+
 class RefusedByRouterError(BusError):
     """A router listens at the endpoint and refuses this client."""
 

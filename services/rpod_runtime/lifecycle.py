@@ -11,7 +11,8 @@ import sys
 import threading
 from collections.abc import Callable
 
-from rpod_runtime.errors import BusError, NoRouterError
+from rpod_runtime import reserve
+from rpod_runtime.errors import BusError, NoRouterError, NotNeededError
 from rpod_runtime.notify import manager
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.errors import SecurityError
@@ -64,6 +65,9 @@ def run(
     except ConfigurationError as error:
         log.error("%s", error)
         return EXIT_USAGE
+    except NotNeededError as error:
+        log.info("%s", error)
+        return EXIT_OK
     except NoRouterError as error:
         log.error("%s", error)
         return EXIT_OK if stop.is_set() else EXIT_FAILURE  # stopped while it waited
@@ -120,7 +124,7 @@ def _reload(reload: Callable[[], str] | None) -> None:
 
 def _stop_with_supervisor(stop: Stop) -> None:
     while os.read(sys.stdin.fileno(), 4096):  # unbuffered: a lock held at the interpreter's exit is fatal
-        pass
+        reserve.called.set()
     if not stop.is_set():
         log.error("the supervisor has ended without stopping this service; was it killed?")
         stop.orphaned = True

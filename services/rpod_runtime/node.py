@@ -29,6 +29,7 @@ from rpod_runtime.inbox import Received
 from rpod_runtime.link import Link
 from rpod_runtime.notify import manager
 from rpod_runtime.publisher import Publisher
+from rpod_runtime.reserve import await_turn
 from rpod_runtime.ros import Form, RosGraph, trigger
 from rpod_runtime.ros.offers import offer_watch
 from rpod_runtime.ros.parameters import Parameters
@@ -56,12 +57,13 @@ _LINGER_S = 0.3
 
 
 class Node(Asker):
-    """Represents one process on the bus."""
+    """Represents one process on the bus; a process in reserve waits here until its turn has come."""
 
     def __init__(self, config: ServiceConfig, *, version: str, stop: Event | None = None) -> None:
         self.config = config
         self.version = version
         self.stop = stop or Event()
+        await_turn(self.stop)
         self.state: State = "starting"
         self.target_digest: str | None = None
         self.target_content: str | None = None

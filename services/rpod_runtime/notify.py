@@ -17,6 +17,9 @@ _BEATS = 4
 
 _TURN_S = 0.25
 
+IN_RESERVE = "X_RPOD_RESERVE"
+"""Name of the line by which a process in reserve says that it is warm."""
+
 
 class ServiceManager:
     """The process that started this one, if it wants to be told; safe to use from several threads."""
@@ -38,6 +41,10 @@ class ServiceManager:
     def ready(self, message: str) -> None:
         """Tell that the service is at work, and at what."""
         self._send(f"READY=1\nSTATUS={_line(message)}")
+
+    def in_reserve(self) -> None:
+        """Tell that the process is warm and waits for its turn; systemd ignores such names (sd_notify(3))."""
+        self._send(f"{IN_RESERVE}=1")
 
     def stopping(self) -> None:
         """Tell that the service has been asked to stop."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.sensors import sensor_kind, sensor_kinds
 from rpod_schemas.topics import (
+    BODY,
     CLOCK,
     CONTRADICTION,
     DIAGNOSTICS,
@@ -91,7 +92,7 @@ ROLES: dict[str, Role] = {
     "estimator": Role(
         "estimates poses; it reads nothing of the truth",
         sends_as=("estimator",),
-        reads=(TF_STATIC, IMU, DIAGNOSTICS, CLOCK),
+        reads=(TF_STATIC, IMU, BODY, DIAGNOSTICS, CLOCK),
         reads_sensors=True,
         watches=True,
         serves=("reset",),
@@ -224,7 +225,7 @@ class Member:
 
 
 def _pattern(topic: Topic) -> Topic:
-    """Return a topic with ``*`` for the name of a target's frame."""
+    """Return a topic with ``*`` for the name of a frame."""
     return topic.at(ANY) if "<frame>" in topic.name else topic
 
 

@@ -11,11 +11,11 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.surroundings import BoxThing, CylinderThing, MeshThing, Thing
 from rpod_sim_sensor.errors import SimSensorError
 from rpod_target import Material, Target
-from rpod_target.mesh_files import companions, read_mesh_file
+from rpod_target.mesh_files import surface_m
 from rpod_target.parameters import BoxParameters, CylinderParameters
 from rpod_target.surfaces import box_surface, cylinder_surface
 from rpod_target.target import Int32Array
-from rpod_target.topology import areas_m2, unit_normals
+from rpod_target.topology import unit_normals
 
 _F0, _ROUGHNESS = 0.04, 0.6
 """Specular reflectance and roughness of paint; assumed."""
@@ -103,12 +103,7 @@ def _surface_m(thing: Thing) -> FloatArray:
 
 
 def _mesh_m(thing: MeshThing) -> FloatArray:
-    path = Path(thing.file)
     try:
-        content = path.read_bytes()
-        names = [name for name in companions(path.name, content) if (path.parent / name).is_file()]
-        beside = {name: (path.parent / name).read_bytes() for name in names}
-        triangles_m = thing.metres_per_unit * read_mesh_file(path.name, content, beside).triangles
+        return surface_m(Path(thing.file), thing.metres_per_unit)
     except (OSError, ValueError) as error:
         raise MeshOfSurroundingsError(thing.file, str(error)) from error
-    return triangles_m[areas_m2(triangles_m) > 0.0]

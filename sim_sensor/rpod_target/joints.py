@@ -103,7 +103,14 @@ def _joined(target: Target, pieces: Sequence[_Piece], angles_rad: Mapping[str, f
     angles = ",".join(f"{joint.name}={angles_rad.get(joint.name, 0.0):.9f}" for joint in target.joints)
     digest = hashlib.sha256(f"{target.digest}/{angles}".encode()).hexdigest()
     return replace(
-        target, digest=digest, parts=tuple(parts), radius_m=radius_m, joints=(), fixed=None, **arrays
+        target,
+        digest=digest,
+        content="",  # these arrays are not those of a file
+        parts=tuple(parts),
+        radius_m=radius_m,
+        joints=(),
+        fixed=None,
+        **arrays,
     )
 
 

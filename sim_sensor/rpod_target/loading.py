@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import json
 import re
+import reprlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -132,7 +133,12 @@ def _with_joints(
 
 def _base(name_or_path: str | Path) -> tuple[str, dict[str, Any]]:
     """Return a target's name or file without the terms of a variation, and the terms."""
-    return (str(name_or_path), {}) if Path(name_or_path).exists() else split(str(name_or_path))
+    try:
+        exists = Path(name_or_path).exists()
+    except OSError as error:  # for example because it is too long
+        name = reprlib.repr(str(name_or_path))
+        raise TargetError(f"target {name}", "", f"is no name of a target ({error.strerror})") from error
+    return (str(name_or_path), {}) if exists else split(str(name_or_path))
 
 
 def _without(parameters: TargetParameters, names: tuple[str, ...], *, source: Path) -> TargetParameters:

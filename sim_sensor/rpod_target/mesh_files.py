@@ -9,7 +9,7 @@ import json
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target import obj_text
+from rpod_target.topology import areas_m2
 
 FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".step", ".stp")
 """Suffixes of the files that can be read."""
@@ -108,6 +109,20 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
     if not np.isfinite(mesh.triangles).all():
         raise ValueError("contains a coordinate that is not finite: export it again")
     return mesh
+
+
+def surface_m(path: Path, metres_per_unit: float) -> FloatArray:
+    """Return the triangles of a file that have an area, shape (T, 3, 3), m.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: its content is wrong.
+    """
+    content = path.read_bytes()
+    names = [name for name in companions(path.name, content) if (path.parent / name).is_file()]
+    beside = {name: (path.parent / name).read_bytes() for name in names}
+    triangles_m = metres_per_unit * read_mesh_file(path.name, content, beside).triangles
+    return triangles_m[areas_m2(triangles_m) > 0.0]
 
 
 @dataclass(frozen=True, eq=False)

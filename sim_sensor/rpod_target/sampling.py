@@ -29,7 +29,8 @@ def sample_evenly(
     Each point represents an equal share of the area where ``hidden(points, normals)`` is false. Cells are
     formed in position and normal, so that no cell covers both faces of a thin panel.
     """
-    points_m, normals = _candidates(triangles_m, _CANDIDATES_A_POINT * count)
+    points_m, triangle = spread_over(triangles_m, _CANDIDATES_A_POINT * count)
+    normals = unit_normals(triangles_m)[triangle]
     seen = ~hidden(points_m, normals)
     points_m, normals = points_m[seen], normals[seen]
     pitch_m = np.sqrt(areas_m2(triangles_m).sum() / count)
@@ -40,8 +41,8 @@ def sample_evenly(
     return points_m[chosen], normals[chosen]
 
 
-def _candidates(triangles_m: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return points of uniform density and their normals, shapes (count, 3)."""
+def spread_over(triangles_m: FloatArray, count: int) -> tuple[FloatArray, Indices]:
+    """Return points of uniform density, shape (count, 3), and the triangle of each, shape (count,)."""
     cumulative = np.cumsum(areas_m2(triangles_m))
     number = np.arange(count) + 0.5
     triangle = np.searchsorted(cumulative, number / count * cumulative[-1])
@@ -49,8 +50,7 @@ def _candidates(triangles_m: FloatArray, count: int) -> tuple[FloatArray, FloatA
     folded = u + v > 1.0  # the half of the unit square that lies beyond the triangle
     u, v = np.where(folded, 1.0 - u, u), np.where(folded, 1.0 - v, v)
     weights = np.stack([1.0 - u - v, u, v], axis=1)
-    points_m = np.einsum("nc,ncd->nd", weights, triangles_m[triangle])
-    return points_m, unit_normals(triangles_m)[triangle]
+    return np.einsum("nc,ncd->nd", weights, triangles_m[triangle]), triangle
 
 
 def _equal_cells(points: FloatArray, members: Indices, count: int) -> list[Indices]:

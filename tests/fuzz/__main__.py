@@ -66,23 +66,26 @@ def main(minutes: float, seed: int) -> int:
 def _fuzz(subject: Subject, tally: Tally, rnd: Random, until_s: float) -> None:
     begin_s = time.process_time()
     while (now_s := time.process_time()) - begin_s < _SLICE_S and time.monotonic() < until_s:
-        data = subject.make(rnd)
-        read_s = time.process_time()
-        try:
-            tally.accepted += subject.read(data)
-            failure = (
-                f"{subject.name}: took more than {SLOW_S:g} s"
-                if time.process_time() - read_s > SLOW_S
-                else ""
-            )
-        except Exception as error:  # noqa: BLE001 - every kind is a finding
-            failure = f"{subject.name}: {_kind(error)}"
-        tally.inputs += 1
-        if failure:
-            if failure not in tally.failures:
-                Case(subject.name, data).write()
-            tally.failures[failure] += 1
+        take(subject, tally, rnd)
     tally.cpu_s += now_s - begin_s
+
+
+def take(subject: Subject, tally: Tally, rnd: Random) -> None:
+    """Make one input, have it read, and note what came of it."""
+    data = subject.make(rnd)
+    read_s = time.process_time()
+    try:
+        tally.accepted += subject.read(data)
+        failure = (
+            f"{subject.name}: took more than {SLOW_S:g} s" if time.process_time() - read_s > SLOW_S else ""
+        )
+    except Exception as error:  # noqa: BLE001 - every kind is a finding
+        failure = f"{subject.name}: {_kind(error)}"
+    tally.inputs += 1
+    if failure:
+        if failure not in tally.failures:
+            Case(subject.name, data).write()
+        tally.failures[failure] += 1
 
 
 def _kind(error: Exception) -> str:

@@ -28,6 +28,7 @@ def last_key() -> str:
 SENDERS = {
     "motion": {"motion"},
     "motion, or the robots' driver": {"motion", "robots"},
+    "the robots' driver": {"robots"},
     "motion, or the lamp's driver": {"motion", "lamp"},
     "each sensor, all its transforms in one message": {"emulator", "driver"},
     "latched": {"emulator", "driver"},
@@ -55,6 +56,7 @@ READERS = {
     "clock": SHOWN | {"emulator", "driver", "estimator", "operator", "guidance"},
     "guidance/command": {"logger"},
     "chaser/imu": {"logger", "estimator"},
+    "bodies/<frame>/odometry": {"logger", "estimator"},
     "faults": {"logger"},
     "rosout": {"logger"},
     "parameter_events": {"logger"},
@@ -173,7 +175,7 @@ def settle(clients: dict[str, zenoh.Session]) -> None:
 
 def test_each_role_reads_what_it_has_to_and_nothing_else(clients):
     topics = {KEYS.key(resolved(topic)): topic for topic in TOPICS}
-    first = {"motion", "emulator", "estimator", "guidance", "chaser"}
+    first = {"motion", "emulator", "estimator", "guidance", "chaser", "robots"}
     origin = {key: min(senders()[topic.name] & first) for key, topic in topics.items()}
     heard: dict[str, set[str]] = defaultdict(set)
     with ExitStack() as stack:

@@ -82,11 +82,15 @@ def up(tmp_path):
         yield start
 
 
-def test_a_killed_estimator_comes_back_tracks_again_and_ps_says_so(up):
+def test_for_a_killed_estimator_the_one_in_reserve_tracks_again_and_ps_says_so(up):
     facility = up(
         {
             "router": {"verb": "router"},
-            "estimator": {"verb": "estimator", "config": TARGET | {"sensors": [{"kind": "pmd"}]}},
+            "estimator": {
+                "verb": "estimator",
+                "reserve": True,
+                "config": TARGET | {"sensors": [{"kind": "pmd"}]},
+            },
             "emulator": {"verb": "emulator", "config": TARGET | {"sensors": [{"kind": "pmd", "rate_hz": 5}]}},
             "motion": {"verb": "motion", "config": TARGET | {"duration_s": 3600, "motion": APPROACH}},
         }
@@ -97,10 +101,12 @@ def test_a_killed_estimator_comes_back_tracks_again_and_ps_says_so(up):
         Bus(facility.endpoint, stack).node("listener").subscribe(STATUS, statuses.put)
         tracks = lambda one: read_status(one.decode()).mode is Mode.TRACKING and one.attachment.gid  # noqa: E731
         first_gid = first(statuses, tracks, DEADLINE_S)
+        reserve = until(lambda: (told := facility.service("estimator"))["reserve"] == "ready" and told)
         psutil.Process(before["pid"]).kill()
         again = lambda one: tracks(one) not in (False, first_gid)  # noqa: E731 - of another process
         assert first(statuses, again, DEADLINE_S)
     after = facility.service("estimator", restarts=1)
+    assert after["pid"] == reserve["reserve_pid"]
     assert after["pid"] != before["pid"]
     assert after["last_end"] == "was killed by SIGKILL"
     code, told = facility.ask("ps")

@@ -15,6 +15,7 @@ from readers import READERS, Read, read_node, read_rerun
 from rosbags.highlevel import AnyReader
 
 from rpod_schemas.topics import (
+    BODY,
     CLOCK,
     COMMAND,
     CONTRADICTION,
@@ -57,7 +58,7 @@ def test_every_message_of_every_topic_is_decoded_as_we_decode_it(read, log, ours
 
 
 def test_the_log_with_every_sensor_holds_every_topic_that_the_facility_publishes(every_sensor):
-    reserved = {COMMAND, IMU}
+    reserved = {BODY, COMMAND, IMU}
     # The mock-up has no frames and joints, its camera states no noise, and the run has no faults.
     of_other_runs = {ESTIMATE_FRAME, ESTIMATE_JOINTS, FAULTS, TRUTH_JOINTS, DEPTH_SIGMA}
     sensors = {"<camera>": "pmd", "<lidar>": "lidar"}

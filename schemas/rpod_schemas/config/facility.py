@@ -14,6 +14,10 @@ Restart = Literal["always", "on_failure", "never"]
 _FINITE: tuple[Verb, ...] = ("motion", "driver", "view")
 """Services that may come to an end by themselves: a scenario, a recording, a window that is closed."""
 
+_RESERVED: tuple[Verb, ...] = ("estimator", "emulator", "motion", "logger")
+"""Services that touch nothing but the bus and their own files, and these only when they are on the bus. A
+router binds its port, a driver opens its device."""
+
 
 class BackoffConfig(Config):
     """Waits before a service is started again."""
@@ -52,6 +56,17 @@ class FacilityService(Config):
     hang_s: Positive = 120.0
     """Time without a turn of its main loop after which it is killed and started again, s. A first pose with
     joints takes up to 90 s."""
+
+    reserve: bool = False
+    """Whether a second process waits, warm and not on the bus, to take over in a fraction of a second when
+    the first one ends. It takes as much memory as the first one. For estimator, emulator, motion, logger."""
+
+    @model_validator(mode="after")
+    def _reserve_is_possible(self) -> Self:
+        if self.reserve and self.verb not in _RESERVED:
+            known = ", ".join(_RESERVED)
+            raise ValueError(f"reserve: not for verb {self.verb}, only for {known}; leave it out")
+        return self
 
     @model_validator(mode="after")
     def _driver_has_a_name(self) -> Self:

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.poses import Pose, make_pose
+from rpod_schemas.topics import CHASER
 
 
 class _Thing(Config):
@@ -66,8 +67,28 @@ class SensorSurroundings(Config):
     file."""
 
 
+class KnownBody(Config):
+    """A body beside the target whose shape and pose are known, such as a limb of the robot that holds it."""
+
+    file: Path
+    """CAD or mesh file of its surface: STL, OBJ, PLY, glTF or GLB; relative to this file. Its triangles are
+    rendered for each frame: some thousands are enough."""
+    metres_per_unit: Positive
+    """Scale of the file's coordinates: 0.001 for millimetres."""
+    frame: Name = CHASER
+    """Frame in which ``pose`` is given. ``chaser`` is for a body that stands still before the sensors; the
+    pose of any other frame is read from ``bodies/<frame>/odometry``, published by the robot's controller."""
+    pose: Pose = Field(default_factory=make_pose)
+    """Pose of the file's axes in the frame."""
+    tolerance_m: Positive = 0.05
+    """Largest distance by which its surface may be off, m: errors of shape and pose, and of the sensors'
+    ranges. What is seen this close to it is taken for it."""
+
+
 class KnownSurroundings(Config):
     """A file of what is known of the sensors' surroundings, which the estimator takes."""
 
-    sensors: dict[Name, SensorSurroundings]
+    sensors: dict[Name, SensorSurroundings] = Field(default_factory=dict)
     """What is known, by the sensor's name."""
+    bodies: dict[Name, KnownBody] = Field(default_factory=dict)
+    """Bodies that all sensors may see, by name."""

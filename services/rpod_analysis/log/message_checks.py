@@ -54,7 +54,9 @@ def pose_numbers(pose: Any) -> tuple[float, float, float, float, float, float, f
     """
     p, q = pose.position, pose.orientation
     norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
-    if not (abs(norm - 1.0) < _UNIT and max(abs(p.x), abs(p.y), abs(p.z)) <= POSITION_M.high):
+    most_m = POSITION_M.high  # each one is compared: the greatest of numbers may hide a NaN
+    near = abs(p.x) <= most_m and abs(p.y) <= most_m and abs(p.z) <= most_m
+    if not (near and abs(norm - 1.0) < _UNIT):
         read_pose(pose)  # raises the error with its reason
     return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
 

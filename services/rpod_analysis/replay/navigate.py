@@ -14,6 +14,7 @@ from rpod_analysis.errors import CannotWriteError, NoEstimatorError
 from rpod_analysis.log import Log, Logged
 from rpod_analysis.log.log_file import REPLAY, beside
 from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.replay.bodies import LoggedBodies
 from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
 from rpod_analysis.replay.imu import LoggedImu
@@ -114,8 +115,8 @@ def replay(
         if as_live
         else Frames(intake, stamps)
     )
-    imu = LoggedImu(log, config.dynamics, estimator.imu)
-    feed = _Feed(estimator, intake, imu, recorded)
+    inputs = LoggedImu(log, config.dynamics, estimator.imu), LoggedBodies(log, estimator.bodies)
+    feed = _Feed(estimator, intake, inputs, recorded)
     try:
         with EstimateLog(new, log, config, target) as written:
             for logged in _relevant(log, intake, old, start_s=start_s, end_s=end_s):
@@ -144,8 +145,8 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
     """
     intake = FrameReader(config.sensors)
     estimator = Estimator(config, load_target(config.target))
-    imu = LoggedImu(log, config.dynamics, estimator.imu)
-    feed = _Feed(estimator, intake, imu)
+    inputs = LoggedImu(log, config.dynamics, estimator.imu), LoggedBodies(log, estimator.bodies)
+    feed = _Feed(estimator, intake, inputs)
     frames = Frames(intake, StampCheck(log))
     for logged in log.messages(*(topic.name for topic in (*intake.latched, *intake.streams))):
         yield from feed.outputs(frames.take(logged))
@@ -184,7 +185,7 @@ class _Feed:
     Args:
         estimator: the estimator.
         intake: reads the frames.
-        imu: the log's readings of the chaser's motion.
+        inputs: the log's readings of the chaser's motion, and of the known bodies.
         recorded: the searches of a live run, if its frames are repeated.
     """
 
@@ -192,18 +193,19 @@ class _Feed:
         self,
         estimator: Estimator,
         intake: FrameReader,
-        imu: LoggedImu,
+        inputs: tuple[LoggedImu, LoggedBodies],
         recorded: RecordedSearches | None = None,
     ) -> None:
         self.processing_s: list[float] = []
-        self._imu = imu
+        self._inputs = inputs
         self._estimator, self._intake, self._recorded = estimator, intake, recorded
 
     def outputs(self, events: Iterable[Event]) -> Iterator[Output]:
         """Yield the estimator's outputs."""
         for event in events:
             self._estimator.learn(self._intake.infos)
-            self._imu.hear_up_to(event.stamp_ns)
+            for heard in self._inputs:
+                heard.hear_up_to(event.stamp_ns)
             if isinstance(event, Tick):
                 yield from self._tick(event.stamp_ns)
                 continue

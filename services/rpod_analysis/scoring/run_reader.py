@@ -20,7 +20,7 @@ from rpod_schemas.summary import MountDifference
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, FAULTS, INTEGRITY, STATUS, TRUTH
 
 _LATEST_NS = 2**63 - 1
-"""Latest arrival that a table holds, ns; a log may say later ones."""
+"""Latest time that a table holds, ns; a log may say later ones."""
 _MOST_FAULTS = 500
 """Largest number of faults that are kept."""
 
@@ -90,7 +90,8 @@ class Reader:
         message = logged.decode()
         read_odometry(message)
         pose, covariance = pose_numbers(message.pose.pose), message.pose.covariance.tobytes()
-        self.found.estimates.add((read_stamp(message.header), pose, covariance, logged.publish_ns))
+        publish_ns = min(logged.publish_ns, _LATEST_NS)
+        self.found.estimates.add((read_stamp(message.header), pose, covariance, publish_ns))
         self.found.parents.add(message.header.frame_id)
 
     def _take_status(self, logged: Logged) -> None:

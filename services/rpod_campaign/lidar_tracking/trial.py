@@ -27,6 +27,7 @@ from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.ports import Methods
 from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose
@@ -184,7 +185,7 @@ def _bench(cell: TrackingCell, seed: int) -> tuple[LidarEmulator, Methods, Navig
     model = cached_target(cell.model or cell.target)
     methods = ready_methods(sensor, model, pattern_of(lidar))
     navigator = Navigator(
-        EstimatorSettings(sensors=(sensor,)),
+        EstimatorSettings(sensors=(sensor,), filter=FilterConfig(errors="considered")),
         {SENSOR: methods},
         centre_of_mass_m=model.centre_of_mass_m,
         alike=model.equivalence,

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
@@ -220,7 +220,13 @@ def _follower(cell: SequenceCell, stage: Stage, first: RigidTransform) -> Follow
 
 @lru_cache(maxsize=8)
 def _methods(cell: SequenceCell) -> Methods:
-    return ready_methods(_input(cell), cached_target(scenario_of(cell.document).model))
+    return ready_methods(_input(cell), _model(cell))
+
+
+def _model(cell: SequenceCell) -> Target:
+    """Return the target that is looked for; its file declares how far the parts of the world are off."""
+    model = cached_target(scenario_of(cell.document).model)
+    return replace(model, tolerance_m=max(model.tolerance_m, cell.world.cad_error_m))
 
 
 def _input(cell: SequenceCell) -> PmdInput:

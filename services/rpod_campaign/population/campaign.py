@@ -13,7 +13,7 @@ from rpod_target.population.names import name_of
 
 
 def cells(options: Options) -> list[PopulationCell]:
-    """Return a cell for each satellite and world. Raises ConfigurationError, which names the option."""
+    """Return a cell for each satellite, world and surroundings. Raises ConfigurationError."""
     camera = options.sensor == "pmd"
     names = targets(options.target) or tuple(
         name_of(options.population, options.seed, index, small=camera) for index in range(options.bodies)
@@ -28,9 +28,11 @@ def cells(options: Options) -> list[PopulationCell]:
             model=model_of(name, options.model),
             world=world,
             document=document,
+            surroundings=surroundings,
         )
         for name in names
         for world, document in zip(options.world, _documents(options), strict=True)
+        for surroundings in options.surroundings
     ]
 
 

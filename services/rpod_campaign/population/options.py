@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from rpod_campaign.engine.options import Model, Provided, Trials, Worlds
+from rpod_campaign.engine.options import Model, Provided, Surroundings, Trials, Worlds
 from rpod_campaign.engine.options import Options as EveryOptions
 from rpod_schemas.config.base import Positive
 from rpod_schemas.config.scenario import Scenario
@@ -33,6 +33,7 @@ class Options(EveryOptions):
     filled: tuple[Positive, Positive] = (0.2, 0.8)
     """Least and greatest longest side in the camera's image, over the image's height; the range follows."""
     world: Worlds = ("documented",)
+    surroundings: Surroundings = ("none",)
     scenario: str = "tumbling"
     """Scenario with the camera, by name; 'mockup-' may be left out."""
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)

@@ -43,6 +43,7 @@ def summarise(cell: PopulationCell, rows: pl.DataFrame) -> dict[str, Any]:
         "sensor": cell.sensor,
         "task": cell.task,
         "world": cell.world,
+        "surroundings": cell.surroundings,
         "size_m": quantile(rows["size_m"], 0.5),
         "triangles": int(rows["triangles"][0]) if rows.height else None,
         "range_m": quantile(seen["range_m"], 0.5),
@@ -176,7 +177,7 @@ def _bodies_table(results: Results) -> Table:
         s = dict(result.summary)
         rows.append(
             (
-                in_world(s["body"], s["world"]),
+                in_world(s["body"], s["world"], s["surroundings"]),
                 s["kind"] or "-",
                 number(s["size_m"], ".2f"),
                 number(s["triangles"], "d") if s["triangles"] is not None else "-",

@@ -17,10 +17,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_campaign.engine.trial.poses import POSE, errors, nees_of, numbers
 from rpod_campaign.engine.trial.sizes import Limits, displaced, longest_side_m, middle_m
 from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.surroundings import SurroundingsName, surroundings
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import pattern_of
 from rpod_campaign.lidar.returns import scan_with_returns, window_of
-from rpod_campaign.lidar.scene import emulator_of
+from rpod_campaign.lidar.scene import emulator_of, scan_of
 from rpod_campaign.pmd.framing import LEAST_PIXELS, framed, lit, range_filling, reaching
 from rpod_campaign.pmd.methods import DEFAULT, pmd_input
 from rpod_campaign.pmd.scene import Stage, camera_of, scenario_of, still
@@ -30,6 +31,7 @@ from rpod_pose.ports import Acquisition, Methods, Outcome, Registration
 from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.types import BeliefLevel, LidarScan, PmdFrame
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_target import Target
@@ -63,6 +65,8 @@ class PopulationCell:
     """Name of the target that the method looks for, if it is not the one that is seen."""
     document: str = field(default="", repr=False)
     """JSON of the scenario with the camera; empty for a LIDAR."""
+    surroundings: SurroundingsName = "none"
+    """Things around the target; the method is not told."""
 
 
 SCHEMA: dict[str, Any] = {
@@ -89,10 +93,10 @@ SCHEMA: dict[str, Any] = {
 """Columns of a row.
 
 kind: kind of the satellite's body; empty for a target of a file. triangles: of its mesh file, or of a target.
-returns: number of returns, or of the target's pixels with depth. seen: whether these are enough to count the
-trial; a frame with fewer than 200 pixels is counted apart. accepted: a track may begin at the pose, or the
-tracker's pose is believed. ambiguous: the acquisition names rivals and begins no track. truth_among: one of
-its hypotheses is right.
+returns: number of returns of the target alone, or of its pixels with depth. seen: whether these are enough to
+count the trial; a frame with fewer than 200 pixels is counted apart. accepted: a track may begin at the pose,
+or the tracker's pose is believed. ambiguous: the acquisition names rivals and begins no track. truth_among:
+one of its hypotheses is right.
 """
 
 
@@ -207,18 +211,32 @@ def _scanned(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, Take
     least, greatest = cell.wanted
     returns = exp(generator.uniform(log(least), log(greatest)))
     truth, scan = scan_with_returns(emulator, cell.target, attitude, returns=returns, trial=trial)
-    return methods, Taken(truth, scan, len(scan.returns_m), seen=True)
+    alone = len(scan.returns_m)
+    if things := _things(cell, T_sensor_target=truth):
+        config = window_of(cell.target).config()
+        among = emulator_of(cell.target, config, seed, world=cell.world, things=things)
+        scan = scan_of(among, truth, trial=trial)
+    return methods, Taken(truth, scan, alone, seen=True)
 
 
 def _photographed(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, Taken]:
     """Return methods and frame, in any light."""
     scenario, methods = _pmd_bench(cell)
     target = cached_target(cell.target)
-    stage = Stage(lit(scenario, stream(seed, trial, _SUN)), World(), seed=seed, trial=trial)
-    truth = framed(target, stage.camera, filled=cell.wanted, generator=stream(seed, trial, _DRAW))
+    scenario = lit(scenario, stream(seed, trial, _SUN))
+    truth = framed(target, camera_of(scenario), filled=cell.wanted, generator=stream(seed, trial, _DRAW))
+    scenario = scenario.model_copy(update={"surroundings": _things(cell, T_sensor_target=truth)})
+    stage = Stage(scenario, World(), seed=seed, trial=trial)
     shot = still(stage, truth, number=trial)
     pixels = int(np.isfinite(shot.frame.depth_m[shot.seen]).sum())
     return methods, Taken(truth, shot.frame, pixels, seen=pixels >= LEAST_PIXELS)
+
+
+def _things(cell: PopulationCell, *, T_sensor_target: RigidTransform) -> tuple[Thing, ...]:
+    """Return the things around the target of a trial, sized for its range."""
+    target = cached_target(cell.target)
+    range_m = float(np.linalg.norm(T_sensor_target.apply(middle_m(target))))
+    return surroundings(cell.surroundings, target, (range_m, range_m))
 
 
 @lru_cache(maxsize=4)

@@ -163,7 +163,11 @@ class _Tracker:
         covariance, angles = self._shared.solver.considered(
             self._shared.points_of(measurement), found.T_sensor_target, found.covariance, angles
         )
-        return replace(found, covariance=covariance, angles=angles)
+        parts = found.parts
+        if parts is not None:  # an angle is off as long as the same is seen of its parts
+            by_angles = covariance - found.covariance
+            parts = replace(parts, of_model=parts.of_model + by_angles)
+        return replace(found, covariance=covariance, parts=parts, angles=angles)
 
 
 class _Acquirer:

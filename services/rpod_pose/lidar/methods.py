@@ -85,7 +85,8 @@ class ScanFrames:
 
     def image(self, frame: LidarScan, *, fine: bool) -> RangeImage:  # noqa: ARG002 - rays are few
         """Return the range of each ray of the pattern."""
-        return RangeImage(self._view.grid, self._view.seen(frame).range_m.clip(0.0).astype(np.float32))
+        range_m = self._view.seen(frame).range_m.clip(0.0).astype(np.float32)
+        return RangeImage(self._view.grid, range_m, frame.hidden)
 
     def separated(
         self,
@@ -102,6 +103,12 @@ class ScanFrames:
         points_m[places[label == Label.HIDING]] = HIDDEN_M
         points_m.setflags(write=False)
         return frame.model_copy(update={"points_m": points_m.reshape(frame.points_m.shape)})
+
+    def behind_bodies(self, frame: LidarScan, hides: NDArray[np.bool_]) -> LidarScan:
+        """Return a scan without the returns of known bodies, given by the rays that meet them."""
+        labels = np.where(hides, Label.HIDING, Label.KEPT).astype(np.uint8)
+        separated = self.separated(frame, labels, hides)
+        return separated.model_copy(update={"hidden": hides})
 
     def part_of(self, part: LidarScan, whole: LidarScan) -> LidarScan:  # noqa: ARG002 - verified afterwards
         """Return a part of a scan."""

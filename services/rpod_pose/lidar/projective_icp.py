@@ -17,13 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import softmax
 
 from rpod_pose.belief import worst_sigma
-from rpod_pose.lidar.scan_alignment import (
-    FaceProblem,
-    ScanErrors,
-    add_face_points,
-    excess,
-    pose_covariance,
-)
+from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, pose_covariance
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_registration import (
@@ -36,13 +30,13 @@ from rpod_pose.lidar.scan_registration import (
     settled,
     tracked,
 )
+from rpod_pose.lidar.scan_uncertainty import FaceRows, model_covariance, noise_information
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import ErrorParts, Registration
 from rpod_pose.registration.field_alignment import FieldProblem, Points
 from rpod_pose.registration.lie_group import PoseArrays, stepped
-from rpod_pose.registration.model_error import ModelError
-from rpod_pose.registration.normal_equations import no_sums
-from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
+from rpod_pose.registration.model_error import ModelError, Parts
+from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_pose.search.turns import Placed
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
@@ -99,6 +93,7 @@ class ProjectiveIcp:
             tuning.steep_cosine**2,
             1.0 / (tuning.outline_sigmas * self.model.sigma_range_m),
         )
+        self._pieces = Parts.of(target)
         self._reach = reach_of(self.view, config, target.radius_m)
         narrowest_m = tuning.narrowest_sigmas * self.model.sigma_range_m
         widest_m = max(tuning.widest_share * target.radius_m, narrowest_m)
@@ -200,9 +195,8 @@ class ProjectiveIcp:
         if inliers < self._tuning.min_points:
             return _failed(f"{inliers} returns on faces, {self._tuning.min_points} needed")
         fit = ScanFit.of(found.statistics)
-        white = covariance = pose_covariance(found.information + self._weak, R)
-        if self._model_error.matters:
-            covariance = self._considered(seen, found)
+        parts = self._parts(seen, found)
+        covariance = pose_covariance(found.information + self._weak, R) + parts.of_model
         return Registration(
             Source.LIDAR,
             T_sensor_target=pose_of(R, t),
@@ -213,36 +207,21 @@ class ProjectiveIcp:
             explained_share=fit.agreement.share,
             log_likelihood=fit.log_likelihood,
             covariance=covariance,
-            parts=ErrorParts.lasting_model(white, covariance - white),
+            parts=parts,
             iterations=len(self._far) + len(self._near),
             misfit=self.model.misfit(seen, R, t),
         )
 
-    def _considered(self, seen: SeenScan, found: ScanRegistration) -> FloatArray:
-        """Return the covariance of a registration with the errors of the target's model, (6, 6).
-
-        The displacements move the returns on faces; the outline counts as exact within its blur.
-        """
-        pose, faces = found.pose, found.faces
-        problem = self._problem(seen)
-        cast_faces(problem.grid, problem.faces, pose.R, pose.t, problem.buffers)
-        evidence = add_face_points(no_sums(), problem, pose, self._near[-1])
-        whole = evidence.inliers / max(evidence.faded, 1e-6)
-        whole /= excess(faces.squares_m2, faces.inliers, problem.errors.sigma_m)
-        on_face = evidence.rows[:, 6] > 0.0
-        rows, places_m = evidence.rows[on_face], ((seen.points_m - pose.t) @ pose.R)[on_face]
-        cells = self._model_error.cells(places_m)
-        parts, centres_m = [], []
-        for cell in range(int(cells.max(initial=-1)) + 1):
-            mine = rows[cells == cell]
-            parts.append((mine[:, :6] * (whole * mine[:, 6:])).T @ mine[:, :6])
-            centres_m.append(places_m[cells == cell].mean(axis=0))
-        covariance: FloatArray = np.linalg.inv(found.information + self._weak).astype(np.float64)
-        if parts:
-            covariance = self._model_error.considered(covariance, np.array(parts), np.array(centres_m))
-        turn = np.kron(np.eye(2), pose.R)
-        turned: FloatArray = turn @ covariance @ turn.T
-        return turned
+    def _parts(self, seen: SeenScan, found: ScanRegistration) -> ErrorParts:
+        """Return the errors of a registration by how long they last."""
+        R, rows = found.pose.R, FaceRows.of(self._problem(seen), found)
+        white = pose_covariance(noise_information(rows, found, self._weak) + self._weak, R)
+        if not self._model_error.matters:
+            return ErrorParts.lasting_model(white, np.zeros((6, 6)))
+        alone: FloatArray = np.linalg.inv(found.information + self._weak).astype(np.float64)
+        by_model = model_covariance(rows, alone, self._model_error, self._pieces)
+        turn = np.kron(np.eye(2), R)
+        return ErrorParts.lasting_model(white, turn @ by_model @ turn.T)
 
 
 def _log_likelihood(found: ScanRegistration) -> float:

@@ -9,15 +9,17 @@ Sampling, Scandinavian Journal of Statistics 39, 2012). As long as a few samples
 the next round follows a power of the weights below 1.
 """
 
+from functools import cache
 from math import lgamma, log, pi
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, norm, qmc
+from scipy.special import gammaincinv, ndtri
 
 from rpod_geometry.kernels import kernel
 from rpod_pose.lidar.scan_likelihood import Assumptions, Rays, scan_agreement
 from rpod_pose.registration.lie_group import PoseArrays, stepped
+from rpod_pose.search.even_samples import sobol
 from rpod_schemas.arrays import FloatArray
 
 FREEDOM = 4.0
@@ -56,10 +58,12 @@ class SampledPosterior(NamedTuple):
     """Effective number of samples: that of equal weights with the same accuracy."""
 
 
+@cache
 def draws() -> FloatArray:
     """Return samples of Student's distribution, spread evenly, always the same, (ROUNDS, SAMPLES, 6)."""
-    even = qmc.Sobol(7, seed=1).random(1024)[: ROUNDS * SAMPLES].clip(1e-4, 1.0 - 1e-4)
-    steps: FloatArray = norm.ppf(even[:, :6]) * np.sqrt(FREEDOM / chi2.ppf(even[:, 6:], FREEDOM))
+    even = sobol(7, 10)[: ROUNDS * SAMPLES].clip(1e-4, 1.0 - 1e-4)
+    chi_squared = 2.0 * gammaincinv(0.5 * FREEDOM, even[:, 6:])
+    steps: FloatArray = ndtri(even[:, :6]) * np.sqrt(FREEDOM / chi_squared)
     return steps.reshape(ROUNDS, SAMPLES, 6)
 
 

@@ -43,7 +43,6 @@ MARGIN = 3
 UNKNOWN_SIGMA_M = 0.05
 """Sigma of a range of a sensor that does not state it: pulsed LIDARs have errors of 2 to 5 cm."""
 
-_DRAWS = draws()
 _UNEVEN = 0.15
 """Error of ranges that neighbours may share by their surface, over the stated sigma (by hand, 3 of 20 mm)."""
 _LIMIT = 4.0
@@ -194,7 +193,7 @@ class ScanModel:
             np.empty(measured.shape, np.float32),
             np.empty(measured.shape, np.int32),
         )
-        proposal = Proposal(covariance, _DRAWS)
+        proposal = Proposal(covariance, draws())
         found: SampledPosterior = sampled_posterior(measured, pose, rays, self.assumed, proposal)
         return found
 

@@ -97,6 +97,8 @@ class ScanView:
         image = range_image(rays, range_m, *self.shape)
         if organised:
             image[np.isinf(scan.points_m[..., 0])] = -1.0
+        if scan.hidden is not None and scan.hidden.shape == self.shape:
+            image[scan.hidden & (image == 0.0)] = -1.0
         return SeenScan(points_m, rays, image)
 
     def _nearest_rays(self, points_m: FloatArray, range_m: FloatArray) -> NDArray[np.int64]:

@@ -6,7 +6,9 @@ states of the filter, so that they do not average out. Mounts are estimated; the
 
 The method states three covariances of errors that last (``ports.ErrorParts``). The error is L b, with L the
 symmetric root of the covariance in the axes to which the error is fixed, and b six states of variance 1. The
-symmetric root changes steadily with the covariance, so that b keeps its meaning from frame to frame.
+symmetric root changes steadily with the covariance, so that b keeps its meaning from frame to frame. The
+covariance is the average of those that the frames of one view state (``blocks.averaged``); where a frame
+states a larger one, the difference is noise of this frame.
 """
 
 from collections.abc import Sequence
@@ -30,6 +32,7 @@ from rpod_pose.navigation.filter import (
     start,
     update,
 )
+from rpod_pose.navigation.filter.blocks import averaged
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
 from rpod_pose.ports import ErrorParts
 from rpod_schemas.arrays import FloatArray
@@ -105,7 +108,7 @@ def started(
 
 def updated(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Update:
     """Return the update of a prediction to the stamp of a measured pose."""
-    shared = shared_errors(measured, config)
+    shared = shared_errors(measured, config, predicted.blocks)
     return update(
         grown(predicted, shared.blocks),
         measured.T_chaser_target,
@@ -118,7 +121,7 @@ def updated(predicted: FilterState, measured: PoseMeasurement, config: FilterCon
 
 def compared(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Innovation:
     """Return the innovation of a measured pose against a prediction to its stamp."""
-    shared = shared_errors(measured, config)
+    shared = shared_errors(measured, config, predicted.blocks)
     return innovation_of(
         grown(predicted, shared.blocks),
         measured.T_chaser_target,
@@ -129,8 +132,14 @@ def compared(predicted: FilterState, measured: PoseMeasurement, config: FilterCo
     )
 
 
-def shared_errors(measured: PoseMeasurement, config: FilterConfig) -> Shared:
-    """Return which states of blocks move a measured pose, and how, chaser axes."""
+def shared_errors(measured: PoseMeasurement, config: FilterConfig, known: Sequence[Block] = ()) -> Shared:
+    """Return which states of blocks move a measured pose, and how, chaser axes.
+
+    Args:
+        measured: the pose.
+        config: how errors are treated.
+        known: blocks of the state that the pose is compared with.
+    """
     origin = measured.origin
     if origin is None:
         return Shared(measured.covariance, white=False, blocks=(), sensitivities=NOTHING)
@@ -142,22 +151,27 @@ def shared_errors(measured: PoseMeasurement, config: FilterConfig) -> Shared:
         by[mount.name] = _by_mount(measured.T_chaser_target, origin.T_chaser_sensor)
     if config.errors == "inflated" or origin.parts is None:
         return Shared(measured.covariance, white=False, blocks=tuple(blocks), sensitivities=by)
-    parts = origin.parts
+    parts, before = origin.parts, {block.name: block for block in known}
     to_chaser = _turn(rotation_matrix(origin.T_chaser_sensor))
     to_target = _turn(rotation_matrix(measured.T_chaser_target).T)
-    for name, covariance, axes, turn_rad in (
+    noise = to_chaser @ parts.white @ to_chaser.T
+    for kind, covariance, axes, turn_rad in (
         (_CALIBRATION, parts.of_sensor, np.eye(6), inf),
         (_IMAGE, parts.of_image, to_target @ to_chaser, parts.image_turn_rad),
         (_MODEL, parts.of_model, to_target @ to_chaser, radians(config.tuning.model_turn_deg)),
     ):
-        if covariance.any():
-            block = Block(
-                name.format(origin.sensor), np.zeros(6), np.ones(6), turn_rad=turn_rad, considered=True
-            )
-            blocks.append(block)
-            by[block.name] = to_chaser @ axes.T @ _root(axes @ covariance @ axes.T)
-    white = symmetric(to_chaser @ parts.white @ to_chaser.T)
-    return Shared(white, white=True, blocks=tuple(blocks), sensitivities=by)
+        if not covariance.any():
+            continue
+        name, stated = kind.format(origin.sensor), axes @ covariance @ axes.T
+        new = Block(name, np.zeros(6), np.ones(6), turn_rad=turn_rad, considered=True, spread=stated)
+        block = averaged(new, before.get(name))
+        assert block.spread is not None  # noqa: S101 - given above
+        back = to_chaser @ axes.T
+        blocks.append(block)
+        by[name] = back @ _root(block.spread)
+        more = back @ _root(stated - block.spread)
+        noise = noise + more @ more.T
+    return Shared(symmetric(noise), white=True, blocks=tuple(blocks), sensitivities=by)
 
 
 def mount_of(sensor: str, config: FilterConfig) -> Block:

@@ -30,7 +30,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdModelConfig
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
-from rpod_target.simplification import simplified
+from rpod_target.tables import Tables, kept_of
 
 STEEPEST = 0.1
 """Least cosine of incidence in the effect of the slack along the ray."""
@@ -52,6 +52,23 @@ GAIN_STRIDE = 3
 """Stride of the pixels from which the gain is estimated."""
 
 
+def _simpler(target: Target) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return few triangles that stand for those of a target, and which one each stands for."""
+    every = target.triangles_m
+    if len(every) <= SIMPLER[0]:
+        return every, np.arange(len(every))
+
+    def make() -> Tables:
+        from rpod_target.simplification import simplified  # noqa: PLC0415 - Open3D takes 0.7 s of a start
+
+        size_m = float(np.ptp(every.reshape(-1, 3), axis=0).max())
+        triangles_m, which, _ = simplified(every, largest_error=SIMPLER_SHARE * size_m, steps=SIMPLER)
+        return {"triangles_m": triangles_m, "which": which}
+
+    found = kept_of(target, "simpler", 1, (every, SIMPLER, SIMPLER_SHARE), make)
+    return found["triangles_m"], found["which"]
+
+
 class Surface(NamedTuple):
     """The target with its expected brightness, simplified within a fraction of a coarse pixel."""
 
@@ -69,10 +86,7 @@ class Surface(NamedTuple):
     @classmethod
     def of(cls, target: Target) -> "Surface":
         """Return the surface of a target."""
-        size_m = float(np.ptp(target.triangles_m.reshape(-1, 3), axis=0).max())
-        triangles_m, which, _ = simplified(
-            target.triangles_m, largest_error=SIMPLER_SHARE * size_m, steps=SIMPLER
-        )
+        triangles_m, which = _simpler(target)
         normals = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), LEAST_AREA)
         return cls(

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from typing import Self
 
 import numpy as np
-from scipy.stats import norm, qmc
+from scipy.special import ndtri
 
 from rpod_pose.pmd.fit import PmdFit, PmdFitter, Surface
 from rpod_pose.pmd.scene import PmdScene
@@ -16,6 +17,7 @@ from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_pose.search.attitude_grid import within
 from rpod_pose.search.comparison import Comparison
 from rpod_pose.search.energy import NOTHING_IN_VIEW
+from rpod_pose.search.even_samples import sobol
 from rpod_pose.search.turns import Turns, matrices
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
@@ -32,10 +34,14 @@ FINE_STEPS = np.geomspace(0.3, 0.1, 6)
 _ROUNDS, _SAMPLES = 6, 32
 _POWER = 8
 """A Sobol sequence is even at powers of two; 2^8 samples or fewer are used."""
-_DRAWS = norm.ppf(
-    qmc.Sobol(6, seed=1).random_base2(_POWER)[: _ROUNDS * _SAMPLES].clip(1e-3, 1.0 - 1e-3)
-).reshape(_ROUNDS, _SAMPLES, 6)
-"""Standard normal samples, spread evenly, the same in every search."""
+
+
+@cache
+def _draws() -> FloatArray:
+    """Return standard normal samples, spread evenly, the same in every search, (_ROUNDS, _SAMPLES, 6)."""
+    even = sobol(6, _POWER)[: _ROUNDS * _SAMPLES].clip(1e-3, 1.0 - 1e-3)
+    samples: FloatArray = ndtri(even).reshape(_ROUNDS, _SAMPLES, 6)
+    return samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +92,7 @@ class FrameSearch:
         truncation_m, least_m = tuning.truncation * radius_m, tuning.scale_sigmas * noise_m
         self._field_scales_m = np.maximum(FIELD_STEPS * truncation_m, least_m)
         self._fine_scales_m = np.maximum(FINE_STEPS * truncation_m, least_m)
+        self._draws = _draws()
         self._refined_sigmas = np.repeat((tuning.outline_sigma * radius_m, tuning.outline_sigma), 3)
         self._comparison = Comparison(
             model.views,
@@ -147,7 +154,7 @@ class FrameSearch:
 
     def _outline_refined(self, pose: Pose) -> Pose:
         """Return a pose refined on the outline and the amplitude."""
-        return self._fitted(*self._fitter.outline_refined(pose.R, pose.t, self._refined_sigmas, _DRAWS))
+        return self._fitted(*self._fitter.outline_refined(pose.R, pose.t, self._refined_sigmas, self._draws))
 
     def _turned(self, pose: Pose, around: FloatArray | None) -> list[Pose]:
         """Return a pose's near-symmetries in place, and its best other rotations aligned by the centroid."""

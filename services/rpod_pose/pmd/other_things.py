@@ -1,11 +1,13 @@
 """Ranges of a PMD frame, and the frame without what belongs to other things than the target."""
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
 from rpod_pose.pmd.depth_view import FARTHEST_M, NEAR_M, DepthView
 from rpod_pose.surroundings.separation import Label, RangeImage, upsampled
+from rpod_schemas.arrays import Array
 from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
 
 COARSE_RAYS, FINE_RAYS = 8_000, 250_000
@@ -14,6 +16,10 @@ LEAST_SKY = 0.05
 """Least share of the image from which the amplitude of the sky is taken; in a room there is none."""
 DARK = 0.1
 """Greatest amplitude of a ray that meets nothing, over the median amplitude on the target."""
+
+
+_BESIDE = np.array(((0, 1, 0), (1, 0, 1), (0, 1, 0)), np.float32)
+"""The four pixels that share a side with one."""
 
 
 class PartOfFrame(PmdFrame):
@@ -39,7 +45,8 @@ class PmdFrames:
         grid = view.rays(1) if stride == 1 else view.coarse
         depth_m = frame.depth_m[view.offset :: stride, view.offset :: stride]
         depth_m = np.where((depth_m > NEAR_M) & (depth_m < FARTHEST_M), depth_m, np.float32(0.0))
-        return RangeImage(grid, (depth_m / grid.components[2]).astype(np.float32))
+        hidden = None if frame.hidden is None else frame.hidden[view.offset :: stride, view.offset :: stride]
+        return RangeImage(grid, (depth_m / grid.components[2]).astype(np.float32), hidden)
 
     def separated(self, frame: PmdFrame, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> PmdFrame:
         """Return a frame that is dark beside the target, and saturated where something hides it.
@@ -54,10 +61,17 @@ class PmdFrames:
         if frame.amplitude is not None:
             kept = (label == Label.KEPT) & (frame.depth_m > 0.0)
             amplitude = np.where(hiding, frame.amplitude.dtype.type(0), frame.amplitude)
-            images["amplitude"] = np.where(beyond, _sky(frame, kept), amplitude)
+            images["amplitude"] = np.where(beyond, _unmixed(amplitude, kept, _sky(frame, kept)), amplitude)
         for image in images.values():
             image.setflags(write=False)  # as from the bus
         return frame.model_copy(update=images)
+
+    def behind_bodies(self, frame: PmdFrame, hides: NDArray[np.bool_]) -> PmdFrame:
+        """Return a frame without the pixels on known bodies, given by the rays of its fine image."""
+        labels = np.where(hides, Label.HIDING, Label.KEPT).astype(np.uint8)
+        hidden = upsampled(hides, frame.depth_m.shape)
+        separated = self.separated(frame, labels, np.zeros(hides.shape, np.bool_))
+        return separated.model_copy(update={"hidden": hidden})
 
     def part_of(self, part: PmdFrame, whole: PmdFrame) -> PmdFrame:
         """Return a part of a frame with the whole one."""
@@ -66,6 +80,19 @@ class PmdFrames:
     def every_range_m(self, frame: PmdFrame) -> Float32Array:
         """Return the z-depth of each pixel, as measured: gate and background are of this."""
         return np.where(frame.depth_m > 0.0, frame.depth_m, np.float32(0.0))
+
+
+def _unmixed(amplitude: Array, kept: NDArray[np.bool_], sky: np.uint16) -> Array:
+    """Return the amplitudes that pixels beyond the target would have before the sky, shape (height, width).
+
+    The first pixel beyond the outline sees the target and what is behind it: its range is between both. On
+    average the target covers half of it, and so it has half the amplitude of the pixels beside it. A pixel
+    that sees the sky alone would move the edge inwards by half a pixel on average.
+    """
+    lit = np.where(kept, amplitude, 0).astype(np.float32)
+    total, count = (cv2.filter2D(image, -1, _BESIDE) for image in (lit, kept.astype(np.float32)))
+    mixed = 0.5 * (total / np.maximum(count, 1.0) + float(sky))
+    return np.where(count > 0.5, mixed, float(sky)).astype(amplitude.dtype)
 
 
 def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> np.uint16:

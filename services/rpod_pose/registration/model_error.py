@@ -7,6 +7,9 @@ Schmidt, Application of State-Space Methods to Navigation Problems, Advances in 
 the information I of all residuals, and A that of one cell about its own displacement, the displacement u
 moves the pose by I^-1 A u. A residual along a normal depends on a displacement of the surface as on one of
 the pose, so that A consists of the first three columns of the cell's own information.
+
+A part of the target is made and mounted as one piece. So no cell lies on two parts, and only a part that is
+longer than a cell has several.
 """
 
 from dataclasses import dataclass
@@ -14,12 +17,72 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
+from rpod_target.sampling import spread_over
+from rpod_target.topology import areas_m2
 
 CELL = 0.4
 """Size of a cell over the target's longest side: half of the length of a wave of a body that is deformed."""
+SAMPLES, FEWEST_SAMPLES = 4096, 32
+"""Number of points of the surface by which the part of a place is found, and least number on each part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The parts of a target, and how each is divided into cells."""
+
+    corners_m: FloatArray
+    """Least coordinates of each part, shape (P, 3)."""
+    counts: NDArray[np.intp]
+    """Number of a part's cells along each axis, shape (P, 3)."""
+    cells_m: FloatArray
+    """Size of these cells along each axis, shape (P, 3)."""
+    surface: cKDTree
+    """Points of the surface."""
+    of_point: NDArray[np.intp]
+    """Part of each of these points, shape (N,)."""
+
+    @classmethod
+    def of(cls, target: Target) -> Self:
+        """Return the parts of a target, with cells of about ``CELL`` of its longest side at most."""
+        longest_m, whole_m2 = (
+            float(np.ptp(target.triangles_m, axis=(0, 1)).max()),
+            areas_m2(target.triangles_m),
+        )
+        corners_m, extents_m = np.zeros((2, len(target.parts), 3))
+        points_m, of_point = [], []
+        for part in np.unique(target.triangle_part):
+            mine = target.triangle_part == part
+            mine_m = target.triangles_m[mine]
+            corners_m[part], extents_m[part] = mine_m.min(axis=(0, 1)), np.ptp(mine_m, axis=(0, 1))
+            number = round(SAMPLES * float(whole_m2[mine].sum() / whole_m2.sum()))
+            points_m.append(spread_over(mine_m, max(FEWEST_SAMPLES, number))[0])
+            of_point.append(np.full(len(points_m[-1]), part, np.intp))
+        counts = np.maximum(np.round(extents_m / (CELL * longest_m)), 1.0).astype(np.intp)
+        surface = cKDTree(np.concatenate(points_m))
+        return cls(corners_m, counts, np.maximum(extents_m / counts, 1e-9), surface, np.concatenate(of_point))
+
+    def at(self, places_m: FloatArray) -> NDArray[np.intp]:
+        """Return the number of the nearest part of each place, target axes, shape (N, 3), shape (N,)."""
+        found: NDArray[np.intp] = self.of_point[self.surface.query(places_m)[1]]
+        return found
+
+    def cells(self, places_m: FloatArray, parts: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the number of the cell of each place, from 0 on, shape (N,).
+
+        Args:
+            places_m: places, target axes, shape (N, 3).
+            parts: number of the part of each, shape (N,).
+        """
+        if not len(places_m):
+            return np.zeros(0, np.intp)
+        corner = ((places_m - self.corners_m[parts]) / self.cells_m[parts]).astype(np.int64)
+        corner = np.clip(corner, 0, self.counts[parts] - 1)
+        _, cell = np.unique(np.column_stack((parts, corner)), axis=0, return_inverse=True)
+        return cell.reshape(-1)
 
 
 @dataclass(frozen=True)
@@ -30,27 +93,16 @@ class ModelError:
     """Standard deviation of each coordinate of a cell's displacement."""
     scale: float
     """Standard deviation of the share by which the whole model is too large, about the target's origin."""
-    cell_m: float
-    """Size of a cell."""
 
     @classmethod
     def of(cls, target: Target) -> Self:
         """Return the errors that a target's file declares."""
-        cell_m = CELL * float(np.ptp(target.triangles_m, axis=(0, 1)).max())
-        return cls(target.tolerance_m, target.scale_tolerance, cell_m)
+        return cls(target.tolerance_m, target.scale_tolerance)
 
     @property
     def matters(self) -> bool:
         """Whether the file declares any error."""
         return self.tolerance_m > 0.0 or self.scale > 0.0
-
-    def cells(self, places_m: FloatArray) -> NDArray[np.intp]:
-        """Return the number of the cell of each place, target axes, shape (N, 3), shape (N,), from 0 on."""
-        if not len(places_m):
-            return np.zeros(0, np.intp)
-        corner = np.floor(places_m / self.cell_m).astype(np.int64)
-        _, cell = np.unique(corner, axis=0, return_inverse=True)
-        return cell.reshape(-1)
 
     def considered(
         self, covariance: FloatArray, informations: FloatArray, centres_m: FloatArray

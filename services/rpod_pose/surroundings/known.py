@@ -12,8 +12,10 @@ from typing import Any, Self
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.errors import PoseError
+from rpod_pose.surroundings.bodies import KnownBodies
 from rpod_pose.surroundings.methods import Frames
 from rpod_pose.surroundings.separation import Label
 from rpod_schemas.config.base import load
@@ -97,10 +99,17 @@ class KnownParts:
     gate_m: tuple[float, float]
     unused: NDArray[np.bool_] | None
     background: Background | None
+    bodies: KnownBodies | None = None
 
     @classmethod
-    def of(cls, known: SensorSurroundings, frames: Frames, folder: Path) -> Self:
-        """Return what is known; files are relative to a folder.
+    def of(
+        cls,
+        known: SensorSurroundings,
+        frames: Frames,
+        folder: Path,
+        bodies: KnownBodies | None = None,
+    ) -> Self:
+        """Return what is known of a sensor's frames; files are relative to a folder.
 
         Raises:
             KnownSurroundingsError: a file cannot be read.
@@ -112,7 +121,7 @@ class KnownParts:
                 raise KnownSurroundingsError(f"mask {folder / known.mask} is no image that can be read")
             unused = image == 0
         background = None if known.background is None else Background.read(folder / known.background)
-        return cls(frames, known.range_gate_m or (0.0, np.inf), unused, background)
+        return cls(frames, known.range_gate_m or (0.0, np.inf), unused, background, bodies)
 
     def without(self, frame: Any) -> Any:
         """Return a frame without what is known to be no target.
@@ -133,6 +142,23 @@ class KnownParts:
             labels[self.unused] = Label.HIDING
         return self.frames.separated(frame, labels, np.zeros(labels.shape, np.bool_))
 
+    def of_target(self, frame: Any, stamp_ns: int, T_chaser_sensor: RigidTransform) -> Any:
+        """Return a frame without what is known to be no target, also without the known bodies.
+
+        Args:
+            frame: the frame.
+            stamp_ns: its stamp, at which the bodies' poses count.
+            T_chaser_sensor: mount of the sensor.
+
+        Raises:
+            KnownSurroundingsError: mask or background have another size than the frame.
+        """
+        left = self.without(frame)
+        image = None if self.bodies is None else self.frames.image(frame, fine=True)
+        if self.bodies is None or image is None:
+            return left
+        return self.frames.behind_bodies(left, self.bodies.hiding(image, stamp_ns, T_chaser_sensor))
+
 
 def _require_size(name: str, known: NDArray[Any], range_m: Float32Array) -> None:
     if known.shape != range_m.shape:
@@ -140,16 +166,28 @@ def _require_size(name: str, known: NDArray[Any], range_m: Float32Array) -> None
         raise KnownSurroundingsError(f"the {name} has {sizes[0]} pixels, the frame {sizes[1]}")
 
 
-def known_parts(path: Path, sensor: str, frames: Frames | None) -> KnownParts | None:
-    """Return what a file says of a sensor; None if nothing.
+def known_bodies(path: Path | None) -> KnownBodies | None:
+    """Return the bodies that a file describes; None if none.
+
+    Raises:
+        rpod_schemas.errors.ConfigurationError: the file is wrong.
+        KnownBodiesError: a file that it names cannot be read.
+    """
+    return None if path is None else KnownBodies.of(load(KnownSurroundings, path).bodies, path.parent)
+
+
+def known_parts(
+    path: Path, sensor: str, frames: Frames | None, bodies: KnownBodies | None = None
+) -> KnownParts | None:
+    """Return what a file says of a sensor, and the bodies that it may see; None if nothing.
 
     Raises:
         rpod_schemas.errors.ConfigurationError: the file is wrong.
         KnownSurroundingsError: a file that it names cannot be read, or the kind of sensor cannot use it.
     """
     known = load(KnownSurroundings, path).sensors.get(sensor)
-    if known is None:
+    if known is None and bodies is None:
         return None
     if frames is None:
         raise KnownSurroundingsError(f"{sensor}: sensors of its kind have no known surroundings")
-    return KnownParts.of(known, frames, path.parent)
+    return KnownParts.of(known or SensorSurroundings(), frames, path.parent, bodies)

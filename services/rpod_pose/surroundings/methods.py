@@ -9,12 +9,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
+from rpod_pose.surroundings.outline import seen_outline
+from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import (
     Margin,
     RangeImage,
     Sight,
-    around_place,
-    places,
     with_target_at,
 )
 from rpod_schemas.types import Float32Array, Source
@@ -38,8 +38,13 @@ LEAST_VISIBLE_FIRST = 0.75
 from its near-symmetries."""
 LEAST_IN_VIEW = 0.5
 """Least share of the target in the field of view for a track to begin: other things resemble a small part."""
+LEAST_OUTLINE = 0.5
+"""Least share of the target's whole outline at which it is seen to end for a track to begin: an edge of a
+wall or a plate has the shape of a target's side, but it does not go around a half of the target."""
 RIVAL = 0.5
 """Least number of rays on another surface that is searched too, over that on the one with the target."""
+OUTLINE = "seen_outline_share"
+"""Name of the evidence that says at how much of its outline the target is seen to end."""
 VISIBLE = "visible_share"
 """Name of the evidence that a pose was verified in a whole frame."""
 
@@ -58,6 +63,15 @@ class Frames(Protocol):
             frame: the frame.
             labels: ``Label`` of each ray of its fine image, shape (rows, columns).
             inside: rays that must meet the target, same shape.
+        """
+        ...
+
+    def behind_bodies(self, frame: Any, hides: NDArray[np.bool_]) -> Any:
+        """Return a frame that tells nothing where known bodies are.
+
+        Args:
+            frame: the frame.
+            hides: rays of its fine image on known bodies, shape (rows, columns).
         """
         ...
 
@@ -88,7 +102,9 @@ class TrackerAmongThings:
     def cluttered(self, frame: Any) -> RangeImage | None:
         """Return the ranges of few rays of a frame that shows more than the target; None for any other."""
         image = self.frames.image(frame, fine=False)
-        return image if image is not None and image.shows_more_than(self.target.radius_m) else None
+        if image is None or (image.hidden is None and not image.shows_more_than(self.target.radius_m)):
+            return None
+        return image
 
     def track(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the frame gives none."""
@@ -134,6 +150,8 @@ def _judged(found: Registration, sight: Sight, most_unexplained: int) -> Registr
         reason = f"other things hide {hidden:.0%} of the target, {1.0 - LEAST_VISIBLE:.0%} at most"
     elif sight.unexplained > most_unexplained:
         reason = f"a detail is not explained: {sight.unexplained} rays, {most_unexplained} at most"
+    elif sight.passed > most_unexplained:
+        reason = f"rays pass through the target: {sight.passed} side by side, {most_unexplained} at most"
     elif sight.continued_share > MOST_CONTINUED:
         share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
         reason = f"a larger thing: the surface goes on across {share}"
@@ -183,7 +201,7 @@ class AcquirerAmongThings:
             part = frames.separated(measurement, labels, np.zeros(labels.shape, bool))
             part = frames.part_of(part, measurement)
             found = self._acquirer.acquire(part) if pose is None else self._acquirer.near(part, pose)
-            found = self._in_view(image, self._verified(measurement, found))
+            found = self._in_view(fine, self._verified(measurement, found))
             if found.begins_track and accepted is None:
                 accepted, rays = found, int(np.count_nonzero(place))
             elif found.begins_track and _apart_m(found, accepted) > radius_m:
@@ -206,15 +224,20 @@ class AcquirerAmongThings:
         """Return an acquisition whose belief says whether enough of the target is in the field of view."""
         if found.pose is None or not found.begins_track:
             return found
-        share = image.in_view(found.pose.apply(self._tracker.target.model_points_m))
+        target = self._tracker.target
+        share = image.in_view(found.pose.apply(target.model_points_m))
         visible = found.belief.evidence.get(VISIBLE, 1.0)
-        if share >= LEAST_IN_VIEW and visible >= LEAST_VISIBLE_FIRST:
-            return found
+        outline = seen_outline(image, target, found.pose, NARROW * target.radius_m)
+        evidence = {**found.belief.evidence, OUTLINE: outline}
+        if share >= LEAST_IN_VIEW and visible >= LEAST_VISIBLE_FIRST and outline >= LEAST_OUTLINE:
+            belief = replace(found.belief, evidence=evidence)
+            return replace(found, registration=replace(found.registration, belief=belief))
         vague = (
-            f"among other things {share:.0%} of the target is in view, {LEAST_IN_VIEW:.0%} needed, and "
-            f"{visible:.0%} of it is not hidden, {LEAST_VISIBLE_FIRST:.0%} needed"
+            f"among other things {share:.0%} of the target is in view, {LEAST_IN_VIEW:.0%} needed, "
+            f"{visible:.0%} of it is not hidden, {LEAST_VISIBLE_FIRST:.0%} needed, and it is seen to end at "
+            f"{outline:.0%} of its outline, {LEAST_OUTLINE:.0%} needed"
         )
-        belief = replace(found.belief, insufficient=vague)
+        belief = replace(found.belief, insufficient=vague, evidence=evidence)
         return replace(found, registration=replace(found.registration, belief=belief))
 
 

@@ -296,3 +296,9 @@ def test_an_unreadable_file_is_refused(tmp_path: Path, content: bytes, reason: s
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TargetError, match="No such file"):
         load_target(tmp_path / "target.yaml")
+
+
+def test_a_name_that_no_file_can_have_is_refused_in_one_short_line():
+    with pytest.raises(TargetError, match="is no name of a target") as refused:
+        load_target("a" * 100_000)
+    assert len(str(refused.value)) < 200

@@ -17,6 +17,10 @@ import numpy as np
 
 from rpod_schemas.arrays import FloatArray
 
+ALIKE_RAD = 0.1
+"""Turn of the view after which covariances of an earlier view count less by 1/e: after it, the cosines by
+which faces count have changed by a tenth."""
+
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -33,6 +37,11 @@ class Block:
     """The same for the angle by which the target has turned, as the sensors see it."""
     considered: bool = False
     """Whether the block is only considered: no measurement changes its value."""
+    spread: FloatArray | None = None
+    """Covariance of the error that a considered block stands for, as the measurements of this view state it
+    on average, in the axes to which the error is fixed, shape (6, 6); None for any other block."""
+    weight: float = 0.0
+    """Number of these measurements; those of an earlier view count less."""
 
     @property
     def size(self) -> int:
@@ -70,10 +79,31 @@ def unknown(blocks: Sequence[Block]) -> tuple[Block, ...]:
 
 def faded(blocks: Sequence[Block], step_s: float, turn_rad: float) -> tuple[Block, ...]:
     """Return the blocks after a step without a measurement, in which the target turns by ``turn_rad``."""
-    return tuple(
-        replace(block, value=block.kept(step_s, turn_rad) * block.value) if block.value.any() else block
-        for block in blocks
-    )
+    return tuple(_faded(block, step_s, turn_rad) for block in blocks)
+
+
+def _faded(block: Block, step_s: float, turn_rad: float) -> Block:
+    if block.spread is not None:
+        return replace(block, weight=block.kept(step_s, turn_rad) * exp(-turn_rad / ALIKE_RAD) * block.weight)
+    if block.value.any():
+        return replace(block, value=block.kept(step_s, turn_rad) * block.value)
+    return block
+
+
+def averaged(block: Block, known: Block | None) -> Block:
+    """Return a considered block whose covariance is that of a measurement and of those before it.
+
+    The frames of one view state one error, but each states its covariance with noise of its own. If the block
+    followed each of them, the filter would take their differences for knowledge of the error.
+
+    Args:
+        block: the block with the covariance that the measurement states.
+        known: the same block as it is known from earlier measurements; None if there is none.
+    """
+    if block.spread is None or known is None or known.spread is None:
+        return replace(block, weight=1.0)
+    weight = known.weight + 1.0
+    return replace(block, spread=known.spread + (block.spread - known.spread) / weight, weight=weight)
 
 
 def step_of(blocks: Sequence[Block], step_s: float, turn_rad: float) -> tuple[FloatArray, FloatArray]:

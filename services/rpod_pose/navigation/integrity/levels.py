@@ -25,11 +25,10 @@ the allocation of the risk). Words of the result as in RTCA DO-229: protection l
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import ceil, degrees, log
+from math import ceil, degrees
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import chi, chi2, norm
+from scipy.special import chdtri, gammaincc, gammainccinv, ndtri
 
 from rpod_pose.navigation.filter import ATTITUDE, POSE, POSITION, FilterState, separation_of
 from rpod_pose.navigation.filter.rotations import cross_matrix
@@ -43,7 +42,7 @@ _ROUNDING = 1e-9
 _NODES = 40
 """Number of nodes of the quadrature along each of two angles."""
 _CLOSE = 1e-3
-"""Error up to which a quantile is computed, and then added to it, in standard deviations."""
+"""Error up to which a quantile is computed, never too small, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,16 +163,17 @@ def _shaped_quantile(middle: float, least: float, probability: float) -> float:
     g = np.sqrt(height[:, None] ** 2 + (1.0 - height[:, None] ** 2) * around)
 
     def excess(length: float) -> float:
-        found = float(weight @ chi.sf(length / g, 3) @ weight)
-        return log(found) - log(probability)
+        found: float = weight @ gammaincc(1.5, 0.5 * (length / g) ** 2) @ weight
+        return found - probability
 
-    low, high = float(norm.isf(0.5 * probability)), float(chi.isf(probability, 3))
-    if high - low < _CLOSE or excess(high) >= 0.0:
-        return high
-    return float(brentq(excess, low, high, xtol=_CLOSE)) + _CLOSE if excess(low) > 0.0 else low + _CLOSE
+    low, high = float(-ndtri(0.5 * probability)), float(np.sqrt(2.0 * gammainccinv(1.5, probability)))
+    while high - low > _CLOSE:
+        middle_of_both = 0.5 * (low + high)
+        low, high = (middle_of_both, high) if excess(middle_of_both) > 0.0 else (low, middle_of_both)
+    return high
 
 
 @cache
 def chi2_limit(probability: float, dof: float) -> float:
     """Return the value that chi-squared exceeds with a probability."""
-    return float(chi2.isf(probability, dof))
+    return float(chdtri(dof, probability))

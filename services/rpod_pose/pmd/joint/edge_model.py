@@ -9,15 +9,22 @@ from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from rpod_pose.pmd.joint.edge_search import EdgeArrays
 from rpod_pose.registration.brightness import spreads
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
-from rpod_target.topology import edges
+from rpod_target.topology import components, edges
 
 CREASE_RAD = np.radians(15.0)
 """Least angle between faces at an edge: below, they belong to one curved surface."""
+
+
+BEND_RAD = np.radians(35.0)
+"""Largest turn at which an edge continues another one: below half of a hexagon's, above a circle's of 12."""
+WELD = 1e-6
+"""Greatest distance of two ends that are one, over the target's extent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +39,10 @@ class EdgeModel:
     """Normals of the faces on both sides, target axes, shape (N, 2, 3); n and -n if there is one face."""
     spreads: FloatArray
     """Standard deviations of the logarithms of the faces' albedos, shape (N, 2)."""
+    parts: NDArray[np.intp]
+    """Number of the target's part with each sample, shape (N,)."""
+    lines: NDArray[np.intp]
+    """Number of the line of each sample, from 0 on, shape (N,): edges of a part that continue each other."""
 
     @classmethod
     def of(cls, target: Target, *, spacing_m: float) -> "EdgeModel":
@@ -40,7 +51,9 @@ class EdgeModel:
             _edges_of_part(target, np.flatnonzero(target.triangle_part == part))
             for part in range(len(target.parts))
         ]
+        numbers = np.repeat(np.arange(len(parts)), [len(segments_m) for segments_m, _, _ in parts])
         segments_m, normals, spread = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        line = _lines(segments_m, numbers)
         lengths_m = np.linalg.norm(segments_m[:, 1] - segments_m[:, 0], axis=1)
         counts = np.array([max(1, ceil(length_m / spacing_m)) for length_m in lengths_m], np.intp)
         index = np.repeat(np.arange(len(segments_m)), counts)
@@ -49,12 +62,38 @@ class EdgeModel:
         start_m, end_m = segments_m[index, 0], segments_m[index, 1]
         directions = (end_m - start_m) / lengths_m[index, None]
         places_m = (1.0 - share) * start_m + share * end_m
-        return cls(places_m, directions, np.ascontiguousarray(normals[index]), spread[index])
+        return cls(
+            places_m,
+            directions,
+            np.ascontiguousarray(normals[index]),
+            spread[index],
+            numbers[index],
+            line[index],
+        )
 
     @property
     def arrays(self) -> EdgeArrays:
         """The samples as the kernels take them."""
         return EdgeArrays(self.places_m, self.directions, self.normals, self.spreads)
+
+
+def _lines(segments_m: FloatArray, parts: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the number of the line of each segment, shape (E,).
+
+    Two segments of a part that share an end are of one line if they turn there by less than ``BEND_RAD``.
+    """
+    if not len(segments_m):
+        return np.zeros(0, np.intp)
+    along = segments_m[:, 1] - segments_m[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    ends_m = np.concatenate((segments_m[:, 0], segments_m[:, 1]))
+    outwards = np.concatenate((-along, along))  # away from the segment
+    pairs = cKDTree(ends_m).query_pairs(WELD * float(np.ptp(ends_m)), output_type="ndarray")
+    of_end = np.tile(np.arange(len(segments_m)), 2)
+    one, other = of_end[pairs[:, 0]], of_end[pairs[:, 1]]
+    turn = np.einsum("ij,ij->i", outwards[pairs[:, 0]], -outwards[pairs[:, 1]])
+    on = (turn > np.cos(BEND_RAD)) & (one != other) & (parts[one] == parts[other])
+    return components(np.column_stack((one, other))[on], size=len(segments_m))
 
 
 def _edges_of_part(target: Target, triangles: NDArray[np.intp]) -> tuple[FloatArray, FloatArray, FloatArray]:

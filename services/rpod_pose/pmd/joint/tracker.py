@@ -26,6 +26,7 @@ from rpod_pose.belief import Belief, PixelMarks, contradicted, doubtful
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.edge_consistency import bias_sigmas, edges_in_place, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
 from rpod_pose.pmd.joint.fit import (
@@ -36,6 +37,7 @@ from rpod_pose.pmd.joint.fit import (
     JointFit,
     JointProblem,
     Measured,
+    Shares,
     add_edge_points,
     agreement,
     align,
@@ -52,7 +54,7 @@ from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
-from rpod_pose.registration.model_error import ModelError
+from rpod_pose.registration.model_error import ModelError, Parts
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
@@ -114,6 +116,7 @@ class JointTracker:
             tuning.edges.sigma_px, float(tuning.edges.effective_edges), tuning.edges.final_search_px
         )
         self._model_error = ModelError.of(target)
+        self._parts, self._edge_parts, self._lines = Parts.of(target), edges.parts, edges.lines
         self._reflected_m = reflected_m(target)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}
         self._nothing = Registration.none(Source.PMD_JOINT, "nothing to see")
@@ -127,12 +130,12 @@ class JointTracker:
         found = []
         sight = self._sight(seen, pose)
         for start, schedule in self._starts(seen, sight):
-            fit = self._aligned(seen, sight, start, schedule)
-            found.append(self._registered(seen, fit, len(schedule)))
+            fit, last = self._aligned(seen, sight, start, schedule)
+            found.append(self._registered(seen, fit, last, len(schedule)))
             moved = None if found[-1].begins_track else self._moved_along_sight(seen, fit.state.pose)
             if moved is not None:
-                fit = self._aligned(seen, self._sight(seen, moved.pose), moved, self._near)
-                found.append(self._registered(seen, fit, len(schedule) + len(self._near)))
+                fit, last = self._aligned(seen, self._sight(seen, moved.pose), moved, self._near)
+                found.append(self._registered(seen, fit, last, len(schedule) + len(self._near)))
             if believed := [each for each in found if each.continues_track]:
                 return max(believed, key=lambda each: each.begins_track)
         return max(found, key=lambda each: each.explained_share, default=self._nothing)
@@ -180,15 +183,21 @@ class JointTracker:
         expected = expect_edges(self._edges, seen.lens, seen.patch, shown)
         return EdgeSight(self._edges, seen.lens, seen.patch, expected)
 
-    def _aligned(self, seen: JointFrame, sight: EdgeSight, state: State, schedule: FloatArray) -> JointFit:
-        """Return the pose after one step for each row of a schedule, shape (S, 2) as in ``JointProblem``."""
+    def _aligned(
+        self, seen: JointFrame, sight: EdgeSight, state: State, schedule: FloatArray
+    ) -> tuple[JointFit, EdgeSight]:
+        """Return the pose after one step for each row of a schedule, and the edges of the last steps.
+
+        The schedule has the shape (S, 2) as in ``JointProblem``.
+        """
         points = Points(seen.points_m, seen.trust)
         schedule = np.maximum(schedule, (self._least_scale_m(seen), 0.0))
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
         if len(first):
             sight = self._sight_at(seen, sight, state.pose)
             state = align(self._problem(seen, points, sight, first), state).state
-        return align(self._problem(seen, points, self._sight_at(seen, sight, state.pose), last), state)
+        sight = self._sight_at(seen, sight, state.pose)
+        return align(self._problem(seen, points, sight, last), state), sight
 
     def _least_scale_m(self, seen: JointFrame) -> float:
         """Return the least Geman-McClure scale: an error that the noise explains is no outlier."""
@@ -206,7 +215,7 @@ class JointTracker:
         moved = moved_px(sight.expected.pose, pose, self._target.radius_m, sight.lens.fx)
         return sight if moved < STILL_PX else self._sight(seen, pose)
 
-    def _registered(self, seen: JointFrame, fit: JointFit, steps: int) -> Registration:
+    def _registered(self, seen: JointFrame, fit: JointFit, sight: EdgeSight, steps: int) -> Registration:
         """Return the registration of an aligned pose, with its belief."""
         tuning = self._tuning
         ((R, t), bias), _, (depth, found, _, _) = fit
@@ -222,7 +231,7 @@ class JointTracker:
             marks = PixelMarks(inconsistent.marked, seen.view.stride)
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
-        covariance, parts = self._uncertainty(seen, fit)
+        covariance, parts = self._uncertainty(seen, fit, sight)
         return Registration(
             self._source(points, checked),
             T_sensor_target=pose_of(R, t),
@@ -248,35 +257,43 @@ class JointTracker:
         sigma_m = hypot(self._ranges.bias_m, self._model_error.scale * float(np.linalg.norm(t)))
         return PartSolution("measured distances alone", bias_m * t / np.linalg.norm(t), sigma_m)
 
-    def _uncertainty(self, seen: JointFrame, fit: JointFit) -> Uncertainty:
+    def _uncertainty(self, seen: JointFrame, fit: JointFit, sight: EdgeSight) -> Uncertainty:
         """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
+        sight = self._sight_at(seen, sight, fit.state.pose)
+        problem = self._problem(seen, Points(seen.points_m, seen.trust), sight, self._near[-1:])
+        shares = joint_shares(problem, fit.state)
         alone: FloatArray = np.linalg.inv(fit.information + self._weak).astype(np.float64)
-        whole = self._considered(seen, fit, alone) if self._model_error.matters else alone
+        whole = alone
+        if self._model_error.matters:
+            whole = self._considered(seen, fit, problem, shares, alone)
         camera = seen.view.camera
         return uncertainty(
             fit,
             alone,
             whole,
+            lines=line_sums(problem, fit.state, shares, self._lines),
             bias_m=self._depth_errors.bias_m,
             radius_px=camera.fx * self._target.radius_m / max(float(fit.state.pose.t[2]), NEAREST_M),
             wider=max(1.0, self._fills(seen, fit.state.pose.t)) ** 2,
         )
 
-    def _considered(self, seen: JointFrame, fit: JointFit, covariance: FloatArray) -> FloatArray:
+    def _considered(
+        self, seen: JointFrame, fit: JointFit, problem: JointProblem, shares: Shares, covariance: FloatArray
+    ) -> FloatArray:
         """Return the covariance of (dtau, dtheta, bias), (7, 7), with the errors of the target's model."""
-        pose, last = fit.state.pose, self._near[-1:]
-        sight = self._sight(seen, pose)
+        pose, sight = fit.state.pose, problem.sight
         points_m = (seen.points_m - pose.t) @ pose.R
-        places_m = np.concatenate((points_m, sight.edges.places_m[sight.expected.sample]))
-        cells = self._model_error.cells(places_m)
+        samples = sight.expected.sample
+        places_m = np.concatenate((points_m, sight.edges.places_m[samples]))
+        of_place = np.concatenate((self._parts.at(points_m), self._edge_parts[samples]))
+        cells = self._parts.cells(places_m, of_place)
         parts, centres_m = [], []
-        shares = joint_shares(self._problem(seen, Points(seen.points_m, seen.trust), sight, last), fit.state)
         for cell in range(int(cells.max(initial=-1)) + 1):
             of_points, of_edges = np.split(cells == cell, [len(points_m)])
             points = Points(np.ascontiguousarray(seen.points_m[of_points]), seen.trust[of_points])
             expected = sight.expected.only(of_edges)
-            problem = self._problem(seen, points, sight._replace(expected=expected), last)
-            parts.append(cell_information(problem, fit.state, shares))
+            own = problem._replace(points=points, sight=sight._replace(expected=expected))
+            parts.append(cell_information(own, fit.state, shares))
             centres_m.append(places_m[cells == cell].mean(axis=0))
         if not parts:
             return covariance

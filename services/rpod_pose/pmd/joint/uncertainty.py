@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rpod_pose.pmd.joint.edge_lines import Lines, jackknife
 from rpod_pose.pmd.joint.fit import JointFit
 from rpod_pose.ports import ErrorParts
 from rpod_pose.registration.normal_equations import UNKNOWNS, gradient_of, information_of
@@ -23,19 +24,28 @@ class Uncertainty(NamedTuple):
 
 
 def uncertainty(
-    fit: JointFit, alone: FloatArray, whole: FloatArray, *, bias_m: float, radius_px: float, wider: float
+    fit: JointFit,
+    alone: FloatArray,
+    whole: FloatArray,
+    *,
+    lines: Lines,
+    bias_m: float,
+    radius_px: float,
+    wider: float,
 ) -> Uncertainty:
     """Return the uncertainty of an aligned pose.
 
     With the information I of all residuals, errors of the residuals whose information would be J cause the
     covariance I^-1 J I^-1. The true bias of the ranges causes an error because of its prior, and J is the
-    prior's. Edges beside saturated pixels are shifted towards their darker sides by a length that they share.
-    The model's errors are those that the target's file declares.
+    prior's. Errors of edges are the same along a line (``edge_lines``). Edges beside saturated pixels are
+    shifted towards their darker sides by a length that they share. The model's errors are those that the
+    target's file declares.
 
     Args:
         fit: the aligned pose.
         alone: I^-1, shape (7, 7).
         whole: the same with the errors of the target's model, shape (7, 7).
+        lines: sums of the lines of edges.
         bias_m: standard deviation of the prior of the bias.
         radius_px: radius of the target in the image, px.
         wider: factor on all covariances, above 1 where few parts of the target are in view, so that errors
@@ -55,7 +65,7 @@ def uncertainty(
         ErrorParts(
             white=turned(alone @ white @ alone),
             of_sensor=turned(alone @ of_sensor @ alone + np.outer(moved, moved)),
-            of_image=turned(alone @ of_image @ alone),
+            of_image=turned(jackknife(lines, alone, samples=alone @ of_image @ alone)),
             image_turn_rad=MIXED_PX / radius_px,
             of_model=turned(whole - alone),
         ),

@@ -72,6 +72,26 @@ def test_many_frames_leave_the_errors_of_calibration_and_model_and_average_the_n
     assert 0.0 < np.linalg.eigvalsh(left).max() < 0.2e-6
 
 
+def test_frames_that_state_one_error_differently_do_not_tell_what_it_is():
+    rng, at, off_rad = np.random.default_rng(7), target(0.0), 4e-3
+    turned = Rotation.from_rotvec([off_rad, 0.0, 0.0]) * at.rotation
+    pose = make_pose(rotation=turned, translation_m=at.translation)
+    state = None
+    for frame in range(60):
+        of_model = diagonal(1e-4, 4e-3) * rng.uniform(0.5, 1.5)
+        parts = ErrorParts.lasting_model(diagonal(2e-4, 2e-4), of_model)
+        stamp_ns = frame * SECOND_NS // 45
+        each = PoseMeasurement(stamp_ns, pose, of_model, Origin("pmd", FRONT, parts))
+        if state is None:
+            state = started(each, config=CONSIDERED)
+        else:
+            state = updated(predict(state, stamp_ns, CONSIDERED), each, CONSIDERED).state
+    assert state is not None
+    error = (state.T_chaser_target.rotation * at.rotation.inv()).as_rotvec()
+    assert np.linalg.norm(error) == pytest.approx(off_rad, rel=0.1)
+    assert np.sqrt(state.covariance[3, 3]) == pytest.approx(4e-3, rel=0.15)
+
+
 def test_with_inflation_nothing_is_shared_and_without_an_origin_neither():
     assert shared_errors(measured(target(0.0), FRONT), FilterConfig()).blocks == ()
     alone = replace(measured(target(0.0), FRONT), origin=None)

@@ -1,0 +1,41 @@
+"""Poses of known bodies in a log, as far as an estimator has come."""
+
+from collections.abc import Iterator
+
+from rpod_analysis.log import Log
+from rpod_estimator.body_input import checked
+from rpod_pose.surroundings.bodies import KnownBodies
+from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.messages import read_odometry
+from rpod_schemas.topics import BODY
+from rpod_schemas.types import Odometry
+
+
+class LoggedBodies:
+    """Passes the poses of a log to the known bodies, in the order of arrival.
+
+    Args:
+        log: the log.
+        bodies: where readings go; None if no body is known.
+    """
+
+    def __init__(self, log: Log, bodies: KnownBodies | None) -> None:
+        self._bodies = bodies
+        self._readings = iter(()) if bodies is None or not bodies.tracks else _readings(log, bodies)
+        self._next = next(self._readings, None)
+
+    def hear_up_to(self, stamp_ns: int) -> None:
+        """Pass on the readings up to a stamp."""
+        while self._bodies is not None and self._next is not None and self._next[1].stamp_ns <= stamp_ns:
+            frame, reading = self._next
+            self._bodies.tracks[frame].hear(reading.stamp_ns, reading.pose)
+            self._next = next(self._readings, None)
+
+
+def _readings(log: Log, bodies: KnownBodies) -> Iterator[tuple[str, Odometry]]:
+    frames = {BODY.at(frame).name: frame for frame in bodies.tracks}
+    for logged in log.messages(*frames):
+        try:
+            yield frames[logged.topic], checked(read_odometry(logged.decode()))
+        except MessageRejectedError:
+            continue

@@ -1,0 +1,94 @@
+"""Errors of edges that are the same along a line, as the lines of one frame show them.
+
+Shading, blur and the rendering's brightness shift an edge along its whole length. So its samples are not
+independent, and no number of samples averages such an error out. The size of these errors follows from how
+far the pose would move without one line: the jackknife over groups (B. Efron, The Jackknife, the Bootstrap
+and Other Resampling Plans, SIAM 1982, chapter 3), with the groups' own steps in place of new minimisations.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_geometry.kernels import kernel
+from rpod_pose.pmd.joint.expected_edges import ExpectedEdges
+from rpod_pose.pmd.joint.fit import EdgeSight, JointProblem, Shares, add_edge_points
+from rpod_pose.registration.gauss_newton import State
+from rpod_pose.registration.normal_equations import UNKNOWNS, gradient_of, information_of, no_sums
+from rpod_schemas.arrays import FloatArray
+
+MOST_LEVERAGE = 0.75
+"""Largest share of the information about a motion that a line may have in the jackknife. Without a line that
+has more, the frame would not determine the motion, and the linear step says nothing."""
+OF_POSE = 6
+"""Number of unknowns of a pose."""
+
+
+class Lines(NamedTuple):
+    """Sums over the samples of each line."""
+
+    gradients: FloatArray
+    """Gradients, shape (L, 7)."""
+    informations: FloatArray
+    """Information, shape (L, 7, 7)."""
+
+
+@kernel
+def line_sums(problem: JointProblem, state: State, shares: Shares, line: NDArray[np.intp]) -> Lines:
+    """Return the sums over the samples of each line of edges, with the weights of all residuals.
+
+    Args:
+        problem: the frame, with the expected samples.
+        state: the aligned pose.
+        shares: weights of points and edges.
+        line: number of the line of each sample of the model, shape (N,).
+    """
+    expected, reach = problem.sight.expected, problem.schedule[-1, 1]
+    of_sample = line[expected.sample]
+    order = np.argsort(of_sample)
+    ends = np.append(np.flatnonzero(np.diff(of_sample[order])) + 1, order.size)
+    number = ends.size if order.size else 0
+    gradients, informations = np.zeros((number, UNKNOWNS)), np.zeros((number, UNKNOWNS, UNKNOWNS))
+    sight = problem.sight
+    for k in range(number):
+        mine = order[(ends[k - 1] if k else 0) : ends[k]]
+        some = ExpectedEdges(
+            expected.pose,
+            expected.sample[mine],
+            expected.place[mine],
+            expected.probability[mine],
+            expected.change[mine],
+        )
+        sums = no_sums()
+        part = EdgeSight(sight.edges, sight.lens, sight.patch, some)
+        add_edge_points(sums, part, state.pose, reach, problem.edge_errors.noise_px)
+        gradients[k] = gradient_of(shares.edges * sums, UNKNOWNS)
+        informations[k] = information_of(shares.edges * sums, UNKNOWNS)
+    return Lines(gradients, informations)
+
+
+def jackknife(lines: Lines, covariance: FloatArray, *, samples: FloatArray) -> FloatArray:
+    """Return the covariance of (dtau, dtheta, bias) by errors that are the same along a line, shape (7, 7).
+
+    Of L lines, as many as there are unknowns of the pose tell nothing of their errors. In their share, the
+    result is that of independent samples.
+
+    Args:
+        lines: sums of the lines.
+        covariance: covariance by all residuals and priors, shape (7, 7).
+        samples: covariance if the errors of all samples were independent, shape (7, 7).
+    """
+    seen = np.einsum("lii->l", lines.informations) > 0.0
+    gradients, informations = lines.gradients[seen], lines.informations[seen]
+    number = len(gradients)
+    if number <= OF_POSE:
+        return samples
+    # in coordinates in which the whole information is the identity, eigenvalues are shares of it
+    root = np.linalg.cholesky(covariance)
+    shares, vectors = np.linalg.eigh(root.T @ informations @ root)
+    steps = np.einsum("lji,lj->li", vectors, gradients @ root) / (1.0 - np.minimum(shares, MOST_LEVERAGE))
+    moved = np.einsum("lij,lj->li", vectors, steps) @ root.T
+    told = (number - OF_POSE) / number
+    found: FloatArray = told * (number - 1) / number * moved.T @ moved + (1.0 - told) * samples
+    return found

@@ -1,0 +1,223 @@
+"""Places in a frame at which the target may be: surfaces of its size that stand apart from larger things.
+
+Planes that are larger than the target, such as walls, floors and tables, are no part of it.
+"""
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from rpod_pose.surroundings.separation import BALL, Label, RangeImage, upsampled, with_bodies
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
+
+LARGER = 2.5
+"""Least extent of a plane that is no face of the target, over its radius: its faces are at most 2."""
+FLAT = 0.1
+"""Greatest distance of a point from its plane, over the target's radius."""
+PLANES, DRAWS, LEAST_PLANE = 8, 80, 0.03
+"""Most planes, random draws for each, and least share of the ranges that one must explain."""
+APART = 0.15
+"""Step in range between neighbouring rays, over the target's radius, from which surfaces are separate."""
+SLANTED = 4.0
+"""Step in range between neighbouring rays, over their distance across, up to which a surface is one."""
+LEAST_SIZE, MOST_PLACES = 0.15, 6
+"""Least half extent of a surface that may be the target, over its radius; most places to search."""
+THIN = 0.2
+"""Half the width of limbs that are cut off a surface that is larger than the target, over its radius."""
+SHIFTS = 3
+"""Number of times that a ball is moved to the median of the points in it."""
+LEAST_RAYS = 8
+"""Least number of rays on such a surface."""
+
+
+def places(
+    image: RangeImage, radius_m: float, near_m: FloatArray | None = None
+) -> Iterator[NDArray[np.bool_]]:
+    """Yield the rays on surfaces that may be the target, those of most rays first, (rows, columns) each.
+
+    Args:
+        image: ranges of a frame.
+        radius_m: radius of the target's bounding sphere.
+        near_m: where the target is expected, sensor axes, shape (3,); None for anywhere.
+    """
+    points_m = image.points_m
+    free = (image.range_m > 0.0) & ~_large_planes(image, points_m, radius_m)
+    if near_m is not None:
+        within = free & (np.linalg.norm(points_m - near_m, axis=-1) < BALL * radius_m)
+        if np.count_nonzero(within) >= LEAST_RAYS:
+            yield within
+        return
+    found = [
+        place
+        for surface in _surfaces(image, free, radius_m)
+        for place in _of_size(image, points_m, surface, radius_m)
+        if np.count_nonzero(place) >= LEAST_RAYS
+    ]
+    found.sort(key=lambda place: -np.count_nonzero(place))
+    yield from found[:MOST_PLACES]
+
+
+def _large_planes(image: RangeImage, points_m: FloatArray, radius_m: float) -> NDArray[np.bool_]:
+    """Return the rays that end on planes larger than the target, shape (rows, columns)."""
+    left, removed = image.range_m > 0.0, np.zeros(image.range_m.shape, bool)
+    total, generator = np.count_nonzero(left), np.random.default_rng(0)
+    for _ in range(PLANES):
+        measured_m = points_m[left]
+        if len(measured_m) < max(LEAST_PLANE * total, 3 * LEAST_RAYS):
+            break
+        chosen = _plane(measured_m, generator, FLAT * radius_m)
+        if chosen is None or np.count_nonzero(chosen) < LEAST_PLANE * total:
+            break
+        rays = np.zeros(left.shape, bool)
+        rays[left] = chosen
+        for wall in _walls(image, rays, radius_m):
+            removed |= wall
+        left &= ~rays
+    return removed
+
+
+def _walls(image: RangeImage, on_plane: NDArray[np.bool_], radius_m: float) -> Iterator[NDArray[np.bool_]]:
+    """Yield the rays on a plane that belong to surfaces larger than the target.
+
+    The plane of one of the target's faces also meets walls, the floor and other things, in narrow strips. So
+    the size of each surface on it counts. Where the largest one is a wall, what is left of the plane are
+    pieces of this wall between other things.
+    """
+    surfaces = sorted(_surfaces(image, on_plane, radius_m), key=np.count_nonzero, reverse=True)
+    for number, surface in enumerate(surfaces):
+        points_m = image.points_m[surface]
+        extent_m = 2.0 * np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1)
+        if np.quantile(extent_m, 0.9) > LARGER * radius_m:
+            if number == 0:
+                yield on_plane
+                return
+            yield surface
+
+
+def _plane(points_m: FloatArray, generator: np.random.Generator, flat_m: float) -> NDArray[np.bool_] | None:
+    """Return which points, shape (N, 3), lie on the plane with most of them (RANSAC); None without one."""
+    few_m = points_m[:: max(1, len(points_m) // 1500)]
+    a, b, c = few_m[generator.integers(len(few_m), size=(3, DRAWS))]
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    usable = lengths > 0.0
+    if not usable.any():
+        return None
+    normals, a = normals[usable] / lengths[usable, None], a[usable]
+    offsets_m = np.einsum("ni,ni->n", normals, a)
+    best = int(np.argmax((np.abs(few_m @ normals.T - offsets_m) < flat_m).sum(axis=0)))
+    near_m = points_m[np.abs(points_m @ normals[best] - offsets_m[best]) < flat_m]
+    middle_m = near_m.mean(axis=0)
+    normal = np.linalg.svd(near_m - middle_m, full_matrices=False)[2][2]
+    on_plane: NDArray[np.bool_] = np.abs((points_m - middle_m) @ normal) < flat_m
+    return on_plane
+
+
+def _surfaces(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> list[NDArray[np.bool_]]:
+    """Return the connected surfaces among some rays, shape (rows, columns) each."""
+    range_m, index = image.range_m, np.arange(free.size).reshape(free.shape)
+    pairs = []
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        directions = image.grid.directions
+        across_m = range_m[one] * np.linalg.norm(directions[one] - directions[other], axis=-1)
+        step_m = np.abs(range_m[one] - range_m[other])
+        joined = free[one] & free[other] & (step_m < np.maximum(APART * radius_m, SLANTED * across_m))
+        pairs.append(np.stack((index[one][joined], index[other][joined])))
+    first, second = np.concatenate(pairs, axis=1)
+    graph = coo_matrix((np.ones(len(first), bool), (first, second)), shape=(free.size, free.size))
+    count, number = connected_components(graph, directed=False)
+    sizes = np.bincount(number[free.ravel()], minlength=count)
+    return [(number == n).reshape(free.shape) & free for n in np.flatnonzero(sizes >= LEAST_RAYS)]
+
+
+def _of_size(
+    image: RangeImage, points_m: FloatArray, surface: NDArray[np.bool_], radius_m: float
+) -> Iterator[NDArray[np.bool_]]:
+    """Yield a surface if it may be the target; of a larger one its bulky parts, without thin limbs."""
+    if _fits(points_m[surface], radius_m):
+        yield surface
+        return
+    distance_m = float(np.median(image.range_m[surface]))
+    width = 2 * image.rays_across(THIN * radius_m, distance_m) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    count, number = cv2.connectedComponents(cv2.erode(surface.view(np.uint8), disc), connectivity=4)
+    for n in range(1, count):
+        bulk = cv2.dilate((number == n).view(np.uint8), disc).view(bool) & surface
+        if _fits(points_m[bulk], radius_m):
+            yield bulk
+        else:
+            yield from _parts(points_m, bulk, radius_m)
+
+
+def _fits(points_m: FloatArray, radius_m: float) -> bool:
+    """Return whether points, shape (N, 3), extend as far as those of a visible target may."""
+    extent_m = np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1)
+    return bool(LEAST_SIZE * radius_m <= extent_m.max() and np.quantile(extent_m, 0.98) <= BALL * radius_m)
+
+
+def _parts(points_m: FloatArray, surface: NDArray[np.bool_], radius_m: float) -> Iterator[NDArray[np.bool_]]:
+    """Yield balls of the target's size on a larger surface, the nearest ones first."""
+    left = surface.copy()
+    for _ in range(MOST_PLACES):
+        mine_m = points_m[left]
+        if len(mine_m) < LEAST_RAYS:
+            return
+        middle_m = mine_m[np.argmin(np.linalg.norm(mine_m, axis=1))]
+        for _ in range(SHIFTS):
+            middle_m = np.median(mine_m[np.linalg.norm(mine_m - middle_m, axis=1) < radius_m], axis=0)
+        part = left & (np.linalg.norm(points_m - middle_m, axis=-1) < radius_m)
+        if not part.any():
+            return
+        yield part
+        left &= ~part
+
+
+def around_place(
+    image: RangeImage, fine: RangeImage, place: NDArray[np.bool_], radius_m: float
+) -> NDArray[np.uint8]:
+    """Return the ``Label`` of each ray if the target is at a place.
+
+    Args:
+        image: ranges of few rays, among which the place was found.
+        fine: ranges of many rays of the same frame.
+        place: rays of ``image`` on the place, shape (rows, columns).
+        radius_m: radius of the target's bounding sphere.
+
+    Returns:
+        The labels of the rays of ``fine``.
+    """
+    middle_m = np.median(image.points_m[place], axis=0)
+    distance_m = float(np.linalg.norm(middle_m))
+    near_m, far_m = (
+        upsampled(bound, fine.range_m.shape) for bound in _bounds(image.range_m, place, APART * radius_m)
+    )
+    mine = (near_m <= fine.range_m) & (fine.range_m <= far_m)
+    towards = fine.grid.directions @ (middle_m / distance_m) > np.cos(
+        np.arcsin(min(1.0, BALL * radius_m / distance_m))
+    )
+    measured = fine.range_m > 0.0
+    away_m = np.linalg.norm(fine.points_m - middle_m, axis=-1)
+    unknown = measured & ((fine.range_m < distance_m) | (away_m < BALL * radius_m))
+    labels = np.full(fine.range_m.shape, Label.BEYOND, np.uint8)
+    labels[towards & unknown] = Label.HIDING
+    labels[mine | (towards & ~measured)] = Label.KEPT
+    return with_bodies(labels, fine)
+
+
+def _bounds(
+    range_m: Float32Array, place: NDArray[np.bool_], margin_m: float
+) -> tuple[Float32Array, Float32Array]:
+    """Return the least and greatest range of a place on each ray and those around it; inf and 0 elsewhere."""
+    around = np.ones((3, 3), np.uint8)
+    nearest_m: Float32Array = cv2.erode(  # type: ignore[assignment]
+        np.where(place, range_m, np.float32(np.inf)), around, borderValue=np.inf
+    )
+    farthest_m: Float32Array = cv2.dilate(  # type: ignore[assignment]
+        np.where(place, range_m, np.float32(0.0)), around
+    )
+    return nearest_m - margin_m, np.where(farthest_m > 0.0, farthest_m + margin_m, farthest_m)
