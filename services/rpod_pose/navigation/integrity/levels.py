@@ -163,8 +163,7 @@ def _shaped_quantile(middle: float, least: float, probability: float) -> float:
     g = np.sqrt(height[:, None] ** 2 + (1.0 - height[:, None] ** 2) * around)
 
     def excess(length: float) -> float:
-        found: float = weight @ gammaincc(1.5, 0.5 * (length / g) ** 2) @ weight
-        return found - probability
+        return float(weight @ gammaincc(1.5, 0.5 * (length / g) ** 2) @ weight) - probability
 
     low, high = float(-ndtri(0.5 * probability)), float(np.sqrt(2.0 * gammainccinv(1.5, probability)))
     while high - low > _CLOSE:

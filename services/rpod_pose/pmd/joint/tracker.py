@@ -16,7 +16,7 @@ of the pose names it.
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from math import hypot, radians
+from math import radians
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -25,7 +25,13 @@ from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
 from rpod_pose.belief import Belief, PixelMarks, contradicted, doubtful
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
-from rpod_pose.pmd.joint.edge_consistency import bias_sigmas, edges_in_place, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.edge_consistency import (
+    bias_sigmas,
+    by_distances,
+    edges_in_place,
+    misplaced_edges,
+    wrong_scale,
+)
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
@@ -49,7 +55,7 @@ from rpod_pose.pmd.joint.uncertainty import Uncertainty, uncertainty
 from rpod_pose.pmd.joint.wiggling import wiggling
 from rpod_pose.pmd.reflections import reflected_m
 from rpod_pose.pmd.rendering import FineRanges, Rendering
-from rpod_pose.ports import PartSolution, Registration
+from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.gauss_newton import State
@@ -232,8 +238,9 @@ class JointTracker:
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
         covariance, parts = self._uncertainty(seen, fit, sight)
+        both = (source := self._source(points, checked)) is Source.PMD_JOINT
         return Registration(
-            self._source(points, checked),
+            source,
             T_sensor_target=pose_of(R, t),
             belief=belief,
             cost_m2=squares / max(points, 1),
@@ -243,19 +250,8 @@ class JointTracker:
             covariance=covariance,
             parts=parts,
             iterations=steps,
-            by_part=self._by_distances(points, checked, bias, t),
+            by_part=by_distances(t, bias, self._ranges.bias_m, self._model_error.scale) if both else None,
         )
-
-    def _by_distances(self, points: int, edges: int, bias_m: float, t: FloatArray) -> PartSolution | None:
-        """Return the position by the measured distances alone, without the size that the edges show.
-
-        Edges tell the distance by the size of the target as its model has it; a model of another size is
-        seen in the fitted bias of the distances only. Without edges or distances nothing is compared.
-        """
-        if self._source(points, edges) is not Source.PMD_JOINT:
-            return None
-        sigma_m = hypot(self._ranges.bias_m, self._model_error.scale * float(np.linalg.norm(t)))
-        return PartSolution("measured distances alone", bias_m * t / np.linalg.norm(t), sigma_m)
 
     def _uncertainty(self, seen: JointFrame, fit: JointFit, sight: EdgeSight) -> Uncertainty:
         """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
