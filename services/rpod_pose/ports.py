@@ -67,6 +67,30 @@ class ErrorParts:
         return cls(white, np.zeros((6, 6)), np.zeros((6, 6)), np.inf, of_model)
 
 
+@dataclass(frozen=True)
+class Misfit:
+    """A sum over one frame that is large only if the target's model, or the pose, is wrong.
+
+    If they are right, its mean is 0 at most, and sums of different frames are independent.
+    """
+
+    value: float
+    variance: float
+    """Its variance if model and pose are right."""
+
+
+@dataclass(frozen=True, eq=False)
+class PartSolution:
+    """The position by a part of a frame's data, which may be wrong independently of the rest."""
+
+    name: str
+    """What it is measured by."""
+    offset_m: FloatArray
+    """From the registration's position to it, sensor axes, shape (3,)."""
+    sigma_m: float
+    """Standard deviation of that part's own error along the offset, which lasts."""
+
+
 @dataclass(frozen=True, eq=False)
 class Registration:
     """A pose measured from one frame, or the reason why there is none."""
@@ -94,6 +118,10 @@ class Registration:
     iterations: int = 0
     angles: Mapping[str, Angle] = field(default_factory=dict)
     """Angles of the target's joints, by name."""
+    misfit: Misfit | None = None
+    """Test of the target's model by the frame's residuals; None for a method that has none."""
+    by_part: PartSolution | None = None
+    """Position by a part of the data; None for a method that does not tell."""
 
     @classmethod
     def none(cls, source: Source, reason: str, *, iterations: int = 0) -> "Registration":

@@ -74,8 +74,10 @@ class LockstepConfig(Config):
     awaited."""
     logger: Name | None = "logger"
     """Name of the logger, whose count of received messages is awaited; no logger if null."""
-    timeout_s: Positive = 60.0
-    """Longest wait for a service, s; after it the run ends with an error that names the service."""
+    timeout_s: Positive = 600.0
+    """Longest wait for a service, s; after it the run ends with an error that names the service. A search
+    without a guess takes minutes on a loaded machine. The supervisor tells at once of a service that has
+    ended."""
 
 
 class MotionServiceConfig(ServiceConfig):

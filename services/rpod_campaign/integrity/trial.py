@@ -17,16 +17,22 @@ from rpod_campaign.engine.trial.poses import errors, nees_of
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.integrity.course import EPOCH_S, Course, IntegrityCell, lidar_of
+from rpod_campaign.integrity.declared import DeclaredErrors
 from rpod_campaign.integrity.faults import FROZEN_REPEATS, Injector, LyingTracker, model_of
 from rpod_campaign.lidar.methods import pattern_of, tracking_input
 from rpod_campaign.pmd.scene import camera_of, scenario_of
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
+from rpod_pose.navigation.dynamics.options import Dynamics
+from rpod_pose.navigation.integrity.levels import declared_covariance
 from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
+from rpod_schemas.config.dynamics import DynamicsConfig
 from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
+from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.integrity import IntegrityConfig
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.errors import Reason
 from rpod_schemas.messages import NANOSECONDS
@@ -71,16 +77,27 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
     methods, liars = _liable(_methods(cell), turn)
     settings = settings_of(cell)
     model = cached_target(model_of(cell.target, cell.fault, cell.size))
-    navigator = Navigator(settings, methods, centre_of_mass_m=model.centre_of_mass_m, alike=model.equivalence)
+    navigator = Navigator(
+        settings,
+        methods,
+        centre_of_mass_m=model.centre_of_mass_m,
+        alike=model.equivalence,
+        dynamics=Dynamics.of(settings.dynamics, model),
+    )
     monitor, memory = Monitor(settings), Memory()
     injector = Injector(cell.fault, cell.size, start_s=cell.start_s)
+    declared = {
+        name: DeclaredErrors.drawn(settings.integrity, seed=seed, trial=trial, sensor=name)
+        for name in methods
+    }
     state = navigator.start(course.truth(0.0))
     rows = []
-    for number, (time_s, clean) in enumerate(course.frames()):
+    for number, (time_s, exact) in enumerate(course.frames()):
+        clean = declared[exact.sensor].measured(exact)
         mine = clean.sensor == faulty
         measurement = injector.measured(time_s, clean) if mine else clean
         lies = mine and cell.fault == "half_turn" and injector.is_active(time_s)
-        liars[clean.sensor].truth = clean.T_chaser_sensor.inv() * course.truth(time_s) if lies else None
+        liars[clean.sensor].truth = exact.T_chaser_sensor.inv() * course.truth(time_s) if lies else None
         frozen = mine and injector.repeats >= FROZEN_REPEATS
         if frozen:  # as the estimator refuses it, before the navigator
             output = _refused(measurement, state)
@@ -95,7 +112,7 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
                 "faulty": injector.is_active(time_s),
                 "mode": state.mode.name,
                 "seed": seed,
-                **_scored(course, output, integrity, cached_target(cell.target)),
+                **_scored(course, output, integrity, cached_target(cell.target), settings.integrity),
             }
         )
     return rows
@@ -112,8 +129,13 @@ def _refused(measurement: Measurement, state: NavigatorState) -> Output:
     return Output(status, None)
 
 
-def _scored(course: Course, output: Output, integrity: Integrity, target: Target) -> dict[str, Any]:
-    """Return errors, levels and state of an output; errors are those at the stamp that it states."""
+def _scored(
+    course: Course, output: Output, integrity: Integrity, target: Target, config: IntegrityConfig
+) -> dict[str, Any]:
+    """Return errors, levels and state of an output; errors are those at the stamp that it states.
+
+    The NEES is that of the estimate's covariance and the declared errors together.
+    """
     found = None if output.odometry is None else output.odometry.pose
     row: dict[str, Any] = {
         "state": integrity.state.name.lower(),
@@ -138,12 +160,15 @@ def _scored(course: Course, output: Output, integrity: Integrity, target: Target
     }
     if output.odometry is None or angle_deg is None or distance_m is None:
         return row
+    twist = (output.odometry.linear_m_s, output.odometry.angular_rad_s)
+    moving = [output.odometry.pose.rotation.apply(each) for each in twist]
+    covariance = output.odometry.pose_covariance + declared_covariance(config, truth.translation, *moving)
     above_level = angle_deg > integrity.attitude_level_deg or distance_m > integrity.position_level_m
     above_limit = angle_deg > integrity.attitude_limit_deg or distance_m > integrity.position_limit_m
     return row | {
         "harmful": above_limit,
         "misleading": integrity.state.is_usable and above_level,
-        "nees": nees_of(truth, found, output.odometry.pose_covariance, target),
+        "nees": nees_of(truth, found, covariance, target),
     }
 
 
@@ -163,9 +188,16 @@ def _inputs(cell: IntegrityCell) -> tuple[SensorInput, ...]:
 
 
 def settings_of(cell: IntegrityCell) -> EstimatorSettings:
-    """Return the scenario's settings with the cell's sensors; the defaults for the LIDAR alone."""
+    """Return the scenario's settings with the cell's sensors.
+
+    The LIDAR alone has those of a user who knows that nothing turns the target, and that its file is exact.
+    """
     if not cell.document:
-        return EstimatorSettings(sensors=_inputs(cell))
+        return EstimatorSettings(
+            sensors=_inputs(cell),
+            filter=FilterConfig(errors="considered"),
+            dynamics=DynamicsConfig(target="torque_free"),
+        )
     return scenario_of(cell.document).estimator.model_copy(update={"sensors": _inputs(cell)})
 
 

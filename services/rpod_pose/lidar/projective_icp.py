@@ -10,7 +10,7 @@ the covariance holds how far the others spread.
 """
 
 from dataclasses import replace
-from math import radians
+from math import hypot, radians
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -78,8 +78,14 @@ class ProjectiveIcp:
         ]
         self.view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad)
         self.surface = SurfaceModel.of(target)
+        self._model_error = ModelError.of(target)
         self.model = ScanModel(
-            tuning.model, tuning.verdict, self.view, self.surface, sigma_range_m=pattern.sigma_range_m
+            tuning.model,
+            tuning.verdict,
+            self.view,
+            self.surface,
+            sigma_range_m=pattern.sigma_range_m,
+            tolerance_m=hypot(self._model_error.tolerance_m, self._model_error.scale * target.radius_m),
         )
         self._errors = ScanErrors(
             self.model.sigma_range_m,
@@ -87,7 +93,7 @@ class ProjectiveIcp:
             tuning.steep_cosine**2,
             1.0 / (tuning.outline_sigmas * self.model.sigma_range_m),
         )
-        self._model_error, self._pieces = ModelError.of(target), Parts.of(target)
+        self._pieces = Parts.of(target)
         self._reach = reach_of(self.view, config, target.radius_m)
         narrowest_m = tuning.narrowest_sigmas * self.model.sigma_range_m
         widest_m = max(tuning.widest_share * target.radius_m, narrowest_m)
@@ -203,6 +209,7 @@ class ProjectiveIcp:
             covariance=covariance,
             parts=parts,
             iterations=len(self._far) + len(self._near),
+            misfit=self.model.misfit(seen, R, t),
         )
 
     def _parts(self, seen: SeenScan, found: ScanRegistration) -> ErrorParts:

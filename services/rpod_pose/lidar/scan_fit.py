@@ -10,13 +10,14 @@ likelihood, therefore measures how inconsistent the scan is with the pose, witho
 comparison: the deficit of a right pose is small and random, that of a wrong one is several units per return.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import sqrt
+from math import hypot, sqrt
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from rpod_pose.belief import Belief, contradicted
 from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
@@ -29,6 +30,7 @@ from rpod_pose.lidar.scan_likelihood import (
     scan_statistics,
 )
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
+from rpod_pose.ports import Misfit
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
@@ -40,6 +42,11 @@ MARGIN = 3
 """Rows and columns beside the target that it may reach while a pose is refined."""
 UNKNOWN_SIGMA_M = 0.05
 """Sigma of a range of a sensor that does not state it: pulsed LIDARs have errors of 2 to 5 cm."""
+
+_UNEVEN = 0.15
+"""Error of ranges that neighbours may share by their surface, over the stated sigma (by hand, 3 of 20 mm)."""
+_LIMIT = 4.0
+"""Largest residual that counts in full in the test of the model, over the stated sigma."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +80,7 @@ class ScanModel:
         view: rays of the scan pattern.
         surface: model of the target.
         sigma_range_m: standard deviation of a range as the sensor states it; 0 if it does not.
+        tolerance_m: standard deviation by which the target's file says that its surface may be off.
     """
 
     def __init__(
@@ -83,9 +91,11 @@ class ScanModel:
         surface: SurfaceModel,
         *,
         sigma_range_m: float = 0.0,
+        tolerance_m: float = 0.0,
     ) -> None:
         self._view, self._verdict = view, verdict
         self.sigma_range_m = config.sigma_range_m or sigma_range_m or UNKNOWN_SIGMA_M
+        self._uneven_m = hypot(_UNEVEN * self.sigma_range_m, tolerance_m)
         self._rays = Rays(view.grid.arrays, surface.faces, view.hits.range_m, view.hits.triangle)
         self._shares = expected_shares(config.surest_detection)
         radius_m = float(np.linalg.norm(surface.faces.triangles_m, axis=2).max())
@@ -117,6 +127,29 @@ class ScanModel:
             f"{rays.missing:.0f} more are missing"
         )
         return contradicted(reason, **evidence)
+
+    def misfit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Misfit:
+        """Return the test of the target's model by the residuals of neighbouring returns.
+
+        The range noise of two pulses is independent, so that the mean product of neighbours' residuals is 0
+        whatever the size of the noise is. A face that is elsewhere than in the model, or whose pose is wrong,
+        shifts neighbours alike. What the file's tolerances and the sensor's ``_UNEVEN`` explain is taken off.
+        Residuals are limited to ``_LIMIT``, so that outliers count and do not dominate. Returns beside the
+        target, more than a ray off its outline, have the limit as their residual; as many pairs of them as
+        their share gives by chance are taken off.
+        """
+        hits = self._view.hits
+        cast_faces(self._view.grid.arrays, self._rays.faces, R, t, hits.arrays)
+        met, limit_m = hits.triangle >= 0, _LIMIT * self.sigma_range_m
+        beside = ~binary_dilation(met, np.ones((3, 3), np.bool_))
+        off_m = np.where(met, seen.range_m - hits.range_m, limit_m).clip(-limit_m, limit_m)
+        returned = (seen.range_m > 0.0) & (met | beside)
+        residual_m = np.where(returned, off_m, 0.0)
+        product = np.concatenate([one[both] for one, both in _neighbours(residual_m, returned)])
+        share = float((returned & beside).sum()) / max(int(beside.sum()), 1)
+        pairs = sum(int(both.sum()) for _, both in _neighbours(residual_m, beside))
+        expected_m2 = self._uneven_m**2 * product.size + (share * limit_m) ** 2 * pairs
+        return Misfit(float(product.sum()) - expected_m2, float(product @ product))
 
     def _evidence(self, fit: ScanFit, returns: int) -> dict[str, float]:
         """Return the numbers by which a fit is believed.
@@ -174,6 +207,14 @@ def _assumptions(config: ScanModelConfig, sigma_range_m: float, radius_m: float)
         least_range_m=config.least_range_m,
         detection=detection(config.surest_detection, config.clutter_share),
     )
+
+
+def _neighbours(
+    value: FloatArray, chosen: NDArray[np.bool_]
+) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
+    """Yield products of horizontal and vertical neighbours, and at which of them both are chosen."""
+    yield value[:, 1:] * value[:, :-1], chosen[:, 1:] & chosen[:, :-1]
+    yield value[1:] * value[:-1], chosen[1:] & chosen[:-1]
 
 
 def _around(rays: NDArray[np.bool_]) -> tuple[slice, slice]:

@@ -6,11 +6,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_campaign.integrity.course import IntegrityCell
+from rpod_campaign.integrity.declared import DeclaredErrors
 from rpod_campaign.integrity.faults import BY_NAME, Injector, LyingTracker
 from rpod_campaign.integrity.report import poisson_interval, share_bound, summarise
 from rpod_campaign.integrity.trial import SCHEMA
 from rpod_pose.measurement import Measurement
 from rpod_pose.ports import Registration
+from rpod_schemas.config.integrity import IntegrityConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan, Source
 
@@ -48,6 +50,24 @@ def test_a_frozen_stream_repeats_the_last_frame_under_new_stamps_for_its_time():
 def test_nothing_is_changed_before_the_fault(name):
     before = Measurement("lidar", SCAN, make_pose())
     assert Injector(name, BY_NAME[name].sizes[0], start_s=5.0).measured(4.9, before) is before
+
+
+def test_a_nominal_run_has_the_declared_errors_and_none_where_none_are_declared():
+    exact = {
+        "mount_sigma_deg": 0.0,
+        "mount_sigma_m": 0.0,
+        "clock_sigma_s": 0.0,
+        "tuning": {"range_share": 0.0},
+    }
+    clean = Measurement("lidar", SCAN, make_pose())
+    same = DeclaredErrors.drawn(IntegrityConfig(**exact), seed=1, trial=2, sensor="lidar").measured(clean)
+    assert same.data.stamp_ns == SCAN.stamp_ns
+    np.testing.assert_array_equal(same.data.points_m, POINTS_M)
+    drawn = [DeclaredErrors.drawn(IntegrityConfig(), seed=1, trial=k, sensor="pmd") for k in range(400)]
+    turns_deg = np.rad2deg([each.of_mount.rotation.as_rotvec() for each in drawn])
+    assert turns_deg.std() == pytest.approx(0.02, rel=0.1)
+    assert np.std([each.late_s for each in drawn]) == pytest.approx(0.002, rel=0.1)
+    assert np.std([each.range_scale for each in drawn]) == pytest.approx(5e-4, rel=0.1)
 
 
 def test_a_lying_tracker_turns_what_it_measures_from_the_truth():

@@ -6,9 +6,14 @@ is right, the error of x_0 is at most its separation from x_k and the error of x
 
     max over k of |x_0 - x_k| + K(p_k) sigma_k,
 
-where p_k is the part of the risk over the probability of the hypothesis, and K the quantile of the length of
-a normal vector with the standard deviation sigma_k along each of its three axes. Here sigma_k is that of the
-worst direction, so the level is a sphere's radius, and larger than needed for a flat covariance.
+where p_k is the part of the risk over the probability of the hypothesis, sigma_k the standard deviation of
+x_k in its worst direction, and K sigma_k the quantile of the length of a normal vector with its covariance.
+So the level is a sphere's radius, and K depends on the shape of the covariance: for p = 1e-6 it is 4.89 if
+the error lies along one axis only, and 5.54 if it is alike along all three.
+
+What no test of one sensor can see adds its covariance, in the direction in which it acts: an error of the
+mount's attitude moves the target across the line of sight, a drift of the ranges along it, an error of the
+clock along the velocity.
 
 Sources: R. G. Brown, A baseline GPS RAIM scheme and a note on the equivalence of three RAIM methods,
 Navigation 39(3), 1992; B. W. Parkinson and P. Axelrad, Autonomous GPS integrity monitoring using the
@@ -20,15 +25,24 @@ the allocation of the risk). Words of the result as in RTCA DO-229: protection l
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import degrees, hypot
+from math import ceil, degrees
 
 import numpy as np
-from scipy.special import chdtri, gammainccinv
+from scipy.special import chdtri, gammaincc, gammainccinv, ndtri
 
-from rpod_pose.belief import worst_sigma
 from rpod_pose.navigation.filter import ATTITUDE, POSE, POSITION, FilterState, separation_of
+from rpod_pose.navigation.filter.rotations import cross_matrix
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.integrity import IntegrityConfig
+
+_RATIOS = 20
+"""Steps of a ratio between two standard deviations, which is rounded up, so that quantiles are stored."""
+_ROUNDING = 1e-9
+"""Part of a step below which a ratio counts as the step itself."""
+_NODES = 40
+"""Number of nodes of the quadrature along each of two angles."""
+_CLOSE = 1e-3
+"""Error up to which a quantile is computed, never too small, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,30 +77,47 @@ def solution(name: str, estimate: FilterState, other: FilterState, probability: 
 def protection_levels(
     solutions: Sequence[Solution],
     config: IntegrityConfig,
-    *,
-    range_m: float,
-    speed_m_s: float,
-    rate_rad_s: float,
+    place_m: FloatArray,
+    velocity_m_s: FloatArray,
+    rate_rad_s: FloatArray,
 ) -> Levels:
     """Return the levels of an estimate; half of the risk is that of the attitude.
 
     Args:
         solutions: the solution with all measurements first, then those of the fault hypotheses.
         config: risk and declared standard deviations.
-        range_m: distance of the target's origin from the sensor.
-        speed_m_s: speed of the target's origin, by which an error of the clock moves it.
-        rate_rad_s: rate of the target, by which an error of the clock turns it.
+        place_m: place of the target's origin, as seen from the sensor, shape (3,), in the solutions' axes.
+        velocity_m_s: its velocity, by which an error of the clock moves it, shape (3,).
+        rate_rad_s: rate of the target, by which an error of the clock turns it, shape (3,).
     """
-    mount_rad = np.deg2rad(config.mount_sigma_deg)
-    drift_m = config.tuning.range_share * range_m
-    unseen_m = hypot(config.mount_sigma_m, mount_rad * range_m, config.clock_sigma_s * speed_m_s, drift_m)
-    unseen_rad = hypot(mount_rad, config.clock_sigma_s * rate_rad_s)
-    position_m, position_by = _greatest(solutions, POSITION, unseen_m, 0.5 * config.risk)
-    attitude_rad, attitude_by = _greatest(solutions, ATTITUDE, unseen_rad, 0.5 * config.risk)
+    unseen = declared_covariance(config, place_m, velocity_m_s, rate_rad_s)
+    position_m, position_by = _greatest(solutions, POSITION, unseen, 0.5 * config.risk)
+    attitude_rad, attitude_by = _greatest(solutions, ATTITUDE, unseen, 0.5 * config.risk)
     return Levels(min(degrees(attitude_rad), 180.0), position_m, attitude_by, position_by)
 
 
-def _greatest(solutions: Sequence[Solution], part: slice, unseen: float, risk: float) -> tuple[float, str]:
+def declared_covariance(
+    config: IntegrityConfig, place_m: FloatArray, velocity_m_s: FloatArray, rate_rad_s: FloatArray
+) -> FloatArray:
+    """Return the covariance of (dp, dtheta) by the declared errors of mount, clock and ranges, shape (6, 6).
+
+    Arguments as for ``protection_levels``.
+    """
+    mount_rad = np.deg2rad(config.mount_sigma_deg)
+    turned = np.vstack([-cross_matrix(place_m), np.eye(3)])
+    late, along = np.concatenate([velocity_m_s, rate_rad_s]), np.concatenate([place_m, np.zeros(3)])
+    covariance: FloatArray = (
+        mount_rad**2 * turned @ turned.T
+        + config.clock_sigma_s**2 * np.outer(late, late)
+        + config.tuning.range_share**2 * np.outer(along, along)
+    )
+    covariance[POSITION, POSITION] += config.mount_sigma_m**2 * np.eye(3)
+    return covariance
+
+
+def _greatest(
+    solutions: Sequence[Solution], part: slice, unseen: FloatArray, risk: float
+) -> tuple[float, str]:
     """Return the greatest level of the solutions, and the name of its solution.
 
     Half of the risk is that of the solution with all measurements, the others share the rest.
@@ -95,18 +126,50 @@ def _greatest(solutions: Sequence[Solution], part: slice, unseen: float, risk: f
     return max(
         (
             float(np.linalg.norm(each.separation[part]))
-            + _length_quantile(min(share / each.probability, 1.0))
-            * hypot(worst_sigma(each.covariance[part, part]), unseen),
+            + length_quantile((each.covariance + unseen)[part, part], min(share / each.probability, 1.0)),
             each.name,
         )
         for each, share in zip(solutions, shares, strict=True)
     )
 
 
+def length_quantile(covariance: FloatArray, probability: float) -> float:
+    """Return the length that a normal vector exceeds with at most a probability; NaN if it is not known.
+
+    Args:
+        covariance: its covariance, shape (3, 3).
+        probability: the probability, above 0.
+    """
+    if not np.isfinite(covariance).all():
+        return float("nan")
+    sigma = np.sqrt(np.linalg.eigvalsh(covariance).clip(0.0))
+    if not sigma[2] > 0.0:
+        return 0.0
+    least, middle = (ceil(_RATIOS * ratio - _ROUNDING) for ratio in sigma[:2] / sigma[2])
+    return float(sigma[2]) * _shaped_quantile(middle / _RATIOS, least / _RATIOS, probability)
+
+
 @cache
-def _length_quantile(probability: float) -> float:
-    """Return the length that a standard normal vector of three components exceeds with a probability."""
-    return float(np.sqrt(2.0 * gammainccinv(1.5, probability)))
+def _shaped_quantile(middle: float, least: float, probability: float) -> float:
+    """Return the length that (z1, middle z2, least z3) exceeds with a probability; z is standard normal.
+
+    With z = rho u, u on the unit sphere, the length is rho g(u). Length and direction of z are independent,
+    so that P(|x| > r) is the mean of P(rho > r / g(u)) over the sphere, an octant of it for symmetry.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    height, weight = 0.5 * (nodes + 1.0), 0.5 * weights
+    angle = 0.5 * np.pi * height
+    around = (middle * np.cos(angle)) ** 2 + (least * np.sin(angle)) ** 2
+    g = np.sqrt(height[:, None] ** 2 + (1.0 - height[:, None] ** 2) * around)
+
+    def excess(length: float) -> float:
+        return float(weight @ gammaincc(1.5, 0.5 * (length / g) ** 2) @ weight) - probability
+
+    low, high = float(-ndtri(0.5 * probability)), float(np.sqrt(2.0 * gammainccinv(1.5, probability)))
+    while high - low > _CLOSE:
+        middle_of_both = 0.5 * (low + high)
+        low, high = (middle_of_both, high) if excess(middle_of_both) > 0.0 else (low, middle_of_both)
+    return high
 
 
 @cache

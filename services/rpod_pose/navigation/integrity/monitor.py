@@ -19,6 +19,7 @@ import numpy as np
 from rpod_pose.belief import SYMMETRY
 from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of
 from rpod_pose.navigation.filter.blocks import unknown
+from rpod_pose.navigation.integrity.inside import Inside
 from rpod_pose.navigation.integrity.levels import Levels, Solution, protection_levels, solution
 from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent, residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started, updated
@@ -31,6 +32,8 @@ from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState
 
 NOT_TOLD = "; which of them is wrong is not known: calibrate both"
 """What an offset between two mounts does not tell, and what to do."""
+DECLARED_ONLY = "errors of mount, clock and ranges are covered as far as declared, not beyond"
+"""What levels cover where one of several sensors alone is not good enough for the alert limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +53,8 @@ class Memory:
     """Sensor whose measurement was accepted last."""
     frozen: frozenset[str] = frozenset()
     """Sensors whose newest frames are identical."""
+    inside: Inside = field(default_factory=Inside)
+    """What the sensors' frames tell of errors inside them."""
 
 
 class Monitor:
@@ -85,8 +90,12 @@ class Monitor:
         estimate = predict(newest, max(newest.stamp_ns, shown_ns), self._filter)
         tests, evidence = self._tests(memory, estimate)
         memory = self._remembered(memory, estimate)
-        levels = self._levels(memory, state, output, estimate)
-        return memory, self._judged(memory, output, estimate, tests=tests, levels=levels, evidence=evidence)
+        limit = self._limit(memory, state, estimate)
+        levels, less = self._levels(memory, state, output, estimate, limit)
+        judged = self._judged(
+            memory, output, estimate, limit, tests=tests, levels=levels, less=less, evidence=evidence
+        )
+        return memory, judged
 
     # --- memory ---
 
@@ -97,7 +106,10 @@ class Monitor:
             mine = {status.sensor}
             memory = replace(memory, frozen=memory.frozen | mine if frozen else memory.frozen - mine)
         if status.accepted:
-            memory = replace(memory, sensor=status.sensor)
+            inside = memory.inside.after(
+                status.sensor, status.stamp_ns, output.measured, self._tuning.memory_s
+            )
+            memory = replace(memory, sensor=status.sensor, inside=inside)
         compared = None
         if state.history is not None and np.isfinite(status.nis):
             compared = state.history.applied_at(status.stamp_ns, self._filter)
@@ -163,6 +175,8 @@ class Monitor:
             )
             tests += found
             evidence |= numbers
+        range_m = float(np.linalg.norm(estimate.T_chaser_target.translation))
+        tests += memory.inside.tests(range_m, self._tuning.range_share)
         for one, other in combinations(sorted(memory.without), 2):
             there = [
                 predict(memory.without[name], estimate.stamp_ns, self._filter)
@@ -176,8 +190,36 @@ class Monitor:
             evidence |= offset.evidence
         return tests, evidence
 
-    def _levels(self, memory: Memory, state: NavigatorState, output: Output, estimate: FilterState) -> Levels:
-        """Return the protection levels over all fault hypotheses."""
+    def _limit(self, memory: Memory, state: NavigatorState, estimate: FilterState) -> tuple[float, float]:
+        """Return the alert limits of attitude, deg, and position, m.
+
+        Of several sensors that support the track the greater limit counts: an estimate that is of use by one
+        of them is not of less use by the other.
+        """
+        stamp_ns = estimate.stamp_ns
+        names = {memory.sensor} | {
+            name for name, stream in state.streams.items() if stream.supports(stamp_ns, self._tuning.group_s)
+        }
+        limits = [self._limits[name] for name in names if name in self._limits] or [AlertLimit()]
+        range_m = float(np.linalg.norm(estimate.T_chaser_target.translation))
+        return max(each.attitude_deg for each in limits), max(
+            each.position_limit_m(range_m) for each in limits
+        )
+
+    def _levels(
+        self,
+        memory: Memory,
+        state: NavigatorState,
+        output: Output,
+        estimate: FilterState,
+        limit: tuple[float, float],
+    ) -> tuple[Levels, str]:
+        """Return the protection levels, and what they do not cover although there are several sensors.
+
+        They are those over all fault hypotheses. If these are above the limits because one of several
+        sensors alone is not good enough, they are those of a single sensor: any of its frames may be wrong,
+        and what it cannot see is as large as declared. So a second sensor takes nothing away.
+        """
         share = self._tuning.fault_share
         solutions = [solution("", estimate, estimate, 1.0)]
         assert state.history is not None  # noqa: S101 - guaranteed by the caller
@@ -186,18 +228,17 @@ class Monitor:
         if before is not None:
             older = predict(before, estimate.stamp_ns, self._filter)
             solutions.append(solution("without the newest frames", estimate, older, self._tuning.group_share))
-        for name, other in memory.without.items():
-            if other.stamp_ns <= estimate.stamp_ns:
-                there = predict(other, estimate.stamp_ns, self._filter)
-                solutions.append(solution(f"without {name}", estimate, there, share))
         solutions += self._rivals(output, estimate)
-        return protection_levels(
-            solutions,
-            self._config,
-            range_m=float(np.linalg.norm(estimate.T_chaser_target.translation)),
-            speed_m_s=float(np.linalg.norm(estimate.velocity_m_s)),
-            rate_rad_s=float(np.linalg.norm(estimate.rate_rad_s)),
-        )
+        solutions += memory.inside.solutions(estimate, share, self._tuning.range_share)
+        of_sensors = [
+            solution(f"without {name}", estimate, predict(other, estimate.stamp_ns, self._filter), share)
+            for name, other in memory.without.items()
+            if other.stamp_ns <= estimate.stamp_ns
+        ]
+        place_m, moving = estimate.T_chaser_target.translation, (estimate.velocity_m_s, estimate.rate_rad_s)
+        levels = protection_levels([*solutions, *of_sensors], self._config, place_m, *moving)
+        over = _above(levels, *limit) if of_sensors else ""
+        return (protection_levels(solutions, self._config, place_m, *moving), over) if over else (levels, "")
 
     def _rivals(self, output: Output, estimate: FilterState) -> list[Solution]:
         """Return the hypotheses that explain the measurements as well and are likelier than the risk."""
@@ -219,20 +260,22 @@ class Monitor:
         memory: Memory,
         output: Output,
         estimate: FilterState,
+        limit: tuple[float, float],
         *,
         tests: list[Statistic],
         levels: Levels,
+        less: str,
         evidence: dict[str, float],
     ) -> Integrity:
-        limit = self._limits.get(memory.sensor, AlertLimit())
-        limit_m = limit.position_limit_m(float(np.linalg.norm(estimate.T_chaser_target.translation)))
         state, reason = IntegrityState.NOMINAL, ""
         if alert := self._alert(memory, estimate, tests):
             state, reason = IntegrityState.ALERT, alert
-        elif over := _above(levels, limit.attitude_deg, limit_m):
+        elif over := _above(levels, *limit):
             state, reason = IntegrityState.UNAVAILABLE, over
         elif caution := self._caution(output, tests):
             state, reason = IntegrityState.CAUTION, caution
+        elif less:
+            state, reason = IntegrityState.CAUTION, f"{DECLARED_ONLY}: {less}"
         return self._integrity(
             output,
             estimate.stamp_ns,
@@ -240,8 +283,8 @@ class Monitor:
             reason,
             attitude_level_deg=levels.attitude_deg,
             position_level_m=levels.position_m,
-            attitude_limit_deg=limit.attitude_deg,
-            position_limit_m=limit_m,
+            attitude_limit_deg=limit[0],
+            position_limit_m=limit[1],
             evidence=evidence,
         )
 

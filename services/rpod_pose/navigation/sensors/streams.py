@@ -24,6 +24,20 @@ class Stream:
     accepted_ns: int = 0
     """Newest stamp of a frame that the present track has accepted; 0 if none."""
 
+    def supports(self, stamp_ns: int, at_least_s: float, unknown_s: float = 0.0) -> bool:
+        """Return whether the newest accepted frame is new enough to support the track at a stamp.
+
+        Args:
+            stamp_ns: the stamp.
+            at_least_s: age up to which a measurement of a fast sensor is new.
+            unknown_s: the same for a sensor whose period is not known yet.
+        """
+        if not self.accepted_ns:
+            return False
+        period_s = self.period_ns / NANOSECONDS
+        allowed_s = max(at_least_s, PERIODS * period_s if period_s else unknown_s)
+        return (stamp_ns - self.accepted_ns) / NANOSECONDS <= allowed_s
+
 
 Streams = Mapping[str, Stream]
 """The sensors' frames, by the name of the sensor."""
@@ -87,11 +101,4 @@ def is_supported(streams: Streams, stamp_ns: int, *, at_least_s: float, unknown_
         at_least_s: age up to which a measurement of a fast sensor is new.
         unknown_s: the same for a sensor whose period is not known yet.
     """
-    for stream in streams.values():
-        if not stream.accepted_ns:
-            continue
-        period_s = stream.period_ns / NANOSECONDS
-        allowed_s = max(at_least_s, PERIODS * period_s if period_s else unknown_s)
-        if (stamp_ns - stream.accepted_ns) / NANOSECONDS <= allowed_s:
-            return True
-    return False
+    return any(stream.supports(stamp_ns, at_least_s, unknown_s) for stream in streams.values())

@@ -2,6 +2,8 @@
 
 import math
 
+from rpod_pose.ports import PartSolution
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_joint import JointVerdictConfig
 
 
@@ -57,3 +59,21 @@ def wrong_scale(limits: JointVerdictConfig, *, bias_m: float, sigma_m: float, ra
         return ""
     most_m = limits.bias_sigmas * sigma_m + limits.scale_share * range_m
     return f"ranges are {bias_m:+.3f} m off the distance that the edges give, {most_m:.3f} m at most"
+
+
+def by_distances(t: FloatArray, bias_m: float, sigma_m: float, scale: float) -> PartSolution:
+    """Return the position by the measured distances alone, without the size that the edges show.
+
+    Edges tell the distance by the size of the target as its model has it. A model of another size is seen in
+    the fitted bias of the distances only.
+
+    Args:
+        t: position of the target in the sensor, shape (3,), m.
+        bias_m: as for ``bias_sigmas``.
+        sigma_m: as for ``bias_sigmas``.
+        scale: standard deviation of the target's size, as a share, that its file declares.
+    """
+    range_m = math.hypot(*t)
+    return PartSolution(
+        "measured distances alone", bias_m * t / range_m, math.hypot(sigma_m, scale * range_m)
+    )

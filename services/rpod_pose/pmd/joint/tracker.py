@@ -25,7 +25,13 @@ from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
 from rpod_pose.belief import Belief, PixelMarks, contradicted, doubtful
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
-from rpod_pose.pmd.joint.edge_consistency import bias_sigmas, edges_in_place, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.edge_consistency import (
+    bias_sigmas,
+    by_distances,
+    edges_in_place,
+    misplaced_edges,
+    wrong_scale,
+)
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
@@ -232,8 +238,9 @@ class JointTracker:
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
         covariance, parts = self._uncertainty(seen, fit, sight)
+        both = (source := self._source(points, checked)) is Source.PMD_JOINT
         return Registration(
-            self._source(points, checked),
+            source,
             T_sensor_target=pose_of(R, t),
             belief=belief,
             cost_m2=squares / max(points, 1),
@@ -243,6 +250,7 @@ class JointTracker:
             covariance=covariance,
             parts=parts,
             iterations=steps,
+            by_part=by_distances(t, bias, self._ranges.bias_m, self._model_error.scale) if both else None,
         )
 
     def _uncertainty(self, seen: JointFrame, fit: JointFit, sight: EdgeSight) -> Uncertainty:

@@ -212,3 +212,23 @@ def test_the_mass_of_a_posterior_is_the_integral_of_its_likelihood():
     log_likelihood = model.fit(seen, *stepped(PoseArrays.of(T), found.likeliest)).log_likelihood
     laplace = log_likelihood + 0.5 * np.linalg.slogdet(2.0 * np.pi * found.covariance)[1]
     assert found.log_mass == pytest.approx(laplace, abs=2.0)
+
+
+@pytest.mark.parametrize("world", ["documented", "outliers", "noisy"])
+def test_neighbouring_residuals_are_alike_for_a_wrong_model_only(world):
+    emulator = LidarEmulator(LIDAR, load(BULKY), seed=5, world=world_of(world))
+    right, wrong = [], []
+    for seed in range(6):
+        T = random_pose(seed, 20.0)
+        scan = scan_of(emulator.scan([T], frame=seed).points_m)
+        model, seen = tracker(BULKY).model, tracker(BULKY).view.seen(scan)
+        right.append(model.misfit(seen, *parts(T)))
+        wrong.append(
+            model.misfit(seen, *parts(make_pose(rotation=T.rotation, translation_m=1.01 * T.translation)))
+        )
+
+    def sigmas(told):
+        return sum(each.value for each in told) / np.sqrt(sum(each.variance for each in told))
+
+    assert sigmas(right) < 3.0
+    assert sigmas(wrong) > 6.0

@@ -8,16 +8,19 @@ from scipy.spatial.transform import Rotation
 
 from rpod_pose.navigation.filter import POSE, start
 from rpod_pose.navigation.history import History, apply
-from rpod_pose.navigation.integrity.levels import Solution, protection_levels
-from rpod_pose.navigation.integrity.monitor import Memory, Monitor
+from rpod_pose.navigation.integrity.inside import Inside
+from rpod_pose.navigation.integrity.levels import Solution, length_quantile, protection_levels
+from rpod_pose.navigation.integrity.monitor import DECLARED_ONLY, Memory, Monitor
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
+from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.ports import Misfit, PartSolution, Registration
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.integrity import IntegrityConfig
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import EstimatorStatus, IntegrityState, Mode, Odometry
+from rpod_schemas.types import EstimatorStatus, IntegrityState, Mode, Odometry, Source
 
 SECOND_NS = 1_000_000_000
 CONFIG = FilterConfig(acceleration_density_m2_s3=1e-5, angular_acceleration_density_rad2_s3=1e-6)
@@ -27,6 +30,7 @@ NOTHING_UNSEEN = IntegrityConfig(
     mount_sigma_deg=0.0, mount_sigma_m=0.0, clock_sigma_s=0.0, tuning={"range_share": 0.0}
 )
 START_NS = 100 * SECOND_NS
+TEN_M = np.array([0.0, 0.0, 10.0])
 
 
 def truth(time_s):
@@ -198,16 +202,96 @@ def test_frames_of_one_second_count_as_one_in_the_tests():
 def test_errors_exceed_their_level_as_rarely_as_the_risk_says(sigma):
     config = NOTHING_UNSEEN.model_copy(update={"risk": 0.02})
     alone = Solution("", np.zeros(6), sigma**2 * np.eye(6))
-    levels = protection_levels([alone], config, range_m=10.0, speed_m_s=0.0, rate_rad_s=0.0)
+    levels = protection_levels([alone], config, TEN_M, np.zeros(3), np.zeros(3))
     lengths = sigma * np.linalg.norm(np.random.default_rng(3).standard_normal((200_000, 3)), axis=1)
     assert np.mean(lengths > levels.position_m) == pytest.approx(0.02 / 4, rel=0.1)
+
+
+def test_a_quantile_of_a_length_is_that_of_its_covariances_shape():
+    flat, alike = np.diag([1.0, 0.09, 0.3]), np.eye(3)
+    lengths = np.linalg.norm(np.random.default_rng(3).standard_normal((400_000, 3)) @ np.sqrt(flat), axis=1)
+    assert np.mean(lengths > length_quantile(flat, 0.01)) == pytest.approx(0.01, rel=0.05)
+    assert length_quantile(np.diag([4e-6, 0.0, 0.0]), 1e-6) == pytest.approx(9.784e-3, rel=1e-3)
+    assert length_quantile(alike, 1e-6) == pytest.approx(5.538, rel=1e-3)
+    assert length_quantile(flat, 1.0) == length_quantile(np.zeros((3, 3)), 1e-6) == 0.0
+    assert np.isnan(length_quantile(np.full((3, 3), np.nan), 1e-6))
+
+
+def test_a_mounts_turn_and_a_drift_of_the_ranges_act_across_each_other():
+    alone, still = [Solution("", np.zeros(6), 1e-12 * np.eye(6))], np.zeros(3)
+
+    def level_m(mount_deg, share):
+        declared = {"mount_sigma_deg": mount_deg, "tuning": {"range_share": share}}
+        config = IntegrityConfig(mount_sigma_m=0.0, clock_sigma_s=0.0, **declared)
+        return protection_levels(alone, config, TEN_M, still, still).position_m
+
+    across, along = level_m(0.05, 0.0), level_m(0.0, 5e-4)
+    assert across == pytest.approx(5.515 * 10.0 * np.deg2rad(0.05), rel=1e-3)
+    assert along == pytest.approx(5.158 * 0.005, rel=1e-3)
+    assert max(across, along) < level_m(0.05, 5e-4) < np.hypot(across, along)
+
+
+def test_a_second_sensor_takes_nothing_away_and_what_is_not_covered_is_told(track):
+    for k in range(60):
+        track.measure(0.1 * k)
+        if k < 40:
+            track.measure(0.1 * k + 0.05, sensor="lidar")
+    told = track.measure(6.0)  # two seconds after the LIDAR's last frame
+    assert told.state is IntegrityState.CAUTION
+    assert told.reason.startswith(DECLARED_ONLY)
+    assert "(without pmd)" in told.reason
+    alone = Track(track.monitor, np.random.default_rng(7))
+    single = follow(alone, np.arange(0.0, 6.05, 0.1))[-1]
+    assert told.position_level_m == pytest.approx(single.position_level_m, rel=0.2)
+
+
+def test_the_most_tolerant_limit_of_the_sensors_that_support_the_track_counts(track):
+    told = follow(track, PMD_S)[-1]
+    assert told.attitude_limit_deg == 1.0
+    newest_ns = track.state.history.state.stamp_ns
+    track.state = replace(
+        track.state, streams={"lidar": Stream(newest_ns, SECOND_NS, accepted_ns=newest_ns - SECOND_NS)}
+    )
+    assert track.measure(6.0).attitude_limit_deg == 3.0
+    assert track.measure(7.5).attitude_limit_deg == 1.0
+
+
+def inside(**found):
+    registration = Registration(Source.PMD_JOINT, **found)
+    return Inside().after("pmd", START_NS, registration, 60.0)
+
+
+def test_misfits_of_a_minute_are_tested_together_and_older_ones_forgotten():
+    told = inside(misfit=Misfit(3.0, 1.0))
+    (test,) = told.tests(10.0, 0.0)
+    assert not test.fails(1e-6)
+    for k in range(1, 4):
+        again = Registration(Source.LIDAR, misfit=Misfit(3.0, 1.0))
+        told = told.after("pmd", START_NS + k * SECOND_NS, again, 60.0)
+    (test,) = told.tests(10.0, 0.0)
+    assert test.value == pytest.approx(12.0**2 / 4.0)
+    assert test.fails(1e-6)
+    assert not told.after("pmd", START_NS + 70 * SECOND_NS, None, 60.0).misfits
+
+
+@pytest.mark.parametrize(("off_m", "fails"), [(0.0, False), (0.02, False), (0.06, True)])
+def test_a_level_covers_the_position_by_distances_alone(off_m, fails):
+    estimate = start(truth(0.0), 1e-4 * COVARIANCE, START_NS, config=CONFIG)
+    told = inside(by_part=PartSolution("measured distances alone", np.array([0.0, 0.0, off_m]), 0.007))
+    (test,), (solution,) = told.tests(6.0, 0.0), told.solutions(estimate, 1e-4, 0.0)
+    assert test.fails(1e-6) == fails
+    still = np.zeros(3)
+    alone = Solution("", np.zeros(6), 1e-12 * np.eye(6))
+    levels = protection_levels([alone, solution], NOTHING_UNSEEN, TEN_M, still, still)
+    assert levels.position_by == "pmd: measured distances alone"
+    assert levels.position_m > off_m + 2.0 * 0.007
 
 
 def test_the_level_covers_what_a_solution_without_a_sensor_says():
     alone = Solution("", np.zeros(6), 1e-6 * np.eye(6))
     apart = np.array([0.5, 0.0, 0.0, 0.0, 0.0, np.pi / 2])
     other = Solution("without pmd", apart, 1e-6 * np.eye(6), 1e-4)
-    levels = protection_levels([alone, other], NOTHING_UNSEEN, range_m=10.0, speed_m_s=0.0, rate_rad_s=0.0)
+    levels = protection_levels([alone, other], NOTHING_UNSEEN, TEN_M, np.zeros(3), np.zeros(3))
     assert levels.position_m > 0.5
     assert levels.attitude_deg > 90.0
     assert levels.position_by == levels.attitude_by == "without pmd"
@@ -215,13 +299,13 @@ def test_the_level_covers_what_a_solution_without_a_sensor_says():
 
 def test_declared_errors_of_mount_clock_and_ranges_widen_the_levels():
     alone = [Solution("", np.zeros(6), 1e-8 * np.eye(6))]
-    how = {"range_m": 10.0, "speed_m_s": 0.5, "rate_rad_s": 0.1}
-    without = protection_levels(alone, NOTHING_UNSEEN, **how)
+    how = TEN_M, np.array([0.0, 0.3, 0.4]), np.array([0.1, 0.0, 0.0])
+    without = protection_levels(alone, NOTHING_UNSEEN, *how)
     for declared in (
         {"mount_sigma_deg": 0.1},
         {"mount_sigma_m": 0.005},
         {"clock_sigma_s": 0.05},
         {"tuning": NOTHING_UNSEEN.tuning.model_copy(update={"range_share": 1e-3})},
     ):
-        wider = protection_levels(alone, NOTHING_UNSEEN.model_copy(update=declared), **how)
+        wider = protection_levels(alone, NOTHING_UNSEEN.model_copy(update=declared), *how)
         assert wider.position_m > without.position_m

@@ -1,0 +1,65 @@
+"""Errors of mount, clock and ranges within what is declared of a sensor: those that a nominal run has.
+
+The levels contain a declared standard deviation of each of them, so that a level is compared with an error
+which may contain them. Without these errors a level would look too large by what is declared.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rpod_campaign.engine.trial.streams import stream
+from rpod_pose.measurement import Measurement
+from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import LidarScan, PmdFrame, SensorFrame
+
+_DECLARED = 23
+"""Stream of random numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeclaredErrors:
+    """Errors of a sensor that stay the same throughout a sequence."""
+
+    of_mount: RigidTransform
+    """The stated mount is the true one times this pose."""
+    late_s: float
+    """Time by which the stamps are late, s."""
+    range_scale: float
+    """Measured range over the true one."""
+
+    @classmethod
+    def drawn(cls, config: IntegrityConfig, *, seed: int, trial: int, sensor: str) -> Self:
+        """Return errors with the declared standard deviations, the same for each fault of a trial."""
+        generator = stream(seed, trial, _DECLARED + ("lidar", "pmd").index(sensor))
+        turn, place, late, longer = np.split(generator.standard_normal(8), [3, 6, 7])
+        return cls(
+            make_pose(
+                rotation=Rotation.from_rotvec(config.mount_sigma_deg * turn, degrees=True),
+                translation_m=config.mount_sigma_m * place,
+            ),
+            late_s=config.clock_sigma_s * float(late[0]),
+            range_scale=1.0 + config.tuning.range_share * float(longer[0]),
+        )
+
+    def measured(self, clean: Measurement) -> Measurement:
+        """Return a measurement with these errors."""
+        data = scaled(clean.data, self.range_scale)
+        stamp_ns = data.stamp_ns + round(self.late_s * NANOSECONDS)
+        return replace(
+            clean,
+            data=data.model_copy(update={"stamp_ns": stamp_ns}),
+            T_chaser_sensor=clean.T_chaser_sensor * self.of_mount,
+        )
+
+
+def scaled(data: SensorFrame, scale: float) -> SensorFrame:
+    """Return a frame whose ranges, of a camera its z-depths, are longer by a factor."""
+    if isinstance(data, PmdFrame):
+        return data.model_copy(update={"depth_m": data.depth_m * np.float32(scale)})
+    assert isinstance(data, LidarScan)  # noqa: S101 - the campaign's sensors are these two
+    return data.model_copy(update={"points_m": data.points_m * data.points_m.dtype.type(scale)})
