@@ -99,7 +99,9 @@ class Keeper:
 
     def _write(self, tell: Callable[[FacilityStatus], None]) -> None:
         """Write the state at each change, and once a second."""
-        shown = [(each.state, each.pid, each.reserve.state) for each in self._daemons]
+        shown: list[tuple[DaemonState, int | None, ReserveState]] = [
+            (each.state, each.pid, each.reserve.state) for each in self._daemons
+        ]
         changed = shown != self._shown
         if not changed and time.monotonic() < self._next_s:
             return

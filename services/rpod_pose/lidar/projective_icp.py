@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import softmax
 
 from rpod_pose.belief import worst_sigma
+from rpod_pose.lidar.posterior.scan_uncertainty import FaceRows, model_covariance, noise_information
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, pose_covariance
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_pattern import ScanPattern
@@ -30,7 +31,6 @@ from rpod_pose.lidar.scan_registration import (
     settled,
     tracked,
 )
-from rpod_pose.lidar.scan_uncertainty import FaceRows, model_covariance, noise_information
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import ErrorParts, Registration
 from rpod_pose.registration.field_alignment import FieldProblem, Points

@@ -21,7 +21,7 @@ from scipy.ndimage import binary_dilation
 
 from rpod_pose.belief import Belief, contradicted
 from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
-from rpod_pose.lidar.sampled_posterior import Proposal, SampledPosterior, draws, sampled_posterior
+from rpod_pose.lidar.posterior.sampled_posterior import Proposal, SampledPosterior, draws, sampled_posterior
 from rpod_pose.lidar.scan_likelihood import (
     Assumptions,
     Rays,

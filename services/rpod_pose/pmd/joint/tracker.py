@@ -22,15 +22,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
-from rpod_pose.belief import Belief, PixelMarks, contradicted, doubtful
+from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
+from rpod_pose.pmd.joint.belief import frame_belief
 from rpod_pose.pmd.joint.edge_consistency import (
-    bias_sigmas,
     by_distances,
     edges_in_place,
-    misplaced_edges,
-    wrong_scale,
 )
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
@@ -232,7 +230,10 @@ class JointTracker:
             return Registration.none(Source.PMD_JOINT, reason)
         inconsistent = self._contradictions(seen, R, t, bias)
         in_place = edges_in_place(tuning.verdict, edges=found.found, expected=expected, checked=checked)
-        belief = self._belief(inconsistent, in_place, bias_m=bias, range_m=float(np.linalg.norm(t)))
+        range_m = float(np.linalg.norm(t))
+        belief = frame_belief(
+            tuning, inconsistent, in_place, bias_m=bias, sigma_m=self._ranges.bias_m, range_m=range_m
+        )
         if inconsistent.reason(tuning.check):
             marks = PixelMarks(inconsistent.marked, seen.view.stride)
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
@@ -374,29 +375,6 @@ class JointTracker:
         if edges < self._tuning.verdict.min_edges:
             return Source.PMD_DEPTH
         return Source.PMD_JOINT if points >= self._tuning.verdict.min_points else Source.PMD_AMPLITUDE
-
-    def _belief(
-        self, inconsistent: Contradictions, in_place: float, *, bias_m: float, range_m: float
-    ) -> Belief:
-        """Return the belief in a pose by its pixels, its edges and its scale."""
-        limits, sigma_m = self._tuning.verdict, self._ranges.bias_m
-        scale = {"bias_m": bias_m, "sigma_m": sigma_m, "range_m": range_m}
-        evidence = {
-            **inconsistent.evidence,
-            "edges_in_place_share": in_place,
-            "range_bias_m": bias_m,
-            "range_bias_sigmas": bias_sigmas(limits, **scale),
-        }
-        reason = (
-            inconsistent.reason(self._tuning.check)
-            or misplaced_edges(limits, in_place)
-            or wrong_scale(limits, **scale)
-        )
-        if reason:
-            return contradicted(reason, **evidence)
-        if in_place < limits.weak_edge_share:
-            return doubtful(f"only {in_place:.0%} of the edges are in their place", **evidence)
-        return Belief(evidence=evidence)
 
     def _buffers_of(self, view: DepthView) -> RenderBuffers:
         shape = view.coarse.shape

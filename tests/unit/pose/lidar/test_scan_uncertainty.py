@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rpod_pose.lidar.scan_uncertainty import FaceRows, noise_information
+from rpod_pose.lidar.posterior.scan_uncertainty import FaceRows, noise_information
 
 WEAK = 1e-6 * np.eye(6)
 SIGMA_M, SLACK_M = 0.025, 0.02

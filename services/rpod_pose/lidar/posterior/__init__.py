@@ -1,0 +1,1 @@
+"""Posterior of a pose from a scan: by samples where returns are few, by residuals where they are many."""
