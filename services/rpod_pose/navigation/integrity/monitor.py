@@ -10,7 +10,7 @@ a clock's offset at constant speed, a slow drift of ranges. The levels include t
 standard deviation that is declared for it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -34,6 +34,10 @@ NOT_TOLD = "; which of them is wrong is not known: calibrate both"
 """What an offset between two mounts does not tell, and what to do."""
 DECLARED_ONLY = "errors of mount, clock and ranges are covered as far as declared, not beyond"
 """What levels cover where one of several sensors alone is not good enough for the alert limits."""
+SIZE_BELIEVED = (
+    "the size of the target is believed as its file states it; to have it checked, calibrate the camera"
+)
+"""What levels do not cover where the distances of a camera are not good enough for the alert limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,11 +218,12 @@ class Monitor:
         estimate: FilterState,
         limit: tuple[float, float],
     ) -> tuple[Levels, str]:
-        """Return the protection levels, and what they do not cover although there are several sensors.
+        """Return the protection levels, and what they do not cover.
 
         They are those over all fault hypotheses. If these are above the limits because one of several
         sensors alone is not good enough, they are those of a single sensor: any of its frames may be wrong,
-        and what it cannot see is as large as declared. So a second sensor takes nothing away.
+        and what it cannot see is as large as declared. So a second sensor takes nothing away. A part of a
+        sensor's data whose own error is above the limit takes nothing away either.
         """
         share = self._tuning.fault_share
         solutions = [solution("", estimate, estimate, 1.0)]
@@ -229,16 +234,29 @@ class Monitor:
             older = predict(before, estimate.stamp_ns, self._filter)
             solutions.append(solution("without the newest frames", estimate, older, self._tuning.group_share))
         solutions += self._rivals(output, estimate)
-        solutions += memory.inside.solutions(estimate, share, self._tuning.range_share)
+        place_m, moving = estimate.T_chaser_target.translation, (estimate.velocity_m_s, estimate.rate_rad_s)
+
+        def levels_of(chosen: Sequence[Solution]) -> Levels:
+            return protection_levels(chosen, self._config, place_m, *moving)
+
+        parts = memory.inside.solutions(estimate, share, self._tuning.range_share)
+        vague = [
+            over
+            for part in parts
+            if (over := _above(levels_of([solutions[0], replace(part, separation=np.zeros(6))]), *limit))
+        ]
+        less = f"{SIZE_BELIEVED}: {vague[0]}" if vague else ""
+        if not vague:
+            solutions += parts
         of_sensors = [
             solution(f"without {name}", estimate, predict(other, estimate.stamp_ns, self._filter), share)
             for name, other in memory.without.items()
             if other.stamp_ns <= estimate.stamp_ns
         ]
-        place_m, moving = estimate.T_chaser_target.translation, (estimate.velocity_m_s, estimate.rate_rad_s)
-        levels = protection_levels([*solutions, *of_sensors], self._config, place_m, *moving)
-        over = _above(levels, *limit) if of_sensors else ""
-        return (protection_levels(solutions, self._config, place_m, *moving), over) if over else (levels, "")
+        levels = levels_of([*solutions, *of_sensors])
+        if of_sensors and (over := _above(levels, *limit)):
+            return levels_of(solutions), f"{DECLARED_ONLY}: {over}"
+        return levels, less
 
     def _rivals(self, output: Output, estimate: FilterState) -> list[Solution]:
         """Return the hypotheses that explain the measurements as well and are likelier than the risk."""
@@ -275,7 +293,7 @@ class Monitor:
         elif caution := self._caution(output, tests):
             state, reason = IntegrityState.CAUTION, caution
         elif less:
-            state, reason = IntegrityState.CAUTION, f"{DECLARED_ONLY}: {less}"
+            state, reason = IntegrityState.CAUTION, less
         return self._integrity(
             output,
             estimate.stamp_ns,

@@ -10,7 +10,7 @@ from rpod_pose.navigation.filter import POSE, start
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.integrity.inside import Inside
 from rpod_pose.navigation.integrity.levels import Solution, length_quantile, protection_levels
-from rpod_pose.navigation.integrity.monitor import DECLARED_ONLY, Memory, Monitor
+from rpod_pose.navigation.integrity.monitor import DECLARED_ONLY, SIZE_BELIEVED, Memory, Monitor
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.sensors.streams import Stream
@@ -285,6 +285,27 @@ def test_a_level_covers_the_position_by_distances_alone(off_m, fails):
     levels = protection_levels([alone, solution], NOTHING_UNSEEN, TEN_M, still, still)
     assert levels.position_by == "pmd: measured distances alone"
     assert levels.position_m > off_m + 2.0 * 0.007
+
+
+@pytest.mark.parametrize(
+    ("off_m", "sigma_m", "state"),
+    [
+        (0.0, 0.001, IntegrityState.NOMINAL),
+        (0.0, 0.04, IntegrityState.CAUTION),
+        (0.018, 0.004, IntegrityState.UNAVAILABLE),
+        (0.4, 0.04, IntegrityState.ALERT),
+    ],
+)
+def test_distances_that_are_not_good_enough_take_nothing_away_and_are_told(track, off_m, sigma_m, state):
+    before = follow(track, PMD_S)[-1]
+    part = PartSolution("measured distances alone", np.array([0.0, 0.0, off_m]), sigma_m)
+    track.memory = replace(track.memory, inside=inside(by_part=part))
+    told = track.measure(PMD_S[-1] + 0.1)
+    assert told.state is state
+    if state is IntegrityState.CAUTION:
+        assert told.reason.startswith(SIZE_BELIEVED)
+        assert "(pmd: measured distances alone)" in told.reason
+        assert told.position_level_m == pytest.approx(before.position_level_m, rel=0.05)
 
 
 def test_the_level_covers_what_a_solution_without_a_sensor_says():
