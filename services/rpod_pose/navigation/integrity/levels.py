@@ -25,7 +25,7 @@ the allocation of the risk). Words of the result as in RTCA DO-229: protection l
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import ceil, degrees
+from math import ceil, degrees, log10
 
 import numpy as np
 from scipy.special import chdtri, gammaincc, gammainccinv, ndtri
@@ -39,6 +39,8 @@ _RATIOS = 20
 """Steps of a ratio between two standard deviations, which is rounded up, so that quantiles are stored."""
 _ROUNDING = 1e-9
 """Part of a step below which a ratio counts as the step itself."""
+_DECADE = 20
+"""Steps of a decade of a hypothesis' probability, which is rounded up for the same reason."""
 _NODES = 40
 """Number of nodes of the quadrature along each of two angles."""
 _CLOSE = 1e-3
@@ -126,11 +128,18 @@ def _greatest(
     return max(
         (
             float(np.linalg.norm(each.separation[part]))
-            + length_quantile((each.covariance + unseen)[part, part], min(share / each.probability, 1.0)),
+            + length_quantile(
+                (each.covariance + unseen)[part, part], min(share / _rounded(each.probability), 1.0)
+            ),
             each.name,
         )
         for each, share in zip(solutions, shares, strict=True)
     )
+
+
+def _rounded(probability: float) -> float:
+    """Return the next step of a probability that is not below it."""
+    return float(10.0 ** (ceil(_DECADE * log10(probability) - _ROUNDING) / _DECADE))
 
 
 def length_quantile(covariance: FloatArray, probability: float) -> float:
