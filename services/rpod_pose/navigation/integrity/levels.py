@@ -28,7 +28,7 @@ from functools import cache
 from math import ceil, degrees, log10
 
 import numpy as np
-from scipy.special import chdtri, gammaincc, gammainccinv, ndtri
+from scipy.special import chdtri, gammainccinv, ndtr, ndtri
 
 from rpod_pose.navigation.filter import ATTITUDE, POSE, POSITION, FilterState, separation_of
 from rpod_pose.navigation.filter.rotations import cross_matrix
@@ -172,7 +172,9 @@ def _shaped_quantile(middle: float, least: float, probability: float) -> float:
     g = np.sqrt(height[:, None] ** 2 + (1.0 - height[:, None] ** 2) * around)
 
     def excess(length: float) -> float:
-        return float(weight @ gammaincc(1.5, 0.5 * (length / g) ** 2) @ weight) - probability
+        x = length / g  # P(rho > x) of chi with three degrees of freedom
+        beyond = 2.0 * ndtr(-x) + np.sqrt(2.0 / np.pi) * x * np.exp(-0.5 * x**2)
+        return float(weight @ beyond @ weight) - probability
 
     low, high = float(-ndtri(0.5 * probability)), float(np.sqrt(2.0 * gammainccinv(1.5, probability)))
     while high - low > _CLOSE:

@@ -240,13 +240,11 @@ class Monitor:
             return protection_levels(chosen, self._config, place_m, *moving)
 
         parts = memory.inside.solutions(estimate, share, self._tuning.range_share)
-        vague = [
-            over
-            for part in parts
-            if (over := _above(levels_of([solutions[0], replace(part, separation=np.zeros(6))]), *limit))
-        ]
-        less = f"{SIZE_BELIEVED}: {vague[0]}" if vague else ""
-        if not vague:
+        less = ""
+        for part in parts if _above(levels_of([*solutions, *parts]), *limit) else ():
+            if vague := _above(levels_of([solutions[0], replace(part, separation=np.zeros(6))]), *limit):
+                less = f"{SIZE_BELIEVED}: {vague}"
+        if not less:
             solutions += parts
         of_sensors = [
             solution(f"without {name}", estimate, predict(other, estimate.stamp_ns, self._filter), share)
