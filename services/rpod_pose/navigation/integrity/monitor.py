@@ -241,11 +241,11 @@ class Monitor:
 
         parts = memory.inside.solutions(estimate, share, self._tuning.range_share)
         less = ""
-        for part in parts if _above(levels_of([*solutions, *parts]), *limit) else ():
+        for part in parts:
             if vague := _above(levels_of([solutions[0], replace(part, separation=np.zeros(6))]), *limit):
                 less = f"{SIZE_BELIEVED}: {vague}"
-        if not less:
-            solutions += parts
+            else:
+                solutions.append(part)
         of_sensors = [
             solution(f"without {name}", estimate, predict(other, estimate.stamp_ns, self._filter), share)
             for name, other in memory.without.items()
