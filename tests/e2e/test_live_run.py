@@ -47,12 +47,19 @@ FIELDS = {
 }  # fmt: skip
 """``summary.json`` as the interface control document has it in section 6."""
 
+_TRIES = 3
+
 
 @pytest.fixture(scope="session")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """A run that was tracked: an overloaded machine may give an estimator no time within six seconds."""
     arguments = ("mockup-tumbling", "--duration", "6", "--json")
-    with closing(FacilityProcess(*arguments, out=tmp_path_factory.mktemp("live"))) as run:
-        return run.finish()
+    for _ in range(_TRIES):
+        with closing(FacilityProcess(*arguments, out=tmp_path_factory.mktemp("live"))) as run:
+            finished = run.finish()
+        if finished.code or finished.summary.modes.first_tracking_s is not None:
+            break
+    return finished
 
 
 def said_last(run: Finished, service: str) -> dict[str, str]:
