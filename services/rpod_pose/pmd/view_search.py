@@ -24,6 +24,7 @@ ambiguous.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -37,6 +38,7 @@ from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
+from rpod_pose.surroundings.methods import TrackerAmongThings
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
@@ -119,7 +121,8 @@ class ViewSearch:
         """Return the acquisition of the poses that are best with the file's materials, or by shape alone."""
         tuning = self._tuning
         fitter = PmdFitter(tuning.model, self._model.shown, task.scene, known_materials=known_materials)
-        poses = FrameSearch(tuning, self._model, task.scene, fitter).search(task.attitudes, task.around)
+        search = FrameSearch(tuning, self._model, task.scene, fitter, partial(self._possible, task.frame))
+        poses = search.search(task.attitudes, task.around)
         if not poses:
             reason = "no attitude shows the target to the camera"
             return task.failed(Registration.none(Source.NONE, reason))
@@ -147,11 +150,23 @@ class ViewSearch:
         believed = belief_with_rivals(found, best.belief, least=least)
         return Acquisition(replace(best, belief=believed), templates=len(task.attitudes))
 
+    def _possible(self, frame: PmdFrame, pose: Pose) -> bool:
+        """Return whether a pose near this one may be the target's, by what the whole frame shows there."""
+        among = self._tracker
+        return not isinstance(among, TrackerAmongThings) or not among.excluded(frame, pose_of(pose.R, pose.t))
+
     def _registered(self, task: _Task, pose: Pose) -> Registration:
         """Return a pose that the search found, refined and judged by the tracker."""
         found = self._settled(task.frame, self._tracker.track(task.frame, pose_of(pose.R, pose.t)))
         evidence = {"mean_loss": pose.fit.mean_loss, **found.belief.evidence}
         return replace(found, belief=replace(found.belief, evidence=evidence))
+
+    def _again(self, frame: PmdFrame, found: Registration, pose: RigidTransform) -> Registration:
+        """Return a registration aligned again from its own pose."""
+        among = self._tracker
+        if isinstance(among, TrackerAmongThings):
+            return among.again(frame, found)
+        return among.track(frame, pose)
 
     def _settled(self, frame: PmdFrame, found: Registration) -> Registration:
         """Return a registration that is aligned again from its own pose, until the pose hardly moves.
@@ -165,7 +180,7 @@ class ViewSearch:
             before = found.T_sensor_target
             if before is None or not found.continues_track:
                 break
-            again = self._tracker.track(frame, before)
+            again = self._again(frame, found, before)
             after = again.T_sensor_target
             if after is None or _standing(again) < _standing(found):
                 break
