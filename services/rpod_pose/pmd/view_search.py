@@ -206,7 +206,7 @@ class ViewSearch:
         if found.T_sensor_target is None:
             return _Aligned(pose.R, pose.t, pose.t, found, np.array((pose.fit.loss, np.inf)))
         R, t = PoseArrays.of(found.T_sensor_target)
-        shown_t = t * (1.0 + found.belief.evidence.get("range_bias_m", 0.0) / float(np.linalg.norm(t)))
+        shown_t = t * (1.0 + found.range_bias_m / float(np.linalg.norm(t)))
         return _Aligned(R, t, shown_t, found, np.array((pose.fit.loss, fitter.fit(R, shown_t).loss)))
 
     def _possible(self, frame: PmdFrame, pose: Pose) -> bool:
