@@ -180,7 +180,7 @@ class Monitor:
             tests += found
             evidence |= numbers
         range_m = float(np.linalg.norm(estimate.T_chaser_target.translation))
-        tests += memory.inside.tests(range_m, self._tuning.range_share)
+        tests += memory.inside.tests(range_m, self._tuning.range_share, self._tuning.correlated_s)
         for one, other in combinations(sorted(memory.without), 2):
             there = [
                 predict(memory.without[name], estimate.stamp_ns, self._filter)
@@ -234,6 +234,8 @@ class Monitor:
             older = predict(before, estimate.stamp_ns, self._filter)
             solutions.append(solution("without the newest frames", estimate, older, self._tuning.group_share))
         solutions += self._rivals(output, estimate)
+        correlated_s = self._tuning.correlated_s
+        solutions += memory.inside.size_solutions(estimate, self._config.risk, share, correlated_s)
         place_m, moving = estimate.T_chaser_target.translation, (estimate.velocity_m_s, estimate.rate_rad_s)
 
         def levels_of(chosen: Sequence[Solution]) -> Levels:
