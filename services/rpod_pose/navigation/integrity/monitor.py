@@ -20,7 +20,13 @@ from rpod_pose.belief import SYMMETRY
 from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of
 from rpod_pose.navigation.filter.blocks import unknown
 from rpod_pose.navigation.integrity.inside import Inside
-from rpod_pose.navigation.integrity.levels import Levels, Solution, protection_levels, solution
+from rpod_pose.navigation.integrity.levels import (
+    Levels,
+    Solution,
+    declared_covariance,
+    levels_with,
+    solution,
+)
 from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent, residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started, updated
 from rpod_pose.navigation.sensors.mounts import mount_offsets
@@ -116,7 +122,7 @@ class Monitor:
             memory = replace(memory, sensor=status.sensor, inside=inside)
         compared = None
         if state.history is not None and np.isfinite(status.nis):
-            compared = state.history.applied_at(status.stamp_ns, self._filter)
+            compared = state.history.applied_at(status.stamp_ns)
         if compared is None:
             return memory
         predicted, measured = compared
@@ -237,9 +243,10 @@ class Monitor:
         correlated_s = self._tuning.correlated_s
         solutions += memory.inside.size_solutions(estimate, self._config.risk, share, correlated_s)
         place_m, moving = estimate.T_chaser_target.translation, (estimate.velocity_m_s, estimate.rate_rad_s)
+        unseen = declared_covariance(self._config, place_m, *moving)
 
         def levels_of(chosen: Sequence[Solution]) -> Levels:
-            return protection_levels(chosen, self._config, place_m, *moving)
+            return levels_with(chosen, unseen, self._config.risk)
 
         parts = memory.inside.solutions(estimate, share, self._tuning.range_share)
         less = ""
