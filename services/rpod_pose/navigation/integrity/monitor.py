@@ -44,6 +44,8 @@ SIZE_BELIEVED = (
     "the size of the target is believed as its file states it; to have it checked, calibrate the camera"
 )
 """What levels do not cover where the distances of a camera are not good enough for the alert limits."""
+SIZE_DECLARED = "sizes up to 2 % off are not told apart, and are covered as far as scale_tolerance says"
+"""What levels do not cover where a size that the frames cannot exclude is not good enough for the limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,8 +242,10 @@ class Monitor:
             older = predict(before, estimate.stamp_ns, self._filter)
             solutions.append(solution("without the newest frames", estimate, older, self._tuning.group_share))
         solutions += self._rivals(output, estimate)
-        correlated_s = self._tuning.correlated_s
-        solutions += memory.inside.size_solutions(estimate, self._config.risk, share, correlated_s)
+        other_sizes, between = memory.inside.size_solutions(
+            estimate, self._config.risk, share, self._tuning.correlated_s
+        )
+        solutions += other_sizes
         place_m, moving = estimate.T_chaser_target.translation, (estimate.velocity_m_s, estimate.rate_rad_s)
         unseen = declared_covariance(self._config, place_m, *moving)
 
@@ -255,6 +259,11 @@ class Monitor:
                 less = f"{SIZE_BELIEVED}: {vague}"
             else:
                 solutions.append(part)
+        for size in between:
+            if vague := _above(levels_of([solutions[0], size]), *limit):
+                less = f"{SIZE_DECLARED}: {vague}"
+            else:
+                solutions.append(size)
         of_sensors = [
             solution(f"without {name}", estimate, predict(other, estimate.stamp_ns, self._filter), share)
             for name, other in memory.without.items()
