@@ -31,6 +31,7 @@ from rpod_schemas.messages import (
     write_clock,
     write_diagnostics,
     write_image,
+    write_integrity,
     write_odometry,
     write_pmd_info,
     write_points,
@@ -50,6 +51,7 @@ from rpod_schemas.topics import (
     ESTIMATE,
     ESTIMATE_FRAME,
     ESTIMATE_POSE,
+    INTEGRITY,
     PMD_INFO,
     POINTS,
     STATUS,
@@ -65,6 +67,7 @@ from rpod_schemas.types import (
     Diagnostic,
     EstimatorStatus,
     Health,
+    Integrity,
     Mode,
     Odometry,
     PmdInfo,
@@ -144,6 +147,8 @@ class Frame:
     nis: float = float("nan")
     marked: Any = None
     """Pixels that contradict the pose, shape (rows, columns); None for none."""
+    integrity: dict[str, Any] | None = None
+    """State, reason, levels and limits; None for an estimator that tells none."""
     latency_s: float = 0.06
     processing_s: float = 0.03
 
@@ -333,6 +338,9 @@ class _LogWriter:
         if frame.marked is not None:
             image = write_image(stamp_ns, self.frame_id, frame.marked * np.uint8(255), "mono8")
             self.put(CONTRADICTION, stamp_ns, image, delay_s=frame.latency_s)
+        if frame.integrity is not None:
+            told = Integrity(stamp_ns=stamp_ns, frame_id=CHASER, risk=1e-6, **frame.integrity)
+            self.put(INTEGRITY, stamp_ns, write_integrity(told), delay_s=frame.latency_s)
         self.put(STATUS, stamp_ns, write_status(status), delay_s=frame.latency_s)
 
     def diagnostics(self, time_s: float) -> None:

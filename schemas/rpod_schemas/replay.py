@@ -1,7 +1,15 @@
 """Result of a replay of a log: the new estimates compared with the old ones."""
 
 from rpod_schemas.config.base import Config, NonNegative
-from rpod_schemas.summary import Consistency, Count, Durations, ErrorSize, ErrorSummary, Tracking
+from rpod_schemas.summary import (
+    Consistency,
+    Count,
+    Durations,
+    ErrorSize,
+    ErrorSummary,
+    IntegrityCount,
+    Tracking,
+)
 
 
 class Side(Config):
@@ -21,6 +29,8 @@ class Side(Config):
     """Errors over the tracked frames; null without truth."""
     consistency: Consistency | None
     """Consistency over the tracked frames with truth and a covariance."""
+    integrity: IntegrityCount | None = None
+    """Misleading estimates, alerts and availability; null for a log without integrity."""
 
 
 class Difference(Config):

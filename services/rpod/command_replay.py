@@ -190,6 +190,9 @@ _ROWS: tuple[tuple[str, str, Callable[[Side], float | None]], ...] = (
         ".3f",
         lambda side: side.consistency.nees_share_in_95 if side.consistency else None,
     ),
+    ("misleading estimates", ".0f", lambda side: side.integrity.misleading if side.integrity else None),
+    ("integrity alerts", ".0f", lambda side: side.integrity.alerts if side.integrity else None),
+    ("available, share", ".3f", lambda side: side.integrity.availability if side.integrity else None),
 )
 
 

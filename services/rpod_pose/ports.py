@@ -80,6 +80,18 @@ class Misfit:
 
 
 @dataclass(frozen=True, eq=False)
+class OtherSize:
+    """The pose of a frame if the target has another size than its model."""
+
+    share: float
+    """Share by which the target is larger, about its origin."""
+    log_odds: float
+    """Log likelihood of the frame with this size, less that with the model's own size."""
+    step: FloatArray
+    """From the registration's pose to the one with this size, (dtau, dtheta), target axes, shape (6,)."""
+
+
+@dataclass(frozen=True, eq=False)
 class PartSolution:
     """The position by a part of a frame's data, which may be wrong independently of the rest."""
 
@@ -122,6 +134,8 @@ class Registration:
     """Test of the target's model by the frame's residuals; None for a method that has none."""
     range_bias_m: float = 0.0
     """Length by which all ranges of the frame are too long, as found with the pose; 0 where none is."""
+    other_sizes: tuple[OtherSize, ...] = ()
+    """Poses for other sizes of the target; empty for a method that does not tell."""
     by_part: PartSolution | None = None
     """Position by a part of the data; None for a method that does not tell."""
 

@@ -9,7 +9,7 @@ from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import RayGrid
 from rpod_geometry.wireframe import project, visible_pieces
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import Camera, FrameImage, Odometry
+from rpod_schemas.types import Camera, FrameImage, Integrity, Odometry
 from rpod_target import Target
 from rpod_view import palette
 from rpod_view.layout import CHASER, ESTIMATE, FOCUS, IMAGES, TIMELINE, TRUTH, UNCERTAINTY
@@ -17,6 +17,7 @@ from rpod_view.scene import Frame
 from rpod_view.shading import MILLIMETRES, depth_colours, depth_mm, depth_span_m, ellipsoid, grey
 
 _ELLIPSOID = f"{CHASER}/uncertainty"
+_LEVEL = f"{CHASER}/level"
 _MOST_POINTS = 20_000
 _FEW_POINTS = 5_000
 """Largest number of points at which each is drawn larger."""
@@ -161,6 +162,23 @@ class Drawing:
                 self._recording.log(path, rr.Clear(recursive=False))
         else:
             self._uncertainty(truth, estimate, newest.pose_covariance[:3, :3])
+
+    def level(self, estimate: RigidTransform | None, integrity: Integrity | None) -> None:
+        """Draw the position's protection level around the estimate, coloured by the integrity's state.
+
+        It is a sphere about the target's origin, at the stamp of the poses.
+        """
+        if estimate is None or integrity is None or not np.isfinite(integrity.position_level_m):
+            self._recording.log(_LEVEL, rr.Clear(recursive=False))
+            return
+        sphere = rr.Ellipsoids3D(
+            half_sizes=[[integrity.position_level_m] * 3],
+            centers=[estimate.translation],
+            colors=palette.INTEGRITY[integrity.state],
+            line_radii=_LINE,
+            fill_mode="majorwireframe",
+        )
+        self._recording.log(_LEVEL, sphere)
 
     def _uncertainty(
         self, truth: RigidTransform | None, estimate: RigidTransform, covariance_m2: FloatArray

@@ -1,6 +1,6 @@
 """Colours, the same as in the report."""
 
-from rpod_schemas.types import Mode, Source
+from rpod_schemas.types import IntegrityState, Mode, Source
 
 ESTIMATE = (255, 77, 46)
 TRUTH = (225, 230, 236)
@@ -15,6 +15,12 @@ MODES = {
     Mode.TRACKING: (46, 160, 67),
     Mode.LOST: (217, 83, 79),
     Mode.COASTING: (232, 176, 74),
+}
+INTEGRITY = {
+    IntegrityState.UNAVAILABLE: QUIET,
+    IntegrityState.NOMINAL: (46, 160, 67),
+    IntegrityState.CAUTION: (232, 176, 74),
+    IntegrityState.ALERT: (217, 83, 79),
 }
 SOURCES = {
     Source.NONE: QUIET,

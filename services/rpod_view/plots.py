@@ -5,19 +5,21 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 import rerun as rr
 
-from rpod_schemas.types import EstimatorStatus, Mode
+from rpod_schemas.types import EstimatorStatus, Integrity, IntegrityState, Mode
 from rpod_view import palette
 from rpod_view.layout import ATTITUDE, EVENTS, POSITION, PROCESSING, RANGE, STATE, TIMELINE
 from rpod_view.scene import Scored
 from rpod_view.shading import MILLIMETRES, band
 from rpod_view.summary import SOURCES
 
-_ERROR, _BAND = "error", "band"
+_ERROR, _BAND, _LEVEL = "error", "band", "level"
 _NAMES = {
     f"{POSITION}/{_ERROR}": ("error", palette.ESTIMATE),
     f"{POSITION}/{_BAND}": ("3 sigma, worst axis", palette.QUIET),
+    f"{POSITION}/{_LEVEL}": ("protection level, up to the alert limit", palette.ELLIPSOID),
     f"{ATTITUDE}/{_ERROR}": ("error", palette.ESTIMATE),
     f"{ATTITUDE}/{_BAND}": ("3 sigma, worst axis", palette.QUIET),
+    f"{ATTITUDE}/{_LEVEL}": ("protection level, up to the alert limit", palette.ELLIPSOID),
     PROCESSING: ("frame to estimate, in TRACKING", palette.ACCENT),
     RANGE: ("range of the target", palette.ACCENT),
 }
@@ -27,6 +29,12 @@ _LEVELS = {
     Mode.TRACKING: rr.TextLogLevel.INFO,
     Mode.LOST: rr.TextLogLevel.ERROR,
     Mode.COASTING: rr.TextLogLevel.WARN,
+}
+_INTEGRITY_LEVELS = {
+    IntegrityState.UNAVAILABLE: rr.TextLogLevel.WARN,
+    IntegrityState.NOMINAL: rr.TextLogLevel.INFO,
+    IntegrityState.CAUTION: rr.TextLogLevel.WARN,
+    IntegrityState.ALERT: rr.TextLogLevel.ERROR,
 }
 _Sample = tuple[int, float]
 
@@ -50,6 +58,8 @@ class Plots:
             _lane({"accepted": palette.MODES[Mode.TRACKING], "rejected": palette.MODES[Mode.LOST]}),
             static=True,
         )
+        lane = _lane({state.name: palette.INTEGRITY[state] for state in IntegrityState})
+        recording.log(f"{STATE}/integrity", lane, static=True)
 
     def estimates(self, scored: Sequence[Scored]) -> None:
         """Add the errors of estimates, their bands, and the range."""
@@ -86,6 +96,19 @@ class Plots:
             self._note(status)
         self._add(PROCESSING, processing)
 
+    def integrities(self, told: Sequence[Integrity]) -> None:
+        """Add protection levels and the changes of the integrity's state.
+
+        A level above its alert limit is a gap in its curve: it may be a thousand times as large as an error.
+        """
+        for name, of in ((POSITION, _position_level_mm), (ATTITUDE, _attitude_level_deg)):
+            self._add(f"{name}/{_LEVEL}", [(each.stamp_ns, of(each)) for each in told])
+        for each in told:
+            self._recording.set_time(TIMELINE, timestamp=np.datetime64(each.stamp_ns, "ns"))
+            if self._change("integrity", each.state.name):
+                text = f"integrity {each.state.name}" + f": {each.reason}" * bool(each.reason)
+                self._event(text, _INTEGRITY_LEVELS[each.state])
+
     def _note(self, status: EstimatorStatus) -> None:
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(status.stamp_ns, "ns"))
         if self._change("mode", status.mode.name):
@@ -112,6 +135,16 @@ class Plots:
 
 def _lane(colours: dict[str, tuple[int, int, int]]) -> rr.StateConfiguration:
     return rr.StateConfiguration(values=list(colours), labels=list(colours), colors=list(colours.values()))
+
+
+def _position_level_mm(told: Integrity) -> float:
+    level_m = told.position_level_m
+    return MILLIMETRES * level_m if level_m <= told.position_limit_m else float("nan")
+
+
+def _attitude_level_deg(told: Integrity) -> float:
+    level_deg = told.attitude_level_deg
+    return level_deg if level_deg <= told.attitude_limit_deg else float("nan")
 
 
 def _position_error_mm(scored: Scored) -> float | None:

@@ -18,11 +18,17 @@ from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, o
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.messages import read_diagnostics, read_odometry, read_status, read_transforms
+from rpod_schemas.messages import (
+    read_diagnostics,
+    read_integrity,
+    read_odometry,
+    read_status,
+    read_transforms,
+)
 from rpod_schemas.poses import pose_error
 from rpod_schemas.sensors import SensorKind, sensor_kinds
-from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, STATUS, TARGET, TF, TF_STATIC, TRUTH, Topic
-from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Odometry, SensorFrame
+from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, INTEGRITY, STATUS, TARGET, TF, TF_STATIC, TRUTH, Topic
+from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Integrity, Odometry, SensorFrame
 from rpod_target import Equivalence
 from rpod_view.track import Track
 
@@ -44,7 +50,8 @@ def sensor_topics() -> tuple[Topic, ...]:
 
 def pose_topics(prefix: str) -> tuple[Topic, ...]:
     """Return the drawn topics besides frames and truth; ``prefix`` is that of the estimates."""
-    return TF_STATIC, ESTIMATE.under(prefix), STATUS.under(prefix), DIAGNOSTICS
+    estimates = (topic.under(prefix) for topic in (ESTIMATE, INTEGRITY, STATUS))
+    return TF_STATIC, *estimates, DIAGNOSTICS
 
 
 @dataclass(frozen=True)
@@ -84,9 +91,12 @@ class Scene:
         """The last estimate."""
         self.status: EstimatorStatus | None = None
         """The last status."""
+        self.integrity: Integrity | None = None
+        """The last integrity; None from an estimator that tells none."""
         self.troubles: dict[str, Diagnostic] = {}
         """Last diagnostic of each service whose level is not OK."""
         self._estimate, self._status = ESTIMATE.under(prefix).name, STATUS.under(prefix).name
+        self._integrity = INTEGRITY.under(prefix).name
         self._extrinsics = Extrinsics({})
         self._kinds = sensor_kinds()
         self._assemblers: dict[tuple[str, str], Assembler[Received]] = {}
@@ -95,6 +105,7 @@ class Scene:
         self._readers: dict[str, SensorReader] = {}
         self._frames: NewestFrames[Received] = NewestFrames()
         self._statuses: deque[EstimatorStatus] = deque(maxlen=_MOST_WAITING)
+        self._integrities: deque[Integrity] = deque(maxlen=_MOST_WAITING)
         self._unscored: deque[Odometry] = deque(maxlen=_MOST_WAITING)
 
     # --- messages in ---
@@ -107,6 +118,9 @@ class Scene:
         elif name == self._status:
             self.status = read_status(received.decode())
             self._statuses.append(self.status)
+        elif name == self._integrity:
+            self.integrity = read_integrity(received.decode())
+            self._integrities.append(self.integrity)
         elif name == TRUTH.name:
             self._take_truth(received)
         elif name in (TF.name, TF_STATIC.name):
@@ -180,6 +194,12 @@ class Scene:
         statuses = list(self._statuses)
         self._statuses.clear()
         return statuses
+
+    def integrities(self) -> list[Integrity]:
+        """Return the integrities that arrived since the last call."""
+        integrities = list(self._integrities)
+        self._integrities.clear()
+        return integrities
 
     def estimated(self) -> list[Scored]:
         """Return the new estimates whose truth is known, or has not arrived after a second."""

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from rpod_schemas.types import Diagnostic, EstimatorStatus, Source
+from rpod_schemas.types import Diagnostic, EstimatorStatus, Integrity, IntegrityState, Source
 from rpod_view.scene import Scored
 from rpod_view.shading import MILLIMETRES, band
 
@@ -19,8 +19,13 @@ SOURCES = {
 """Names of the pose's sources."""
 
 
-def summary(status: EstimatorStatus | None, scored: Scored | None, troubles: Iterable[Diagnostic]) -> str:
-    """Return Markdown of the last status, the last estimate with its errors, and what services warn of."""
+def summary(
+    status: EstimatorStatus | None,
+    scored: Scored | None,
+    troubles: Iterable[Diagnostic],
+    integrity: Integrity | None = None,
+) -> str:
+    """Return Markdown of the last status, estimate and integrity, and what services warn of."""
     told = "".join(f"\n\n**{each.level.name}** {each.name}: {each.message}" for each in troubles)
     if status is None:
         return f"# no estimator\n\nWaiting for the estimator's first status.{told}"
@@ -31,6 +36,8 @@ def summary(status: EstimatorStatus | None, scored: Scored | None, troubles: Ite
     ]
     if status.mode.has_track and scored is not None:
         rows += _rows_of(scored)
+    if integrity is not None:
+        rows += _rows_of_integrity(integrity)
     table = "\n".join(f"| {name} | {value} |" for name, value in rows)
     return f"# {status.mode.name}\n\n| | |\n|---|---|\n{table}{told}"
 
@@ -51,6 +58,19 @@ def _rows_of(scored: Scored) -> list[tuple[str, str]]:
         *rows,
         ("position error", f"{error_mm:.1f} mm (3 sigma {position_mm:.1f})"),
         ("attitude error", f"{error_deg:.2f} deg (3 sigma {attitude_deg:.2f})"),
+    ]
+
+
+def _rows_of_integrity(told: Integrity) -> list[tuple[str, str]]:
+    reason = told.reason.replace("|", "/") * (told.state != IntegrityState.NOMINAL)
+    position_mm, limit_mm = (MILLIMETRES * each for each in (told.position_level_m, told.position_limit_m))
+    return [
+        ("integrity", f"**{told.state.name}** {reason}".strip()),
+        ("position level", f"{_value(position_mm, 'mm')}, limit {_value(limit_mm, 'mm')}"),
+        (
+            "attitude level",
+            f"{_value(told.attitude_level_deg, 'deg')}, limit {_value(told.attitude_limit_deg, 'deg')}",
+        ),
     ]
 
 

@@ -52,6 +52,7 @@ class View:
         """Draw the new data; return the number of frames drawn."""
         statuses, scored = self._scene.statuses(), self._scene.estimated()
         self._plots.statuses(statuses)
+        self._plots.integrities(self._scene.integrities())
         self._plots.estimates(scored)
         self._scored = scored[-1] if scored else self._scored
         frames = self._draw_frames()
@@ -79,11 +80,13 @@ class View:
         stamp_ns = max([frame.data.stamp_ns for frame in frames] + [scene.estimates.newest_ns])
         stamp_ns = scene.truth.newest_ns if stamp_ns < 0 else stamp_ns
         if stamp_ns >= 0:
-            self._drawing.poses(stamp_ns, scene.truth.at(stamp_ns), scene.estimate_at(stamp_ns), scene.newest)
+            estimate = scene.estimate_at(stamp_ns)
+            self._drawing.poses(stamp_ns, scene.truth.at(stamp_ns), estimate, scene.newest)
+            self._drawing.level(estimate, scene.integrity)
 
     def _summarise(self, stamp_ns: int) -> None:
         text = rr.TextDocument(
-            summary(self._scene.status, self._scored, self._scene.troubles.values()),
+            summary(self._scene.status, self._scored, self._scene.troubles.values(), self._scene.integrity),
             media_type="text/markdown",
         )
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))

@@ -78,6 +78,11 @@ class Equivalence:
         """Number of a pose's degrees of freedom that measurements can tell."""
         return 6 - len(self.free_axes)
 
+    @property
+    def is_trivial(self) -> bool:
+        """Whether an attitude is equivalent to itself alone."""
+        return len(self.turns) == 1 and not len(self.free_axes)
+
     def cosines(self, attitudes: FloatArray, others: FloatArray) -> FloatArray:
         """Return the cosines of the least angles between attitudes, modulo the equivalence, shape (P, O).
 

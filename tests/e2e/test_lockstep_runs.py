@@ -27,6 +27,7 @@ from rpod_schemas.topics import (
     DIAGNOSTICS,
     ESTIMATE,
     ESTIMATE_POSE,
+    INTEGRITY,
     PARAMETER_EVENTS,
     POINTS,
     ROSOUT,
@@ -213,5 +214,5 @@ def test_a_replay_makes_the_very_estimates_of_the_run(runs, due, how, tmp_path):
     assert report.new.estimates == report.old.estimates
     assert report.new.error == report.old.error
     with open_log(out) as new:
-        for topic in (ESTIMATE, ESTIMATE_POSE):
+        for topic in (ESTIMATE, ESTIMATE_POSE, INTEGRITY):
             assert [m.payload for m in new.messages(topic.under("replay"))] == payloads(runs["seven"], topic)

@@ -73,4 +73,5 @@ def _side(run: Run | None) -> Side | None:
         modes=totals.modes(),
         error=totals.error(),
         consistency=totals.consistency(),
+        integrity=totals.integrity.summary(),
     )

@@ -26,16 +26,24 @@ from rpod_schemas.logs import (
     SCHEMA_ENCODING,
     SOFTWARE,
 )
-from rpod_schemas.messages import write_joints, write_odometry, write_pose_stamped, write_status
+from rpod_schemas.messages import (
+    write_integrity,
+    write_joints,
+    write_odometry,
+    write_pose_stamped,
+    write_status,
+)
 from rpod_schemas.topics import (
     ESTIMATE,
     ESTIMATE_FRAME,
     ESTIMATE_JOINTS,
     ESTIMATE_POSE,
+    INTEGRITY,
     STATUS,
     TOPICS,
     Topic,
 )
+from rpod_schemas.types import Integrity
 from rpod_target import Target
 
 _LATCHED = {topic.name for topic in TOPICS if topic.latched}
@@ -82,9 +90,9 @@ class EstimateLog:
             sequence=logged.sequence,
         )
 
-    def add(self, outputs: Iterable[Output], *, arrival_ns: int) -> None:
-        """Add the estimator's results for a frame, with the frame's time of arrival."""
-        for output in outputs:
+    def add(self, judged: Iterable[tuple[Output, Integrity]], *, arrival_ns: int) -> None:
+        """Add the estimator's results for a frame and their integrity, with the frame's time of arrival."""
+        for output, integrity in judged:
             if output.odometry is not None:
                 self._add(ESTIMATE, write_odometry(output.odometry), arrival_ns)
                 self._add(ESTIMATE_POSE, write_pose_stamped(output.odometry), arrival_ns)
@@ -93,6 +101,7 @@ class EstimateLog:
                     self._add(ESTIMATE_FRAME.at(name), message, arrival_ns)
             if output.joints is not None:
                 self._add(ESTIMATE_JOINTS, write_joints(output.joints), arrival_ns)
+            self._add(INTEGRITY, write_integrity(integrity), arrival_ns)
             self._add(STATUS, write_status(output.status), arrival_ns)
 
     def _add(self, topic: Topic, message: Any, arrival_ns: int) -> None:

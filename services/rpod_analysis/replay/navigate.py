@@ -27,16 +27,19 @@ from rpod_pose.measurement import Tick
 from rpod_pose.navigation.state import Output
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.migration import check_logged
+from rpod_schemas.errors import Reason
 from rpod_schemas.topics import (
     ESTIMATE,
     ESTIMATE_FRAME,
     ESTIMATE_JOINTS,
     ESTIMATE_POSE,
+    INTEGRITY,
     STATUS,
     TF_STATIC,
     TRUTH,
     TRUTH_JOINTS,
 )
+from rpod_schemas.types import Integrity
 from rpod_target import load_target
 
 
@@ -122,8 +125,8 @@ def replay(
             for logged in _relevant(log, intake, old, start_s=start_s, end_s=end_s):
                 if logged.topic in _copied(log, old):
                     written.copy(logged)
-                written.add(feed.outputs(frames.take(logged)), arrival_ns=logged.log_ns)
-            written.add(feed.outputs(frames.rest()), arrival_ns=written.last_ns)
+                written.add(feed.judged(frames.take(logged)), arrival_ns=logged.log_ns)
+            written.add(feed.judged(frames.rest()), arrival_ns=written.last_ns)
     except OSError as error:
         raise CannotWriteError(new, (error.strerror or str(error)).lower()) from error
     return Replayed(
@@ -149,13 +152,16 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
     feed = _Feed(estimator, intake, inputs)
     frames = Frames(intake, StampCheck(log))
     for logged in log.messages(*(topic.name for topic in (*intake.latched, *intake.streams))):
-        yield from feed.outputs(frames.take(logged))
-    yield from feed.outputs(frames.rest())
+        for output, _ in feed.outputs(frames.take(logged)):
+            yield output
+    for output, _ in feed.outputs(frames.rest()):
+        yield output
 
 
 def _copied(log: Log, prefix: str) -> set[str]:
     """Return the names of the topics that are copied from the old log to the new one."""
-    estimates = (topic.under(prefix).name for topic in (ESTIMATE, ESTIMATE_POSE, ESTIMATE_JOINTS, STATUS))
+    topics = (ESTIMATE, ESTIMATE_POSE, ESTIMATE_JOINTS, INTEGRITY, STATUS)
+    estimates = (topic.under(prefix).name for topic in topics)
     frames = ESTIMATE_FRAME.under(prefix).at("").name
     return {
         TRUTH.name,
@@ -200,26 +206,28 @@ class _Feed:
         self._inputs = inputs
         self._estimator, self._intake, self._recorded = estimator, intake, recorded
 
-    def outputs(self, events: Iterable[Event]) -> Iterator[Output]:
-        """Yield the estimator's outputs."""
+    def judged(self, events: Iterable[Event]) -> Iterator[tuple[Output, Integrity]]:
+        """Yield the estimator's outputs, each with its integrity, as the daemon publishes them."""
+        for output, frozen in self.outputs(events):
+            yield output, self._estimator.integrity(output, frozen=frozen)
+
+    def outputs(self, events: Iterable[Event]) -> Iterator[tuple[Output, bool]]:
+        """Yield the estimator's outputs, and whether their frames were refused as a frozen stream's."""
         for event in events:
             self._estimator.learn(self._intake.infos)
             for heard in self._inputs:
                 heard.hear_up_to(event.stamp_ns)
             if isinstance(event, Tick):
-                yield from self._tick(event.stamp_ns)
+                if (output := self._estimator.tick(event.stamp_ns)) is not None:
+                    yield output, False
                 continue
             if self._recorded is None:
-                yield from self._estimator.let_time_pass(event.stamp_ns)
+                for output in self._estimator.let_time_pass(event.stamp_ns):
+                    yield output, False
             else:  # the statuses show which ticks changed the mode
                 self._recorded.evidence = event.evidence
             started_s = time.perf_counter()
             output = self._estimator.process(event)
             self.processing_s.append(time.perf_counter() - started_s)
             self._intake.pinned = self._estimator.pins_setups
-            yield output
-
-    def _tick(self, now_ns: int) -> Iterator[Output]:
-        output = self._estimator.tick(now_ns)
-        if output is not None:
-            yield output
+            yield output, event.refused == Reason.FROZEN

@@ -36,8 +36,14 @@ def cells(options: Options) -> list[IntegrityCell]:
         for sensor in options.sensor
         for world in options.world
         for name in options.fault
-        for size in BY_NAME[name].sizes
+        for size in sizes_of(name, sensor)
     ]
+
+
+def sizes_of(fault: str, sensor: str) -> tuple[float, ...]:
+    """Return the sizes of a fault; with both sensors the middle one, since a sequence takes the longest."""
+    sizes = BY_NAME[fault].sizes
+    return (sizes[len(sizes) // 2],) if sensor == "both" else sizes
 
 
 def document_of(installed: dict[str, Scenario], target: str, world: WorldName) -> str:

@@ -33,7 +33,7 @@ FAULTS = (
     Fault("none", (0.0,), "", lasting=True),
     Fault("half_turn", (10.0, 45.0, 180.0), "deg"),
     Fault("wrong_target", (1.0,), "", lasting=True),
-    Fault("wrong_scale", (1.0, 3.0, 10.0), "%", lasting=True),
+    Fault("wrong_scale", (1.0, 2.0, 3.0, 10.0), "%", lasting=True),
     Fault("mount_off", (0.1, 0.3, 1.0, 3.0), "deg", seen_by_one=False),
     Fault("clock_behind", (0.01, 0.05, 0.2), "s", seen_by_one=False),
     Fault("frozen", (0.5, 2.0), "s"),

@@ -18,8 +18,13 @@ class Options(CampaignOptions):
     trials: Trials = 200
     target: Names = ("mockup",)
     """Targets: names, or paths of parameter files."""
-    sensor: Annotated[tuple[Literal["lidar", "pmd", "both"], ...], Field(min_length=1)] = ("lidar", "pmd")
-    """Sensors: a LIDAR at 1 Hz, a calibrated camera at 15 Hz, or both, of which the camera has the fault."""
+    sensor: Annotated[tuple[Literal["lidar", "pmd", "both"], ...], Field(min_length=1)] = (
+        "lidar",
+        "pmd",
+        "both",
+    )
+    """Sensors: a LIDAR at 1 Hz, a calibrated camera at 15 Hz, or both, of which the camera has the fault
+    in its middle size."""
     fault: Names = FAULT_NAMES
     """Faults: none, half_turn, wrong_target, wrong_scale, mount_off, clock_behind, frozen, range_drift."""
     world: Worlds = ("documented",)

@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import softmax
 
 from rpod_pose.belief import worst_sigma
+from rpod_pose.lidar.outline.other_size import other_sizes
 from rpod_pose.lidar.posterior.scan_uncertainty import FaceRows, model_covariance, noise_information
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, pose_covariance
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
@@ -151,9 +152,20 @@ class ProjectiveIcp:
         if not sure:
             found = self._resumed(seen, problem, found)
         if not self._near_axes or (sure and seen.returns >= MANY):
-            return self._registration(seen, found)
+            return self._with_sizes(seen, problem, found, self._registration(seen, found))
         found, spread = self._turned(seen, problem, start, found)
-        return _uncertain_by(self._registration(seen, found), spread)
+        registration = _uncertain_by(self._registration(seen, found), spread)
+        return self._with_sizes(seen, problem, found, registration)
+
+    def _with_sizes(
+        self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration, registration: Registration
+    ) -> Registration:
+        """Return a registration that continues a track with its poses for other sizes of the target."""
+        if not registration.continues_track:
+            return registration
+        assumed, declared = self.model.assumed, self._model_error.scale
+        sizes = other_sizes(problem, found, seen.range_m, assumed, self._reach, scale_tolerance=declared)
+        return replace(registration, other_sizes=sizes)
 
     def _resumed(self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration) -> ScanRegistration:
         """Return a registration from the likeliest of samples around one that may be beside the solution."""

@@ -26,6 +26,8 @@ class Applied(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class _Step:
     measurement: PoseMeasurement
+    predicted: FilterState
+    """Prediction that the measurement met."""
     outcome: Update
 
 
@@ -62,13 +64,13 @@ class History:
         """Return the index after the last step up to a stamp, equal stamps included."""
         return bisect_right(self.steps, stamp_ns, key=lambda step: step.measurement.stamp_ns)
 
-    def applied_at(self, stamp_ns: int, config: FilterConfig) -> "tuple[FilterState, PoseMeasurement] | None":
+    def applied_at(self, stamp_ns: int) -> "tuple[FilterState, PoseMeasurement] | None":
         """Return the newest measurement of a stamp and the prediction that it met; None if there is none."""
         place = self.place(stamp_ns)
         if not place or self.steps[place - 1].measurement.stamp_ns != stamp_ns:
             return None
-        before = self.steps[place - 2].outcome.state if place > 1 else self.origin
-        return predict(before, stamp_ns, config), self.steps[place - 1].measurement
+        step = self.steps[place - 1]
+        return step.predicted, step.measurement
 
     def pruned(self, config: FilterConfig) -> "History":
         """Return this history without the steps that are too old for any late measurement."""
@@ -100,4 +102,4 @@ def apply(
 
 
 def _applied(measurement: PoseMeasurement, predicted: FilterState, config: FilterConfig) -> _Step:
-    return _Step(measurement, updated(predicted, measurement, config))
+    return _Step(measurement, predicted, updated(predicted, measurement, config))

@@ -298,7 +298,7 @@ class Navigator:
         if reason:
             return self._reject(state, event, registration, reason=reason)
         measured = as_measured(registration, event)
-        state, nis, accepted = applied(state, history, measured, self._settings.filter)
+        state, nis, accepted = applied(state, history, measured, self._settings.filter, predicted)
         if not accepted:
             if tracked and registration.begins_track:
                 started = self._beginning.filter_at(measured)

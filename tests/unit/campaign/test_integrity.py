@@ -5,6 +5,7 @@ import polars as pl
 import pytest
 from scipy.spatial.transform import Rotation
 
+from rpod_campaign.integrity.campaign import sizes_of
 from rpod_campaign.integrity.course import IntegrityCell
 from rpod_campaign.integrity.declared import DeclaredErrors
 from rpod_campaign.integrity.faults import BY_NAME, Injector, LyingTracker
@@ -31,6 +32,11 @@ def test_a_drift_of_ranges_lengthens_returns_along_their_rays_and_nothing_else()
     np.testing.assert_allclose(found.data.points_m[0], [0.0, 3.06, 4.08], rtol=1e-6)
     assert np.isnan(found.data.points_m[1]).all()
     assert not found.data.points_m[2].any()
+
+
+def test_both_sensors_have_the_middle_size_of_each_fault():
+    assert sizes_of("clock_behind", "both") == (0.05,)
+    assert sizes_of("clock_behind", "lidar") == (0.01, 0.05, 0.2)
 
 
 def test_a_clock_behind_stamps_earlier_and_a_mount_off_turns_the_mount():

@@ -18,7 +18,7 @@ from synthetic_log import (
 from rpod_analysis import open_log
 from rpod_analysis.replay.log_view import Part, show_log
 from rpod_geometry.wireframe import project, visible_pieces
-from rpod_schemas.types import Camera, Mode
+from rpod_schemas.types import Camera, IntegrityState, Mode
 from rpod_target import load_target
 from rpod_view.view import View
 
@@ -42,7 +42,20 @@ def covariance():
 def estimated(number, _time_s):
     mode = Mode.ACQUIRING if number < 3 else Mode.TRACKING
     reason = "cost: too high" if number == 8 else ""
-    return Frame(mode, ATTITUDE_RAD, POSITION_M, covariance(), reason=reason)
+    return Frame(mode, ATTITUDE_RAD, POSITION_M, covariance(), reason=reason, integrity=judged(number))
+
+
+def judged(number):
+    state = IntegrityState.UNAVAILABLE if number < 6 else IntegrityState.CAUTION
+    level_m = float("nan") if number < 3 else 0.4 if number < 6 else 0.1
+    return {
+        "state": state,
+        "reason": "above the limit" if number < 6 else "a test is near its limit",
+        "position_level_m": level_m,
+        "position_limit_m": 0.15,
+        "attitude_level_deg": 0.5,
+        "attitude_limit_deg": 1.0,
+    }
 
 
 def draw(log_path, out, target, **options):
@@ -143,7 +156,12 @@ def test_state_and_events_tell_what_changed(drawn):
     verdicts = [row[0] for row in drawn["state/verdict"].columns["StateChange:state"]]
     assert verdicts == ["accepted", "rejected", "accepted"]
     events = [row[0] for row in drawn["events"].columns["TextLog:text"]]
-    assert events == ["ACQUIRING", "TRACKING", "pmd rejected: cost: too high"]
+    assert [text for text in events if not text.startswith("integrity")] == [
+        "ACQUIRING",
+        "TRACKING",
+        "pmd rejected: cost: too high",
+    ]
+    assert "integrity CAUTION: a test is near its limit" in events
 
 
 def test_the_summary_says_what_an_operator_asks_for(drawn):
@@ -151,6 +169,21 @@ def test_the_summary_says_what_an_operator_asks_for(drawn):
     assert texts[0].startswith("# ACQUIRING")
     assert "# TRACKING" in texts[-1]
     assert "| position error | 5.0 mm (3 sigma 150.0) |" in texts[-1]
+
+
+def test_the_level_stands_around_the_estimate_and_tells_its_state(drawn):
+    sphere, estimate = drawn["chaser/level"], drawn["chaser/estimate"]
+    half, places = (sphere.columns[f"Ellipsoids3D:{name}"] for name in ("half_sizes", "centers"))
+    np.testing.assert_allclose(half[-1][0], 0.1, atol=1e-6)
+    np.testing.assert_allclose(places[-1][0], estimate.values("Transform3D:translation")[-1], atol=1e-5)
+    levels_mm = drawn["plot/position/level"].values("Scalars:scalars")
+    assert np.isnan(levels_mm[:6]).all(), "unknown, or above the alert limit"
+    np.testing.assert_allclose(levels_mm[6:], 100.0, rtol=1e-6)
+    states = [row[0] for row in drawn["state/integrity"].columns["StateChange:state"]]
+    assert states == ["UNAVAILABLE", "CAUTION"]
+    table = drawn["summary"].columns["TextDocument:text"][-1][0]
+    assert "| integrity | **CAUTION** a test is near its limit |" in table
+    assert "| position level | 100.00 mm, limit 150.00 mm |" in table
 
 
 def test_the_screen_is_divided_once_more_when_the_camera_is_known(drawn):

@@ -108,7 +108,8 @@ class FreeMotion:
         C = exponential(phi) @ chaser.turn
         R_after = orthonormal(C @ R @ body.turn)
         q, u, W_after = C @ qu[:3], C @ qu[3:], R_after @ body.rate_rad_s
-        F, Q = of_blocks(state, step_s)
+        turned_rad = turn_of_view_rad(state, step_s)
+        F, Q = of_blocks(state, step_s, turned_rad)
         F[MOTION] = _moved(extras, state.size, R=R, C=C, W=W, body=body, moved=moved, chaser=chaser)
         by_turn = _by_turn(q, u, W_after)
         if GYRO_BIAS in extras.places:
@@ -127,7 +128,7 @@ class FreeMotion:
             T_chaser_target=pose_of(R_after, q - arm_m),
             velocity_m_s=velocity_m_s,
             rate_rad_s=w,
-            blocks=_faded(state, step_s, chaser),
+            blocks=_faded(state, step_s, chaser, turned_rad),
         )
         return Motion(after, F @ to_centre, Q, back)
 
@@ -187,11 +188,11 @@ class FreeMotion:
         return noise
 
 
-def _faded(state: FilterState, step_s: float, chaser: ChaserStep) -> tuple[Block, ...]:
+def _faded(state: FilterState, step_s: float, chaser: ChaserStep, turned_rad: float) -> tuple[Block, ...]:
     """Return the blocks after a step; of the gyro's bias, what the star tracker has not taken out."""
     return tuple(
         replace(block, value=chaser.bias_kept * block.value) if block.name == GYRO_BIAS else block
-        for block in faded(state.blocks, step_s, turn_of_view_rad(state, step_s))
+        for block in faded(state.blocks, step_s, turned_rad)
     )
 
 

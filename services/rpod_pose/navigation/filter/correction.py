@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import gammainc, gammaincinv
 
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
@@ -191,9 +191,13 @@ def pose_difference(
     T_measured: RigidTransform, T_estimated: RigidTransform, alike: Equivalence
 ) -> FloatArray:
     """Return (dp, dtheta) from the estimated to the nearest measured pose, shape (6,), m and rad."""
-    estimated = rotation_of(T_estimated)
-    measured = alike.nearest(rotation_of(T_measured), estimated)
-    turn_rad = (measured * estimated.inv()).as_rotvec()
+    if alike.is_trivial:
+        between = rotation_matrix(T_measured) @ rotation_matrix(T_estimated).T
+        turn_rad = Rotation.from_matrix(between, assume_valid=True).as_rotvec()
+    else:
+        estimated = rotation_of(T_estimated)
+        measured = alike.nearest(rotation_of(T_measured), estimated)
+        turn_rad = (measured * estimated.inv()).as_rotvec()
     return np.concatenate([T_measured.translation - T_estimated.translation, turn_rad])
 
 

@@ -17,10 +17,8 @@ from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, lef
 from rpod_pose.navigation.filter.state import (
     ATTITUDE,
     MOTION,
-    POSE,
     POSITION,
     RATE,
-    TWIST,
     VELOCITY,
     FilterState,
     Motion,
@@ -50,7 +48,9 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
         return state
     step_s = (stamp_ns - state.stamp_ns) * 1e-9
     moved, F, noise, after = (state.model or constant_twist)(state, step_s, config)
-    covariance = after @ (F @ state.covariance @ F.T + noise) @ after.T
+    covariance = F @ state.covariance @ F.T + noise
+    if after is not None:
+        covariance = after @ covariance @ after.T
     return unturned(replace(moved, stamp_ns=stamp_ns, covariance=symmetric(covariance)), config)
 
 
@@ -69,36 +69,38 @@ def constant_twist(state: FilterState, step_s: float, config: FilterConfig) -> M
     arm_after_m = turn @ arm_m
     centre_m_s = state.velocity_m_s + spin @ arm_m
 
-    F, Q = of_blocks(state, step_s)
-    F[POSITION, VELOCITY] = step_s * np.eye(3)
-    F[ATTITUDE, ATTITUDE] = turn
-    F[ATTITUDE, RATE] = step_s * left_jacobian(phi)
-    Q[MOTION, MOTION] = process_noise(
+    turned_rad = turn_of_view_rad(state, step_s)
+    F, Q = of_blocks(state, step_s, turned_rad)
+    about_centre = np.eye(12)
+    about_centre[POSITION, VELOCITY] = step_s * np.eye(3)
+    about_centre[ATTITUDE, ATTITUDE] = turn
+    about_centre[ATTITUDE, RATE] = step_s * left_jacobian(phi)
+    from_centre = np.eye(12) - _swing(arm_after_m, spin)
+    F[MOTION, MOTION] = from_centre @ (about_centre + about_centre @ _swing(arm_m, spin))
+    noise = process_noise(
         step_s, config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3
     )
-    from_centre = np.eye(state.size)
-    from_centre[MOTION, MOTION] -= _swing(arm_after_m, spin)
-    to_centre = np.eye(state.size)
-    to_centre[MOTION, MOTION] += _swing(arm_m, spin)
+    Q[MOTION, MOTION] = from_centre @ noise @ from_centre.T
     moved = replace(
         state,
         T_chaser_target=pose_of(
             turn @ R, state.T_chaser_target.translation + arm_m + centre_m_s * step_s - arm_after_m
         ),
         velocity_m_s=centre_m_s - spin @ arm_after_m,
-        blocks=faded(state.blocks, step_s, turn_of_view_rad(state, step_s)),
+        blocks=faded(state.blocks, step_s, turned_rad),
     )
-    return Motion(moved, F @ to_centre, Q, from_centre)
+    return Motion(moved, F, Q, None)
 
 
-def of_blocks(state: FilterState, step_s: float) -> tuple[FloatArray, FloatArray]:
+def of_blocks(state: FilterState, step_s: float, turned_rad: float) -> tuple[FloatArray, FloatArray]:
     """Return F and Q of a step, shape (12 + n, 12 + n), with the entries of the blocks alone.
 
-    The twelve states of pose and twist stand still in this F, and have no noise.
+    The twelve states of pose and twist stand still in this F, and have no noise. ``turned_rad`` is
+    ``turn_of_view_rad`` of the step.
     """
     F, Q = np.eye(state.size), np.zeros((state.size, state.size))
     if state.blocks:
-        kept, noise = step_of(state.blocks, step_s, turn_of_view_rad(state, step_s))
+        kept, noise = step_of(state.blocks, step_s, turned_rad)
         own = np.arange(MOTION.stop, state.size)
         F[own, own], Q[own, own] = kept, noise
     return F, Q
@@ -111,11 +113,11 @@ def turn_of_view_rad(state: FilterState, step_s: float) -> float:
     rate p x v / p^2. It also grows, by the share p . v / p^2: at its rim that moves the image as much as a
     turn by that angle.
     """
-    place_m = state.T_chaser_target.translation
-    squared = max(float(place_m @ place_m), 1e-12)
-    line_rad_s = np.cross(place_m, state.velocity_m_s) / squared
-    growth = float(place_m @ state.velocity_m_s) / squared
-    return hypot(float(np.linalg.norm(state.rate_rad_s - line_rad_s)), growth) * step_s
+    (x, y, z), (u, v, w) = state.T_chaser_target.translation.tolist(), state.velocity_m_s.tolist()
+    p, q, r = state.rate_rad_s.tolist()
+    squared = max(x * x + y * y + z * z, 1e-12)
+    across = p - (y * w - z * v) / squared, q - (z * u - x * w) / squared, r - (x * v - y * u) / squared
+    return hypot(*across, (x * u + y * v + z * w) / squared) * step_s
 
 
 def _swing(arm_m: FloatArray, spin: FloatArray) -> FloatArray:
@@ -132,10 +134,9 @@ def _swing(arm_m: FloatArray, spin: FloatArray) -> FloatArray:
 
 def process_noise(step_s: float, acceleration_m2_s3: float, angular_rad2_s3: float) -> FloatArray:
     """Return the noise that white accelerations of two densities cause in a step, shape (12, 12)."""
-    densities = (acceleration_m2_s3, angular_rad2_s3)
-    density = np.diag(np.repeat(densities, 3))
-    Q = np.empty((12, 12))
-    Q[POSE, POSE] = step_s**3 / 3.0 * density
-    Q[POSE, TWIST] = Q[TWIST, POSE] = step_s**2 / 2.0 * density
-    Q[TWIST, TWIST] = step_s * density
+    density = np.repeat((acceleration_m2_s3, angular_rad2_s3), 3)
+    Q, pose, twist = np.zeros((12, 12)), np.arange(6), np.arange(6, 12)
+    Q[pose, pose] = step_s**3 / 3.0 * density
+    Q[pose, twist] = Q[twist, pose] = step_s**2 / 2.0 * density
+    Q[twist, twist] = step_s * density
     return Q

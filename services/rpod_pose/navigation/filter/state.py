@@ -29,8 +29,8 @@ class Motion(NamedTuple):
     """Derivatives of the errors by those before, but for ``after``, shape (12 + n, 12 + n)."""
     noise: FloatArray
     """Covariance of the noise that comes in addition, but for ``after``, shape (12 + n, 12 + n)."""
-    after: FloatArray
-    """What the errors and the noise are multiplied with, shape (12 + n, 12 + n)."""
+    after: FloatArray | None
+    """What the errors and the noise are multiplied with, shape (12 + n, 12 + n); None for nothing."""
 
 
 class MotionModel(Protocol):

@@ -92,9 +92,13 @@ def protection_levels(
         velocity_m_s: its velocity, by which an error of the clock moves it, shape (3,).
         rate_rad_s: rate of the target, by which an error of the clock turns it, shape (3,).
     """
-    unseen = declared_covariance(config, place_m, velocity_m_s, rate_rad_s)
-    position_m, position_by = _greatest(solutions, POSITION, unseen, 0.5 * config.risk)
-    attitude_rad, attitude_by = _greatest(solutions, ATTITUDE, unseen, 0.5 * config.risk)
+    return levels_with(solutions, declared_covariance(config, place_m, velocity_m_s, rate_rad_s), config.risk)
+
+
+def levels_with(solutions: Sequence[Solution], unseen: FloatArray, risk: float) -> Levels:
+    """Return the levels of an estimate, with the covariance of declared errors, shape (6, 6)."""
+    position_m, position_by = _greatest(solutions, POSITION, unseen, 0.5 * risk)
+    attitude_rad, attitude_by = _greatest(solutions, ATTITUDE, unseen, 0.5 * risk)
     return Levels(min(degrees(attitude_rad), 180.0), position_m, attitude_by, position_by)
 
 

@@ -20,7 +20,13 @@ from rpod_pose.belief import SYMMETRY
 from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of
 from rpod_pose.navigation.filter.blocks import unknown
 from rpod_pose.navigation.integrity.inside import Inside
-from rpod_pose.navigation.integrity.levels import Levels, Solution, protection_levels, solution
+from rpod_pose.navigation.integrity.levels import (
+    Levels,
+    Solution,
+    declared_covariance,
+    levels_with,
+    solution,
+)
 from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent, residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started, updated
 from rpod_pose.navigation.sensors.mounts import mount_offsets
@@ -38,6 +44,8 @@ SIZE_BELIEVED = (
     "the size of the target is believed as its file states it; to have it checked, calibrate the camera"
 )
 """What levels do not cover where the distances of a camera are not good enough for the alert limits."""
+SIZE_DECLARED = "sizes up to 2 % off are not told apart, and are covered as far as scale_tolerance says"
+"""What levels do not cover where a size that the frames cannot exclude is not good enough for the limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +124,7 @@ class Monitor:
             memory = replace(memory, sensor=status.sensor, inside=inside)
         compared = None
         if state.history is not None and np.isfinite(status.nis):
-            compared = state.history.applied_at(status.stamp_ns, self._filter)
+            compared = state.history.applied_at(status.stamp_ns)
         if compared is None:
             return memory
         predicted, measured = compared
@@ -180,7 +188,7 @@ class Monitor:
             tests += found
             evidence |= numbers
         range_m = float(np.linalg.norm(estimate.T_chaser_target.translation))
-        tests += memory.inside.tests(range_m, self._tuning.range_share)
+        tests += memory.inside.tests(range_m, self._tuning.range_share, self._tuning.correlated_s)
         for one, other in combinations(sorted(memory.without), 2):
             there = [
                 predict(memory.without[name], estimate.stamp_ns, self._filter)
@@ -234,10 +242,15 @@ class Monitor:
             older = predict(before, estimate.stamp_ns, self._filter)
             solutions.append(solution("without the newest frames", estimate, older, self._tuning.group_share))
         solutions += self._rivals(output, estimate)
+        other_sizes, between = memory.inside.size_solutions(
+            estimate, self._config.risk, share, self._tuning.correlated_s
+        )
+        solutions += other_sizes
         place_m, moving = estimate.T_chaser_target.translation, (estimate.velocity_m_s, estimate.rate_rad_s)
+        unseen = declared_covariance(self._config, place_m, *moving)
 
         def levels_of(chosen: Sequence[Solution]) -> Levels:
-            return protection_levels(chosen, self._config, place_m, *moving)
+            return levels_with(chosen, unseen, self._config.risk)
 
         parts = memory.inside.solutions(estimate, share, self._tuning.range_share)
         less = ""
@@ -246,6 +259,11 @@ class Monitor:
                 less = f"{SIZE_BELIEVED}: {vague}"
             else:
                 solutions.append(part)
+        for size in between:
+            if vague := _above(levels_of([solutions[0], size]), *limit):
+                less = f"{SIZE_DECLARED}: {vague}"
+            else:
+                solutions.append(size)
         of_sensors = [
             solution(f"without {name}", estimate, predict(other, estimate.stamp_ns, self._filter), share)
             for name, other in memory.without.items()

@@ -96,14 +96,19 @@ class Newcomers:
 
 
 def applied(
-    state: NavigatorState, history: History, measured: PoseMeasurement, config: FilterConfig
+    state: NavigatorState,
+    history: History,
+    measured: PoseMeasurement,
+    config: FilterConfig,
+    predicted: FilterState | None = None,
 ) -> tuple[NavigatorState, float, bool]:
     """Return the state after a pose of an established sensor, its NIS, and whether the gate accepts it.
 
-    A refused pose stays in the history: a measurement that comes later may make it consistent.
+    A refused pose stays in the history: a measurement that comes later may make it consistent. ``predicted``
+    is the history's prediction to the pose's stamp, if the caller has it already.
     """
     if state.separation is None:
-        grown, nis, accepted = apply(history, measured, config)
+        grown, nis, accepted = apply(history, measured, config, predicted)
         return replace(state, history=grown), nis, accepted
     after = settled(state.separation, measured, config)
     return replace(state, history=after.history, separation=after.separation), after.nis, after.accepted

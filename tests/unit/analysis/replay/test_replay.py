@@ -16,8 +16,9 @@ from rpod_analysis.replay import compare, configured_estimator, replay
 from rpod_schemas.cdr import decode, typestore
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.logs import CONFIGURATION, REPLAY
-from rpod_schemas.topics import ESTIMATE, STATUS
-from rpod_schemas.types import Camera, Mode
+from rpod_schemas.messages import read_integrity
+from rpod_schemas.topics import ESTIMATE, INTEGRITY, STATUS
+from rpod_schemas.types import Camera, IntegrityState, Mode
 from rpod_target import load_target
 
 CAMERA = Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5)
@@ -71,6 +72,35 @@ def test_the_target_is_found_where_it_was(log_path, replayed):
     assert compared.difference.common == compared.new.estimates > 8
     assert compared.difference.identical == 0
     assert compared.difference.position_m.max == pytest.approx(compared.new.error.position_m.max, rel=1e-6)
+
+
+def integrity_of(path):
+    with open_log(path) as new:
+        logged = new.messages(INTEGRITY.under(REPLAY))
+        return [read_integrity(message.decode()) for message in logged]
+
+
+def test_each_status_of_a_replay_has_its_integrity(log_path, replayed):
+    told = integrity_of(replayed.out)
+    assert [each.stamp_ns for each in told] == [EPOCH_NS + k * 100_000_000 for k in range(11)]
+    assert all(0.0 < each.position_level_m < 1.0 for each in told[2:])
+    with open_log(log_path) as log:
+        compared = compare(log, replayed)
+    assert compared.old.integrity is None, "the live estimator told none"
+    assert compared.new.integrity.misleading == 0
+
+
+def test_a_frozen_stream_is_an_alert_in_a_replay(run, tmp_path):
+    """The image is the same from the seventh frame on."""
+    frozen = replace(
+        run, render=lambda _pose, number: run.render(approach(0.1 * min(number, 6)), min(number, 6))
+    )
+    with open_log(frozen.write(tmp_path / "run.mcap")) as log:
+        done = replay(log, CONFIG)
+    told = integrity_of(done.out)
+    assert told[-1].state == IntegrityState.ALERT
+    assert "pmd" in told[-1].reason
+    assert told[5].state != IntegrityState.ALERT
 
 
 def test_as_live_takes_the_frames_that_the_live_run_took(run, tmp_path):

@@ -15,7 +15,7 @@ from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.navigation.state import NavigatorState, Output
-from rpod_pose.ports import Misfit, PartSolution, Registration
+from rpod_pose.ports import Misfit, OtherSize, PartSolution, Registration
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
 from rpod_schemas.config.filter import FilterConfig
 from rpod_schemas.config.integrity import IntegrityConfig
@@ -272,6 +272,33 @@ def test_misfits_of_a_minute_are_tested_together_and_older_ones_forgotten():
     assert test.value == pytest.approx(12.0**2 / 4.0)
     assert test.fails(1e-6)
     assert not told.after("pmd", START_NS + 70 * SECOND_NS, None, 60.0).misfits
+
+
+@pytest.mark.parametrize(
+    ("log_odds", "level_deg", "fails"), [(-2.0, 3.0, False), (-30.0, 2.0, False), (20.0, 3.0, True)]
+)
+def test_the_level_contains_another_size_until_the_frames_exclude_it(log_odds, level_deg, fails):
+    began = start(truth(0.0), COVARIANCE, START_NS, config=CONFIG)
+    estimate = replace(began, covariance=1e-12 * began.covariance)
+    step = np.array([0.0, 0.0, 0.0, np.deg2rad(3.0), 0.0, 0.0])
+    told = inside(other_sizes=(OtherSize(0.03, log_odds, step),))
+    others, between = told.size_solutions(estimate, 1e-6, 1e-4, 1.0)
+    still = np.zeros(3)
+    alone = Solution("", np.zeros(6), 1e-12 * np.eye(6))
+    levels = protection_levels([alone, *others, *between], NOTHING_UNSEEN, TEN_M, still, still)
+    assert levels.attitude_deg == pytest.approx(level_deg, abs=0.3)
+    (test,) = told.tests(10.0, 0.0, 1.0)
+    assert test.fails(1e-6) == fails
+
+
+def test_sizes_of_frames_within_a_second_count_as_one():
+    size = OtherSize(0.03, 10.0, np.zeros(6))
+    told = Inside()
+    for k in range(10):
+        registration = Registration(Source.LIDAR, other_sizes=(size,))
+        told = told.after("lidar", START_NS + k * SECOND_NS // 10, registration, 60.0)
+    (test,) = told.tests(10.0, 0.0, 1.0)
+    assert test.value == pytest.approx(2.0 * 10.0 * 1.9)
 
 
 @pytest.mark.parametrize(("off_m", "fails"), [(0.0, False), (0.02, False), (0.06, True)])

@@ -1,0 +1,39 @@
+"""Scans of a target that has another size than its model."""
+
+import numpy as np
+import pytest
+from lidar_scans import BULKY, load, random_pose, scan_at, tracker
+
+from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_schemas.config.lidar import LidarConfig
+from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+from rpod_schemas.poses import pose_error
+
+T = random_pose(3)
+
+
+@pytest.fixture(scope="module")
+def scan():
+    return scan_at(T)
+
+
+def by_share(found):
+    return {round(100.0 * size.share): size for size in found.other_sizes}
+
+
+def test_the_right_model_is_likelier_than_a_target_of_another_size(scan):
+    sizes = by_share(tracker().track(scan, T))
+    assert set(sizes) == {-3, 3}
+    assert all(size.log_odds < -20.0 for size in sizes.values())
+
+
+def test_a_model_that_is_too_large_is_less_likely_than_a_smaller_target_whose_pose_is_nearer(scan):
+    pattern = ScanPattern.of(LidarConfig().info())
+    found = ProjectiveIcp(ProjectiveIcpConfig(), load(f"{BULKY}@scale=3%"), pattern).track(scan, T)
+    smaller, larger = by_share(found)[-3], by_share(found)[3]
+    assert smaller.log_odds > 20.0
+    assert larger.log_odds < 0.0
+    _, off_m = pose_error(T, found.T_sensor_target)
+    left_m = found.T_sensor_target.rotation.inv().apply(off_m) + smaller.step[:3]
+    assert np.linalg.norm(left_m) < 0.5 * np.linalg.norm(off_m)
