@@ -21,7 +21,7 @@ from checked_sensors import (
 )
 from scipy.spatial.transform import Rotation
 
-from rpod_driver.check import Level, Options, Verdict, judge
+from rpod_driver.check import Level, Observer, Options, Verdict, judge
 from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, PmdFrame
@@ -142,7 +142,18 @@ def test_the_motion_tells_the_instant_of_a_stamp_to_a_millisecond():
 def test_a_sensor_that_is_not_there_gives_one_failure_and_no_line_in_order():
     verdicts = judge(watched("pmd", (), None, latency_s=0.0, options=Options(rate_hz=10.0)))
     assert [each.line for each in verdicts if each.level is Level.FAIL] == ["publisher"]
-    assert {each.line for each in verdicts if each.level is Level.OK} <= {"qos"}
+    assert not [each.line for each in verdicts if each.level is Level.OK]
+    assert "no sensor is on this bus" in at(verdicts, "publisher").text
+
+
+def test_where_no_frame_comes_the_publishers_that_are_there_are_named():
+    observer = Observer("pmd", "front")
+    observer.take_tokens([("rosout", "::,"), ("frnt/depth/image_raw", "::,"), ("frnt/camera_info", "::,")])
+    text = at(judge(observer.end(EPOCH_NS)), "publisher").text
+    assert "nobody publishes front/depth/image_raw" in text
+    assert "published are frnt/camera_info, frnt/depth/image_raw:" in text
+    observer.take_tokens([("front/depth/image_raw", "::,")])
+    assert "has a publisher, which sends nothing" in at(judge(observer.end(EPOCH_NS)), "publisher").text
 
 
 def test_a_verdict_becomes_json():

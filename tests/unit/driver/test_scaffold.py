@@ -36,6 +36,9 @@ def test_its_configuration_and_its_unit_can_be_read(template, tmp_path):
     folder = scaffold(template, "my_camera", tmp_path)
     config = load(DriverConfig, folder / "driver.yaml")
     assert (config.kind, config.name, config.bus.wait) == (TEMPLATES[template], "my_camera", True)
+    text = (folder / "driver.yaml").read_text()
+    (folder / "set.yaml").write_text(text.replace("# settings:", "settings:"))
+    assert load(DriverConfig, folder / "set.yaml").settings
     unit = ConfigParser(interpolation=None)
     unit.optionxform = str
     unit.read_string((folder / "my_camera.service").read_text())
