@@ -11,10 +11,18 @@ from rpod_driver.errors import DriverError
 TEMPLATES = {"custom": "pmd", "ifm": "pmd", "ros": "pmd"}
 """Kind of the sensor of each template."""
 _SETTINGS = {
-    "custom": "# What the driver writes to the device after each connection.\n# settings: {exposure_us: 4000}",
-    "ifm": "# Address of the head; without it a simulated one.\n# settings: {ip: 192.168.0.69, port: port2}",
-    "ros": "# Router of the ROS graph and topics there; without them a simulated camera.\n# settings: {connect: "
-    "tcp/127.0.0.1:7448, depth: camera/depth/image_rect_raw, camera_info: camera/depth/camera_info}",
+    "custom": """\
+# What the driver writes to the device after each connection.
+# settings: {exposure_us: 4000}""",
+    "ifm": """\
+# Address of the head; without it a simulated one.
+# settings: {ip: 192.168.0.69, port: port2}""",
+    "ros": """\
+# Router of the ROS graph, and topics there; without them a simulated camera.
+# settings:
+#   connect: tcp/127.0.0.1:7448
+#   depth: camera/depth/image_rect_raw
+#   camera_info: camera/depth/camera_info""",
 }
 """Example of the settings in the configuration of each template."""
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
