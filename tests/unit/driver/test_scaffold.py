@@ -38,7 +38,7 @@ def test_its_configuration_and_its_unit_can_be_read(template, tmp_path):
     config = load(DriverConfig, folder / "driver.yaml")
     assert (config.kind, config.name, config.bus.wait) == (TEMPLATES[template], "my_camera", True)
     text = (folder / "driver.yaml").read_text()
-    (folder / "set.yaml").write_text(re.sub("^# (settings:|  )", r"\\1", text, flags=re.M))
+    (folder / "set.yaml").write_text(re.sub("^# (settings:|  )", r"\1", text, flags=re.M))
     assert load(DriverConfig, folder / "set.yaml").settings
     unit = ConfigParser(interpolation=None)
     unit.optionxform = str
