@@ -22,6 +22,7 @@ from checked_sensors import (
 from scipy.spatial.transform import Rotation
 
 from rpod_driver.check import Level, Observer, Options, Verdict, judge
+from rpod_driver.check.geometry import Fitted
 from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, PmdFrame
@@ -138,6 +139,12 @@ def test_the_motion_tells_the_instant_of_a_stamp_to_a_millisecond():
     good, early = (at(ideal_camera(*faults), "instant").figures for faults in ((), ("stamp_start",)))
     assert abs(good["offset_s"]) < 1e-3
     assert early["offset_s"] == pytest.approx(8e-3, abs=1e-3)
+
+
+def test_values_that_no_calibration_can_have_are_not_judged():
+    late_s = np.array([1.2, 0.0, 0.3, 0.0, 0.0, 0.1, 0.0, 0.0])  # of a loaded machine, 9 s of a steady turn
+    assert Fitted(late_s, np.eye(8), 0.01).is_astray
+    assert not Fitted(np.array([0.01, 0.1, 0.08, 0.0, 0.0, 0.05, 0.0, 0.0]), np.eye(8), 0.01).is_astray
 
 
 def test_a_sensor_that_is_not_there_gives_one_failure_and_no_line_in_order():
