@@ -22,7 +22,7 @@ from rpod_schemas.topics import TRUTH
 
 T = TypeVar("T")
 
-DEADLINE_S = 120.0
+DEADLINE_S = 300.0
 _PLAYED = 100
 """Messages of truth in the log of a run that plays: 0.4 s of it."""
 

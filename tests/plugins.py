@@ -16,7 +16,7 @@ def installed(name: str, folder: Path) -> Path:
     _copy(EXAMPLES / name, source)
     command = (sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation")
     where = folder / "site"
-    subprocess.run((*command, "--no-index", "--target", str(where), str(source)), check=True, timeout=120)
+    subprocess.run((*command, "--no-index", "--target", str(where), str(source)), check=True, timeout=600)
     return where
 
 

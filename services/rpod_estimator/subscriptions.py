@@ -162,6 +162,7 @@ class Subscriptions:
                 self.health.books[sensor].hear(received.arrival_s)
                 refused = Arrived(sensor, stamp_ns, received.arrival_s, None, str(error), error.reason)
                 self._refused.append(refused)
+                assembler.refuse(stamp_ns)
             raise
         self._holders.admit(received.topic.name, received.peer, received.arrival_s)
         if leads:

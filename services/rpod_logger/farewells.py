@@ -24,6 +24,9 @@ from rpod_schemas.types import CLOSING, PUBLISHED
 GRACE_S = 1.0
 """Time after which a message that has not arrived does not come any more: publishers stay open for 0.3 s
 after their last message and tell its number each 0.2 s, so that it is asked for again."""
+STOOD_STILL_S = 1.0
+"""Time between two judgements, of which there are four a second, from which on this process stood still:
+messages that came in that time are not handled yet, so the grace begins anew."""
 RETURN_S = 10.0
 """Time after an outage in which publishers come back: Zenoh tries at least each 4 s."""
 _OUTAGE_S = 1.0
@@ -100,6 +103,8 @@ class Farewells:
         self._lock = Lock()
         self._sessions: dict[str, _Session] = {}
         self._forgotten = 0
+        self._judged_s = self._awake_s = float("-inf")
+        """Times of the last judgement, and of the last one after which this process had stood still."""
         self._reasons: list[str] = []
         self._unconfirmed: list[str] = []
 
@@ -177,6 +182,9 @@ class Farewells:
     def judge(self, now_s: float) -> None:
         """Decide about the publishers that are gone and of which nothing comes any more."""
         with self._lock:
+            if now_s - self._judged_s > STOOD_STILL_S:
+                self._awake_s = now_s
+            self._judged_s = now_s
             for name, session in list(self._sessions.items()):
                 if session.instance:
                     self._judge_service(name, session, now_s)
@@ -210,7 +218,7 @@ class Farewells:
         """Return whether a publisher that is gone has had the time to come back, and its messages to come."""
         if self._left_with_link(gone[1]):
             return not self._link.lost and now_s - self._link.regained_s > RETURN_S
-        return now_s - gone[0] > GRACE_S
+        return now_s - max(gone[0], self._awake_s) > GRACE_S
 
     def _left_with_link(self, gone_ns: int) -> bool:
         return any(abs(gone_ns - outage.begin_ns) * _NS < _OUTAGE_S for outage in self._link.outages())

@@ -115,6 +115,13 @@ class Assembler(Generic[PartT]):
         ready = [stamp_ns for stamp_ns, parts in self._pending.items() if self._usable(parts)]
         return [self._finish(stamp_ns) for stamp_ns in sorted(ready)]
 
+    def refuse(self, stamp_ns: int) -> None:
+        """Leave out the frame whose leading part was refused: it is counted as refused, not as incomplete."""
+        frame_ns = self._frame_of(self.leading, stamp_ns)
+        if frame_ns > self.done_ns and frame_ns not in self._past:
+            self._pending.pop(frame_ns, None)
+            self._past.append(frame_ns)
+
     def take_given_up(self) -> list[GivenUp]:
         """Return the frames given up since the last call, the newest ones only."""
         given_up = list(self._given_up)

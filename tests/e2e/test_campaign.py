@@ -26,7 +26,7 @@ def command(*arguments: str | Path) -> list[str]:
 
 
 def campaign(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=120.0, check=False)
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=600.0, check=False)
 
 
 def test_json_is_one_object_and_the_report_stands_beside_the_trials(tmp_path, capsys):

@@ -156,6 +156,14 @@ def lines(log: Path) -> list[str]:
     return log.read_text().splitlines() if log.exists() else []
 
 
+class ToldError(Exception):
+    """What an executor told; it ends the campaign, so that a test need not wait for its patience to end."""
+
+
+def end_with(told: str) -> None:
+    raise ToldError(told)
+
+
 def test_a_worker_of_another_version_is_refused_by_name_and_others_run_the_trials(tmp_path, dask):
     other = tmp_path / "other_version.py"
     other.write_text(
@@ -167,7 +175,7 @@ def test_a_worker_of_another_version_is_refused_by_name_and_others_run_the_trial
     dask.start_worker("old", "--preload", str(other))
     told = []
     with pytest.raises(NoWorkersError, match=r"worker old at tcp://.*: rpod is 0\.0\.9, not 0\.1\.0"):
-        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=10.0))
+        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=20.0))
     dask.start_worker("new")
     campaign = counting(tmp_path)
     run_campaign(campaign, Cluster(dask.address, note=told.append))
@@ -179,14 +187,14 @@ def test_a_worker_that_cannot_say_what_it_runs_is_refused_and_not_waited_for(tmp
     broken = tmp_path / "broken.py"
     broken.write_text("from rpod_campaign.engine import software\nsoftware._version = None\n")
     dask.start_worker("broken", "--preload", str(broken))
-    with pytest.raises(NoWorkersError, match=r"worker broken at tcp://.*: TypeError: 'NoneType'"):
-        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=10.0))
+    with pytest.raises(ToldError, match=r"worker broken at tcp://.*: TypeError: 'NoneType'"):
+        run_campaign(counting(tmp_path), Cluster(dask.address, note=end_with))
 
 
 def test_a_worker_with_several_threads_is_refused(tmp_path, dask):
     dask.start_worker("wide", OMP_NUM_THREADS="2")
-    with pytest.raises(NoWorkersError, match=r"worker wide .*OMP_NUM_THREADS is 2, not 1"):
-        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=10.0))
+    with pytest.raises(ToldError, match=r"worker wide .*OMP_NUM_THREADS is 2, not 1"):
+        run_campaign(counting(tmp_path), Cluster(dask.address, note=end_with))
 
 
 def test_rows_go_back_to_the_client_where_a_worker_does_not_see_the_folder(tmp_path, dask, monkeypatch):
@@ -256,7 +264,7 @@ def test_the_script_for_slurm_runs_a_campaign(tmp_path, site):
     }
     done = subprocess.run(
         ["bash", str(script), "counting", "--trials", "20"],
-        env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120.0, check=False,
+        env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=600.0, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert once(counting_of(tmp_path / "campaigns", trials=20))

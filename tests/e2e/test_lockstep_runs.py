@@ -1,45 +1,105 @@
 """Runs at ``--speed max``: every frame counts, a seed tells all bytes, and facilities never meet.
 
-Three facilities run on this machine at the same time, two of them with the same seed.
+Four facilities with a camera and a LIDAR run on this machine at the same time, each beside the load of the
+others. Three of them have the same seed, with three hash seeds of Python.
 """
 
 import subprocess
 import sys
 from contextlib import ExitStack, closing
+from pathlib import Path
 
 import pytest
 from facility_process import FacilityProcess, Finished
 from logs import messages_of, read_closed
+from mcap.reader import make_reader
 
 from rpod.scenarios import find
 from rpod_analysis.log import open_log
+from rpod_schemas.cdr import decode, encode
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.replay import ReplayReport
 from rpod_schemas.schedule import due_frames
 from rpod_schemas.summary import Summary
-from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, ESTIMATE_POSE, POINTS, TRUTH, Topic
+from rpod_schemas.topics import (
+    CLOCK,
+    DEPTH,
+    DIAGNOSTICS,
+    ESTIMATE,
+    ESTIMATE_POSE,
+    PARAMETER_EVENTS,
+    POINTS,
+    ROSOUT,
+    STATUS,
+    TRUTH,
+    Topic,
+)
 
-SCENARIO = find("envisat-station")
-DURATION_S = 8.0
-SCANS = POINTS.of("lidar")
+BOTH = """
+name: both
+title: The mock-up by a camera and a LIDAR
+target: mockup
+duration_s: 2
+seed: 1
+motion:
+  trajectory: {kind: approach, start_m: [0, 0, 4], end_m: [0, 0, 3]}
+  attitude: {kind: spin, axis: [1, 0, 0], rate_deg_s: 5}
+  sun: {direction: [0.5, -0.6, -0.62]}
+sensors: [{kind: pmd, rate_hz: 10}, {kind: lidar, rate_hz: 2}]
+estimator: {sensors: [{kind: pmd}, {kind: lidar}]}
+"""
+DURATION_S = 1.5
+SCANS, IMAGES = POINTS.of("lidar"), DEPTH.of("pmd")
+OF_PROCESSES = {DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name}
+"""Topics whose messages come in the order of the processes' own time."""
 RUNS = {
     "seven": ("--seed", "7", "--json"),
     "seven again": ("--seed", "7"),
+    "seven a third time": ("--seed", "7"),
     "eight": ("--seed", "8", "--json"),
 }
 
 
 @pytest.fixture(scope="session")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Finished]:
-    arguments = (SCENARIO.name, "--speed", "max", "--duration", f"{DURATION_S:g}")
-    with ExitStack() as stack:
-        started = {
-            name: stack.enter_context(
-                closing(FacilityProcess(*arguments, *more, out=tmp_path_factory.mktemp("lockstep")))
-            )
-            for name, more in RUNS.items()
-        }
+def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scenario") / "both.yaml"
+    path.write_text(BOTH, "utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def runs(scenario: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Finished]:
+    arguments = (str(scenario), "--speed", "max", "--duration", f"{DURATION_S:g}")
+    with ExitStack() as stack, pytest.MonkeyPatch.context() as patch:
+        started = {}
+        for seed, (name, more) in enumerate(RUNS.items()):
+            patch.setenv("PYTHONHASHSEED", str(seed))
+            run = FacilityProcess(*arguments, *more, out=tmp_path_factory.mktemp("lockstep"))
+            started[name] = stack.enter_context(closing(run))
         return {name: run.finish() for name, run in started.items()}
+
+
+@pytest.fixture(scope="session")
+def due(scenario: Path) -> list[int]:
+    """Stamps of the frames that are due, ns, those of equal stamps once for each sensor."""
+    read = find(str(scenario))
+    frames = due_frames(read.sensors, epoch_ns=read.epoch_ns, duration_s=DURATION_S)
+    return [frame.stamp_ns for frame in frames]
+
+
+def content(run: Finished) -> dict[str, list[bytes]]:
+    """Return the messages of each topic in the order of their numbers, without times of processing."""
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with run.log.open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            data, name = bytes(message.data), channel.topic.lstrip("/")
+            if name == STATUS.name:
+                status = decode(data, schema.name)
+                status.processing_s = 0.0
+                data = bytes(encode(status))
+            if name not in OF_PROCESSES:
+                found.setdefault(name, []).append((message.sequence, data))
+    return {name: [data for _, data in sorted(messages)] for name, messages in found.items()}
 
 
 def payloads(run: Finished, topic: Topic) -> list[bytes]:
@@ -56,12 +116,9 @@ def test_every_run_succeeds(run):
     read_closed(run.log)
 
 
-def test_there_is_one_status_for_every_frame_that_is_due(run):
-    due = due_frames(SCENARIO.sensors, epoch_ns=SCENARIO.epoch_ns, duration_s=DURATION_S)
+def test_there_is_one_status_for_every_frame_that_is_due(run, due):
     with open_log(run.log) as log:
-        stamps = [status.stamp_ns for status in log.statuses()]
-    assert stamps == [frame.stamp_ns for frame in due]
-    assert len(stamps) == DURATION_S
+        assert [status.stamp_ns for status in log.statuses()] == due
 
 
 def test_nothing_is_dropped_or_missed(run):
@@ -73,37 +130,39 @@ def test_nothing_is_dropped_or_missed(run):
 
 
 def test_the_target_is_tracked(run):
-    assert run.summary.modes.tracking_share == 1.0
+    assert run.summary.modes.tracking_share > 0.9
     assert run.summary.error.attitude_deg.max < 10.0
     assert run.summary.error.position_m.max < 0.5
 
 
-def test_time_is_the_scenarios(run):
+def test_time_is_the_scenarios(run, scenario):
     with open_log(run.log) as log:
         truth_ns = [odometry.stamp_ns for odometry in log.odometry(TRUTH)]
         (clock,) = {type(logged.decode()).__name__ for logged in log.messages(CLOCK)}
         assert clock.endswith("Clock")
-        assert log.topics[CLOCK.name].count >= DURATION_S
+        assert log.topics[CLOCK.name].count > 0
     preroll_ns, tail_ns = NANOSECONDS // 10, NANOSECONDS // 10
-    assert truth_ns[0] == SCENARIO.epoch_ns - preroll_ns
-    assert truth_ns[-1] == SCENARIO.epoch_ns + round(DURATION_S * NANOSECONDS) + tail_ns
+    epoch_ns = find(str(scenario)).epoch_ns
+    assert truth_ns[0] == epoch_ns - preroll_ns
+    assert truth_ns[-1] == epoch_ns + round(DURATION_S * NANOSECONDS) + tail_ns
     assert truth_ns == sorted(set(truth_ns))
     assert run.summary.latency_s is None
 
 
-def test_a_seed_tells_every_byte_of_scans_and_estimates(runs):
-    for topic in (SCANS, ESTIMATE, ESTIMATE_POSE, TRUTH):
-        first, again = (payloads(runs[name], topic) for name in ("seven", "seven again"))
-        assert first
-        assert first == again, topic
+@pytest.mark.parametrize("other", ["seven again", "seven a third time"])
+def test_runs_of_one_seed_are_equal_to_the_last_message(runs, due, other):
+    first, again = content(runs["seven"]), content(runs[other])
+    assert len(first[SCANS.name]) + len(first[IMAGES.name]) == len(first[STATUS.name]) == len(due)
+    assert all(first[topic.name] for topic in (TRUTH, CLOCK, ESTIMATE, ESTIMATE_POSE))
+    assert [name for name in first.keys() | again.keys() if first.get(name) != again.get(name)] == []
 
 
 def test_another_seed_gives_other_scans_and_estimates_of_the_same_truth(runs):
-    for topic in (SCANS, ESTIMATE):
+    for topic in (SCANS, IMAGES, ESTIMATE):
         seven, eight = (set(payloads(runs[name], topic)) for name in ("seven", "eight"))
         assert not seven & eight, topic
     assert payloads(runs["seven"], TRUTH) == payloads(runs["eight"], TRUTH)
-    assert [runs[name].summary.seed for name in RUNS] == [7, 7, 8]
+    assert [runs[name].summary.seed for name in RUNS] == [7, 7, 7, 8]
 
 
 def test_facilities_at_the_same_time_have_nothing_in_common(runs):
@@ -138,19 +197,20 @@ def test_json_prints_nothing_else(runs):
 
 
 @pytest.mark.parametrize("how", [(), ("--as-live",)], ids=["all frames", "as live"])
-def test_a_replay_makes_the_very_estimates_of_the_run(runs, how, tmp_path):
+def test_a_replay_makes_the_very_estimates_of_the_run(runs, due, how, tmp_path):
     log, out = runs["seven"].log, tmp_path / "again.mcap"
     done = subprocess.run(
         [sys.executable, "-m", "rpod", "replay", str(log), *how, "--out", str(out), "--json"],
         capture_output=True,
         text=True,
-        timeout=120.0,
+        timeout=600.0,
         check=False,
     )
     assert done.returncode == 0, done.stderr
     report = ReplayReport.model_validate_json(done.stdout)
-    assert (report.frames, report.missing, report.refused) == (DURATION_S, 0, {})
-    assert report.difference.identical == report.difference.common == report.old.estimates > 0
+    assert (report.frames, report.missing, report.refused) == (len(due), 0, {})
+    assert report.difference.identical == report.difference.common > 0
+    assert report.new.estimates == report.old.estimates
     assert report.new.error == report.old.error
     with open_log(out) as new:
         for topic in (ESTIMATE, ESTIMATE_POSE):

@@ -63,6 +63,7 @@ def test_a_third_kind_is_played_logged_reported_and_replayed(kind: Path, tmp_pat
     summary = played(kind, scenario, tmp_path / "runs", duration_s=10.0)
     for topic in ("mono/image_raw", "mono/camera_info"):
         assert summary["frames"][topic] == {"published": 100, "logged": 100, "missed": 0}
+    assert summary["completeness"]["reasons"] == []
     assert summary["completeness"]["complete"]
     # in half of its time the approach is twice as fast: some frames are refused until the twist is known
     assert summary["estimates"]["accepted"] >= 90

@@ -32,7 +32,7 @@ def rpod(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
         [sys.executable, "-m", "rpod", *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=60.0,
+        timeout=600,
         check=False,
     )
 

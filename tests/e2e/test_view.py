@@ -18,7 +18,7 @@ def rpod(*arguments, without_rerun=False):
         [sys.executable, *start, *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=120.0,
+        timeout=600.0,
         check=False,
     )
 

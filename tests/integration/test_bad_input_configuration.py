@@ -27,7 +27,7 @@ def ended(verb: str, file: Path) -> tuple[int, str]:
         [sys.executable, "-m", "rpod", verb, "--config", file],
         capture_output=True,
         text=True,
-        timeout=120.0,
+        timeout=600.0,
         check=False,
     )
     assert done.stdout == ""

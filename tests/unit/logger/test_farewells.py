@@ -62,8 +62,13 @@ class Stage:
         self.farewells.confirm([status], now_s=self.now_s)
 
     def reasons(self, after_s: float = 2 * GRACE_S) -> tuple[str, ...]:
-        self.farewells.judge(self.now_s + after_s)
+        self.judge_for(after_s)
         return self.farewells.take(0).reasons
+
+    def judge_for(self, duration_s: float) -> None:
+        """Judge four times a second from now on, as the logger does."""
+        for turn in range(round(4 * duration_s) + 1):
+            self.farewells.judge(self.now_s + turn / 4)
 
 
 @pytest.fixture
@@ -172,11 +177,21 @@ def test_who_comes_back_after_the_bus_was_lost_has_not_ended(stage):
     assert stage.farewells.take(round((stage.now_s + 2.0) * NS)).reasons == (), "of a file begun after it"
 
 
+def test_a_process_that_stood_still_waits_for_the_messages_of_that_time(stage):
+    stage.farewells.judge(stage.now_s)
+    stage.leave()
+    stage.now_s += 30.0
+    assert stage.reasons(after_s=0.5) == (), "the last messages came while it stood still, and wait"
+    stage.clock(2)
+    stage.beat(clock=2, closing=True)
+    assert stage.reasons() == ()
+
+
 def test_other_software_is_told_and_is_no_reason(stage):
     stage.begin("foreign")
     stage.clock(7, session="foreign")
     stage.leave("foreign")
-    stage.farewells.judge(stage.now_s + 2 * GRACE_S)
+    stage.judge_for(2 * GRACE_S)
     endings = stage.farewells.take(0)
     assert endings.reasons == ()
     assert "clock: a publisher of session foreign ended" in endings.unconfirmed[0]

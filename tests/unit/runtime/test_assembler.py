@@ -110,6 +110,16 @@ def test_the_late_parts_of_a_frame_that_was_given_up_are_not_counted_again():
     assert lossy.incomplete == 1
 
 
+def test_a_frame_whose_leading_part_was_refused_is_not_incomplete_as_well():
+    refusing = Assembler(REQUIRED, OPTIONAL, leading="depth")
+    feed(refusing, ("camera_info", 5))
+    refusing.refuse(5)
+    assert stamps(feed(refusing, ("amplitude", 5), *whole(6))) == [6]
+    refusing.refuse(6)
+    assert stamps(feed(refusing, *whole(7))) == [7]
+    assert refusing.incomplete == 0
+
+
 def test_interleaved_frames_come_out_oldest_first():
     frames = feed(
         assembler(), ("depth", 5), ("depth", 6), ("camera_info", 6), ("camera_info", 5), ("amplitude", 6)
