@@ -120,6 +120,8 @@ class Registration:
     """Angles of the target's joints, by name."""
     misfit: Misfit | None = None
     """Test of the target's model by the frame's residuals; None for a method that has none."""
+    range_bias_m: float = 0.0
+    """Length by which all ranges of the frame are too long, as found with the pose; 0 where none is."""
     by_part: PartSolution | None = None
     """Position by a part of the data; None for a method that does not tell."""
 

@@ -46,7 +46,7 @@ def mass_properties(
     volume = volume_m3(solid_m) if len(solid_m) else 0.0
     if density_kg_m3 is not None:
         if volume <= 0.0:
-            raise ValueError("needs a closed surface, and there is none: give mass_kg instead")
+            raise ValueError("needs a closed surface, and there is none: give mass_kg (--mass-kg) instead")
         mass_kg = density_kg_m3 * volume
     if mass_kg is None:
         raise ValueError("give mass_kg or density_kg_m3")

@@ -101,6 +101,16 @@ class PmdAcquisitionTuning(Tuning):
     """Number of best distinct poses that are refined to the end."""
     rival_loss: Annotated[Positive, BY_HAND] = 200.0
     """Largest difference of loss from the best pose with which one of these is refined on the outline too."""
+    rival_losses: Annotated[
+        Positive,
+        Provenance(
+            "campaign",
+            "population derive, seed 71, 14 bodies of 6 frames: rivals whose loss was within 19 to 1 of the "
+            "best after the alignment had at most 1.5 times its loss before",
+        ),
+    ] = 2.0
+    """Greatest loss over that of the best pose with which another is aligned by the tracker as well, and
+    compared again."""
     settling: Annotated[int, Field(ge=0), BUDGET] = 6
     """Greatest number of further alignments of a first pose, each from the last one's result, until it
     settles."""

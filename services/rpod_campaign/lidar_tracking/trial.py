@@ -121,19 +121,26 @@ def _single(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
 def _sequence(cell: TrackingCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the columns of a sequence in which the navigator tracks a tumbling target."""
     frames = list(_frames(cell, seed, trial))
-    angles_deg = [angle_deg for angle_deg, _, _ in frames]
+    angles_deg = [angle_deg for angle_deg, _, _ in frames if angle_deg is not None]
     return {
         "frames": len(frames),
         "rejected_frames": sum(not accepted for _, accepted, _ in frames),
-        "lost_frames": sum(not mode.has_track or angle >= SUCCESS_DEG for angle, _, mode in frames),
-        "wrong_frames": sum(accepted and angle >= SUCCESS_DEG for angle, accepted, _ in frames),
-        "worst_deg": max(angles_deg),
-        "attitude_error_deg": float(np.median(angles_deg)),
+        "lost_frames": sum(
+            not mode.has_track or angle is None or angle >= SUCCESS_DEG for angle, _, mode in frames
+        ),
+        "wrong_frames": sum(
+            accepted and angle is not None and angle >= SUCCESS_DEG for angle, accepted, _ in frames
+        ),
+        "worst_deg": max(angles_deg, default=180.0),
+        "attitude_error_deg": float(np.median(angles_deg)) if angles_deg else 180.0,
     }
 
 
-def _frames(cell: TrackingCell, seed: int, trial: int) -> Iterator[tuple[float, bool, Mode]]:
-    """Yield attitude error, deg, acceptance of the measurement, and mode, for each frame."""
+def _frames(cell: TrackingCell, seed: int, trial: int) -> Iterator[tuple[float | None, bool, Mode]]:
+    """Yield attitude error, deg, acceptance of the measurement, and mode, for each frame.
+
+    The error is None where the navigator publishes no estimate: such a frame is lost, and no pose is wrong.
+    """
     emulator, _, navigator = _bench(cell, seed)
     motion = tumbling(cell.target, cell.rate_deg_s or 0.0, stream(seed, trial, _TUMBLE))
     state = navigator.start(motion.state(0.0).T_chaser_target)
@@ -143,7 +150,7 @@ def _frames(cell: TrackingCell, seed: int, trial: int) -> Iterator[tuple[float, 
         state, output = navigator.step(state, Measurement(SENSOR, scan, make_pose()))
         believed = None if output.odometry is None else output.odometry.pose
         angle_deg = errors(truth, believed, cached_target(cell.target))[0]
-        yield 180.0 if angle_deg is None else angle_deg, output.status.accepted, state.mode
+        yield angle_deg, output.status.accepted, state.mode
 
 
 def tumbling(target: str, rate_deg_s: float, generator: Generator) -> Motion:

@@ -80,6 +80,8 @@ def make(task: Task) -> Methods:
 class ScanFrames:
     """Separates scans: surroundings.methods.Frames."""
 
+    range_bias_m = 0.0
+
     def __init__(self, pattern: ScanPattern) -> None:
         self._view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad)
 

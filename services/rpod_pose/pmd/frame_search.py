@@ -1,6 +1,6 @@
 """The search in one PMD frame: from thousands of attitudes to a few poses, ranked by render and compare."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import Self
@@ -82,12 +82,26 @@ class Model:
 
 
 class FrameSearch:
-    """Searches one frame."""
+    """Searches one frame.
+
+    Args:
+        tuning: parameters of the search.
+        model: the target.
+        scene: the frame's coarse pixels.
+        fitter: compares them with poses.
+        possible: whether a pose near a given one may be the target's; the others are not refined to the end.
+    """
 
     def __init__(
-        self, tuning: PmdAcquisitionTuning, model: Model, scene: PmdScene, fitter: PmdFitter
+        self,
+        tuning: PmdAcquisitionTuning,
+        model: Model,
+        scene: PmdScene,
+        fitter: PmdFitter,
+        possible: Callable[[Pose], bool],
     ) -> None:
         self._tuning, self._model, self._scene, self._fitter = tuning, model, scene, fitter
+        self._possible = possible
         radius_m, noise_m = model.target.radius_m, float(np.median(scene.sigma_m[scene.range_m > 0.0]))
         truncation_m, least_m = tuning.truncation * radius_m, tuning.scale_sigmas * noise_m
         self._field_scales_m = np.maximum(FIELD_STEPS * truncation_m, least_m)
@@ -134,7 +148,8 @@ class FrameSearch:
             return []
         most = refined[0].fit.loss + self._tuning.rival_loss
         return self._distinct(
-            self._outline_refined(pose) if pose.fit.loss <= most else pose for pose in refined
+            self._outline_refined(pose) if pose.fit.loss <= most and self._possible(pose) else pose
+            for pose in refined
         )
 
     def _fitted(self, R: FloatArray, t: FloatArray) -> Pose:

@@ -24,6 +24,7 @@ from rpod_pose.pmd.signed_distance import SignedDistanceTracker
 from rpod_pose.pmd.view_search import ViewSearch
 from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
 from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
+from rpod_schemas.config.depth_calibration import DepthCalibration
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
 from rpod_schemas.config.pmd_joint import JointConfig
@@ -51,19 +52,34 @@ def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
     if task.tracker is not None and task.sensor.tracking.kind == "joint":
         return ViewSearch(config, task.target, task.tracker)
     finisher = joint(JointConfig(), task)
-    return ViewSearch(config, task.target, TrackerAmongThings(finisher, PmdFrames(), task.target))
+    return ViewSearch(config, task.target, TrackerAmongThings(finisher, frames_of(task.sensor), task.target))
 
 
 def joint(config: JointConfig, task: Task) -> Tracker[PmdFrame]:
     """Return the facility's own tracker, which assumes the range bias that the calibration states."""
     calibration = task.sensor.calibration
-    if calibration is not None and calibration.evidence is not None:
-        bias_m = max(calibration.evidence.bias_after_m, LEAST_BIAS_M)
+    if calibration is not None:
         tuning = config.tuning
-        left = tuning.depth.calibrated.model_copy(update={"bias_m": bias_m})
+        left = tuning.depth.calibrated.model_copy(update={"bias_m": _bias_m(config, calibration)})
         depth = tuning.depth.model_copy(update={"calibrated": left})
         config = config.model_copy(update={"tuning": tuning.model_copy(update={"depth": depth})})
     return JointTracker(config, task.target, calibrated=calibration is not None)
+
+
+def _bias_m(config: JointConfig, calibration: DepthCalibration | None) -> float:
+    """Return the standard deviation of the error that all ranges of a frame share."""
+    depth = config.tuning.depth
+    if calibration is None:
+        return depth.raw.bias_m
+    if calibration.evidence is None:
+        return depth.calibrated.bias_m
+    return max(calibration.evidence.bias_after_m, LEAST_BIAS_M)
+
+
+def frames_of(sensor: PmdInput) -> PmdFrames:
+    """Return the separation of a camera's frames."""
+    config = sensor.tracking if isinstance(sensor.tracking, JointConfig) else JointConfig()
+    return PmdFrames(_bias_m(config, sensor.calibration))
 
 
 def signed_distance(config: SignedDistanceConfig, task: Task) -> Tracker[PmdFrame]:
@@ -88,7 +104,7 @@ def hybrid(config: HybridConfig, task: Task) -> Tracker[PmdFrame]:
 
 def _tracker(task: Task) -> TrackerAmongThings:
     tracker: Tracker[PmdFrame] = method("pmd", task.sensor.tracking.kind).built(task.sensor.tracking, task)
-    return TrackerAmongThings(tracker, PmdFrames(), task.target)
+    return TrackerAmongThings(tracker, frames_of(task.sensor), task.target)
 
 
 def make(task: Task) -> Methods:
@@ -138,9 +154,9 @@ def masked(frame: PmdFrame, hit: Callable[[Float32Array], NDArray[np.bool_]]) ->
     return frame.model_copy(update=images)
 
 
-def frames(_sensor: PmdInput, _: object) -> PmdFrames:
-    """Return the separation of a camera's frames."""
-    return PmdFrames()
+def frames(sensor: PmdInput, _: object) -> PmdFrames:
+    """Return the separation of a camera's frames, whatever its setup."""
+    return frames_of(sensor)
 
 
 def _places_m(frame: PmdFrame) -> Float32Array | None:

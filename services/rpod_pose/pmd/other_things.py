@@ -30,7 +30,14 @@ class PartOfFrame(PmdFrame):
 
 
 class PmdFrames:
-    """Separates PMD frames: surroundings.methods.Frames."""
+    """Separates PMD frames: surroundings.methods.Frames.
+
+    Args:
+        range_bias_m: standard deviation of the error that all ranges of a frame share.
+    """
+
+    def __init__(self, range_bias_m: float = 0.0) -> None:
+        self.range_bias_m = range_bias_m
 
     def image(self, frame: PmdFrame, *, fine: bool) -> RangeImage | None:
         """Return the ranges of every few pixels; None if the lens cannot be inverted."""

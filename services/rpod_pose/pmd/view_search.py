@@ -12,8 +12,12 @@
 The search only ranks poses. The tracker refines the best on depth and edges, and again from its own result
 until the pose settles: the edges that it expects are those of a rendering at the pose from which it starts.
 Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise.
-The weights of the hypotheses follow from their losses. If no hypothesis outweighs the others, the tracker
-checks each: its edges may show which of them the frame contradicts. If it refuses the best, the next ones are
+The weights of the hypotheses follow from their losses. The tracker aligns the likely rivals as well, and they
+are compared again, because a pose that was not aligned does not show yet how well it explains the frame. A
+rival is excluded if its loss is too great before and after the alignment, if the tracker refuses it, or if
+the alignment leads it to the best pose. It stays if the shape alone prefers it clearly: a user knows the
+materials only roughly. If a refused pose explains the frame much better than the accepted ones, none is
+accepted: the right pose may not be among them. If the tracker refuses all likely poses, the next ones are
 tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
@@ -24,11 +28,15 @@ ambiguous.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
-from scipy.special import softmax
+from scipy.special import logit
+from scipy.stats import chi2
 
+from rpod_pose.belief import contradicted
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
 from rpod_pose.pmd.joint.expected_edges import moved_px
@@ -37,11 +45,15 @@ from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
+from rpod_pose.surroundings.methods import TrackerAmongThings
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
+
+CLEAR_LOG = 0.5 * float(chi2.ppf(0.95, df=1))
+"""Difference of two log likelihoods from which one of them is preferred: a likelihood-ratio test at 95 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +71,26 @@ class _Task:
         """Return the acquisition of a search without an accepted pose."""
         nothing = replace(registration, T_sensor_target=None, covariance=np.full((6, 6), np.nan))
         return Acquisition(nothing, templates=len(self.attitudes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Aligned:
+    """A pose of the search, aligned with the frame by the tracker."""
+
+    R: FloatArray
+    """R_sensor_target, shape (3, 3)."""
+    t: FloatArray
+    """Position of the target's origin, sensor axes, shape (3,), m."""
+    shown_t: FloatArray
+    """The position at which the depth shows it, with the bias of the ranges that the tracker found."""
+    registration: Registration
+    losses: FloatArray
+    """Losses in the frame before and after the alignment, shape (2,)."""
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the tracker believes the pose: a first pose needs more than a track."""
+        return self.registration.belief.level is BeliefLevel.ACCEPTED
 
 
 class ViewSearch:
@@ -119,39 +151,81 @@ class ViewSearch:
         """Return the acquisition of the poses that are best with the file's materials, or by shape alone."""
         tuning = self._tuning
         fitter = PmdFitter(tuning.model, self._model.shown, task.scene, known_materials=known_materials)
-        poses = FrameSearch(tuning, self._model, task.scene, fitter).search(task.attitudes, task.around)
+        search = FrameSearch(tuning, self._model, task.scene, fitter, partial(self._possible, task.frame))
+        poses = search.search(task.attitudes, task.around)
         if not poses:
             reason = "no attitude shows the target to the camera"
             return task.failed(Registration.none(Source.NONE, reason))
         independent = tuning.independent_pixels if known_materials else tuning.independent_pixels_of_shape
-        logs = np.array([-pose.fit.loss * independent / poses[0].fit.pixels for pose in poses])
-        weights, least = softmax(logs), tuning.ambiguous_weight
-        contenders = 1 if weights[0] >= least else int(np.count_nonzero(weights > 1.0 - least))
-        checked: list[Registration] = []
-        left: list[int] = []
-        for index, pose in enumerate(poses):
-            if index >= contenders and left:
-                break
-            checked.append(self._registered(task, pose))
-            if checked[-1].belief.level is BeliefLevel.ACCEPTED:  # a first pose needs more than a track
-                left.append(index)
-        if not left:
-            return task.failed(checked[0])
-        best = checked[left[0]]
-        left += range(len(checked), len(poses))
-        ranked = [poses[index] for index in left]
-        if best.T_sensor_target is not None:
-            matrix = best.T_sensor_target.as_matrix()
-            ranked[0] = replace(ranked[0], R=matrix[:3, :3], t=matrix[:3, 3])
-        found = rivals(ranked, logs[left], self._model.turns.exact)
-        believed = belief_with_rivals(found, best.belief, least=least)
-        return Acquisition(replace(best, belief=believed), templates=len(task.attitudes))
+        per_loss = independent / poses[0].fit.pixels
+        aligned: list[_Aligned] = []
+        for pose in poses:
+            likely = pose.fit.loss <= tuning.rival_losses * poses[0].fit.loss
+            if likely or not any(each.is_accepted for each in aligned):
+                aligned.append(self._aligned(task, fitter, pose))
+        believed = [each for each in aligned if each.is_accepted]
+        if not believed:
+            return task.failed(aligned[0].registration)
+        best, least = believed[0], tuning.ambiguous_weight
+        if better := self._better(best, aligned, logit(least) / per_loss):
+            reason = f"a pose that is refused explains the frame better than those that are not: {better}"
+            return task.failed(replace(best.registration, belief=contradicted(reason)))
+        believed = self._model.turns.distinct(believed, tuning.distinct_deg)
+        logs = per_loss * np.array([(best.losses - each.losses).max() for each in believed])
+        if known_materials:
+            logs[self._preferred_by_shape(task, believed)] = 0.0
+        found = rivals(believed, logs, self._model.turns.exact)
+        belief = belief_with_rivals(found, best.registration.belief, least=least)
+        return Acquisition(replace(best.registration, belief=belief), templates=len(task.attitudes))
+
+    def _better(self, best: _Aligned, aligned: list[_Aligned], least_loss: float) -> str:
+        """Return why a pose is refused that explains the frame better than the best accepted one.
+
+        Empty if there is none. The difference of the losses after alignment is at least ``least_loss``.
+        """
+        refused = [each for each in aligned if not each.is_accepted]
+        better = [each for each in refused if best.losses[1] - each.losses[1] > least_loss]
+        others = self._model.turns.distinct([best, *better], self._tuning.distinct_deg)[1:]
+        return others[0].registration.belief.reason if others else ""
+
+    def _preferred_by_shape(self, task: _Task, poses: list[_Aligned]) -> NDArray[np.bool_]:
+        """Return which poses the shape alone prefers clearly to the first, shape (N,)."""
+        tuning = self._tuning
+        if len(poses) == 1:
+            return np.zeros(1, np.bool_)
+        fitter = PmdFitter(tuning.model, self._model.shown, task.scene, known_materials=False)
+        fits = [fitter.fit(pose.R, pose.shown_t) for pose in poses]
+        losses = np.array([fit.loss for fit in fits])
+        logs = (losses[0] - losses) * tuning.independent_pixels_of_shape / max(fits[0].pixels, 1)
+        preferred: NDArray[np.bool_] = logs > CLEAR_LOG
+        return preferred
+
+    def _aligned(self, task: _Task, fitter: PmdFitter, pose: Pose) -> _Aligned:
+        """Return a pose that the search found, aligned by the tracker."""
+        found = self._registered(task, pose)
+        if found.T_sensor_target is None:
+            return _Aligned(pose.R, pose.t, pose.t, found, np.array((pose.fit.loss, np.inf)))
+        R, t = PoseArrays.of(found.T_sensor_target)
+        shown_t = t * (1.0 + found.range_bias_m / float(np.linalg.norm(t)))
+        return _Aligned(R, t, shown_t, found, np.array((pose.fit.loss, fitter.fit(R, shown_t).loss)))
+
+    def _possible(self, frame: PmdFrame, pose: Pose) -> bool:
+        """Return whether a pose near this one may be the target's, by what the whole frame shows there."""
+        among = self._tracker
+        return not isinstance(among, TrackerAmongThings) or not among.excluded(frame, pose_of(pose.R, pose.t))
 
     def _registered(self, task: _Task, pose: Pose) -> Registration:
         """Return a pose that the search found, refined and judged by the tracker."""
         found = self._settled(task.frame, self._tracker.track(task.frame, pose_of(pose.R, pose.t)))
         evidence = {"mean_loss": pose.fit.mean_loss, **found.belief.evidence}
         return replace(found, belief=replace(found.belief, evidence=evidence))
+
+    def _again(self, frame: PmdFrame, found: Registration, pose: RigidTransform) -> Registration:
+        """Return a registration aligned again from its own pose."""
+        among = self._tracker
+        if isinstance(among, TrackerAmongThings):
+            return among.again(frame, found)
+        return among.track(frame, pose)
 
     def _settled(self, frame: PmdFrame, found: Registration) -> Registration:
         """Return a registration that is aligned again from its own pose, until the pose hardly moves.
@@ -165,7 +239,7 @@ class ViewSearch:
             before = found.T_sensor_target
             if before is None or not found.continues_track:
                 break
-            again = self._tracker.track(frame, before)
+            again = self._again(frame, found, before)
             after = again.T_sensor_target
             if after is None or _standing(again) < _standing(found):
                 break

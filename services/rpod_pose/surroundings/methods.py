@@ -25,6 +25,9 @@ MARGINS = 0.2, 0.06, 0.015
 radius. The last is needed only where other things touch the target."""
 NARROW = 0.06
 """Least margin of ranges, over the target's radius."""
+BIAS_SIGMAS = 2.0
+"""Error that all ranges of a frame share, in standard deviations, up to which a surface may be the target's
+before a pose tells this error."""
 SIGMAS = 4.0
 """Least margin of ranges around a found pose, in their standard deviations."""
 LEAST_VISIBLE = 0.2
@@ -45,12 +48,19 @@ RIVAL = 0.5
 """Least number of rays on another surface that is searched too, over that on the one with the target."""
 OUTLINE = "seen_outline_share"
 """Name of the evidence that says at how much of its outline the target is seen to end."""
+MARGIN = "separation_margin"
+"""Name of the evidence that says with which of the margins a pose was found."""
 VISIBLE = "visible_share"
 """Name of the evidence that a pose was verified in a whole frame."""
 
 
 class Frames(Protocol):
     """Ranges of a sensor kind's frames, and frames without other things."""
+
+    @property
+    def range_bias_m(self) -> float:
+        """Standard deviation of the error that all ranges of a frame share."""
+        ...
 
     def image(self, frame: Any, *, fine: bool) -> RangeImage | None:
         """Return the ranges of a frame, of few rays or of as many as useful; None if they are not known."""
@@ -111,30 +121,95 @@ class TrackerAmongThings:
         whole = getattr(measurement, "whole", None)
         if whole is None and self.cluttered(measurement) is None:
             return self._tracker.track(measurement, T_sensor_target)
-        return self.track_among(measurement if whole is None else whole, T_sensor_target)
+        if whole is None:
+            return self.track_among(measurement, T_sensor_target)
+        if reason := self.excluded(measurement, T_sensor_target):
+            belief = contradicted(reason)
+            return Registration(Source.NONE, T_sensor_target=T_sensor_target, belief=belief)
+        return self.track_among(whole, T_sensor_target)
 
-    def track_among(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration in a frame that shows more than the target."""
+    def excluded(self, measurement: Any, T_sensor_target: RigidTransform) -> str:
+        """Return why no pose near one that a search found can be the target's; empty if one may be.
+
+        Only a part of a frame that keeps the whole one is asked. What the whole frame shows at the widest
+        margin contradicts every pose within this margin, and takes much less time than an alignment.
+        """
+        whole = getattr(measurement, "whole", None)
+        image = None if whole is None else self.frames.image(whole, fine=True)
+        if image is None:
+            return ""
+        margin = self._margin(Registration.none(Source.NONE, ""), MARGINS[0])
+        sight = with_target_at(image, self.target, T_sensor_target, margin)
+        return _unlike(sight, self._most_unexplained(image, T_sensor_target))
+
+    def left_by(self, image: RangeImage, found: Registration) -> Sight:
+        """Return what a found pose leaves of a frame, at the widest margin."""
+        assert found.T_sensor_target is not None  # noqa: S101 - the caller's condition
+        margin = self._margin(found, MARGINS[0])
+        return with_target_at(image.corrected(found.range_bias_m), self.target, found.T_sensor_target, margin)
+
+    def _most_unexplained(self, image: RangeImage, T_sensor_target: RigidTransform) -> int:
+        """Return the greatest number of connected rays that may remain unexplained."""
+        distance_m = float(np.linalg.norm(T_sensor_target.translation))
+        return max(LEAST_DETAIL, image.rays_across(DETAIL * self.target.radius_m, distance_m) ** 2)
+
+    def again(self, measurement: Any, found: Registration) -> Registration:
+        """Return a registration of the same frame from its own pose, with the margin that it was found at."""
+        pose, whole = found.T_sensor_target, getattr(measurement, "whole", None)
+        if pose is None or whole is None:
+            return found if pose is None else self.track(measurement, pose)
+        last = found.belief.evidence.get(MARGIN, MARGINS[-1])
+        return self.track_among(whole, pose, margins=(last,), before=found)
+
+    def track_among(
+        self,
+        measurement: Any,
+        T_sensor_target: RigidTransform,
+        *,
+        margins: tuple[float, ...] = MARGINS,
+        before: Registration | None = None,
+    ) -> Registration:
+        """Return the registration in a frame that shows more than the target.
+
+        Args:
+            measurement: the whole frame.
+            T_sensor_target: predicted pose.
+            margins: errors of the pose that are tried in turn, over the target's radius.
+            before: registration that gave the pose, if the same frame did.
+        """
         image = self.frames.image(measurement, fine=True)
         assert image is not None  # noqa: S101 - the coarse image is known
-        found, pose = Registration.none(Source.NONE, ""), T_sensor_target
-        for share in MARGINS:
-            sight = with_target_at(image, self.target, pose, self._margin(found, share))
+        found, pose = before or Registration.none(Source.NONE, ""), T_sensor_target
+        for share in margins:
+            corrected = image.corrected(found.range_bias_m)
+            sight = with_target_at(corrected, self.target, pose, self._margin(found, share))
             found = self._tracker.track(self.frames.separated(measurement, sight.labels, sight.inside), pose)
             if found.T_sensor_target is None:
                 return found
             pose = found.T_sensor_target
             if share < MARGINS[0] and found.continues_track:
                 break
-        detail = image.rays_across(DETAIL * self.target.radius_m, float(np.linalg.norm(pose.translation)))
-        most = max(LEAST_DETAIL, detail**2)
-        return _judged(found, sight, most)  # pyright: ignore[reportPossiblyUnboundVariable] - there are margins
+        belief = replace(found.belief, evidence={**found.belief.evidence, MARGIN: share})  # pyright: ignore[reportPossiblyUnboundVariable] - there are margins
+        return _judged(replace(found, belief=belief), sight, self._most_unexplained(image, pose))  # pyright: ignore[reportPossiblyUnboundVariable] - there are margins
 
     def _margin(self, found: Registration, share: float) -> Margin:
         """Return the margin around a pose, given as a share of the target's radius."""
         radius_m = self.target.radius_m
-        spread_m = SIGMAS * np.sqrt(found.cost_m2) if np.isfinite(found.cost_m2) else 0.0
+        known = np.isfinite(found.cost_m2)
+        spread_m = SIGMAS * np.sqrt(found.cost_m2) if known else BIAS_SIGMAS * self.frames.range_bias_m
         return Margin(share * radius_m, float(max(share * radius_m, NARROW * radius_m, spread_m)))
+
+
+def _unlike(sight: Sight, most_unexplained: int) -> str:
+    """Return why a sight is not that of the target; empty if it may be."""
+    if sight.visible_share < LEAST_VISIBLE:
+        hidden = 1.0 - sight.visible_share
+        return f"other things hide {hidden:.0%} of the target, {1.0 - LEAST_VISIBLE:.0%} at most"
+    if sight.unexplained > most_unexplained:
+        return f"a detail is not explained: {sight.unexplained} rays, {most_unexplained} at most"
+    if sight.passed > most_unexplained:
+        return f"rays pass through the target: {sight.passed} side by side, {most_unexplained} at most"
+    return ""
 
 
 def _judged(found: Registration, sight: Sight, most_unexplained: int) -> Registration:
@@ -144,15 +219,8 @@ def _judged(found: Registration, sight: Sight, most_unexplained: int) -> Registr
         VISIBLE: sight.visible_share,
         "continued_outline_share": sight.continued_share,
     }
-    reason = ""
-    if sight.visible_share < LEAST_VISIBLE:
-        hidden = 1.0 - sight.visible_share
-        reason = f"other things hide {hidden:.0%} of the target, {1.0 - LEAST_VISIBLE:.0%} at most"
-    elif sight.unexplained > most_unexplained:
-        reason = f"a detail is not explained: {sight.unexplained} rays, {most_unexplained} at most"
-    elif sight.passed > most_unexplained:
-        reason = f"rays pass through the target: {sight.passed} side by side, {most_unexplained} at most"
-    elif sight.continued_share > MOST_CONTINUED:
+    reason = _unlike(sight, most_unexplained)
+    if not reason and sight.continued_share > MOST_CONTINUED:
         share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
         reason = f"a larger thing: the surface goes on across {share}"
     if reason and found.continues_track:
@@ -193,22 +261,55 @@ class AcquirerAmongThings:
         nothing = "no surface of the target's size stands apart from other things"
         best = Acquisition(Registration.none(Source.NONE, nothing))
         places_m = None if pose is None else pose.translation
-        accepted, rays = None, 0
+        accepted, taken, rays = None, np.zeros(image.range_m.shape, bool), 0
         for number, place in enumerate(places(image, radius_m, places_m)):
             if accepted is not None and np.count_nonzero(place) < RIVAL * rays:
                 break
+            if accepted is not None and np.count_nonzero(place & taken) > RIVAL * np.count_nonzero(place):
+                continue  # the same surface
             labels = around_place(image, fine, place, radius_m)
-            part = frames.separated(measurement, labels, np.zeros(labels.shape, bool))
-            part = frames.part_of(part, measurement)
-            found = self._acquirer.acquire(part) if pose is None else self._acquirer.near(part, pose)
-            found = self._in_view(fine, self._verified(measurement, found))
+            found = self._searched(measurement, fine, labels, pose)
             if found.begins_track and accepted is None:
-                accepted, rays = found, int(np.count_nonzero(place))
+                found = self._among_rivals(measurement, fine, found, pose)
+            if found.begins_track and accepted is None:
+                accepted, taken, rays = found, place, int(np.count_nonzero(place))
             elif found.begins_track and _apart_m(found, accepted) > radius_m:
                 return _contradicted(found, "two surfaces look like the target")
             if number == 0 or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):
                 best = found
         return accepted or best
+
+    def _searched(
+        self, measurement: Any, fine: RangeImage, labels: NDArray[np.uint8], pose: RigidTransform | None
+    ) -> Acquisition:
+        """Return the acquisition in a part of a frame, verified in the whole frame.
+
+        Args:
+            measurement: the whole frame.
+            fine: its ranges of many rays.
+            labels: ``Label`` of each of these rays.
+            pose: pose near which is searched; None for anywhere.
+        """
+        frames = self._tracker.frames
+        part = frames.part_of(
+            frames.separated(measurement, labels, np.zeros(labels.shape, bool)), measurement
+        )
+        found = self._acquirer.acquire(part) if pose is None else self._acquirer.near(part, pose)
+        return self._in_view(fine, self._verified(measurement, found))
+
+    def _among_rivals(
+        self, measurement: Any, fine: RangeImage, found: Acquisition, pose: RigidTransform | None
+    ) -> Acquisition:
+        """Return an accepted acquisition, or that of a search in what its pose leaves of the frame.
+
+        At a place other things that touch the target count as its own, so that the search may miss the pose
+        that explains the target best. What the accepted pose leaves shows little else than the target, and
+        the same search weighs all attitudes there.
+        """
+        assert found.pose is not None  # noqa: S101 - it is accepted
+        sight = self._tracker.left_by(fine, found.registration)
+        again = self._searched(measurement, fine, sight.labels, pose)
+        return found if again.outcome is Outcome.FAILED else again
 
     def _verified(self, measurement: Any, found: Acquisition) -> Acquisition:
         """Return an acquisition with the tracker's belief in the whole frame, if that is not known yet."""
@@ -227,7 +328,8 @@ class AcquirerAmongThings:
         target = self._tracker.target
         share = image.in_view(found.pose.apply(target.model_points_m))
         visible = found.belief.evidence.get(VISIBLE, 1.0)
-        outline = seen_outline(image, target, found.pose, NARROW * target.radius_m)
+        corrected = image.corrected(found.registration.range_bias_m)
+        outline = seen_outline(corrected, target, found.pose, NARROW * target.radius_m)
         evidence = {**found.belief.evidence, OUTLINE: outline}
         if share >= LEAST_IN_VIEW and visible >= LEAST_VISIBLE_FIRST and outline >= LEAST_OUTLINE:
             belief = replace(found.belief, evidence=evidence)

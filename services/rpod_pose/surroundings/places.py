@@ -52,14 +52,19 @@ def places(
         if np.count_nonzero(within) >= LEAST_RAYS:
             yield within
         return
-    found = [
-        place
-        for surface in _surfaces(image, free, radius_m)
-        for place in _of_size(image, points_m, surface, radius_m)
-        if np.count_nonzero(place) >= LEAST_RAYS
-    ]
-    found.sort(key=lambda place: -np.count_nonzero(place))
-    yield from found[:MOST_PLACES]
+    found = []
+    for surface in _surfaces(image, free, radius_m):
+        some = [
+            place
+            for place in _of_size(image, points_m, surface, radius_m)
+            if np.count_nonzero(place) >= LEAST_RAYS
+        ]
+        if some and some[-1] is surface:  # first without its limbs, then with them
+            found += [(np.count_nonzero(surface), place) for place in some]
+        else:
+            found += [(np.count_nonzero(place), place) for place in some]
+    found.sort(key=lambda entry: -entry[0])
+    yield from (place for _, place in found[:MOST_PLACES])
 
 
 def _large_planes(image: RangeImage, points_m: FloatArray, radius_m: float) -> NDArray[np.bool_]:
@@ -138,8 +143,13 @@ def _surfaces(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> li
 def _of_size(
     image: RangeImage, points_m: FloatArray, surface: NDArray[np.bool_], radius_m: float
 ) -> Iterator[NDArray[np.bool_]]:
-    """Yield a surface if it may be the target; of a larger one its bulky parts, without thin limbs."""
-    if _fits(points_m[surface], radius_m):
+    """Yield a surface if it may be the target, and the bulky parts of one that may be larger.
+
+    A surface that the image's border cuts may be larger: an arm that holds the target reaches into the image
+    from outside. Bulky parts are what is left without thin limbs.
+    """
+    whole = _fits(points_m[surface], radius_m)
+    if whole and not _at_border(surface):
         yield surface
         return
     distance_m = float(np.median(image.range_m[surface]))
@@ -150,8 +160,15 @@ def _of_size(
         bulk = cv2.dilate((number == n).view(np.uint8), disc).view(bool) & surface
         if _fits(points_m[bulk], radius_m):
             yield bulk
-        else:
+        elif not whole:
             yield from _parts(points_m, bulk, radius_m)
+    if whole:
+        yield surface
+
+
+def _at_border(surface: NDArray[np.bool_]) -> bool:
+    """Return whether a surface, shape (rows, columns), reaches the border of the image."""
+    return bool(surface[0].any() or surface[-1].any() or surface[:, 0].any() or surface[:, -1].any())
 
 
 def _fits(points_m: FloatArray, radius_m: float) -> bool:

@@ -5,7 +5,7 @@ is rendered. A ray that ends before the rendered surface meets something that hi
 nothing of it. A ray that ends beyond it has passed the target.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -55,6 +55,13 @@ class RangeImage:
     hidden: NDArray[np.bool_] | None = None
     """Rays that tell nothing of the target, because a known body is there, same shape; None if no body is
     known."""
+
+    def corrected(self, bias_m: float) -> "RangeImage":
+        """Return the image without an error that all ranges share."""
+        if bias_m == 0.0:
+            return self
+        shorter_m = np.maximum(self.range_m - np.float32(bias_m), np.float32(0.0))
+        return replace(self, range_m=shorter_m)
 
     @property
     def points_m(self) -> FloatArray:
@@ -115,8 +122,8 @@ class Sight:
     visible_share: float
     """Share of the rays on the target that nothing hides."""
     unexplained: int
-    """Greatest number of connected rays that end within the target's reach and not on it, of a thing that
-    does not extend beyond this reach: a detail of the target itself."""
+    """Greatest number of connected rays that end within the target's reach and not on it, of a thing that is
+    seen to end within this reach: a detail of the target itself. A thing at the image's border may go on."""
     passed: int
     """Greatest number of connected rays inside the target's outline that end beyond all of its surface."""
     continued_share: float
@@ -149,8 +156,16 @@ def _unexplained(
     count, number = _patches(around)
     farthest_m = np.zeros(count)
     np.maximum.at(farthest_m, number, np.where(around, away_m, 0.0).ravel())
+    farthest_m[number[_border(around)]] = np.inf
     sizes = np.bincount(number, minlength=count)
     return int(sizes[1:][farthest_m[1:] < radius_m].max(initial=0))
+
+
+def _border(image: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which rays lie at the border of an image, shape (rows * columns,)."""
+    border = np.ones(image.shape, bool)
+    border[1:-1, 1:-1] = False
+    return border.ravel()
 
 
 def _patches(rays: NDArray[np.bool_]) -> tuple[int, NDArray[np.intp]]:

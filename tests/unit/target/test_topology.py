@@ -11,7 +11,7 @@ from rpod_target.surfaces import (
     frustum_surface,
     prism_surface,
 )
-from rpod_target.topology import creases, open_edges, separate_surfaces
+from rpod_target.topology import creases, edges, open_edges, separate_surfaces
 
 ANGLE_RAD = np.deg2rad(30.0)
 BOX_M = box_surface(
@@ -84,3 +84,9 @@ def test_surfaces_that_share_no_corner_are_separated(count: int) -> None:
     surfaces = separate_surfaces(heap)
     assert [len(surface) for surface in surfaces] == [12] * count
     assert [open_edges(surface) for surface in surfaces] == [0] * count
+
+
+def test_a_part_without_triangles_has_no_edges() -> None:
+    segments_m, faces = edges(np.zeros((0, 3, 3)))
+    assert segments_m.shape == (0, 2, 3)
+    assert faces.shape == (0, 2)

@@ -148,7 +148,7 @@ class JointTracker:
         """Yield starting poses with their schedules of steps, those with the fewest steps first."""
         tuning = self._tuning
         pose = sight.expected.pose
-        share, in_place = self._explained(seen, pose), self._in_place(seen, sight)
+        share, in_place = self._explained(seen, pose), self._in_place(seen, sight, pose)
         if in_place >= tuning.near_share:
             yield State(pose, 0.0), self._narrow if in_place >= tuning.sharp_share else self._near
         if share >= tuning.fair_share or len(seen.points_m) < tuning.verdict.min_points:
@@ -164,7 +164,8 @@ class JointTracker:
 
         A pose that was found by depth has the bias of the ranges. If it is a large part of the range, the
         target's outline in the image is off by more than the reach of the search for edges. None if the bias
-        moves the outline less, or if too few edges are in their place at any of the poses.
+        moves the outline less, or if too few edges are in their place at any of the poses. One rendering
+        serves for all of them: along the sight the target shows the same sides.
         """
         reach_px, sigma_m = self._tuning.edges.final_search_px, self._ranges.bias_m
         range_m = max(float(np.linalg.norm(pose.t)), NEAREST_M)
@@ -172,11 +173,13 @@ class JointTracker:
         if not np.isfinite(px_per_m):
             return None
         number = int(min(MOST_BIAS_SIGMAS * sigma_m * px_per_m / reach_px, MOST_MOVES))
-        best, most = None, self._tuning.near_share
+        if not number:
+            return None
+        best, most, sight = None, self._tuning.near_share, self._sight(seen, pose)
         for move in (move for move in range(-number, number + 1) if move):
             bias_m = move * reach_px / px_per_m
             moved = PoseArrays(pose.R, pose.t * max(1.0 - bias_m / range_m, NEAREST_M / range_m))
-            in_place = self._in_place(seen, self._sight(seen, moved))
+            in_place = self._in_place(seen, sight, moved)
             if in_place > most:
                 best, most = State(moved, bias_m), in_place
         return best
@@ -251,6 +254,7 @@ class JointTracker:
             covariance=covariance,
             parts=parts,
             iterations=steps,
+            range_bias_m=bias,
             by_part=by_distances(t, bias, self._ranges.bias_m, self._model_error.scale) if both else None,
         )
 
@@ -305,9 +309,9 @@ class JointTracker:
         )
         return agreeing / checked if checked else 0.0
 
-    def _in_place(self, seen: JointFrame, sight: EdgeSight) -> float:
-        """Return the share of the expected edges that are near their place at the pose of their rendering."""
-        tuning, pose = self._tuning, sight.expected.pose
+    def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float:
+        """Return the share of the expected edges that are near their place at a pose."""
+        tuning = self._tuning
         wider = float(np.clip(2.0 * self._fills(seen, pose.t), 1.0, MOST_WIDER))
         reach = tuning.edges.final_search_px * wider
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors.noise_px)

@@ -9,14 +9,18 @@ from pmd_frames import depth_frame, frame_of, strange_frames
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import Belief, contradicted, doubtful
+from rpod_pose.pmd import view_search
+from rpod_pose.pmd.fit import PmdFit
+from rpod_pose.pmd.frame_search import Pose
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.pmd.view_search import ViewSearch
 from rpod_pose.ports import Outcome, Registration
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import even_directions
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd_joint import JointConfig
-from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.config.pmd_search import PmdAcquisitionConfig, PmdAcquisitionTuning
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import BeliefLevel, PmdFrame, Source
 from rpod_sim_sensor.pmd import PmdEmulator
@@ -109,9 +113,9 @@ class HalfTheWay:
 
 
 def settled(*beliefs: Belief) -> tuple[RigidTransform | None, list[RigidTransform]]:
-    """Return the pose of a search, and those of the alignments of its first pose."""
-    tracker = HalfTheWay(*beliefs)
-    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), tracker)
+    """Return the pose of a search, and those of the alignments of its first pose alone."""
+    tracker, alone = HalfTheWay(*beliefs), PmdAcquisitionTuning(rival_losses=1.0)
+    search = ViewSearch(PmdAcquisitionConfig(tuning=alone), target("mockup"), tracker)
     return search.acquire(seen("mockup", OBLIQUE)).pose, tracker.poses
 
 
@@ -135,6 +139,63 @@ def test_an_alignment_that_is_believed_less_than_the_one_before_is_not_used(beli
 def test_an_alignment_may_be_believed_more_than_the_one_before():
     pose, aligned = settled(doubtful("few edges are in their place"), Belief())
     assert pose is aligned[-1]
+
+
+class Judging:
+    """A tracker that aligns to a given pose, or not at all, and refuses attitudes near another."""
+
+    def __init__(self, *, to: RigidTransform | None = None, refuses: RigidTransform | None = None) -> None:
+        self._to, self._refuses = to, refuses
+
+    def track(self, _, T_sensor_target):
+        T = T_sensor_target if self._to is None else self._to
+        refused = self._refuses is not None and attitude_error_deg(self._refuses, T) < 10.0
+        belief = contradicted("edges are elsewhere") if refused else Belief()
+        return Registration(Source.PMD_JOINT, T, belief, covariance=1e-6 * np.eye(6))
+
+
+def rear_face() -> PmdFrame:
+    depth_m = seen("mockup", REAR).depth_m
+    return frame_of(np.where(depth_m < 3.4, depth_m, np.nan))
+
+
+def test_rivals_that_the_alignment_leads_to_one_pose_are_that_pose():
+    result = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Judging(to=REAR)).acquire(rear_face())
+    assert (result.outcome, len(result.hypotheses)) == (Outcome.ACCEPTED, 1)
+
+
+def test_no_pose_is_accepted_while_one_that_is_refused_explains_the_frame_better():
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Judging(refuses=OBLIQUE))
+    result = search.acquire(seen("mockup", OBLIQUE))
+    assert result.outcome is Outcome.FAILED
+    assert result.belief.reason.endswith(
+        "explains the frame better than those that are not: edges are elsewhere"
+    )
+
+
+class Undecided:
+    """A fitter whose materials prefer a half turn, and whose shape prefers the truth."""
+
+    def __init__(self, *_, known_materials=True) -> None:
+        self._losses = (190.0, 100.0) if known_materials else (100.0, 190.0)
+
+    def fit(self, R, t):
+        turned = (
+            attitude_error_deg(OBLIQUE, RigidTransform.from_components(t, Rotation.from_matrix(R))) > 90.0
+        )
+        return PmdFit(self._losses[int(turned)], pixels=1000)
+
+
+def test_a_pose_that_the_shape_alone_prefers_stays_a_rival(monkeypatch):
+    turned = OBLIQUE * make_pose(rotation=Rotation.from_rotvec([0.0, 0.0, np.pi]))
+    arrays = [PoseArrays.of(T) for T in (turned, OBLIQUE)]
+    poses = [Pose(R, t, Undecided().fit(R, t)) for R, t in arrays]
+    monkeypatch.setattr(view_search, "PmdFitter", Undecided)
+    monkeypatch.setattr(view_search.FrameSearch, "search", lambda *_: poses)
+    result = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Judging()).acquire(seen("mockup", OBLIQUE))
+    assert result.outcome is Outcome.AMBIGUOUS
+    assert attitude_error_deg(result.hypotheses[0].pose, turned) < 1.0
+    assert attitude_error_deg(result.hypotheses[1].pose, OBLIQUE) < 1.0
 
 
 def test_a_frame_without_amplitude_does():
@@ -172,9 +233,7 @@ def test_a_bare_body_of_one_material_is_ambiguous_by_its_symmetry_alone():
 
 
 def test_a_view_without_details_is_ambiguous():
-    depth_m = seen("mockup", REAR).depth_m
-    rear_face = frame_of(np.where(depth_m < 3.4, depth_m, np.nan))
-    result = searching("mockup").acquire(rear_face)
+    result = searching("mockup").acquire(rear_face())
     assert result.outcome is Outcome.AMBIGUOUS
     assert not result.begins_track
     assert len(result.hypotheses) > 1

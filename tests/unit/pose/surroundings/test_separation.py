@@ -1,0 +1,64 @@
+"""What a pose says of the rays around it, and where in a frame a target may be."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rpod_geometry.rays import RayGrid, cast
+from rpod_pose.surroundings.places import places
+from rpod_pose.surroundings.separation import Label, RangeImage, with_target_at
+from rpod_pose.surroundings.separation import Margin as Errors
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Camera
+from rpod_target import load_target
+
+TARGET = load_target("mockup")
+POSE = make_pose(rotation=Rotation.from_euler("ZYX", [20, 60, 10], degrees=True), translation_m=(0.1, 0, 4))
+GRID = RayGrid.pinhole(Camera(width=176, height=144, fx=341.0, fy=341.0, cx=87.5, cy=71.5))
+ERRORS = Errors(0.06, 0.06)
+
+
+def seen() -> np.ndarray:
+    """Return the ranges of a frame that shows the target alone, 0 without one."""
+    range_m = cast(GRID, TARGET.triangles_m, POSE).range_m
+    return np.where(np.isfinite(range_m), range_m, 0.0).astype(np.float32)
+
+
+def beside(range_m: np.ndarray, last_row: int) -> np.ndarray:
+    """Return ranges with a limb above the target's middle, from the target up to a row."""
+    column = round(87.5 + 341.0 * 0.1 / 4.0)
+    top = int(np.flatnonzero(range_m[:, column])[0])
+    with_limb = range_m.copy()
+    with_limb[last_row:top, column - 6 : column + 7] = 4.0
+    return with_limb
+
+
+def test_a_thing_at_the_images_border_is_no_detail_of_the_target_since_it_may_go_on():
+    alone = with_target_at(RangeImage(GRID, seen()), TARGET, POSE, ERRORS)
+    ending = with_target_at(RangeImage(GRID, beside(seen(), 3)), TARGET, POSE, ERRORS)
+    going_on = with_target_at(RangeImage(GRID, beside(seen(), 0)), TARGET, POSE, ERRORS)
+    assert alone.unexplained == 0
+    assert ending.unexplained > 50
+    assert going_on.unexplained == 0
+
+
+@pytest.mark.parametrize("bias_m", [-0.4, 0.4])
+def test_an_error_that_all_ranges_share_hides_nothing_of_the_target_once_it_is_known(bias_m):
+    range_m = seen()
+    biased = RangeImage(GRID, np.where(range_m > 0.0, range_m + np.float32(bias_m), np.float32(0.0)))
+    met = range_m > 0.0
+    uncorrected = with_target_at(biased, TARGET, POSE, ERRORS).labels[met]
+    corrected = with_target_at(biased.corrected(bias_m), TARGET, POSE, ERRORS).labels[met]
+    assert np.mean(uncorrected == Label.KEPT) < 0.5
+    assert np.mean(corrected == Label.KEPT) > 0.99
+
+
+def test_a_surface_that_the_border_cuts_is_searched_without_its_limb_first_and_then_with_it():
+    limb = beside(seen(), 0)
+    found = list(places(RangeImage(GRID, limb), TARGET.radius_m))
+    assert len(found) == 2
+    without, whole = found
+    assert (whole == (limb > 0.0)).mean() > 0.999
+    assert not without[0].any()
+    assert np.count_nonzero(without) > 0.7 * np.count_nonzero(seen())
+    assert len(list(places(RangeImage(GRID, beside(seen(), 3)), TARGET.radius_m))) == 1
