@@ -10,7 +10,7 @@ SCENARIO ?= mockup-tumbling
 ARGS ?=
 MINUTES ?= 60
 
-.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster hand-eye peers fuzz kills soak check-viewers lock audit setup clean
+.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster hand-eye truth-error peers fuzz kills soak check-viewers lock audit setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -79,6 +79,9 @@ cluster: $(READY) ## A campaign on a Dask cluster of this machine beside the pro
 
 hand-eye: $(READY) ## Errors of mount and clock calibrations on emulated minutes
 	@PYTHONPATH=benchmarks $(BIN)/python -m hand_eye $(ARGS)
+
+truth-error: $(READY) ## NEES of logs beside a truth with errors: make truth-error ARGS="runs/*/*.mcap"
+	@PYTHONPATH=benchmarks $(BIN)/python -m truth_error $(ARGS)
 
 free-flight: $(READY) ## Predictions through gaps, on synthetic measurements
 	@PYTHONPATH=benchmarks $(BIN)/python -m free_flight $(ARGS)

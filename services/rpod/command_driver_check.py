@@ -3,6 +3,7 @@
 import json
 import sys
 from dataclasses import asdict, dataclass
+from math import inf
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -44,6 +45,7 @@ class CheckOptions:
     rate_hz: float | None
     target: str | None
     against: str | None = None
+    wait: bool = False
 
 
 def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) -> int:
@@ -58,8 +60,9 @@ def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) ->
         )
     except ConfigurationError as error:
         return _refuse(error)
-    if duration_s <= 0.0:
-        return _refuse(f"--duration is {duration_s:g} s, needs more than 0")
+    for name, value in (("duration", duration_s), ("rate", options.rate_hz)):
+        if value is not None and not 0.0 < value < inf:
+            return _refuse(f"--{name} is {value:g}, needs a finite number above 0")
     observer = Observer(driver.kind, driver.name, known)
     config = ServiceConfig(instance="driver-check", bus=bus)
     if not as_json:
@@ -88,7 +91,8 @@ def _driver(options: CheckOptions) -> tuple[DriverConfig, BusConfig]:
     else:
         kind = options.kind or ("lidar" if options.name.startswith("lidar") else "pmd")
         driver = check(DriverConfig, {"kind": kind, "name": options.name}, source="rpod driver check")
-    bus = driver.bus.model_dump() | ({"connect": options.connect} if options.connect else {})
+    bus = driver.bus.model_dump() | {"wait": options.wait}  # a driver waits for its router, a check says so
+    bus |= {"connect": options.connect} if options.connect else {}
     return driver, check(BusConfig, bus, source="rpod driver check")
 
 

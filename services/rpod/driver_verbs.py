@@ -64,6 +64,7 @@ def check(
             help="Prefix of the estimate of another sensor alone, to compare the mounts of both.",
         ),
     ] = None,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
     """Watch a live sensor and say what is wrong: exit 0 if nothing is, 1 if a line fails."""
@@ -78,6 +79,7 @@ def check(
         rate_hz=rate,
         target=target,
         against=against,
+        wait=wait,
     )
     raise typer.Exit(check_command(options, duration_s=duration, as_json=as_json))
 

@@ -10,6 +10,21 @@ from rpod_driver.errors import DriverError
 
 TEMPLATES = {"custom": "pmd", "ifm": "pmd", "ros": "pmd"}
 """Kind of the sensor of each template."""
+_SETTINGS = {
+    "custom": """\
+# What the driver writes to the device after each connection.
+# settings: {exposure_us: 4000}""",
+    "ifm": """\
+# Address of the head; without it a simulated one.
+# settings: {ip: 192.168.0.69, port: port2}""",
+    "ros": """\
+# Router of the ROS graph, and topics there; without them a simulated camera.
+# settings:
+#   connect: tcp/127.0.0.1:7448
+#   depth: camera/depth/image_rect_raw
+#   camera_info: camera/depth/camera_info""",
+}
+"""Example of the settings in the configuration of each template."""
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _ENDING = ".tmpl"
 
@@ -41,6 +56,7 @@ def scaffold(template: str, name: str, out: Path) -> Path:
         "name": name,
         "Class": "".join(part.capitalize() for part in name.split("_")),
         "kind": TEMPLATES[template],
+        "settings": _SETTINGS[template],
     }
     root = files("rpod_driver") / "templates"
     for source in (root / "shared", root / template):

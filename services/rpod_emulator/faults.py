@@ -151,7 +151,8 @@ class FaultyNode:
         self._injections: dict[str, Injection] = {}
         self._publishers: dict[tuple[Topic, str], Publisher] = {}
         self._announced: dict[str, tuple[Topic, Any, Sequence[str]]] = {}
-        self._waiting: list[tuple[float, int, Outgoing]] = []
+        self._waiting: list[tuple[float, int, int, Outgoing]] = []
+        self._due_s: dict[str, float] = {}
         self._numbers = count()
         self._newest_ns = 0
 
@@ -192,25 +193,28 @@ class FaultyNode:
         for each in active:
             several = [made for one in several for made in each.apply(one)]
         for made in several:
-            if made.delay_s > 0.0:
-                due_s = time.monotonic() + made.delay_s
-                heapq.heappush(self._waiting, (due_s, next(self._numbers), made))
+            # As in the queue of a link, no message overtakes another one of its topic.
+            due_s = max(time.monotonic() + made.delay_s, self._due_s.get(made.topic.name, 0.0))
+            if made.delay_s > 0.0 or due_s > time.monotonic():
+                self._due_s[made.topic.name] = due_s
+                heapq.heappush(self._waiting, (due_s, next(self._numbers), time.time_ns(), made))
             else:
                 self._publish(made)
 
-    def _publish(self, outgoing: Outgoing) -> None:
+    def _publish(self, outgoing: Outgoing, since_ns: int | None = None) -> None:
         place = outgoing.topic, outgoing.publisher
         if place not in self._publishers:
             self._publishers[place] = self._node.publisher(outgoing.topic)
         if outgoing.lost:
             self._publishers[place].lose()
         else:
-            self._publishers[place].publish(outgoing.message)
+            self._publishers[place].publish(outgoing.message, since_ns=since_ns)
 
     def refresh(self) -> None:
         """Publish delayed messages that are due; announce the sensor anew where its faults have changed."""
         while self._waiting and self._waiting[0][0] <= time.monotonic():
-            self._publish(heapq.heappop(self._waiting)[2])
+            _, _, since_ns, outgoing = heapq.heappop(self._waiting)
+            self._publish(outgoing, since_ns)
         active = self._active(self._newest_ns)
         names = [each.fault for each in active]
         for topic, message, before in list(self._announced.values()):

@@ -55,6 +55,9 @@ _FLOW_PERIOD_S = 0.9
 _LINGER_S = 0.3
 """Time that a node stays open after its last message, so that receivers can recover what they missed."""
 
+_TOKENS_S = 10.0
+"""Longest wait for the router's answer; one without tokens would let a check report no publisher."""
+
 
 class Node(Asker):
     """Represents one process on the bus; a process in reserve waits here until its turn has come."""
@@ -197,7 +200,7 @@ class Node(Asker):
 
     def publisher_qos(self) -> list[tuple[str, str]]:
         """Return topic and quality of service of each publisher on the bus, from the liveliness tokens."""
-        replies = self._session.liveliness().get(publisher_tokens(self._keys), timeout=2.0)
+        replies = self._session.liveliness().get(publisher_tokens(self._keys), timeout=_TOKENS_S)
         tokens = [str(reply.ok.key_expr) for reply in replies if reply.ok]
         topics = ((topic_of_token(token, self._keys), token) for token in tokens)
         return [(topic.name, qos_of_token(token)) for topic, token in topics if topic is not None]

@@ -48,16 +48,21 @@ class Publisher:
         """Number of messages published so far."""
         return self._sequence
 
-    def publish(self, message: Any) -> None:
-        """Encode and publish a message of the topic's type."""
-        self.put(encode(message))
+    def publish(self, message: Any, *, since_ns: int | None = None) -> None:
+        """Encode and publish a message of the topic's type.
 
-    def put(self, payload: bytes | bytearray) -> None:
+        Args:
+            message: the message.
+            since_ns: time of publication that is stated, if a fault held the message back; by default now.
+        """
+        self.put(encode(message), since_ns=since_ns)
+
+    def put(self, payload: bytes | bytearray, *, since_ns: int | None = None) -> None:
         """Publish the CDR bytes of a message of the topic's type."""
         with self._lock:
             self._sequence += 1
             self.last_s = time.monotonic()
-            attachment = Attachment(self._sequence, time.time_ns(), self._gid)
+            attachment = Attachment(self._sequence, since_ns or time.time_ns(), self._gid)
             self._publisher.put(payload, attachment=attachment.pack())
 
     def lose(self) -> None:

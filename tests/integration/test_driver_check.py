@@ -102,11 +102,20 @@ def test_the_emulator_is_in_order_and_beside_truth_too(bus, capsys):
 
 @pytest.mark.parametrize(
     "fault",
-    ["tai_clock", "second_publisher", "lost_messages", "frozen", "no_mount", "missing_part", "not_latched"],
+    [
+        "tai_clock",
+        "second_publisher",
+        "lost_messages",
+        "frozen",
+        "no_mount",
+        "missing_part",
+        "not_latched",
+        "slow_link",
+    ],
 )
 def test_a_fault_of_the_emulator_is_named_and_the_exit_code_is_1(bus, capsys, fault):
     with emulated(bus, fault):
-        code, told = checked(bus, capsys, duration_s=3.0)
+        code, told = checked(bus, capsys, duration_s=6.0 if fault == "slow_link" else 3.0)
     assert code == 1
     assert fault in told["faults"]
     (named,) = (each for each in told["verdicts"] if fault in each["faults"])
@@ -138,3 +147,15 @@ def test_what_cannot_be_asked_is_refused_in_one_line(capsys):
     options = CheckOptions("pmd", "radar", config=None, source=None, connect=None, rate_hz=None, target=None)
     assert check_command(options, duration_s=1.0, as_json=True) == 2
     assert "kind" in capsys.readouterr().err
+    options = CheckOptions("pmd", "pmd", config=None, source=None, connect=None, rate_hz=-3.0, target=None)
+    assert check_command(options, duration_s=1.0, as_json=True) == 2
+    assert "--rate is -3" in capsys.readouterr().err
+
+
+def test_without_a_router_the_check_ends_although_its_driver_would_wait(tmp_path, capsys):
+    file = tmp_path / "driver.yaml"
+    bus = {"connect": "tcp/127.0.0.1:9", "wait": True, "connect_timeout_s": 0.1}
+    file.write_text(json.dumps({"kind": "pmd", "name": "front", "bus": bus}))
+    options = CheckOptions("pmd", None, config=file, source=None, connect=None, rate_hz=None, target=None)
+    assert check_command(options, duration_s=1.0, as_json=True) == 1
+    assert "no router at tcp/127.0.0.1:9" in capsys.readouterr().err

@@ -92,6 +92,8 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
         problem, *others = _problems(error)
         field = ".".join(str(part) for part in problem["loc"])
         reason = problem["msg"].removeprefix("Value error, ")
+        if problem["type"] == "string_pattern_mismatch":
+            reason = f"is {problem['input']!r}; {reason}"
         if problem["type"] == "extra_forbidden":
             reason = "is not a known field; check its spelling and its place"
             if _is_tuning(model, document, problem["loc"]):

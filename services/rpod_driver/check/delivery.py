@@ -9,6 +9,7 @@ from rpod_driver.check.observations import Heard, Observations
 from rpod_driver.check.verdict import Verdict, fail, note, ok, unchecked
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.sensors import sensor_kind
+from rpod_schemas.topics import DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, TF_STATIC
 
 LEAST_FRAMES = 8
 """Number of frames from which on times between them are judged."""
@@ -21,6 +22,9 @@ _LOST_SHARE = 0.005
 _WAIT_S, _WAIT_PERIODS = 0.1, 2.0
 """Time that nineteen of twenty messages may wait longer than the fastest one, s, and in periods."""
 _UNPAIRED_SHARE = 0.05
+_OF_EACH_NODE = {DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name, TF_STATIC.name}
+"""Topics that any node publishes."""
+_MOST_NAMED = 8
 
 
 def publisher(seen: Observations) -> Verdict:
@@ -30,10 +34,9 @@ def publisher(seen: Observations) -> Verdict:
     for heard in seen.heard:
         peers[heard.part][heard.peer].append(heard.arrival_ns)
     if seen.leading not in peers:
-        others = ", ".join(sorted(peers)) or "nothing"
-        watched_s = (seen.ended_ns - seen.started_ns) / NANOSECONDS if seen.heard else 0.0
+        others = f", only {', '.join(sorted(peers))}" if peers else ""
         return fail(
-            line, f"no {seen.leading} of {seen.name!r} came, {others} in {watched_s:.0f} s", "silence"
+            line, f"no {seen.leading} of {seen.name!r} came{others}; {_published_instead(seen)}", "silence"
         )
     for part, times in peers.items():
         spans = sorted((min(ns), max(ns)) for ns in times.values())
@@ -44,6 +47,20 @@ def publisher(seen: Observations) -> Verdict:
     if several > 1:
         return note(line, f"{several} publishers one after another: the driver was started again")
     return ok(line, str(next(iter(peers[seen.leading]))))
+
+
+def _published_instead(seen: Observations) -> str:
+    """Return what publishers there are where no frame came: a name may be wrong, or the sensor silent."""
+    topics = sensor_kind(seen.kind).part_topics(seen.name, seen.options.source)
+    wanted = topics[seen.leading].name
+    if wanted in seen.qos:
+        return f"{wanted} has a publisher, which sends nothing"
+    rest = sorted(set(seen.qos) - _OF_EACH_NODE)
+    if not rest:
+        return "no sensor is on this bus"
+    more = f" and {len(rest) - _MOST_NAMED} more" if len(rest) > _MOST_NAMED else ""
+    named = ", ".join(rest[:_MOST_NAMED])
+    return f"nobody publishes {wanted}; published are {named}{more}: compare name, kind and --source"
 
 
 def few(seen: Observations) -> str:

@@ -24,6 +24,8 @@ _GATES_M = (0.4, 0.4, 0.3, 0.2, 0.15, 0.1, 0.1, 0.1)
 """Farthest surface point that counts as a point's own, m, in each step."""
 _PRIOR = np.array([0.1, 0.3, 0.2, 0.2, 0.2, 0.1, 0.1, 0.1])
 """Prior standard deviations: s, m of range, m and rad of the mount; wider than any calibration error."""
+_ASTRAY = 3.0
+"""Length of a value over its prior standard deviation from which on the fit has found something else."""
 _FACING = -0.4
 """Cosine between ray and normal from which on a surface faces the sensor."""
 _SIGMAS = 4.0
@@ -36,6 +38,9 @@ _TRUTH_GAP_S = 0.05
 """Longest time between two poses of the truth between which it is interpolated."""
 OFF = _SIGMAS + 1.0
 """Distance of a mount from the published one, over its standard deviation, from which on it is off."""
+UNDETERMINED = (
+    "the motion does not determine time, range and mount; let the target turn more, or watch longer"
+)
 _MIRROR_SHARE = 0.6
 """Residual of the mirrored over that of the plain points from which on they are mirrored."""
 
@@ -55,6 +60,11 @@ class Fitted:
         """Standard deviations of the values."""
         return np.sqrt(np.diag(self.covariance))
 
+    @property
+    def is_astray(self) -> bool:
+        """Whether values are larger than any error of a calibration: the motion does not determine them."""
+        return bool((np.abs(self.values) > _ASTRAY * _PRIOR).any())
+
 
 def with_truth(seen: Observations, verdicts: list[Verdict]) -> list[Verdict]:
     """Return the verdicts with those that truth adds, in place of lines that were not checked without it."""
@@ -70,7 +80,7 @@ def with_truth(seen: Observations, verdicts: list[Verdict]) -> list[Verdict]:
     plain = fitted(sightings, surface, T_chaser_sensor)
     mirror = fitted([_mirrored(each) for each in sightings], surface, T_chaser_sensor)
     ratio = mirror.residual_m / max(plain.residual_m, 1e-6)
-    new = {each.line: each for each in _judged(seen, plain)}
+    new = {each.line: each for each in (_undetermined() if plain.is_astray else _judged(seen, plain))}
     if ratio < _MIRROR_SHARE:
         text = f"mirrored points fit the target {1.0 / ratio:.1f} times better"
         new = {"grid": fail("grid", text, "mirrored", mirror_ratio=ratio)}
@@ -85,6 +95,10 @@ def with_truth(seen: Observations, verdicts: list[Verdict]) -> list[Verdict]:
         for each in verdicts
     ]
     return merged + [each for line, each in new.items() if line in ("range", "mount_truth")]
+
+
+def _undetermined() -> list[Verdict]:
+    return [unchecked(line, UNDETERMINED) for line in ("instant", "range", "mount_truth")]
 
 
 def _without_truth(verdicts: list[Verdict], reason: str) -> list[Verdict]:

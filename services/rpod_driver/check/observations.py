@@ -112,7 +112,7 @@ class Observations:
     mounts: list[tuple[Peer, str, str, Any]] = field(default_factory=list)
     frame_ids: set[str] = field(default_factory=set)
     qos: dict[str, set[str]] = field(default_factory=dict)
-    """Qualities of service of the publishers' tokens, by topic."""
+    """Qualities of service of the publishers' tokens, by topic; also of topics of other nodes."""
     truth: list[Odometry] = field(default_factory=list)
     estimates: list[Odometry] = field(default_factory=list)
     """Poses by the estimator of another sensor."""
@@ -211,7 +211,7 @@ class Observer:
             self.seen.refused.append((error.reason, f"{name}: {error.text}"))
 
     def take_tokens(self, tokens: Iterable[tuple[str, str]]) -> None:
-        """Take topic and quality of service of publishers' tokens."""
+        """Take topic and quality of service of publishers' tokens, of all nodes on the bus."""
         for topic, qos in tokens:
             self.seen.qos.setdefault(topic, set()).add(qos)
 

@@ -7,7 +7,7 @@ truth shows which of them is off.
 
 import numpy as np
 
-from rpod_driver.check.geometry import OFF, Fitted, fitted, mount_error, mount_is_hidden
+from rpod_driver.check.geometry import OFF, UNDETERMINED, Fitted, fitted, mount_error, mount_is_hidden
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.sightings import sightings_of
 from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
@@ -45,6 +45,8 @@ def mount_second(seen: Observations) -> Verdict:
 
 
 def _judged(fit: Fitted, poses: list[Odometry], others: str) -> Verdict:
+    if fit.is_astray:
+        return unchecked(_LINE, UNDETERMINED)
     text, figures, distance = mount_error(fit, *_sigmas(poses))
     text = f"{text}, against {others}"
     if distance > OFF:

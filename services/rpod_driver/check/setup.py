@@ -9,6 +9,7 @@ from rpod_driver.check.observations import Observations
 from rpod_driver.check.verdict import Verdict, fail, note, ok, unchecked
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.scan_grid import angles_of, rows_are_elevation
+from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import TF_STATIC
 from rpod_schemas.types import LidarInfo, LidarScan
 
@@ -183,14 +184,16 @@ def mount(seen: Observations) -> Verdict:
 def qos(seen: Observations) -> Verdict:
     """Judge whether latched topics are latched, by the tokens of their publishers."""
     line = "qos"
-    if not seen.qos:
-        return unchecked(line, "no token of a publisher came")
     latched = [TF_STATIC.name, f"{seen.name}/info"]
+    parts = sensor_kind(seen.kind).part_topics(seen.name, seen.options.source).values()
+    own = {*latched, *(topic.name for topic in parts)} & seen.qos.keys()
+    if not own - {TF_STATIC.name}:
+        return unchecked(line, "no token of its publishers came")
     for topic in latched:
         for told in seen.qos.get(topic, ()):
             if told.split(":")[1:2] != ["1"]:
                 return fail(line, f"{topic} is not TRANSIENT_LOCAL", "not_latched")
-    best_effort = [topic for topic, told in seen.qos.items() if any(each.startswith("2") for each in told)]
+    best_effort = [topic for topic in sorted(own) if any(each.startswith("2") for each in seen.qos[topic])]
     if best_effort:
         return note(line, f"{', '.join(best_effort)} is BEST_EFFORT: a slow link loses messages")
-    return ok(line, f"{len(seen.qos)} topics")
+    return ok(line, f"{len(own)} topics")

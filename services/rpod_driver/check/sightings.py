@@ -16,7 +16,8 @@ from rpod_schemas.poses import chained, make_pose
 from rpod_schemas.types import Float32Array, Odometry, PmdFrame, SensorFrame
 
 _FRAMES, _POINTS = 40, 400
-_LEAST_FRAMES, _LEAST_POINTS = 6, 60
+_LEAST_FRAMES, _LEAST_POINTS = 12, 60
+"""The scatter of the frames is the fit's covariance: fewer than eight do not tell eight values."""
 _AROUND_M = 0.4
 """Distance from the target's sphere within which a point may be its own, m: the fit's first gate."""
 _EDGE_M = 0.05

@@ -1,6 +1,7 @@
 """What ``rpod driver new`` writes runs at once: its tests pass, its configuration and unit can be read."""
 
 import os
+import re
 import subprocess
 import sys
 from configparser import ConfigParser
@@ -36,6 +37,9 @@ def test_its_configuration_and_its_unit_can_be_read(template, tmp_path):
     folder = scaffold(template, "my_camera", tmp_path)
     config = load(DriverConfig, folder / "driver.yaml")
     assert (config.kind, config.name, config.bus.wait) == (TEMPLATES[template], "my_camera", True)
+    text = (folder / "driver.yaml").read_text()
+    (folder / "set.yaml").write_text(re.sub("^# (settings:|  )", r"\1", text, flags=re.M))
+    assert load(DriverConfig, folder / "set.yaml").settings
     unit = ConfigParser(interpolation=None)
     unit.optionxform = str
     unit.read_string((folder / "my_camera.service").read_text())

@@ -53,7 +53,7 @@ class KeptPublisher:
     def __init__(self, node, topic, number) -> None:
         self._node, self._topic, self._number = node, topic, number
 
-    def publish(self, message) -> None:
+    def publish(self, message, *, since_ns=None) -> None:  # noqa: ARG002
         self._node.messages.append((self._topic.name, message, self._number))
 
     def lose(self) -> None:

@@ -1,0 +1,1 @@
+"""NEES of logged estimates beside a truth with errors, over seeds of these errors."""

@@ -1,0 +1,103 @@
+"""Readings beside the sensors' frames: heard from the bus up to each frame's stamp."""
+
+import logging
+import time
+from abc import ABC, abstractmethod
+from typing import Generic, Protocol, TypeVar
+
+from rpod_runtime import Inbox, Node, Received
+from rpod_runtime.holders import Holders
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.topics import Topic
+
+log = logging.getLogger(__name__)
+
+_LOCKSTEP_S = 5.0
+"""Longest wait in lockstep, where readings are sent before the frame and a machine may be loaded."""
+_WAITING = 8192
+
+
+class Track(Protocol):
+    """Readings of one topic over time."""
+
+    def covers(self, stamp_ns: int) -> bool:
+        """Return whether all readings up to a stamp are there."""
+
+
+TrackT = TypeVar("TrackT", bound=Track)
+
+
+class StampedInput(ABC, Generic[TrackT]):
+    """Receives readings, waits until a frame's stamp is covered, and tells what is missing.
+
+    Args:
+        node: the estimator's node.
+        tracks: where the readings of each topic go.
+        in_lockstep: whether the estimator follows the clock of a lockstep run.
+    """
+
+    name: str
+    """Name in the diagnostics."""
+    lack: str
+    """Name of the counter of frames for which readings are missing."""
+    late_s: float
+    """Longest wait for readings up to a frame's stamp, by the wall clock: they need a few milliseconds."""
+    alarm: str
+    """What an operator has to know where readings of ``{topics}`` are missing."""
+    again: str
+    """The log line when all are there again."""
+
+    def __init__(self, node: Node, tracks: dict[Topic, TrackT], *, in_lockstep: bool) -> None:
+        self._node = node
+        self._tracks = {topic.name: track for topic, track in tracks.items()}
+        self._wait_s = _LOCKSTEP_S if in_lockstep else self.late_s
+        self._inbox, self._holders = Inbox(_WAITING), Holders()
+        self._missing: tuple[str, ...] = ()
+        for topic in tracks:
+            node.subscribe(topic, self._inbox.put, recover=in_lockstep)
+
+    @abstractmethod
+    def use(self, track: TrackT, received: Received) -> bool:
+        """Use a reading; return whether it is newer than all before. Raises ``MessageRejectedError``."""
+
+    def is_known(self, track: TrackT, stamp_ns: int) -> bool:
+        """Return whether the readings suffice for a stamp."""
+        return track.covers(stamp_ns)
+
+    def hear_up_to(self, stamp_ns: int) -> None:
+        """Take in what has arrived; wait a little for readings up to a frame's stamp.
+
+        After a wait in vain no other frame waits, until readings are there again.
+        """
+        if not self._tracks:
+            return
+        self._take(self._inbox.wait(0.0))
+        ends_s = time.monotonic() + self._wait_s * (not self._missing)
+        while not all(track.covers(stamp_ns) for track in self._tracks.values()) and (
+            (left_s := ends_s - time.monotonic()) > 0.0
+        ):
+            self._take(self._inbox.wait(left_s))
+        self._tell(tuple(name for name, track in self._tracks.items() if not self.is_known(track, stamp_ns)))
+
+    def _take(self, messages: list[Received]) -> None:
+        for received in messages:
+            name = received.topic.name
+            try:
+                self._holders.check(name, received.peer, received.arrival_s)
+                if not self.use(self._tracks[name], received):
+                    raise MessageRejectedError(Reason.DUPLICATE, "a reading that is not newer is there")
+                self._holders.hold(name, received.peer, received.arrival_s)
+            except MessageRejectedError as error:
+                self._node.reject(name, error)
+        self._node.health.put(f"overflowed/{self.name}", self._inbox.overflowed)
+
+    def _tell(self, missing: tuple[str, ...]) -> None:
+        """Tell when readings begin to be missing, and when they are there again."""
+        if missing:
+            self._node.health.count(f"{self.name}/{self.lack}")
+        if missing == self._missing:
+            return
+        self._missing = missing
+        text = self.alarm.format(topics=", ".join(missing))
+        self._node.health.alarm(self.name, text if missing else "")
+        log.log(logging.WARNING if missing else logging.INFO, "%s", text if missing else self.again)
